@@ -1,0 +1,1 @@
+"""The rig: what is wired to this machine."""

@@ -1,0 +1,21 @@
+"""What can go wrong between a picture and a mesh; each message is one line that says what to do."""
+
+
+class SettingsError(ValueError):
+    """A setting is unknown, out of range, or contradicts another."""
+
+
+class CalibrationError(ValueError):
+    """A calibration is incomplete, inconsistent, or of another image size."""
+
+
+class FootageError(OSError):
+    """A picture cannot be read, or holds no values that can be decoded."""
+
+
+class OutputError(OSError):
+    """A result cannot be written where it was asked for."""
+
+
+class RenderError(RuntimeError):
+    """The machine cannot draw: a graphics library is missing or broken."""

@@ -1,0 +1,1 @@
+"""Taichi kernels and their host functions: arrays in, arrays out."""
