@@ -1,0 +1,134 @@
+"""What is known of a rig: both lenses, where they stand, and how light turns into grey levels."""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from pipeline.errors import CalibrationError
+from pipeline.files import write_atomically
+from pipeline.models import Model, array_of, read_file
+
+Vector3 = array_of(3)
+Matrix3 = array_of(3, 3)
+Distortion = array_of(5)
+Shift = array_of(3, 2)
+Response = array_of(3, 256)
+
+
+class Lens(Model):
+    """A pinhole with distortion, for the camera as for the projector (OpenCV's model)."""
+
+    size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]  # width, height
+    matrix: Matrix3  # px
+    distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # k1 k2 p1 p2 k3
+
+    @model_validator(mode="after")
+    def _check(self) -> "Lens":
+        m = self.matrix
+        if m[0, 0] <= 0 or m[1, 1] <= 0 or np.any(m[[1, 2, 2], [0, 0, 1]] != 0) or m[2, 2] != 1:
+            raise ValueError("matrix must be [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
+        return self
+
+
+class Pattern(Model):
+    """What the projector shows."""
+
+    period_px: Annotated[float, Field(ge=4)]  # projector px a cycle
+    stripes: Literal["horizontal", "vertical"] = "horizontal"
+    code: None = None
+
+
+class ColorShift(Model):
+    """Lateral colour: where R, G and B land, each (x, y) in px from where the lens matrix says."""
+
+    camera: Shift
+    projector: Shift
+
+
+class Capture(Model):
+    """How the camera stood when the rig was calibrated."""
+
+    exposure_s: float | None = None
+    gain: float | None = None
+    white_balance: Vector3 | None = None
+    transfer: Literal["linear", "srgb", "bt709"] | None = None
+
+
+class Calibration(Model):
+    """A calibrated rig, as ``calibration.json`` holds it.
+
+    X_projector = rotation @ X_camera + translation_mm, both frames OpenCV's (x right, y down, z forward).
+    """
+
+    camera: Lens
+    projector: Lens
+    rotation: Matrix3
+    translation_mm: Vector3
+    pattern: Pattern
+    crosstalk_matrix: Matrix3 | None = None  # camera = matrix @ projector, in linear light
+    response: Response | None = None  # linear light for each projector code
+    color_shift_px: ColorShift | None = None
+    depth_range_mm: tuple[Annotated[float, Field(gt=0)], float] | None = None
+    capture: Capture | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "Calibration":
+        if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(self.rotation) < 0:
+            raise ValueError("rotation must be a rotation matrix")
+        axis = 1 if self.pattern.stripes == "horizontal" else 0
+        if np.linalg.norm(self.translation_mm) == 0:
+            raise ValueError("translation_mm must not be zero: without a baseline there is no depth")
+        if self.crosstalk_matrix is not None and np.linalg.cond(self.crosstalk_matrix) > 100:
+            raise ValueError("crosstalk_matrix cannot be inverted")
+        if self.response is not None and (
+            np.any(np.diff(self.response) < 0) or np.any(np.abs(self.response[:, [0, -1]] - [0, 1]) > 1e-6)
+        ):
+            raise ValueError("response must rise from 0 to 1 in every row")
+        if self.depth_range_mm is not None and self.depth_range_mm[1] <= self.depth_range_mm[0]:
+            raise ValueError("depth_range_mm must be [nearest, farthest]")
+        if self.pattern.period_px > self.projector.size_px[axis]:
+            raise ValueError(f"pattern.period_px is larger than the projector's {self.projector.size_px[axis]} px")
+        return self
+
+    @classmethod
+    def read(cls, path: str | Path) -> "Calibration":
+        """Read ``calibration.json``.
+
+        Raises
+        ------
+        CalibrationError
+            The file cannot be read, or a key is missing, unknown or wrong; the message names it.
+        """
+        return read_file(path, cls, json.loads, CalibrationError)
+
+    def write(self, path: str | Path) -> None:
+        """Write ``calibration.json``, whole or not at all."""
+        write_atomically(Path(path), (json.dumps(self.model_dump(mode="json"), indent=1) + "\n").encode())
+
+    def digest(self) -> str:
+        """Return a SHA-256 of the contents, by which results name the calibration they were made with."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+    @property
+    def phase_axis(self) -> int:
+        """The projector axis along which the phase changes: 1 (rows) for horizontal stripes, 0 for vertical."""
+        return 1 if self.pattern.stripes == "horizontal" else 0
+
+    def working_distance_mm(self) -> float | None:
+        """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.
+
+        A projector turned towards the object meets the camera's axis there, which makes it the best guess of where the
+        object is when no depth range is given.
+        """
+        # Closest point on the camera's axis (0, 0, s) to the projector's axis centre + k * direction.
+        centre = -self.rotation.T @ self.translation_mm
+        direction = self.rotation[2]
+        sine_squared = 1 - direction[2] ** 2
+        if sine_squared < 1e-6:
+            return None
+        depth = (centre[2] - direction[2] * (direction @ centre)) / sine_squared
+        return float(depth) if depth > 0 else None

@@ -1,0 +1,521 @@
+"""Meshes and range images to files that other programs open, and our own meshes back.
+
+Numbers keep the camera frame of OpenCV (x right, y down, z forward) and their unit in PLY, OBJ and STL. VRML wraps the
+same numbers in a transform, and glTF holds converted ones, because both fix y up, z towards the viewer, and metres.
+"""
+
+import base64
+import json
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import FootageError, OutputError
+from pipeline.files import write_atomically
+
+Unit = Literal["mm", "rad"]
+Floats = NDArray[np.float32]
+Bytes = NDArray[np.uint8]
+
+# PLY's number types under both their names, and their NumPy codes.
+_PLY_NAMES = (
+    "char int8 uchar uint8 short int16 ushort uint16 int int32 uint uint32 float float32 double float64".split()
+)
+_PLY_CODES = "i1 i1 u1 u1 i2 i2 u2 u2 i4 i4 u4 u4 f4 f4 f8 f8".split()
+_PLY_TYPES = {
+    "binary_little_endian": {name: "<" + code for name, code in zip(_PLY_NAMES, _PLY_CODES, strict=True)},
+    "binary_big_endian": {name: ">" + code for name, code in zip(_PLY_NAMES, _PLY_CODES, strict=True)},
+    "ascii": dict.fromkeys(_PLY_NAMES, "f8"),  # its text is turned into doubles first
+}
+_POSITION = ("x", "y", "z")
+_COLOR = ("red", "green", "blue")
+_SRGB = np.arange(256) / 255
+_SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)
+_HIDDEN = 48  # grey level of pixels that hold no value
+_CLAY = np.float32([236, 228, 216])  # RGB of a fully lit surface
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh in the camera frame.
+
+    Parameters
+    ----------
+    vertices : (N, 3) float32
+        In mm; with ``unit="rad"``, x and y in px and z the relative phase in rad.
+    faces : (M, 3) int32
+        Corners of each triangle, in [0, N).
+    colors : (N, 3) uint8, optional
+        sRGB.
+    properties : dict of (N,) float32
+        More about each vertex, such as ``"sigma_mm"`` or ``"modulation"``.
+    unit : {"mm", "rad"}
+        What z is measured in.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together, or a vertex is not finite.
+    """
+
+    vertices: Floats
+    faces: NDArray[np.int32]
+    colors: Bytes | None = None
+    properties: dict[str, Floats] = field(default_factory=dict)
+    unit: Unit = "mm"
+
+    def __post_init__(self) -> None:
+        count = len(self.vertices)
+        wanted: list[tuple[str, NDArray[Any], tuple[int, ...], type]] = [
+            ("vertices", self.vertices, (count, 3), np.float32),
+            ("faces", self.faces, (len(self.faces), 3), np.int32),
+            *((f"property {name}", values, (count,), np.float32) for name, values in self.properties.items()),
+        ]
+        if self.colors is not None:
+            wanted.append(("colors", self.colors, (count, 3), np.uint8))
+        for name, values, shape, dtype in wanted:
+            if values.shape != shape or values.dtype != dtype:
+                raise ValueError(f"{name}: got {values.shape} {values.dtype}, expected {shape} {np.dtype(dtype)}")
+        for name in self.properties:
+            if not name.isascii() or name.split() != [name] or name in _POSITION + _COLOR:
+                raise ValueError(f"property {name!r}: expected one plain word other than x, y, z, red, green and blue")
+        if self.unit not in get_args(Unit):
+            raise ValueError(f"unit: got {self.unit!r}, expected 'mm' or 'rad'")
+        if not np.isfinite(self.vertices).all():
+            raise ValueError("vertices: some are not finite; leave masked pixels out of the mesh")
+        if self.faces.size and not (self.faces.min() >= 0 and self.faces.max() < count):
+            raise ValueError(f"faces: got corners {self.faces.min()} to {self.faces.max()} of {count} vertices")
+
+
+def write_mesh(mesh: Mesh, path: str | Path) -> None:
+    """Write a mesh in the format that the file's suffix names.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        What to write. PLY keeps all of it; VRML, OBJ and glTF its colours; STL its shape.
+    path : str or Path
+        A .ply, .wrl, .obj, .stl, .glb or .gltf file.
+
+    Raises
+    ------
+    OutputError
+        If the suffix is unknown or the file cannot be written.
+
+    Notes
+    -----
+    glTF is y-up, right-handed and in metres, so (x, y, z) becomes (x, -y, -z) / 1000. A mesh in rad has no metres: it
+    keeps its numbers, and its ``extras`` say what they are.
+    """
+    suffix = Path(path).suffix.lower()
+    if suffix not in _ENCODERS:
+        raise OutputError(f"cannot write {path}: unknown mesh format '{suffix}', use one of {', '.join(_ENCODERS)}")
+    write_atomically(path, _ENCODERS[suffix](mesh))
+
+
+def read_mesh(path: str | Path) -> Mesh:
+    """Read a PLY file of triangles, binary or ASCII.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file. Without our comment on the unit it is taken to be in mm.
+
+    Returns
+    -------
+    Mesh
+        With every floating point property of the vertices besides their position.
+
+    Raises
+    ------
+    FootageError
+        If the file is missing, truncated, or no mesh of triangles.
+    """
+    try:
+        return _decode_ply(Path(path).read_bytes())
+    except OSError as error:
+        raise FootageError(f"cannot read {path}: {error.strerror}") from error
+    except ValueError as error:
+        raise FootageError(f"cannot read {path} as a PLY mesh: {error}") from error
+
+
+def vertex_normals(mesh: Mesh) -> Floats:
+    """Average the normals of the triangles around each vertex, weighted by their area.
+
+    Returns
+    -------
+    (N, 3) float32
+        Unit vectors on the side from which corners run counter-clockwise; (0, 0, 1) for a vertex without a surface.
+    """
+    corners = mesh.faces.ravel()
+    across = np.repeat(_face_normals(mesh), 3, axis=0)
+    sums = np.stack([np.bincount(corners, axis, len(mesh.vertices)) for axis in across.T], axis=1)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), (0, 0, 1)).astype(np.float32)
+
+
+def depth_colors(values: Floats, mask: NDArray[np.bool_]) -> Bytes:
+    """Colour a range image from blue, its 1st percentile, to red, its 99th.
+
+    Parameters
+    ----------
+    values : (H, W) float32
+        Range in mm or rad.
+    mask : (H, W) bool
+        Pixels that hold a value; NaN pixels are left out too.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        RGB; dark grey where there is no value.
+    """
+    mask = mask & np.isfinite(values)
+    low, high = _limits(values, mask)
+    levels = np.where(mask, (values - low) / (high - low), 0).clip(0, 1) * 255
+    return np.where(mask[..., None], _colormap(levels.round().astype(np.uint8)), np.uint8(_HIDDEN))
+
+
+def write_range_image(path: str | Path, values: Floats, mask: NDArray[np.bool_], unit: Unit) -> None:
+    """Write a range image as a coloured PNG with a scale beside it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG file.
+    values : (H, W) float32
+        Range in ``unit``.
+    mask : (H, W) bool
+        Pixels that hold a value; NaN pixels are left out too.
+    unit : {"mm", "rad"}
+        Printed over the scale.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    picture = depth_colors(values, mask)
+    mask = mask & np.isfinite(values)
+    height = max(len(picture), 160)  # room for the scale's numbers beside a small picture
+    canvas = np.full((height, picture.shape[1], 3), _HIDDEN, np.uint8)
+    canvas[: len(picture)] = picture
+    limits = _limits(values, mask) if mask.any() else None
+    write_png(path, np.hstack([canvas, _scale_bar(height, limits, unit)]))
+
+
+def shade_range(values: Floats, mask: NDArray[np.bool_], points: Floats | None = None) -> Bytes:
+    """Shade a range image as seen by the camera, lit from the upper left.
+
+    Parameters
+    ----------
+    values : (H, W) float32
+        Range in mm or rad, larger is farther. Its slopes are scaled until the relief shows.
+    mask : (H, W) bool
+        Pixels that hold a value; NaN pixels are left out too.
+    points : (H, W, 3) float32, optional
+        The surface in mm, camera frame: its true normals are used instead.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        RGB; dark grey where there is no value.
+
+    Notes
+    -----
+    Slopes come from the neighbours on both sides; one that is masked or beyond a depth step has no say.
+    """
+    surface = values[..., None] if points is None else points
+    mask = mask & np.isfinite(values) & np.isfinite(surface).all(axis=-1)
+    along_x = _slope(surface, mask)
+    along_y = _slope(surface.swapaxes(0, 1), mask.T).swapaxes(0, 1)
+    if points is None:
+        slopes = np.concatenate([along_x, along_y], axis=-1)
+        # The typical slope is drawn at 35 degrees.
+        typical = np.median(np.linalg.norm(slopes[mask], axis=-1)) if mask.any() else 0
+        slopes *= 0.7 / typical if typical > 0 else 1
+        normals = np.concatenate([slopes, np.full_like(values, -1)[..., None]], axis=-1)
+    else:
+        normals = np.cross(along_y, along_x)
+    light = np.float32([-1, -1, -1.6])  # from the surface to the lamp
+    lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(light)
+    cosines = np.where(lengths > 0, normals @ light / np.where(lengths > 0, lengths, 1), 0).clip(0, 1)
+    shaded = (0.12 + 0.88 * cosines)[..., None] * _CLAY
+    return np.where(mask[..., None], shaded, _HIDDEN).astype(np.uint8)
+
+
+def write_png(path: str | Path, picture: Bytes) -> None:
+    """Write an RGB picture, (H, W, 3) uint8, as a PNG file under any name.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    write_atomically(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+
+
+def _face_normals(mesh: Mesh) -> Floats:
+    """Return a normal a triangle, (M, 3), as long as twice its area."""
+    first, second, third = (mesh.vertices[corner] for corner in mesh.faces.T)
+    return np.cross(second - first, third - first)
+
+
+def _encode_ply(mesh: Mesh) -> bytes:
+    columns: dict[str, NDArray[Any]] = dict(zip(_POSITION, mesh.vertices.T, strict=True))
+    if mesh.colors is not None:
+        columns |= zip(_COLOR, mesh.colors.T, strict=True)
+    columns |= mesh.properties
+    vertices = np.empty(
+        len(mesh.vertices), [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    )
+    for name, values in columns.items():
+        vertices[name] = values
+    faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment unit {mesh.unit}",
+        f"element vertex {len(vertices)}",
+        *(f"property {'uchar' if values.dtype == np.uint8 else 'float'} {name}" for name, values in columns.items()),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header\n",
+    ]
+    return "\n".join(header).encode() + vertices.tobytes() + faces.tobytes()
+
+
+def _decode_ply(data: bytes) -> Mesh:
+    head, found, body = data.partition(b"end_header")
+    if not data.startswith(b"ply") or not found:
+        raise ValueError("it has no PLY header")
+    words = [line.split() for line in head.decode("ascii", "replace").splitlines()]
+    types = next((_PLY_TYPES[line[1]] for line in words if line[:1] == ["format"] and line[1] in _PLY_TYPES), None)
+    if types is None:
+        raise ValueError("its header names no known format")
+    (vertex_count, vertex), (face_count, face) = _parse_elements(words, types)
+    body = (
+        np.array(body.split(), np.float64).tobytes()
+        if ["format", "ascii", "1.0"] in words
+        else body[body.find(b"\n") + 1 :]
+    )
+    promised = vertex_count * vertex.itemsize + face_count * face.itemsize
+    if len(body) < promised:
+        raise ValueError(f"it is truncated: its header promises {promised} bytes of data and {len(body)} follow")
+    vertices = np.frombuffer(body, vertex, vertex_count)
+    faces = np.frombuffer(body, face, face_count, vertex_count * vertex.itemsize)
+    if (faces["count"] != 3).any():
+        raise ValueError("it has faces other than triangles: triangulate them first")
+    names = vertex.names or ()
+    return Mesh(
+        vertices=np.stack([vertices[name] for name in _POSITION], axis=1).astype(np.float32),
+        faces=faces["corners"].astype(np.int32),
+        colors=np.stack([vertices[name] for name in _COLOR], axis=1).astype(np.uint8) if "red" in names else None,
+        properties={name: vertices[name].astype(np.float32) for name in names if name not in _POSITION + _COLOR},
+        unit="rad" if ["comment", "unit", "rad"] in words else "mm",
+    )
+
+
+def _parse_elements(words: list[list[str]], types: dict[str, str]) -> list[tuple[int, np.dtype]]:
+    """Return how many vertices and faces follow a PLY header, and the layout of each."""
+    elements: list[tuple[str, int, list[Any]]] = []
+    for line in words:
+        match line:
+            case ["element", name, count]:
+                elements.append((name, int(count), []))
+            case ["property", "list", count, corner, _] if elements and {count, corner} <= types.keys():
+                elements[-1][2].extend([("count", types[count]), ("corners", types[corner], 3)])
+            case ["property", kind, name] if elements and kind in types:
+                elements[-1][2].append((name, types[kind]))
+            case ["element" | "property", *_]:
+                raise ValueError(f"its header says {' '.join(line)!r}, which is not understood")
+    if [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
+        raise ValueError("it does not hold vertices followed by faces")
+    vertex, face = layouts = [(count, np.dtype(fields)) for _, count, fields in elements[:2]]
+    if not {*_POSITION} <= {*(vertex[1].names or ())} or "corners" not in (face[1].names or ()):
+        raise ValueError("its vertices have no x, y and z, or its faces no corners")
+    return layouts
+
+
+def _encode_stl(mesh: Mesh) -> bytes:
+    normals = _face_normals(mesh)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    triangles = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    triangles["normal"] = normals / np.where(lengths > 0, lengths, 1)
+    triangles["corners"] = mesh.vertices[mesh.faces]
+    return struct.pack("<80sI", f"binary STL, unit {mesh.unit}".encode(), len(triangles)) + triangles.tobytes()
+
+
+def _encode_obj(mesh: Mesh) -> bytes:
+    vertices, row = mesh.vertices, "v %.7g %.7g %.7g\n"
+    if mesh.colors is not None:
+        vertices, row = np.hstack([vertices, mesh.colors / np.float32(255)]), "v %.7g %.7g %.7g %.4f %.4f %.4f\n"
+    return f"# unit {mesh.unit}\n{_rows(row, vertices)}{_rows('f %d %d %d\n', mesh.faces + 1)}".encode()
+
+
+def _encode_vrml(mesh: Mesh) -> bytes:
+    scale = _metres_a_unit(mesh)
+    color = ""
+    if mesh.colors is not None:
+        color = f"color Color {{ color [\n{_rows('%.4f %.4f %.4f,\n', mesh.colors / np.float32(255))}] }}\n"
+    return f"""#VRML V2.0 utf8
+# unit {mesh.unit}
+Transform {{
+rotation 1 0 0 3.14159265
+scale {scale} {scale} {scale}
+children Shape {{
+appearance Appearance {{ material Material {{ }} }}
+geometry IndexedFaceSet {{
+solid FALSE
+creaseAngle 3.14159265
+coord Coordinate {{ point [
+{_rows("%.7g %.7g %.7g,\n", mesh.vertices)}] }}
+{color}coordIndex [
+{_rows("%d,%d,%d,-1,\n", mesh.faces)}]
+}}
+}}
+}}
+""".encode()
+
+
+def _rows(row: str, table: NDArray[Any]) -> str:
+    # One format of the whole table is several times faster than numpy.savetxt.
+    return row * len(table) % tuple(table.ravel().tolist())
+
+
+def _metres_a_unit(mesh: Mesh) -> float:
+    return 0.001 if mesh.unit == "mm" else 1.0
+
+
+def _gltf_parts(mesh: Mesh) -> tuple[dict[str, Any], bytes]:
+    """Return the description of a glTF scene and its one buffer."""
+    y_up = np.float32([1, -1, -1])
+    positions = mesh.vertices * y_up * np.float32(_metres_a_unit(mesh))
+    columns: dict[str, NDArray[Any]] = {"POSITION": positions, "NORMAL": vertex_normals(mesh) * y_up}
+    if mesh.colors is not None:
+        # glTF's vertex colours are linear light; a fourth channel keeps each on a multiple of four bytes.
+        linear = (65535 * _SRGB_TO_LINEAR).round().astype(np.uint16)
+        columns["COLOR_0"] = np.pad(linear[mesh.colors], ((0, 0), (0, 1)), constant_values=65535)
+    blocks = [*columns.values(), mesh.faces.reshape(-1, 1).astype(np.uint32)]
+    offsets = np.cumsum([0, *(block.nbytes for block in blocks)]).tolist()
+    accessors: list[dict[str, Any]] = [
+        {
+            "bufferView": index,
+            "componentType": {"f4": 5126, "u2": 5123, "u4": 5125}[block.dtype.str[1:]],
+            "normalized": block.dtype == np.uint16,
+            "count": len(block),
+            "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[block.shape[1]],
+        }
+        for index, block in enumerate(blocks)
+    ]
+    accessors[0] |= {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
+    attributes = {name: index for index, name in enumerate(columns)}
+    material = {"doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}}
+    extras = {"unit": "m" if mesh.unit == "mm" else "x and y in px, z in rad"}
+    return {
+        "asset": {"version": "2.0", "generator": "colorphase", "extras": extras},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": len(columns), "material": 0}]}],
+        "materials": [material],
+        "buffers": [{"byteLength": offsets[-1]}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": offset, "byteLength": block.nbytes, "target": target}
+            for offset, block, target in zip(offsets, blocks, [34962] * len(columns) + [34963], strict=False)
+        ],
+        "accessors": accessors,
+    }, b"".join(block.tobytes() for block in blocks)
+
+
+def _encode_glb(mesh: Mesh) -> bytes:
+    scene, buffer = _gltf_parts(mesh)
+    text = json.dumps(scene, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    return b"".join(
+        [
+            struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(buffer)),
+            struct.pack("<I4s", len(text), b"JSON") + text,
+            struct.pack("<I4s", len(buffer), b"BIN\0") + buffer,
+        ]
+    )
+
+
+def _encode_gltf(mesh: Mesh) -> bytes:
+    scene, buffer = _gltf_parts(mesh)
+    scene["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(buffer).decode()
+    return json.dumps(scene).encode()
+
+
+def _limits(values: Floats, mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """Return the 1st and the 99th percentile, never equal."""
+    low, high = np.percentile(values[mask], (1, 99)).tolist() if mask.any() else (0.0, 1.0)
+    return low, max(high, low + 1e-6 * max(abs(low), 1.0))
+
+
+def _colormap(levels: Bytes) -> Bytes:
+    colors: Bytes = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[..., ::-1]
+    return colors
+
+
+def _scale_bar(height: int, limits: tuple[float, float] | None, unit: Unit) -> Bytes:
+    """Draw a colour scale with round numbers, (height, W, 3); without limits there is nothing to tell."""
+    size = max(height / 480, 0.75)
+    gap, width = round(14 * size), round(110 * size)
+    bar = np.full((height, width, 3), _HIDDEN, np.uint8)
+    if limits is None:
+        return bar
+    low, high = limits
+    top, bottom = 3 * gap, height - gap
+    ramp = np.linspace(255, 0, bottom - top).round().astype(np.uint8)
+    bar[top:bottom, gap : 2 * gap] = _colormap(ramp[:, None])
+
+    def write(text: str, x: int, y: int) -> None:
+        cv2.putText(bar, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.45 * size, (235, 235, 235), 1, cv2.LINE_AA)
+
+    write(unit, gap, 2 * gap)
+    step = _round_step((high - low) / 6)
+    decimals = max(0, -int(np.floor(np.log10(step))))
+    for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:
+        y = round(bottom - 1 - (value - low) / (high - low) * (bottom - 1 - top))
+        bar[y, 2 * gap : 2 * gap + gap // 3] = 235
+        write(f"{value + 0.0:.{decimals}f}", 2 * gap + gap // 2, y + round(5 * size))
+    return bar
+
+
+def _round_step(step: float) -> float:
+    """Return the least of 1, 2 and 5 times a power of ten that is at least ``step``."""
+    power: float = 10.0 ** np.floor(np.log10(step))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step)
+
+
+def _slope(surface: Floats, mask: NDArray[np.bool_]) -> Floats:
+    """Return the slope a pixel from left to right, (H, W, C); 0 where neither side has one."""
+    steps = np.diff(surface, axis=1)
+    reach = np.abs(steps[..., -1])
+    whole = mask[:, 1:] & mask[:, :-1]
+    if whole.any():
+        # A depth step stands far out of the slopes of surfaces, and is rare.
+        whole = whole & (reach <= 4 * np.percentile(reach[whole], 95))
+    steps[~whole] = 0
+    sums, counts = np.zeros_like(surface), np.zeros(mask.shape, np.float32)
+    for side in (np.s_[:, 1:], np.s_[:, :-1]):
+        sums[side] += steps
+        counts[side] += whole
+    return sums / np.maximum(counts, 1)[..., None]
+
+
+_ENCODERS: dict[str, Callable[[Mesh], bytes]] = {
+    ".ply": _encode_ply,
+    ".wrl": _encode_vrml,
+    ".obj": _encode_obj,
+    ".stl": _encode_stl,
+    ".glb": _encode_glb,
+    ".gltf": _encode_gltf,
+}

@@ -1,0 +1,80 @@
+"""What every file that a user hands us shares: frozen models, unknown keys refused, errors that name the key."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationError
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Model(BaseModel):
+    """A frozen record whose unknown keys are refused."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False)
+
+
+M = TypeVar("M", bound=Model)
+
+
+def array_of(*shape: int) -> Any:
+    """Return a field type: a read-only float64 array of this shape, a nested list in the file."""
+
+    def read(value: Any) -> FloatArray:
+        try:
+            array = np.array(value, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"must be {'x'.join(map(str, shape))} numbers") from error
+        if array.shape != shape:
+            raise ValueError(f"must have shape {shape}, got {array.shape}")
+        if not np.isfinite(array).all():
+            raise ValueError("must be finite")
+        array.setflags(write=False)
+        return array
+
+    return Annotated[
+        npt.NDArray[np.float64],
+        BeforeValidator(read),
+        PlainSerializer(lambda array: array.tolist(), return_type=list),
+    ]
+
+
+def build(model: type[M], values: Any, error: type[Exception], where: str) -> M:
+    """Validate values into a model; the first fault becomes one line that names its key.
+
+    Raises
+    ------
+    Exception
+        The given error type.
+    """
+    try:
+        return model.model_validate(values)
+    except ValidationError as invalid:
+        faults = invalid.errors(include_url=False)
+        fault = faults[0]
+        key = ".".join(str(part) for part in fault["loc"]) or "the whole"
+        reason = {"extra_forbidden": "is not a known key", "missing": "is missing"}.get(
+            fault["type"], fault["msg"].removeprefix("Value error, ")
+        )
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        raise error(f"{where}: {key}: {reason}{more}") from None
+
+
+def read_file(path: str | Path, model: type[M], parse: Callable[[str], Any], error: type[Exception]) -> M:
+    """Read a text file into a model.
+
+    Raises
+    ------
+    Exception
+        The given error type, with one line that names the file and the key.
+    """
+    try:
+        values = parse(Path(path).read_text(encoding="utf-8"))
+    except OSError as fault:
+        raise error(f"cannot read {path}: {fault.strerror or fault}") from None
+    except ValueError as fault:  # JSON, TOML and UTF-8 all raise one
+        raise error(f"{path} is not what it should be: {str(fault).splitlines()[0]}") from None
+    return build(model, values, error, str(path))

@@ -1,0 +1,202 @@
+"""The only place that starts the device, and where its buffers come from."""
+
+import contextlib
+import ctypes
+import os
+import sys
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels._taichi import language, ti
+from tikernels.errors import DeviceNotReady
+
+#: Every arch by name, in the order in which "auto" prefers them.
+ARCHS = ("cuda", "metal", "vulkan", "cpu")
+
+_started: str | None = None
+
+
+@dataclass(frozen=True)
+class VulkanDevice:
+    """A device that the Vulkan loader offers; `software` ones check correctness, never speed."""
+
+    name: str
+    software: bool
+
+
+def init(arch: str = "auto") -> str:
+    """Start the device that every kernel runs on.
+
+    Parameters
+    ----------
+    arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
+        "auto" takes the first of CUDA, Metal, Vulkan on real hardware, and the CPU. A named one never falls back.
+
+    Returns
+    -------
+    str
+        The arch that runs. Calling again with the same arch, or with "auto", keeps the device and its buffers; another
+        arch drops both.
+
+    Raises
+    ------
+    DeviceNotReady
+        The machine lacks the arch.
+    """
+    global _started
+    if arch == "auto":
+        if _started is not None:
+            return _started
+        # Mesa's software Vulkan is many times slower than the CPU kernels, so "auto" looks for hardware first.
+        candidates = [a for a in ARCHS if a != "vulkan" or any(not d.software for d in vulkan_devices())]
+    elif arch in ARCHS:
+        candidates = [arch]
+    else:
+        raise DeviceNotReady(f"no arch is called {arch!r}: choose auto, {', '.join(sorted(ARCHS))}")
+    if arch == _started:
+        return arch
+    reasons = []
+    for candidate in candidates:
+        reason = _start(candidate)
+        if reason is None:
+            _started = candidate
+            return candidate
+        _started = None  # a failed start has already torn down what ran before
+        reasons.append(reason)
+    raise DeviceNotReady(f"{arch} cannot be started here ({'; '.join(reasons)}): `colorphase devices` lists what can")
+
+
+def started() -> str:
+    """Return the arch that runs.
+
+    Raises
+    ------
+    DeviceNotReady
+        `init` has not been called.
+    """
+    if _started is None:
+        raise DeviceNotReady('no device is started: call tikernels.init("auto") first')
+    return _started
+
+
+def is_started() -> bool:
+    """Whether `init` has started a device."""
+    return _started is not None
+
+
+def kernel_language() -> str:
+    """Return the language the kernels are compiled by: "taichi", or "quadrants" where Taichi does not import."""
+    return language
+
+
+def supported_archs() -> list[str]:
+    """Return the archs that this machine can start, without starting any."""
+    supported = []
+    for arch in ARCHS:
+        if arch == "vulkan":
+            available = bool(vulkan_devices()) and _built_with(arch)
+        else:
+            available = arch == "cpu" or _built_with(arch)
+        if available:
+            supported.append(arch)
+    return supported
+
+
+def vulkan_devices() -> list[VulkanDevice]:
+    """Ask the Vulkan loader for its devices; an empty list where there is no loader or no driver."""
+    loader = _load_vulkan()
+    if loader is None:
+        return []
+    # VkInstanceCreateInfo: sType = 1, then nothing asked for; portability drivers (macOS) are left to Metal.
+    create_info = (ctypes.c_uint64 * 8)(1)
+    instance = ctypes.c_void_p()
+    if loader.vkCreateInstance(create_info, None, ctypes.byref(instance)) != 0:
+        return []
+    try:
+        count = ctypes.c_uint32()
+        loader.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), None)
+        handles = (ctypes.c_void_p * count.value)()
+        loader.vkEnumeratePhysicalDevices(instance, ctypes.byref(count), handles)
+        devices = []
+        for handle in handles[: count.value]:
+            # VkPhysicalDeviceProperties is 824 bytes: five uint32, of which the fifth is the type, then the name.
+            properties = (ctypes.c_uint8 * 1024)()
+            loader.vkGetPhysicalDeviceProperties(ctypes.c_void_p(handle), properties)
+            kind = int.from_bytes(bytes(properties[16:20]), sys.byteorder)
+            name = bytes(properties[20:276]).split(b"\0", 1)[0].decode(errors="replace")
+            devices.append(VulkanDevice(name, software=kind == 4))  # VK_PHYSICAL_DEVICE_TYPE_CPU
+        return devices
+    finally:
+        loader.vkDestroyInstance(instance, None)
+
+
+def empty(shape: tuple[int, ...], dtype: npt.DTypeLike) -> Any:
+    """Allocate a buffer where the kernels reach it fastest.
+
+    On the CPU that is a NumPy array (the kernels write it in place, and handing it out costs no copy); on a GPU it is
+    a device ndarray. Both are taken by every kernel.
+    """
+    if started() == "cpu":
+        return np.empty(shape, dtype)
+    return ti.ndarray(_DEVICE_TYPES[np.dtype(dtype).name], shape)
+
+
+def to_host(buffer: Any) -> npt.NDArray[Any]:
+    """Return a buffer as a NumPy array: itself on the CPU, a copy from a GPU."""  # synchronises
+    if isinstance(buffer, np.ndarray):
+        return buffer
+    host: npt.NDArray[Any] = buffer.to_numpy()
+    return host
+
+
+def is_device_array(array: object) -> bool:
+    """Whether this is an ndarray of the kernel language."""
+    return isinstance(array, ti.Ndarray)
+
+
+def dtype_name(buffer: Any) -> str:
+    """Return the NumPy name of a device ndarray's element type."""
+    return next((name for name, kind in _DEVICE_TYPES.items() if kind == buffer.element_type), str(buffer.element_type))
+
+
+def synchronize() -> None:
+    """Wait until the device has finished; for measuring."""
+    ti.sync()
+
+
+_DEVICE_TYPES = {
+    "float32": ti.f32, "int32": ti.i32, "uint8": ti.u8, "uint16": ti.u16, "uint32": ti.u32,
+}  # fmt: skip
+
+
+def _start(arch: str) -> str | None:
+    """Start one arch; the reason where it cannot be."""
+    if arch == "vulkan" and not vulkan_devices():
+        return "vulkan: no driver"  # asked first because the runtime writes to stderr before it gives up
+    # Taichi greets on standard output, which belongs to the program that uses us.
+    with contextlib.redirect_stdout(open(os.devnull, "w")) as sink, sink:
+        try:
+            ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, offline_cache=True)
+        except RuntimeError as error:
+            return f"{arch}: {str(error).splitlines()[-1].strip()}"
+    running = ti.lang.impl.current_cfg().arch
+    if running != getattr(ti, arch):
+        return f"{arch}: the environment variable TI_ARCH asks for {running}"
+    return None
+
+
+def _built_with(arch: str) -> bool:
+    try:
+        return bool(getattr(ti._lib.core, f"with_{arch}")())
+    except (AttributeError, RuntimeError):
+        return False
+
+
+def _load_vulkan() -> Any | None:
+    for name in ("libvulkan.so.1", "libvulkan.1.dylib", "vulkan-1.dll"):
+        with contextlib.suppress(OSError):
+            return ctypes.CDLL(name)
+    return None
