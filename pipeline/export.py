@@ -23,22 +23,20 @@ Unit = Literal["mm", "rad"]
 Floats = NDArray[np.float32]
 Bytes = NDArray[np.uint8]
 
-# PLY's number types under both their names, and their NumPy codes.
-_PLY_NAMES = (
-    "char int8 uchar uint8 short int16 ushort uint16 int int32 uint uint32 float float32 double float64".split()
+_PLY_TYPES = dict(
+    zip(
+        "char int8 uchar uint8 short int16 ushort uint16 int int32 uint uint32 float float32 double float64".split(),
+        "i1 i1 u1 u1 i2 i2 u2 u2 i4 i4 u4 u4 f4 f4 f8 f8".split(),
+        strict=True,
+    )
 )
-_PLY_CODES = "i1 i1 u1 u1 i2 i2 u2 u2 i4 i4 u4 u4 f4 f4 f8 f8".split()
-_PLY_TYPES = {
-    "binary_little_endian": {name: "<" + code for name, code in zip(_PLY_NAMES, _PLY_CODES, strict=True)},
-    "binary_big_endian": {name: ">" + code for name, code in zip(_PLY_NAMES, _PLY_CODES, strict=True)},
-    "ascii": dict.fromkeys(_PLY_NAMES, "f8"),  # its text is turned into doubles first
-}
+_PLY_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 _POSITION = ("x", "y", "z")
 _COLOR = ("red", "green", "blue")
 _SRGB = np.arange(256) / 255
 _SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)
 _HIDDEN = 48  # grey level of pixels that hold no value
-_CLAY = np.float32([236, 228, 216])  # RGB of a fully lit surface
+_CLAY = np.array([236, 228, 216], np.float32)  # RGB of a fully lit surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +104,7 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     Raises
     ------
     OutputError
-        If the suffix is unknown or the file cannot be written.
+        If the suffix is unknown, the file cannot be written, or the mesh is empty and the format glTF.
 
     Notes
     -----
@@ -177,8 +175,8 @@ def depth_colors(values: Floats, mask: NDArray[np.bool_]) -> Bytes:
     """
     mask = mask & np.isfinite(values)
     low, high = _limits(values, mask)
-    levels = np.where(mask, (values - low) / (high - low), 0).clip(0, 1) * 255
-    return np.where(mask[..., None], _colormap(levels.round().astype(np.uint8)), np.uint8(_HIDDEN))
+    fractions = np.where(mask, (values - low) / (high - low), 0).clip(0, 1)
+    return np.where(mask[..., None], _colormap(fractions), np.uint8(_HIDDEN))
 
 
 def write_range_image(path: str | Path, values: Floats, mask: NDArray[np.bool_], unit: Unit) -> None:
@@ -232,20 +230,21 @@ def shade_range(values: Floats, mask: NDArray[np.bool_], points: Floats | None =
     """
     surface = values[..., None] if points is None else points
     mask = mask & np.isfinite(values) & np.isfinite(surface).all(axis=-1)
+    surface = np.where(mask[..., None], surface, 0)
     along_x = _slope(surface, mask)
     along_y = _slope(surface.swapaxes(0, 1), mask.T).swapaxes(0, 1)
     if points is None:
         slopes = np.concatenate([along_x, along_y], axis=-1)
-        # The typical slope is drawn at 35 degrees.
-        typical = np.median(np.linalg.norm(slopes[mask], axis=-1)) if mask.any() else 0
-        slopes *= 0.7 / typical if typical > 0 else 1
+        # The steep tenth starts at 50 degrees; the typical slope may be a flat wall's noise.
+        steep = np.percentile(np.linalg.norm(slopes[mask], axis=-1), 90) if mask.any() else 0
+        slopes *= 1.2 / steep if steep > 0 else 1
         normals = np.concatenate([slopes, np.full_like(values, -1)[..., None]], axis=-1)
     else:
         normals = np.cross(along_y, along_x)
-    light = np.float32([-1, -1, -1.6])  # from the surface to the lamp
-    lengths = np.linalg.norm(normals, axis=-1) * np.linalg.norm(light)
-    cosines = np.where(lengths > 0, normals @ light / np.where(lengths > 0, lengths, 1), 0).clip(0, 1)
-    shaded = (0.12 + 0.88 * cosines)[..., None] * _CLAY
+        normals[~normals.any(axis=-1)] = (0, 0, -1)
+    light = np.array([-1, -1, -2], np.float32)  # from the surface to the lamp
+    cosines = normals @ light / (np.linalg.norm(normals, axis=-1) * np.linalg.norm(light))
+    shaded = (0.15 + 0.85 * cosines.clip(0, 1))[..., None] * _CLAY
     return np.where(mask[..., None], shaded, _HIDDEN).astype(np.uint8)
 
 
@@ -292,19 +291,17 @@ def _encode_ply(mesh: Mesh) -> bytes:
 
 
 def _decode_ply(data: bytes) -> Mesh:
-    head, found, body = data.partition(b"end_header")
-    if not data.startswith(b"ply") or not found:
-        raise ValueError("it has no PLY header")
-    words = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    types = next((_PLY_TYPES[line[1]] for line in words if line[:1] == ["format"] and line[1] in _PLY_TYPES), None)
-    if types is None:
-        raise ValueError("its header names no known format")
-    (vertex_count, vertex), (face_count, face) = _parse_elements(words, types)
-    body = (
-        np.array(body.split(), np.float64).tobytes()
-        if ["format", "ascii", "1.0"] in words
-        else body[body.find(b"\n") + 1 :]
-    )
+    head, _, body = data.partition(b"end_header")
+    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
+    (vertex_count, vertex), (face_count, face) = _parse_ply_header(lines)
+    names = vertex.names or ()
+    if not {*_POSITION} <= {*names} or "corners" not in (face.names or ()):
+        raise ValueError("its vertices have no x, y and z, or its faces no corners")
+    if ["format", "ascii", "1.0"] in lines:
+        vertex, face = _as_doubles(vertex), _as_doubles(face)
+        body = np.array(body.split(), np.float64).tobytes()
+    else:
+        body = body[body.find(b"\n") + 1 :]
     promised = vertex_count * vertex.itemsize + face_count * face.itemsize
     if len(body) < promised:
         raise ValueError(f"it is truncated: its header promises {promised} bytes of data and {len(body)} follow")
@@ -312,35 +309,41 @@ def _decode_ply(data: bytes) -> Mesh:
     faces = np.frombuffer(body, face, face_count, vertex_count * vertex.itemsize)
     if (faces["count"] != 3).any():
         raise ValueError("it has faces other than triangles: triangulate them first")
-    names = vertex.names or ()
     return Mesh(
         vertices=np.stack([vertices[name] for name in _POSITION], axis=1).astype(np.float32),
         faces=faces["corners"].astype(np.int32),
         colors=np.stack([vertices[name] for name in _COLOR], axis=1).astype(np.uint8) if "red" in names else None,
         properties={name: vertices[name].astype(np.float32) for name in names if name not in _POSITION + _COLOR},
-        unit="rad" if ["comment", "unit", "rad"] in words else "mm",
+        unit="rad" if ["comment", "unit", "rad"] in lines else "mm",
     )
 
 
-def _parse_elements(words: list[list[str]], types: dict[str, str]) -> list[tuple[int, np.dtype]]:
-    """Return how many vertices and faces follow a PLY header, and the layout of each."""
+def _as_doubles(layout: np.dtype) -> np.dtype:
+    return np.dtype([(name, "f8", layout[name].shape) for name in layout.names or ()])
+
+
+def _parse_ply_header(lines: list[list[str]]) -> list[tuple[int, np.dtype]]:
+    """Return how many vertices and how many faces follow a PLY header, and the layout of each."""
+    order = ""
     elements: list[tuple[str, int, list[Any]]] = []
-    for line in words:
+    for line in lines:
         match line:
-            case ["element", name, count]:
+            case ["format", encoding, "1.0"] if encoding in _PLY_BYTE_ORDERS:
+                order = _PLY_BYTE_ORDERS[encoding]
+            case ["element", name, count] if count.isdigit():
                 elements.append((name, int(count), []))
-            case ["property", "list", count, corner, _] if elements and {count, corner} <= types.keys():
-                elements[-1][2].extend([("count", types[count]), ("corners", types[corner], 3)])
-            case ["property", kind, name] if elements and kind in types:
-                elements[-1][2].append((name, types[kind]))
-            case ["element" | "property", *_]:
-                raise ValueError(f"its header says {' '.join(line)!r}, which is not understood")
-    if [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
-        raise ValueError("it does not hold vertices followed by faces")
-    vertex, face = layouts = [(count, np.dtype(fields)) for _, count, fields in elements[:2]]
-    if not {*_POSITION} <= {*(vertex[1].names or ())} or "corners" not in (face[1].names or ()):
-        raise ValueError("its vertices have no x, y and z, or its faces no corners")
-    return layouts
+            case ["property", "list", count, corner, _] if elements and {count, corner} <= _PLY_TYPES.keys():
+                record = [("count", order + _PLY_TYPES[count]), ("corners", order + _PLY_TYPES[corner], 3)]
+                elements[-1][2].extend(record)
+            case ["property", kind, name] if elements and kind in _PLY_TYPES:
+                elements[-1][2].append((name, order + _PLY_TYPES[kind]))
+            case [] | ["ply"] | ["comment" | "obj_info", *_]:
+                pass
+            case _:
+                raise ValueError(f"its header says {' '.join(line)[:80]!r}")
+    if not order or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
+        raise ValueError("its header does not announce vertices followed by faces")
+    return [(count, np.dtype(fields)) for _, count, fields in elements[:2]]
 
 
 def _encode_stl(mesh: Mesh) -> bytes:
@@ -353,17 +356,20 @@ def _encode_stl(mesh: Mesh) -> bytes:
 
 
 def _encode_obj(mesh: Mesh) -> bytes:
-    vertices, row = mesh.vertices, "v %.7g %.7g %.7g\n"
+    vertices = _rows("v %.7g %.7g %.7g\n", mesh.vertices)
     if mesh.colors is not None:
-        vertices, row = np.hstack([vertices, mesh.colors / np.float32(255)]), "v %.7g %.7g %.7g %.4f %.4f %.4f\n"
-    return f"# unit {mesh.unit}\n{_rows(row, vertices)}{_rows('f %d %d %d\n', mesh.faces + 1)}".encode()
+        vertices = _rows("v %.7g %.7g %.7g %.4f %.4f %.4f\n", np.hstack([mesh.vertices, mesh.colors / np.float32(255)]))
+    faces = _rows("f %d %d %d\n", mesh.faces + 1)
+    return f"# unit {mesh.unit}\n{vertices}{faces}".encode()
 
 
 def _encode_vrml(mesh: Mesh) -> bytes:
     scale = _metres_a_unit(mesh)
-    color = ""
+    vertices = _rows("%.7g %.7g %.7g,\n", mesh.vertices)
+    faces = _rows("%d,%d,%d,-1,\n", mesh.faces)
+    colors = ""
     if mesh.colors is not None:
-        color = f"color Color {{ color [\n{_rows('%.4f %.4f %.4f,\n', mesh.colors / np.float32(255))}] }}\n"
+        colors = "color Color { color [\n" + _rows("%.4f %.4f %.4f,\n", mesh.colors / np.float32(255)) + "] }\n"
     return f"""#VRML V2.0 utf8
 # unit {mesh.unit}
 Transform {{
@@ -375,9 +381,9 @@ geometry IndexedFaceSet {{
 solid FALSE
 creaseAngle 3.14159265
 coord Coordinate {{ point [
-{_rows("%.7g %.7g %.7g,\n", mesh.vertices)}] }}
-{color}coordIndex [
-{_rows("%d,%d,%d,-1,\n", mesh.faces)}]
+{vertices}] }}
+{colors}coordIndex [
+{faces}]
 }}
 }}
 }}
@@ -395,7 +401,9 @@ def _metres_a_unit(mesh: Mesh) -> float:
 
 def _gltf_parts(mesh: Mesh) -> tuple[dict[str, Any], bytes]:
     """Return the description of a glTF scene and its one buffer."""
-    y_up = np.float32([1, -1, -1])
+    if len(mesh.faces) == 0:
+        raise OutputError("glTF cannot hold an empty mesh: write a .ply file instead")
+    y_up = np.array([1, -1, -1], np.float32)
     positions = mesh.vertices * y_up * np.float32(_metres_a_unit(mesh))
     columns: dict[str, NDArray[Any]] = {"POSITION": positions, "NORMAL": vertex_normals(mesh) * y_up}
     if mesh.colors is not None:
@@ -459,7 +467,8 @@ def _limits(values: Floats, mask: NDArray[np.bool_]) -> tuple[float, float]:
     return low, max(high, low + 1e-6 * max(abs(low), 1.0))
 
 
-def _colormap(levels: Bytes) -> Bytes:
+def _colormap(fractions: NDArray[np.floating]) -> Bytes:
+    levels = (20 + 215 * fractions).round().astype(np.uint8)  # the map's ends are too dark to tell apart
     colors: Bytes = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[..., ::-1]
     return colors
 
@@ -473,8 +482,7 @@ def _scale_bar(height: int, limits: tuple[float, float] | None, unit: Unit) -> B
         return bar
     low, high = limits
     top, bottom = 3 * gap, height - gap
-    ramp = np.linspace(255, 0, bottom - top).round().astype(np.uint8)
-    bar[top:bottom, gap : 2 * gap] = _colormap(ramp[:, None])
+    bar[top:bottom, gap : 2 * gap] = _colormap(np.linspace(1, 0, bottom - top)[:, None])
 
     def write(text: str, x: int, y: int) -> None:
         cv2.putText(bar, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.45 * size, (235, 235, 235), 1, cv2.LINE_AA)
@@ -508,7 +516,8 @@ def _slope(surface: Floats, mask: NDArray[np.bool_]) -> Floats:
     for side in (np.s_[:, 1:], np.s_[:, :-1]):
         sums[side] += steps
         counts[side] += whole
-    return sums / np.maximum(counts, 1)[..., None]
+    sums /= np.maximum(counts, 1)[..., None]
+    return sums
 
 
 _ENCODERS: dict[str, Callable[[Mesh], bytes]] = {

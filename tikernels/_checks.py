@@ -32,6 +32,19 @@ def read_array(name: str, array: Any, shape: Sequence[int | None], *dtypes: npt.
     return array
 
 
+def read_mask(name: str, mask: Any, shape: Sequence[int | None]) -> Any:
+    """Return a bool or uint8 mask as the uint8 array that kernels take.
+
+    Raises
+    ------
+    ShapeError
+        The shape or dtype is another one.
+    """
+    if isinstance(mask, np.ndarray) and mask.dtype == np.bool_:
+        mask = mask.view(np.uint8)
+    return read_array(name, mask, shape, np.uint8)
+
+
 def out_array(name: str, out: Any | None, shape: tuple[int, ...], dtype: npt.DTypeLike) -> Any:
     """Return the caller's output buffer after checking it, or a fresh NumPy array.
 
@@ -49,6 +62,11 @@ def out_array(name: str, out: Any | None, shape: tuple[int, ...], dtype: npt.DTy
     return out
 
 
+def dtype_name(array: Any) -> str:
+    """Return the NumPy name of an array's element type."""
+    return array.dtype.name if isinstance(array, np.ndarray) else runtime.dtype_name(array)
+
+
 def _check(name: str, array: Any, shape: Sequence[int | None], dtypes: Sequence[npt.DTypeLike]) -> None:
     if not isinstance(array, np.ndarray) and not runtime.is_device_array(array):
         raise ShapeError(f"{name} is a {type(array).__name__}: pass a NumPy array or a Taichi ndarray")
@@ -57,7 +75,7 @@ def _check(name: str, array: Any, shape: Sequence[int | None], dtypes: Sequence[
         raise ShapeError(f"{name} has shape {_text(got)}, expected {_text(shape)}")
     if 0 in got:
         raise ShapeError(f"{name} is empty: its shape is {_text(got)}")
-    dtype = array.dtype.name if isinstance(array, np.ndarray) else runtime.dtype_name(array)
+    dtype = dtype_name(array)
     names = [np.dtype(d).name for d in dtypes]
     if dtype not in names:
         raise ShapeError(f"{name} is {dtype}, expected {' or '.join(names)}: convert it with .astype()")

@@ -1,0 +1,359 @@
+"""Balance the colours locally, so that the surface's own colour does not bend the phase.
+
+The camera's channel i sees r_i times what a neutral surface would send back, r_i changing slowly. A window of a few
+cycles averages the fringes out and leaves r_i (section 3.1 of Je, Lee and Park 2004); a Gaussian window does so without
+the ripple that a box leaves when it is not a whole number of cycles. At the edge of a surface the window is one-sided and
+13 % of the fringe passes it, so a second look, which knows the phase by then, compares what each channel sums up to with
+what the phase says it should. A third look gains less than 0.001 rad.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import _checks, runtime
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, ti
+from tikernels.crosstalk import invert_crosstalk
+from tikernels.errors import ShapeError
+from tikernels.phase_vector import phase_vector
+
+mat3 = ti.types.matrix(3, 3, ti.f32)
+vec3 = ti.types.vector(3, ti.f32)
+
+# Window across and along the stripes, as a standard deviation in cycles: at 0.85 cycles a Gaussian passes 1e-6 of the
+# fringe; wider ones blur the reflectance without gaining anything.
+_SIGMA_ACROSS, _SIGMA_ALONG = 0.85, 1.0
+#: Three samples a cycle and a little more is what a camera must see.
+MIN_PERIOD_PX = 4.0
+# Sums below this (linear light a block) hold no colour worth measuring.
+_DARK = 1e-6
+
+
+def block_rows(period_px: float) -> int:
+    """Rows of a block: the largest power of two that still samples a cycle two and a half times."""
+    rows = 1
+    while 2 * rows * 2.5 <= period_px and rows < 64:
+        rows *= 2
+    return rows
+
+
+class Gains:
+    """Per-channel gains on a coarse grid, and the buffers to measure them for one image size and period.
+
+    A block is `rows` image rows by twice as many columns; the grid has a node in the middle of every two blocks, one
+    above the other, so its cells are squares of `cell` pixels.
+    """
+
+    def __init__(self, height: int, width: int, period_px: float) -> None:
+        self.rows = block_rows(period_px)
+        self.cell = 2 * self.rows
+        blocks = (-(-height // self.rows), -(-width // self.cell))
+        self.grid = (-(-blocks[0] // 2), blocks[1])
+        self.sums = runtime.empty((*blocks, 6), np.float32)
+        self.half = runtime.empty((self.grid[0], self.grid[1], 6), np.float32)
+        self.gains = runtime.empty((*self.grid, 3), np.float32)
+        self.visibility = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
+        # Across, a node stands between two blocks, so the taps sit at half-integer distances.
+        self.taps_across = _gaussian(_SIGMA_ACROSS * period_px / self.rows, offset=0.5)
+        self.taps_along = _gaussian(_SIGMA_ALONG * period_px / self.cell)
+
+    def measure(
+        self,
+        image: Any,
+        scale: float,
+        inverse: npt.NDArray[np.float64],
+        matrix: npt.NDArray[np.float64],
+        min_intensity: float,
+        min_modulation: float,
+        *,
+        balance_first: bool,
+        phase_aware: bool = True,
+    ) -> Any:
+        """Measure the gains of one frame; see `balance_color`.
+
+        `inverse` undoes the crosstalk `matrix`; with `balance_first` the gains belong to the camera's channels, before
+        it, otherwise to the projector's, after it. The thresholds are in linear light.
+        """
+        inverse_, matrix_ = mat3(inverse.tolist()), mat3(matrix.tolist())
+        sum_blocks, predict_blocks = _block_kernels(balance_first)
+        sum_blocks(image, scale, inverse_, min_intensity, self.rows, self.sums)
+        smooth_blocks_kernel(self.sums, self.taps_across, self.taps_along, 3, self.half, self.gains)
+        if phase_aware:
+            args = (image, scale, inverse_, matrix_, self.gains, self.rows, min_intensity, min_modulation)
+            predict_blocks(*args, self.visibility, self.sums)
+            smooth_blocks_kernel(self.sums, self.taps_across, self.taps_along, 6, self.half, self.gains)
+        return self.gains
+
+
+@ti.func
+def gain_at(gains: F32Array3, cell: ti.i32, y: ti.i32, x: ti.i32) -> vec3:
+    """Interpolate the gains at a pixel, bilinearly."""
+    v = (ti.cast(y, ti.f32) + 0.5) / cell - 0.5
+    u = (ti.cast(x, ti.f32) + 0.5) / cell - 0.5
+    v = ti.min(ti.max(v, 0.0), ti.cast(gains.shape[0] - 1, ti.f32))
+    u = ti.min(ti.max(u, 0.0), ti.cast(gains.shape[1] - 1, ti.f32))
+    i, j = ti.cast(v, ti.i32), ti.cast(u, ti.i32)
+    i1, j1 = ti.min(i + 1, gains.shape[0] - 1), ti.min(j + 1, gains.shape[1] - 1)
+    fv, fu = v - i, u - j
+    result = vec3(0.0)
+    for k in ti.static(range(3)):
+        upper = gains[i, j, k] + fu * (gains[i, j1, k] - gains[i, j, k])
+        lower = gains[i1, j, k] + fu * (gains[i1, j1, k] - gains[i1, j, k])
+        result[k] = upper + fv * (lower - upper)
+    return result
+
+
+# Phase-aware sums look at one pixel in four along the stripes, where neighbours say the same; so do the first sums at
+# every second. The visibility is averaged over every eighth pixel both ways.
+_SPARSE = 8
+
+
+@cache
+def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
+    @ti.func
+    def light_at(image: AnyArray3, scale: ti.f32, y: ti.i32, x: ti.i32) -> vec3:
+        return scale * vec3(
+            ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
+        )
+
+    @ti.func
+    def unbalanced(light: vec3, inverse: mat3) -> vec3:
+        """The channels that the gains belong to."""
+        result = light
+        if ti.static(not balance_first):
+            result = inverse @ light
+        return result
+
+    @ti.func
+    def balanced(light: vec3, gain: vec3, inverse: mat3) -> vec3:
+        """The projector's channels as a neutral surface sends them back."""
+        result = vec3(0.0)
+        if ti.static(balance_first):
+            result = inverse @ (light * gain)
+        else:
+            result = (inverse @ light) * gain
+        return result
+
+    @ti.kernel
+    def sum_blocks_kernel(
+        image: AnyArray3,  # (H, W, 3) levels
+        scale: ti.f32,  # levels to linear light
+        inverse: mat3,
+        min_intensity: ti.f32,  # linear light; darker pixels are left out
+        rows: ti.i32,
+        out_sums: F32Array3,  # (Hb, Wb, >= 3)
+    ):
+        height, width, columns = image.shape[0], image.shape[1], 2 * rows
+        for block in range(out_sums.shape[0] * out_sums.shape[1]):
+            i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+            total = vec3(0.0)
+            for y in range(i * rows, ti.min((i + 1) * rows, height)):
+                x = j * columns
+                while x < ti.min((j + 1) * columns, width):
+                    light = light_at(image, scale, y, x)
+                    if light.sum() > 3.0 * min_intensity:
+                        total += unbalanced(light, inverse)
+                    x += 2
+            for k in ti.static(range(3)):
+                out_sums[i, j, k] = total[k]
+
+    @ti.kernel
+    def predict_blocks_kernel(
+        image: AnyArray3,  # (H, W, 3) levels
+        scale: ti.f32,
+        inverse: mat3,
+        matrix: mat3,
+        gains: F32Array3,  # (Hg, Wg, 3) of the first look
+        rows: ti.i32,
+        min_intensity: ti.f32,
+        min_modulation: ti.f32,
+        visibility: F32Array2,  # (H / 8 + 1, 2) scratch: sums of modulation and background a row; last: their totals
+        out_sums: F32Array3,  # (Hb, Wb, 6) what is there, and what the phase predicts
+    ):
+        height, width, columns = image.shape[0], image.shape[1], 2 * rows
+        sparse_rows = visibility.shape[0] - 1
+        for i in range(sparse_rows):
+            modulation_sum, background_sum = 0.0, 0.0
+            for j in range(width // _SPARSE):
+                y, x = i * _SPARSE, j * _SPARSE
+                light = light_at(image, scale, y, x)
+                vector, background = phase_vector(balanced(light, gain_at(gains, columns, y, x), inverse))
+                modulation = vector.norm()
+                if light.sum() > 3.0 * min_intensity and modulation > min_modulation:
+                    modulation_sum += modulation
+                    background_sum += background
+            visibility[i, 0] = modulation_sum
+            visibility[i, 1] = background_sum
+        # One thread adds the rows up in order, so that the sum is the same every time.
+        for _ in range(1):
+            modulation_sum, background_sum = 0.0, 1e-12
+            for i in range(sparse_rows):
+                modulation_sum += visibility[i, 0]
+                background_sum += visibility[i, 1]
+            visibility[sparse_rows, 0] = ti.min(modulation_sum / background_sum, 1.5)
+        for block in range(out_sums.shape[0] * out_sums.shape[1]):
+            i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+            seen, predicted = vec3(0.0), vec3(0.0)
+            contrast = visibility[sparse_rows, 0]
+            # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
+            gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), ti.min(j * columns + rows, width - 1))
+            for y in range(i * rows, ti.min((i + 1) * rows, height)):
+                x = j * columns + y % 2
+                while x < ti.min((j + 1) * columns, width):
+                    light = light_at(image, scale, y, x)
+                    vector, background = phase_vector(balanced(light, gain, inverse))
+                    modulation = vector.norm()
+                    if light.sum() > 3.0 * min_intensity and modulation > min_modulation:
+                        # cos(phase + d) of the three channels, from the phase vector itself: no arctangent needed.
+                        c, s = vector.x / modulation, vector.y / modulation
+                        third = 0.8660254 * s
+                        model = background * (1.0 + contrast * vec3(-0.5 * c + third, c, -0.5 * c - third))
+                        if ti.static(balance_first):
+                            model = matrix @ model
+                        seen += unbalanced(light, inverse)
+                        predicted += model
+                    x += 4
+            for k in ti.static(range(3)):
+                out_sums[i, j, k] = seen[k]
+                out_sums[i, j, 3 + k] = predicted[k]
+
+    return sum_blocks_kernel, predict_blocks_kernel
+
+
+@ti.kernel
+def smooth_blocks_kernel(
+    sums: F32Array3,  # (Hb, Wb, >= channels) a block's sums
+    taps_across: F32Array1,  # half a Gaussian, from its middle
+    taps_along: F32Array1,
+    channels: ti.i32,  # 3: seen; 6: seen and predicted
+    half: F32Array3,  # (Hg, Wg, >= channels) scratch: smoothed across the stripes
+    out_gains: F32Array3,  # (Hg, Wg, 3)
+):
+    blocks = sums.shape[0]
+    for node in range(half.shape[0] * half.shape[1]):
+        i, j = node // half.shape[1], node % half.shape[1]
+        for k in range(channels):
+            total = 0.0
+            for tap in range(taps_across.shape[0]):
+                above, below = 2 * i - tap, 2 * i + 1 + tap
+                if above >= 0:
+                    total += taps_across[tap] * sums[above, j, k]
+                if below < blocks:
+                    total += taps_across[tap] * sums[below, j, k]
+            half[i, j, k] = total
+    for node in range(half.shape[0] * half.shape[1]):
+        i, j = node // half.shape[1], node % half.shape[1]
+        seen, predicted = vec3(0.0), vec3(1.0)
+        for k in ti.static(range(3)):
+            seen[k] = taps_along[0] * half[i, j, k]
+        for tap in range(1, taps_along.shape[0]):
+            left, right = j - tap, j + tap
+            for k in ti.static(range(3)):
+                if left >= 0:
+                    seen[k] += taps_along[tap] * half[i, left, k]
+                if right < half.shape[1]:
+                    seen[k] += taps_along[tap] * half[i, right, k]
+        if channels == 6:
+            for k in ti.static(range(3)):
+                predicted[k] = taps_along[0] * half[i, j, 3 + k]
+            for tap in range(1, taps_along.shape[0]):
+                left, right = j - tap, j + tap
+                for k in ti.static(range(3)):
+                    if left >= 0:
+                        predicted[k] += taps_along[tap] * half[i, left, 3 + k]
+                    if right < half.shape[1]:
+                        predicted[k] += taps_along[tap] * half[i, right, 3 + k]
+        # Where nothing is lit, the gains stay one.
+        gain = vec3(1.0)
+        if ti.min(seen.min(), predicted.min()) > _DARK:
+            color = seen / predicted
+            gain = color.sum() / 3.0 / color
+        for k in ti.static(range(3)):
+            out_gains[i, j, k] = gain[k]
+
+
+def _gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
+    """Half of a Gaussian of this deviation (in samples) from an offset on, cut at three deviations."""
+    reach = np.arange(int(np.ceil(3 * sigma)) + 1) + offset
+    return np.exp(-0.5 * (reach / sigma) ** 2).astype(np.float32)
+
+
+@ti.kernel
+def apply_gains_kernel(
+    image: F32Array3,  # (H, W, 3) linear light
+    gains: F32Array3,  # (Hg, Wg, 3)
+    cell: ti.i32,
+    out: F32Array3,  # (H, W, 3)
+):
+    for pixel in range(image.shape[0] * image.shape[1]):
+        y, x = pixel // image.shape[1], pixel % image.shape[1]
+        gain = gain_at(gains, cell, y, x)
+        for k in ti.static(range(3)):
+            out[y, x, k] = image[y, x, k] * gain[k]
+
+
+@ti.kernel
+def darken_kernel(
+    image: F32Array3,  # (H, W, 3)
+    mask: U8Array2,  # (H, W) 0: left out
+    out: F32Array3,  # (H, W, 3) the image, black where left out
+):
+    for pixel in range(image.shape[0] * image.shape[1]):
+        y, x = pixel // image.shape[1], pixel % image.shape[1]
+        keep = ti.cast(mask[y, x] != 0, ti.f32)
+        for k in ti.static(range(3)):
+            out[y, x, k] = image[y, x, k] * keep
+
+
+def balance_color(
+    image: Any,
+    period_px: float,
+    mask: Any | None = None,
+    *,
+    crosstalk_matrix: npt.ArrayLike | None = None,
+    out: Any | None = None,
+) -> Any:
+    """Balance the colours over a smooth window of about a cycle, twice: the second time the phase is known.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32
+        Linear light at the camera, stripes running along the rows.
+    period_px : float
+        Camera px a cycle; sizes the window.
+    mask : (H, W) bool or uint8, optional
+        Pixels that count; None: all.
+    crosstalk_matrix : (3, 3), optional
+        camera = matrix @ projector; what the second look needs to predict a channel. None: no crosstalk.
+    out : (H, W, 3) float32, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        Each channel times a slowly varying gain, so that a neutral projector colour comes out grey; the mean of the
+        three channels stays what it was. Undo the crosstalk afterwards, with its rows divided by their sums.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, the period is below 4 px, or `out` cannot be written.
+    """
+    image = _checks.read_array("image", image, (None, None, 3), np.float32)
+    height, width = int(image.shape[0]), int(image.shape[1])
+    if not period_px >= MIN_PERIOD_PX:
+        raise ShapeError(f"period_px is {period_px}: three colours resolve a cycle of {MIN_PERIOD_PX:g} px or more")
+    counted = image
+    if mask is not None:
+        mask = _checks.read_mask("mask", mask, (height, width))
+        counted = np.empty((height, width, 3), np.float32)
+        darken_kernel(image, mask, counted)
+    matrix = np.eye(3) if crosstalk_matrix is None else np.array(crosstalk_matrix, np.float64)
+    inverse = invert_crosstalk(matrix, normalize_rows=True)
+    out = _checks.out_array("out", out, (height, width, 3), np.float32)
+    gains = Gains(height, width, period_px)
+    gains.measure(counted, 1.0, inverse, np.linalg.inv(inverse), _DARK, _DARK, balance_first=True)
+    apply_gains_kernel(image, gains.gains, gains.cell, out)
+    return out

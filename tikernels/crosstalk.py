@@ -1,0 +1,96 @@
+"""Undo the colour crosstalk between projector and camera.
+
+In linear light camera = M @ projector, one row of M a camera channel (section 2.2 of Je, Lee and Park, Color-phase
+analysis for sinusoidal structured light in rapid range imaging, 2004).
+"""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import _checks
+from tikernels._taichi import F32Array3, ti
+from tikernels.errors import ShapeError
+
+mat3 = ti.types.matrix(3, 3, ti.f32)
+vec3 = ti.types.vector(3, ti.f32)
+
+
+@ti.kernel
+def correct_crosstalk_kernel(
+    image: F32Array3,  # (H, W, 3) linear light at the camera
+    inverse: mat3,
+    out: F32Array3,  # (H, W, 3) linear light of the projector's channels
+):
+    for y, x in ti.ndrange(image.shape[0], image.shape[1]):
+        light = inverse @ vec3(image[y, x, 0], image[y, x, 1], image[y, x, 2])
+        for i in ti.static(range(3)):
+            out[y, x, i] = light[i]
+
+
+def invert_crosstalk(crosstalk_matrix: npt.ArrayLike, *, normalize_rows: bool = False) -> npt.NDArray[np.float64]:
+    """Return the inverse of a crosstalk matrix.
+
+    Parameters
+    ----------
+    crosstalk_matrix : (3, 3)
+        camera = matrix @ projector.
+    normalize_rows : bool
+        Divide each row by its sum first: for images whose colours have been balanced already, where a neutral
+        projector gives neutral camera values by definition.
+
+    Raises
+    ------
+    ShapeError
+        The matrix is not 3x3 or cannot be inverted.
+    """
+    matrix = np.array(crosstalk_matrix, dtype=np.float64)
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all():
+        raise ShapeError(f"crosstalk_matrix must be 3x3 finite numbers, got shape {matrix.shape}")
+    if normalize_rows:
+        sums = matrix.sum(axis=1, keepdims=True)
+        if np.any(sums <= 0):
+            raise ShapeError("crosstalk_matrix has a row that does not sum to a positive number: check its order")
+        matrix = matrix / sums
+    if np.linalg.cond(matrix) > 100:
+        raise ShapeError("crosstalk_matrix cannot be inverted: two of its rows are alike")
+    return np.linalg.inv(matrix)
+
+
+def correct_crosstalk(image: Any, crosstalk_matrix: npt.ArrayLike, out: Any | None = None) -> Any:
+    """Undo the crosstalk: what the projector's channels would have given alone.
+
+    Parameters
+    ----------
+    image : (H, W, 3) float32
+        Linear light at the camera.
+    crosstalk_matrix : (3, 3)
+        camera = matrix @ projector.
+    out : (H, W, 3) float32, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        Linear light of the projector's R, G and B; noise may take it below zero.
+
+    Raises
+    ------
+    ShapeError
+        Shape or dtype is another one, the matrix cannot be inverted, or `out` cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np, tikernels
+    >>> _ = tikernels.init("cpu")
+    >>> matrix = [[0.9, 0.1, 0.0], [0.1, 0.8, 0.1], [0.0, 0.1, 0.9]]
+    >>> seen = np.array([[[0.1, 0.8, 0.1]]], np.float32)  # the projector shows pure green
+    >>> np.abs(correct_crosstalk(seen, matrix)[0, 0] - [0, 1, 0]).max() < 1e-6
+    True
+    """
+    image = _checks.read_array("image", image, (None, None, 3), np.float32)
+    inverse = invert_crosstalk(crosstalk_matrix)
+    out = _checks.out_array("out", out, tuple(image.shape), np.float32)
+    correct_crosstalk_kernel(image, mat3(inverse.tolist()), out)
+    return out
