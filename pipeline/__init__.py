@@ -1,1 +1,8 @@
 """What a user does with the kernels: decode, export, render, simulate."""
+
+from pipeline.calibration import Calibration
+from pipeline.decoder import Decoder, DecodeWarning
+from pipeline.results import DecodedFrame
+from pipeline.settings import DecodeSettings
+
+__all__ = ["Calibration", "DecodeSettings", "DecodeWarning", "DecodedFrame", "Decoder"]

@@ -5,12 +5,15 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 from pydantic import Field, model_validator
 
 from pipeline.errors import CalibrationError
 from pipeline.files import write_atomically
 from pipeline.models import Model, array_of, read_file
+from tikernels.triangulation import ProjectorGeometry
 
 Vector3 = array_of(3)
 Matrix3 = array_of(3, 3)
@@ -29,9 +32,30 @@ class Lens(Model):
     @model_validator(mode="after")
     def _check(self) -> "Lens":
         m = self.matrix
-        if m[0, 0] <= 0 or m[1, 1] <= 0 or np.any(m[[1, 2, 2], [0, 0, 1]] != 0) or m[2, 2] != 1:
-            raise ValueError("matrix must be [[fx, skew, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
+        if m[0, 0] <= 0 or m[1, 1] <= 0 or np.any(m[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or m[2, 2] != 1:
+            raise ValueError("matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
         return self
+
+    def rays(self, shift_px: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float32]:
+        """Return where every pixel looks, lens distortion taken out.
+
+        Parameters
+        ----------
+        shift_px : (2,), optional
+            Lateral colour: x, y by which a channel lands beside its place.
+
+        Returns
+        -------
+        (H, W, 2) float32
+            x and y of each ray at unit depth.
+        """
+        width, height = self.size_px
+        grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
+        if shift_px is not None:
+            grid -= shift_px
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+        rays = cv2.undistortPoints(grid, self.matrix, self.distortion, criteria=criteria)
+        return rays.reshape(height, width, 2).astype(np.float32)
 
 
 class Pattern(Model):
@@ -117,6 +141,19 @@ class Calibration(Model):
     def phase_axis(self) -> int:
         """The projector axis along which the phase changes: 1 (rows) for horizontal stripes, 0 for vertical."""
         return 1 if self.pattern.stripes == "horizontal" else 0
+
+    def projector_geometry(self) -> ProjectorGeometry:
+        """Return what triangulation needs to know of the projector."""
+        axis = self.phase_axis
+        return ProjectorGeometry(
+            rotation=self.rotation,
+            translation_mm=self.translation_mm,
+            focal_px=float(self.projector.matrix[axis, axis]),
+            center_px=float(self.projector.matrix[axis, 2]),
+            distortion=self.projector.distortion,
+            period_px=self.pattern.period_px,
+            axis=axis,
+        )
 
     def working_distance_mm(self) -> float | None:
         """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.

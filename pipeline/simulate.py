@@ -156,7 +156,7 @@ def simulate_frame(
     light = _blur(np.power(codes, settings.gamma, dtype=np.float32), settings.projector_blur_px)
     rendered = projection.render_scene(
         settings.scene,
-        _camera_rays(rig.camera, settings.camera_shift_px),
+        np.stack([rig.camera.rays(shift) for shift in _distinct(settings.camera_shift_px)]),
         light,
         crosstalk_matrix=settings.crosstalk_matrix,
         rotation=rig.rotation,
@@ -183,16 +183,9 @@ def simulate_frame(
     )
 
 
-def _camera_rays(lens: Lens, shift_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """(V, H, W, 2) rays of unit depth: one set, or one for each channel where they differ."""
-    width, height = lens.size_px
-    grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
-    views = []
-    for shift in shift_px if np.any(shift_px) else shift_px[:1]:
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-        rays = cv2.undistortPoints(grid - shift, lens.matrix, lens.distortion, criteria=criteria)
-        views.append(rays.reshape(height, width, 2))
-    return np.stack(views).astype(np.float32)
+def _distinct(shift_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return one shift for each of the camera's channels, or a single one where they all agree."""
+    return shift_px if np.any(shift_px != shift_px[0]) else shift_px[:1]
 
 
 def _blur(image: npt.NDArray[np.float32], sigma_px: Triple) -> npt.NDArray[np.float32]:

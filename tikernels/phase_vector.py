@@ -7,6 +7,7 @@ from tikernels._taichi import ti
 
 vec2 = ti.types.vector(2, ti.f32)
 vec3 = ti.types.vector(3, ti.f32)
+mat3 = ti.types.matrix(3, 3, ti.f32)
 
 PI = 3.141592653589793
 

@@ -144,6 +144,15 @@ def empty(shape: tuple[int, ...], dtype: npt.DTypeLike) -> Any:
     return ti.ndarray(_DEVICE_TYPES[np.dtype(dtype).name], shape)
 
 
+def to_device(array: npt.NDArray[Any]) -> Any:
+    """Return a NumPy array as a buffer where the kernels reach it fastest; itself on the CPU."""
+    if started() == "cpu":
+        return array
+    buffer = empty(array.shape, array.dtype)
+    buffer.from_numpy(array)
+    return buffer
+
+
 def to_host(buffer: Any) -> npt.NDArray[Any]:
     """Return a buffer as a NumPy array: itself on the CPU, a copy from a GPU."""  # synchronises
     if isinstance(buffer, np.ndarray):

@@ -1,0 +1,291 @@
+"""Turn one colour frame into phase, orders and points."""
+
+import warnings
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration import Calibration
+from pipeline.errors import CalibrationError, FootageError, SettingsError
+from pipeline.results import DecodedFrame
+from pipeline.settings import DecodeSettings
+from tikernels import runtime
+from tikernels.balance import Gains
+from tikernels.crosstalk import invert_crosstalk
+from tikernels.equalization import SLOTS, correction_table
+from tikernels.errors import ShapeError
+from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
+from tikernels.linearization import WHITE_LEVELS, linearize
+from tikernels.phase_vector import mat3
+from tikernels.statistics import count_out_of_range, measure_frame
+from tikernels.transposing import transpose
+from tikernels.triangulation import triangulate_kernel
+from tikernels.unwrapping import Unwrapper
+from tikernels.wrapped_phase import recover_phase_kernel
+
+# Smaller pictures hold no surface.
+_MIN_SIZE_PX = 16
+_BINS = 256
+# The fringe must stand out of the noise by five standard deviations, where chance makes one pixel in 300,000 valid, and
+# reach this fraction of the picture's brightness, below which ambient light and stray light decide.
+_MODULATION_SIGMAS = 5.0
+_MODULATION_FRACTION = 0.03
+_INTENSITY_SIGMAS = 3.0
+_INTENSITY_FRACTION = 0.02
+# Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like one.
+_HARMONICS_A_PIXEL = 0.8
+
+
+class DecodeWarning(UserWarning):
+    """A frame decoded, but not as its user will have hoped."""
+
+
+class _Workspace:
+    """Device buffers for one image size and fringe period."""
+
+    def __init__(self, height: int, width: int, period_px: float) -> None:
+        self.key = (height, width, period_px)
+        self.gains = Gains(height, width, period_px)
+        self.rates = rates_buffer(height)
+        self.raw_phase = runtime.empty((height, width), np.float32)
+        self.histogram = np.zeros((SLOTS, _BINS), np.int32)
+        self.unwrapper = Unwrapper(height, width)
+
+
+class Decoder:
+    """Decode frames of one rig, one after another.
+
+    Parameters
+    ----------
+    settings : DecodeSettings, optional
+        How to decode.
+    calibration : Calibration, optional
+        The rig; with it, results are in mm.
+    reference : DecodedFrame, optional
+        A frame of a plane, which `range_image` is measured from without a calibration.
+    arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
+        Where to compute; a named one never falls back.
+
+    Raises
+    ------
+    DeviceNotReady
+        The machine lacks the arch.
+    SettingsError, CalibrationError
+        Settings and calibration contradict each other.
+    """
+
+    def __init__(
+        self,
+        settings: DecodeSettings | None = None,
+        calibration: Calibration | None = None,
+        reference: DecodedFrame | None = None,
+        arch: str = "auto",
+    ) -> None:
+        self.settings = settings or DecodeSettings()
+        self.calibration = calibration
+        self._reference = None if reference is None else reference.unwrapped_phase
+        self._stripes = self.settings.stripes
+        matrix = self.settings.crosstalk_matrix
+        if calibration is not None:
+            if calibration.pattern.stripes != self._stripes:
+                raise SettingsError(
+                    f"settings say {self._stripes} stripes but the calibration's pattern has "
+                    f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
+                )
+            matrix = calibration.crosstalk_matrix if matrix is None else matrix
+            self._depth_mm = _expected_depth(calibration)
+            self._projector = calibration.projector_geometry()
+            self._rays: Any = None
+        self._balance_first = self.settings.reflectance_bands == "broad"
+        # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
+        self._inverse = invert_crosstalk(np.eye(3) if matrix is None else matrix, normalize_rows=self._balance_first)
+        self._matrix = np.linalg.inv(self._inverse)
+        self._workspace: _Workspace | None = None
+        self.arch = runtime.init(arch)
+
+    def decode(self, image: Any, out: DecodedFrame | None = None) -> DecodedFrame:
+        """Decode one frame.
+
+        Parameters
+        ----------
+        image : (H, W, 3) uint8, uint16 or float32
+            RGB, levels from 0 to the white level (floats: 0..1); a NumPy array or a Taichi ndarray.
+        out : DecodedFrame, optional
+            An earlier result of the same size, whose arrays are used again: what was read from it changes.
+
+        Returns
+        -------
+        DecodedFrame
+            Fresh arrays, or `out`. A frame without fringes gives an empty mask and a `DecodeWarning`.
+
+        Raises
+        ------
+        ShapeError
+            The image has another shape or type, or `out` another size.
+        CalibrationError
+            The calibration is for another image size.
+        FootageError
+            The image holds NaN, or values outside 0..white level.
+        """
+        image, scale = self._read_image(image)
+        vertical = self._stripes == "vertical"
+        if vertical:
+            image = transpose(image)
+        height, width = int(image.shape[0]), int(image.shape[1])
+        frame = self._frame(height, width, vertical, out)
+        statistics = measure_frame(image, 1.0 / scale)
+        period = self.settings.camera_period_px or statistics.period_px
+        noise = statistics.noise if self.settings.noise is None else self.settings.noise[0] * scale
+        frame.noise_levels = noise / scale
+        frame.period_px = period
+        frame.warnings = ()
+        if statistics.period_px is None:
+            self._warn(frame, _no_fringe(image, 1.0 / scale, self._stripes))
+            period = None
+        if period is None:
+            self._clear(frame)
+            return frame
+        intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
+        # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
+        vector = np.array([[-1, 2, -1], [np.sqrt(3), 0, -np.sqrt(3)]]) / 3 @ self._inverse
+        spread = float(np.sqrt((vector**2).sum() / 2))
+        modulation = self._threshold(self.settings.min_modulation, scale, _MODULATION_SIGMAS * spread * noise)
+        if self.settings.min_intensity is None:
+            intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
+        if self.settings.min_modulation is None:
+            modulation = max(modulation, _MODULATION_FRACTION * statistics.brightness)
+        self._run(image, scale, period, intensity, modulation, frame)
+        return frame
+
+    def _run(
+        self, image: Any, scale: float, period: float, intensity: float, modulation: float, frame: DecodedFrame
+    ) -> None:
+        # A few per cent of period change nothing; the buffers stay while it drifts.
+        period = float(2 ** (np.round(8 * np.log2(period)) / 8))
+        key = (int(image.shape[0]), int(image.shape[1]), period)
+        if self._workspace is None or self._workspace.key != key:
+            self._workspace = _Workspace(*key)
+        work, buffers = self._workspace, frame._buffers
+        gains = work.gains.measure(
+            image, scale, self._inverse, self._matrix, intensity, modulation, balance_first=self._balance_first
+        )
+        work.histogram.fill(0)
+        recover_phase_kernel(self._balance_first)(
+            image,
+            scale,
+            mat3(self._inverse.tolist()),
+            gains,
+            work.gains.cell,
+            intensity,
+            modulation,
+            work.raw_phase,
+            buffers["modulation"],
+            work.histogram,
+        )
+        table = np.zeros(2, np.float32)
+        if self.settings.equalize:
+            table = correction_table(work.histogram.sum(axis=0), max(3, int(_HARMONICS_A_PIXEL * period)))
+        measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
+        smooth_phase_kernel(self.settings.smoothing_px // 2)(work.raw_phase, table, work.rates, buffers["phase"])
+        work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
+        if self.calibration is not None:
+            work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
+        work.unwrapper.write(buffers["phase"], buffers["unwrapped"], buffers["mask"], buffers["region"])
+        if self.calibration is not None:
+            triangulate_kernel(buffers["unwrapped"], self._rays, *self._projector.arguments(), buffers["points"])
+
+    def _read_image(self, image: Any) -> tuple[Any, float]:
+        """Return linear light in levels, and the factor that takes them to 0..1."""
+        if not isinstance(image, np.ndarray) and not runtime.is_device_array(image):
+            raise ShapeError(f"image is a {type(image).__name__}: pass a NumPy array of shape (H, W, 3)")
+        shape = tuple(image.shape)
+        if len(shape) == 2 or (len(shape) == 3 and shape[2] == 1):
+            raise ShapeError(f"image is grey ({_size(shape)}): the phase is in the colours, pass (H, W, 3) RGB")
+        if len(shape) == 3 and shape[2] == 4:
+            raise ShapeError("image has four channels: drop the transparency with image[..., :3]")
+        if len(shape) != 3 or shape[2] != 3:
+            raise ShapeError(f"image has shape {shape}: pass (H, W, 3) RGB")
+        if min(shape[:2]) < _MIN_SIZE_PX:
+            raise ShapeError(f"image is {_size(shape)}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
+        if self.calibration is not None and self.calibration.camera.size_px != (shape[1], shape[0]):
+            width, height = self.calibration.camera.size_px
+            raise CalibrationError(
+                f"frame is {_size(shape)} but the calibration is for {height}x{width}: recalibrate or crop"
+            )
+        dtype = image.dtype.name if isinstance(image, np.ndarray) else runtime.dtype_name(image)
+        if dtype not in WHITE_LEVELS:
+            raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
+        if isinstance(image, np.ndarray):
+            image = np.ascontiguousarray(image)
+            if self.arch != "cpu" and not image.flags.writeable:
+                image = image.copy()
+        white = self.settings.white_level or WHITE_LEVELS[dtype]
+        if dtype == "float32" or white < WHITE_LEVELS[dtype]:
+            missing, outside = count_out_of_range(image, white)
+            if missing:
+                raise FootageError(f"image holds NaN in {missing} values: replace them, by 0 for pixels to be masked")
+            if outside:
+                raise FootageError(
+                    f"image has {outside} values outside 0..{white:g}: scale it, or set white_level to its full scale"
+                )
+        if self.settings.transfer != "linear":
+            return linearize(image, self.settings.transfer, white), 1.0
+        return image, 1.0 / white
+
+    def _frame(self, height: int, width: int, vertical: bool, out: DecodedFrame | None) -> DecodedFrame:
+        if self.calibration is not None and self._rays is None:
+            rays = self.calibration.camera.rays()
+            self._rays = runtime.to_device(np.ascontiguousarray(rays.transpose(1, 0, 2)) if vertical else rays)
+        if self._reference is not None and self._reference.shape != ((width, height) if vertical else (height, width)):
+            raise ShapeError(f"frame is {height}x{width} but the reference is {_size(self._reference.shape)}")
+        if out is not None:
+            if tuple(out._buffers["mask"].shape) != (height, width) or out.calibrated != (self.calibration is not None):
+                raise ShapeError("out is a result of another size or calibration: leave it away for this frame")
+            out._forget()
+            return out
+        buffers = {
+            "phase": runtime.empty((height, width), np.float32),
+            "modulation": runtime.empty((height, width), np.float32),
+            "unwrapped": runtime.empty((height, width), np.float32),
+            "mask": runtime.empty((height, width), np.uint8),
+            "region": runtime.empty((height, width), np.int32),
+        }
+        if self.calibration is not None:
+            buffers["points"] = runtime.empty((height, width, 3), np.float32)
+        return DecodedFrame(None, 0.0, (), self.calibration is not None, vertical, buffers, self._reference)
+
+    def _clear(self, frame: DecodedFrame) -> None:
+        empty = {"mask": 0, "region": 0, "modulation": 0.0}
+        for name, buffer in frame._buffers.items():
+            buffer.fill(empty.get(name, np.nan))
+
+    def _threshold(self, level: float | None, scale: float, automatic: float) -> float:
+        return automatic if level is None else level * scale
+
+    def _warn(self, frame: DecodedFrame, message: str) -> None:
+        frame.warnings = (*frame.warnings, message)
+        warnings.warn(message, DecodeWarning, stacklevel=4)
+
+
+def _expected_depth(calibration: Calibration) -> float:
+    if calibration.depth_range_mm is not None:
+        return float(np.mean(calibration.depth_range_mm))
+    depth = calibration.working_distance_mm()
+    if depth is None:
+        raise CalibrationError(
+            "camera and projector look in parallel, so nothing tells how far the object is: give depth_range_mm"
+        )
+    return depth
+
+
+def _no_fringe(image: Any, white_level: float, stripes: str) -> str:
+    """Say why no fringe was found."""
+    if measure_frame(transpose(image), white_level).period_px is not None:
+        other = "vertical" if stripes == "horizontal" else "horizontal"
+        return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r}"
+    return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return f"{shape[0]}x{shape[1]}"

@@ -1,0 +1,106 @@
+"""What decoding a frame gives."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import runtime
+from tikernels.transposing import transpose
+
+
+@dataclass(eq=False)
+class DecodedFrame:
+    """A decoded frame: every pixel's phase, its order and, with a calibration, its place.
+
+    The fields are NumPy arrays, read back from the device when they are first looked at.
+    """
+
+    period_px: float | None
+    """Camera px a cycle that the frame was decoded with; None: no fringe was found."""
+    noise_levels: float
+    """Standard deviation of a channel, grey levels of the input."""
+    warnings: tuple[str, ...]
+    """What the user should know about this frame."""
+    calibrated: bool
+    """Whether `range_image` is a depth in mm."""
+    _vertical: bool
+    _buffers: dict[str, Any] = field(repr=False)  # stripes along the rows, on the device
+    _reference: npt.NDArray[np.float32] | None = field(default=None, repr=False)
+
+    @cached_property
+    def wrapped_phase(self) -> npt.NDArray[np.float32]:
+        """(H, W) float32: rad in [-pi, pi], corrected and smoothed; NaN outside the mask."""
+        return self._read("phase")
+
+    @cached_property
+    def unwrapped_phase(self) -> npt.NDArray[np.float32]:
+        """(H, W) float32: rad; NaN outside the mask."""
+        return self._read("unwrapped")
+
+    @cached_property
+    def fringe_order(self) -> npt.NDArray[np.int32]:
+        """(H, W) int32: unwrapped = wrapped + 2 pi order; 0 outside the mask."""
+        cycles = (self.unwrapped_phase - self.wrapped_phase) / np.float32(2 * np.pi)
+        return np.rint(np.where(self.mask, cycles, 0)).astype(np.int32)
+
+    @cached_property
+    def mask(self) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: where the other fields hold."""
+        return self._read("mask").view(np.bool_)
+
+    @cached_property
+    def modulation(self) -> npt.NDArray[np.float32]:
+        """(H, W) float32: the fringe's amplitude in grey levels of the input."""
+        return self._read("modulation")
+
+    @cached_property
+    def region(self) -> npt.NDArray[np.int32]:
+        """(H, W) int32: connected surfaces from 1, the largest first; 0: none."""
+        return self._read("region")
+
+    @cached_property
+    def absolute(self) -> npt.NDArray[np.bool_]:
+        """(H, W) bool: whether the order is known, not only relative to its region. A single frame of an uncoded pattern
+        never tells, so nothing is."""
+        return np.zeros(self.mask.shape, np.bool_)
+
+    @cached_property
+    def points(self) -> npt.NDArray[np.float32] | None:
+        """(H, W, 3) float32: mm in the camera's frame; NaN outside the mask; None without a calibration."""
+        return self._read("points") if self.calibrated else None
+
+    @cached_property
+    def range_image(self) -> npt.NDArray[np.float32]:
+        """(H, W) float32: depth in mm with a calibration; without one relative, in rad: the unwrapped phase minus that
+        of the reference, or minus the linear ramp that fits it best. NaN outside the mask."""
+        if self.points is not None:
+            return np.ascontiguousarray(self.points[..., 2])
+        if self._reference is not None:
+            return self.unwrapped_phase - self._reference
+        return self.unwrapped_phase - _best_ramp(self.unwrapped_phase, self.mask)
+
+    def _read(self, name: str) -> npt.NDArray[Any]:
+        buffer = self._buffers[name]
+        return runtime.to_host(transpose(buffer) if self._vertical else buffer)
+
+    def _forget(self) -> None:
+        """Drop what has been read, because the buffers are written again."""
+        for name in list(vars(self)):
+            if isinstance(getattr(type(self), name, None), cached_property):
+                del self.__dict__[name]
+
+
+def _best_ramp(phase: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+    """(H, W) float32: the least-squares plane through the masked phase, at every pixel."""
+    height, width = phase.shape
+    y, x = np.nonzero(mask)
+    if len(y) < 3:
+        return np.zeros(phase.shape, np.float32)
+    # Centred coordinates keep the normal equations well conditioned.
+    columns = np.stack([np.ones(len(y)), y - (height - 1) / 2, x - (width - 1) / 2])
+    offset, down, right = np.linalg.lstsq(columns @ columns.T, columns @ phase[mask].astype(np.float64))[0]
+    ramp = offset + down * (np.arange(height)[:, None] - (height - 1) / 2)
+    return (ramp + right * (np.arange(width) - (width - 1) / 2)).astype(np.float32)

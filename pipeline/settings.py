@@ -1,0 +1,88 @@
+"""How a frame is decoded."""
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+
+from pipeline.errors import SettingsError
+from pipeline.models import Model, build, read_file
+from pipeline.calibration import Matrix3
+from tikernels.balance import MIN_PERIOD_PX
+from tikernels.crosstalk import invert_crosstalk
+from tikernels.errors import ShapeError
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+def _odd_or_zero(value: int) -> int:
+    if value != 0 and value % 2 == 0:
+        raise ValueError(f"must be 0 or odd, got {value}")
+    return value
+
+
+class DecodeSettings(Model):
+    """How a frame is decoded; in TOML, what is left out is the default.
+
+    Thresholds and noise are grey levels of the input, in linear light (a sRGB frame's after its transfer is undone).
+    """
+
+    camera_period_px: Annotated[float, Field(ge=MIN_PERIOD_PX)] | None = None
+    """Camera px a cycle, roughly; None: measured from the frame."""
+    stripes: Literal["horizontal", "vertical"] = "horizontal"
+    """"horizontal" where the phase changes from row to row; stripes may be tilted by 20 degrees."""
+    crosstalk_matrix: Matrix3 | None = None
+    """camera = matrix @ projector in linear light; wins over the calibration's."""
+    reflectance_bands: Literal["broad", "narrow"] = "broad"
+    """Whether a surface's colour acts on the camera's channels (balance, then undo the crosstalk) or on the projector's
+    primaries (the other way round). Broad suits surfaces whose reflectance changes slowly with wavelength, as skin."""
+    transfer: Literal["linear", "srgb", "bt709"] = "linear"
+    """How the camera encoded light; undone before anything else."""
+    equalize: bool = True
+    """Whether the phase's distribution is made uniform, which undoes the projector's response."""
+    unwrap_method: Literal["directional"] = "directional"
+    smoothing_px: Annotated[int, Field(ge=0, le=33), AfterValidator(_odd_or_zero)] = 5
+    """Window along the stripes; 0: none."""
+    code: None = None
+    """The pattern's code; a calibration's pattern wins."""
+    noise: tuple[NonNegative, NonNegative] | None = None
+    """Read noise's standard deviation and gain, in grey levels; None: estimated from the frame."""
+    white_level: Positive | None = None
+    """Full scale of the input; None: the type's (1.0 for floats)."""
+    min_intensity: NonNegative | None = None
+    """Darkest mean of the three channels that counts; None: chosen from the frame."""
+    min_modulation: NonNegative | None = None
+    """Smallest amplitude of the fringe that counts; None: chosen from the frame."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "DecodeSettings":
+        if self.crosstalk_matrix is not None:
+            try:
+                invert_crosstalk(self.crosstalk_matrix, normalize_rows=True)
+            except ShapeError as error:
+                raise ValueError(str(error)) from None
+        return self
+
+    @classmethod
+    def read(cls, path: str | Path) -> "DecodeSettings":
+        """Read settings from TOML.
+
+        Raises
+        ------
+        SettingsError
+            The file cannot be read, or a key is unknown or wrong; the message names it.
+        """
+        return read_file(path, cls, tomllib.loads, SettingsError)
+
+    @classmethod
+    def of(cls, **values: object) -> "DecodeSettings":
+        """Build settings from values; like the constructor, with a one-line error.
+
+        Raises
+        ------
+        SettingsError
+            A key is unknown or wrong; the message names it.
+        """
+        return build(cls, values, SettingsError, "settings")

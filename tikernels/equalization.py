@@ -1,0 +1,147 @@
+"""Equalise the distribution of the phase, which undoes the projector's response without knowing it.
+
+Over many cycles a surface shows every phase equally often; a response that is not linear crowds them (section 3.2 of Je,
+Lee and Park 2004). The cumulative distribution, interpolated, is the map that spreads them again. Its free constant is
+set so that the mean correction is zero; otherwise the whole phase would shift with the branch cut.
+"""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import _checks
+from tikernels._taichi import F32Array1, F32Array2, I32Array2, U8Array2, ti
+from tikernels.errors import ShapeError
+from tikernels.phase_vector import PI, wrap
+
+#: Rows of a histogram that threads add to in parallel, so that they seldom wait for each other.
+SLOTS = 32
+# Fewer counts than this many a bin do not make a distribution.
+_MIN_COUNTS_A_BIN = 4
+
+
+def correction_table(histogram: npt.NDArray[np.integer[Any]], harmonics: int | None = None) -> npt.NDArray[np.float32]:
+    """Return what to add to a phase, at the edges of the histogram's bins.
+
+    Parameters
+    ----------
+    histogram : (bins,) integers
+        How often the wrapped phase fell into each part of [-pi, pi].
+    harmonics : int, optional
+        Keep the correction's harmonics up to this one. A fringe of P pixels that runs along the pixel rows shows only P
+        phases, which the plain distribution mistakes for a distortion of harmonic P: keep it below P.
+
+    Returns
+    -------
+    (bins + 1,) float32
+        rad; zero where there are too few counts.
+    """
+    counts = histogram.astype(np.float64)
+    bins, total = len(counts), counts.sum()
+    if total < _MIN_COUNTS_A_BIN * bins:
+        return np.zeros(bins + 1, np.float32)
+    edges = np.linspace(-np.pi, np.pi, bins + 1)
+    correction = 2 * np.pi * np.concatenate([[0.0], np.cumsum(counts)]) / total - np.pi - edges
+    if harmonics is not None:
+        spectrum = np.fft.rfft(correction[:-1])
+        spectrum[harmonics + 1 :] = 0
+        correction[:-1] = np.fft.irfft(spectrum, bins)
+        correction[-1] = correction[0]
+    mean = counts @ (correction[1:] + correction[:-1]) / (2 * total)
+    return (correction - mean).astype(np.float32)
+
+
+@ti.func
+def equalized(phase: ti.f32, table: F32Array1) -> ti.f32:
+    """Add the interpolated correction to a phase in [-pi, pi]."""
+    bins = table.shape[0] - 1
+    place = (phase + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
+    low = ti.min(ti.max(ti.cast(place, ti.i32), 0), bins - 1)
+    fraction = place - low
+    return wrap(phase + table[low] + fraction * (table[low + 1] - table[low]))
+
+
+@ti.kernel
+def count_phases_kernel(
+    wrapped_phase: F32Array2,  # (H, W) rad
+    mask: U8Array2,  # (H, W)
+    step: ti.i32,  # px between two samples along a row
+    out_histogram: I32Array2,  # (SLOTS, bins), to be added to
+):
+    height, width = wrapped_phase.shape[0], wrapped_phase.shape[1]
+    bins = out_histogram.shape[1]
+    columns = (width + step - 1) // step
+    for sample in range(height * columns):
+        y, x = sample // columns, (sample % columns) * step
+        if mask[y, x] != 0:
+            place = ti.cast((wrapped_phase[y, x] + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI)), ti.i32)
+            out_histogram[y % out_histogram.shape[0], ti.min(ti.max(place, 0), bins - 1)] += 1
+
+
+@ti.kernel
+def equalize_phase_kernel(
+    wrapped_phase: F32Array2,  # (H, W) rad
+    mask: U8Array2,  # (H, W)
+    table: F32Array1,  # (bins + 1,) rad
+    out: F32Array2,  # (H, W) rad
+):
+    for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
+        y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
+        phase = wrapped_phase[y, x]
+        if mask[y, x] != 0:
+            phase = equalized(phase, table)
+        out[y, x] = phase
+
+
+def equalize_phase(
+    wrapped_phase: Any, mask: Any, bins: int = 256, *, harmonics: int | None = None, out: Any | None = None
+) -> Any:
+    """Spread the phases of the masked pixels evenly over the cycle.
+
+    Parameters
+    ----------
+    wrapped_phase : (H, W) float32
+        rad in [-pi, pi].
+    mask : (H, W) bool or uint8
+        Pixels bright enough to count, and to correct.
+    bins : int
+        Bins of the histogram, of which the table is interpolated.
+    harmonics : int, optional
+        Keep only so many harmonics of the correction; see `correction_table`.
+    out : (H, W) float32, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (H, W) float32
+        rad in [-pi, pi]; unchanged outside the mask, and everywhere if too few pixels count. The mean correction over
+        the counted pixels is zero.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, bins is not at least 8, or `out` cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np, tikernels
+    >>> _ = tikernels.init("cpu")
+    >>> true = np.linspace(-np.pi, np.pi, 9600, endpoint=False, dtype=np.float32).reshape(80, 120)
+    >>> bent = true + np.float32(0.2) * np.sin(3 * true)
+    >>> fixed = equalize_phase(bent, np.ones(bent.shape, bool))
+    >>> round(float(np.abs(bent - true).max()), 2), float(np.abs(fixed - true).max()) < 0.02
+    (0.2, True)
+    """
+    wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
+    shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
+    mask = _checks.read_mask("mask", mask, shape)
+    if bins < 8:
+        raise ShapeError(f"bins is {bins}: take 8 or more")
+    out = _checks.out_array("out", out, shape, np.float32)
+    histogram = np.zeros((SLOTS, bins), np.int32)
+    # Some hundred thousand samples pin the table down to a milliradian; more only cost time.
+    step = max(1, shape[0] * shape[1] // 2**18)
+    count_phases_kernel(wrapped_phase, mask, step, histogram)
+    equalize_phase_kernel(wrapped_phase, mask, correction_table(histogram.sum(axis=0), harmonics), out)
+    return out

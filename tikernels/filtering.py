@@ -1,0 +1,209 @@
+"""Smooth the phase along the stripes, where it changes least, without crossing a step.
+
+A pixel at a step sees both surfaces and has a phase between them that belongs to neither: such pixels are dropped.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from tikernels import _checks, runtime
+from tikernels._taichi import F32Array1, F32Array2, U8Array2, ti
+from tikernels.equalization import equalized
+from tikernels.errors import ShapeError
+from tikernels.phase_vector import wrap
+from tikernels.wrapped_phase import NO_PHASE
+
+# A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends by less
+# than this between them: 0.6 rad is a step of some 4 mm on a rig with 0.14 rad a mm, twelve times the usual noise.
+_MAX_BEND = 0.6
+_MAX_CHANGE = 1.0
+# A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
+# 6 mm on that rig; noise of 0.2 rad a pixel passes.
+MAX_DEPARTURE = 0.8
+# Every eighth pixel both ways tells the usual change.
+_SAMPLE = 8
+# Pixels of a row that one thread walks: enough threads for a GPU, long enough to slide a window.
+_STRETCH = 64
+
+
+@cache
+def smooth_phase_kernel(pairs: int) -> Any:
+    """Return the kernel that equalises and smooths in one pass; `pairs` neighbours on either side."""
+    reach = max(pairs, 1)
+    window = 2 * reach + 1
+    taps = ti.types.vector(window, ti.f32)
+
+    @ti.func
+    def departs(here: ti.f32, there: ti.f32, rate: ti.f32) -> ti.i32:
+        """Whether two neighbours, both valid, lie on different surfaces."""
+        valid = here < 0.5 * NO_PHASE and there < 0.5 * NO_PHASE
+        return ti.cast(valid and ti.abs(wrap(there - here - rate)) > MAX_DEPARTURE, ti.i32)
+
+    @ti.func
+    def phase_at(phase: F32Array2, table: F32Array1, y: ti.i32, x: ti.i32) -> ti.f32:
+        value = NO_PHASE
+        if 0 <= x and x < phase.shape[1]:
+            value = phase[y, x]
+            if value < 0.5 * NO_PHASE:
+                value = equalized(value, table)
+        return value
+
+    @ti.kernel
+    def smooth_phase(
+        phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+        table: F32Array1,  # (bins + 1,) rad to add before smoothing
+        rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
+        out: F32Array2,  # (H, W) rad, [-pi, pi]; NO_PHASE outside the mask and at steps
+    ):
+        height, width = phase.shape[0], phase.shape[1]
+        last = rates.shape[0] - 1
+        stretches = (width + _STRETCH - 1) // _STRETCH
+        for t in range(height * stretches):
+            y, start = t // stretches, (t % stretches) * _STRETCH
+            above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
+            rate_along, rate_across = rates[last, 0], rates[last, 1]
+            values = taps(0.0)
+            for k in ti.static(range(1, window)):
+                values[k] = phase_at(phase, table, y, start - reach - 1 + k)
+            for x in range(start, ti.min(start + _STRETCH, width)):
+                for k in ti.static(range(window - 1)):
+                    values[k] = values[k + 1]
+                values[window - 1] = phase_at(phase, table, y, x + reach)
+                centre = values[reach]
+                result = NO_PHASE
+                # Up and down the phases before equalisation do as well: its correction is smaller than a step.
+                here = phase[y, x]
+                if centre < 0.5 * NO_PHASE and not (
+                    departs(values[reach - 1], centre, rate_along)
+                    or departs(centre, values[reach + 1], rate_along)
+                    or (above < y and departs(phase[above, x], here, rate_across))
+                    or (below > y and departs(here, phase[below, x], rate_across))
+                ):
+                    total, count = 0.0, 1.0
+                    for k in ti.static(range(1, pairs + 1)):
+                        # Pairs, so that a steady slope along the stripe leaves no bias.
+                        left, right = wrap(values[reach - k] - centre), wrap(values[reach + k] - centre)
+                        if ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE and ti.abs(left + right) < _MAX_BEND:
+                            total += left + right
+                            count += 2.0
+                    result = wrap(centre + total / count)
+                out[y, x] = result
+
+    return smooth_phase
+
+
+def rates_buffer(height: int) -> Any:
+    """Allocate what `measure_rates_kernel` fills for frames of this height."""
+    return runtime.empty((-(-height // _SAMPLE) + 1, 5), np.float32)
+
+
+@ti.kernel
+def measure_rates_kernel(
+    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+    quality: F32Array2,  # (H, W)
+    out_rates: F32Array2,  # (H / 8 + 1, 5) sums a row; in the last row rate along, rate across (rad), mean quality
+):
+    height, width = phase.shape[0], phase.shape[1]
+    rows = out_rates.shape[0] - 1
+    for i in range(rows):
+        y = ti.min(i * _SAMPLE, ti.max(height - 2, 0))
+        along, across = ti.Vector([0.0, 0.0]), ti.Vector([0.0, 0.0])
+        total, count = 0.0, 0.0
+        for j in range((width + _SAMPLE - 1) // _SAMPLE):
+            x = ti.min(j * _SAMPLE, ti.max(width - 2, 0))
+            if phase[y, x] < 0.5 * NO_PHASE:
+                total += quality[y, x]
+                count += 1.0
+                if x + 1 < width:
+                    if phase[y, x + 1] < 0.5 * NO_PHASE:
+                        change = phase[y, x + 1] - phase[y, x]
+                        along += ti.Vector([ti.cos(change), ti.sin(change)])
+                if y + 1 < height:
+                    if phase[y + 1, x] < 0.5 * NO_PHASE:
+                        change = phase[y + 1, x] - phase[y, x]
+                        across += ti.Vector([ti.cos(change), ti.sin(change)])
+        out_rates[i, 0] = along.x
+        out_rates[i, 1] = along.y
+        out_rates[i, 2] = across.x
+        out_rates[i, 3] = across.y
+        out_rates[i, 4] = total / ti.max(count, 1.0)
+    # One thread adds the rows up in order, so that the sum is the same every time.
+    for _ in range(1):
+        along, across = ti.Vector([1e-6, 0.0]), ti.Vector([1e-6, 0.0])
+        total, count = 0.0, 0.0
+        for i in range(rows):
+            along += ti.Vector([out_rates[i, 0], out_rates[i, 1]])
+            across += ti.Vector([out_rates[i, 2], out_rates[i, 3]])
+            if out_rates[i, 4] > 0.0:
+                total += out_rates[i, 4]
+                count += 1.0
+        out_rates[rows, 0] = ti.atan2(along.y, along.x)
+        out_rates[rows, 1] = ti.atan2(across.y, across.x)
+        out_rates[rows, 2] = ti.max(total / ti.max(count, 1.0), 1e-12)
+
+
+@ti.kernel
+def mark_no_phase_kernel(
+    wrapped_phase: F32Array2,  # (H, W) rad
+    mask: U8Array2,  # (H, W)
+    out: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+):
+    for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
+        y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
+        value = NO_PHASE
+        if mask[y, x] != 0 and not ti.math.isnan(wrapped_phase[y, x]):
+            value = wrapped_phase[y, x]
+        out[y, x] = value
+
+
+@ti.kernel
+def restore_kernel(
+    wrapped_phase: F32Array2,  # (H, W) rad
+    out: F32Array2,  # (H, W) rad; what is NO_PHASE becomes the wrapped phase
+):
+    for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
+        y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
+        if out[y, x] > 0.5 * NO_PHASE:
+            out[y, x] = wrapped_phase[y, x]
+
+
+def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *, out: Any | None = None) -> Any:
+    """Average the phase over a few pixels along the rows.
+
+    Parameters
+    ----------
+    wrapped_phase : (H, W) float32
+        rad in [-pi, pi], stripes running along the rows.
+    mask : (H, W) bool or uint8
+        Valid pixels.
+    smoothing_px : int
+        Odd length of the window, 1 to 33 px.
+    out : (H, W) float32, optional
+        Where the result goes; not the input.
+
+    Returns
+    -------
+    (H, W) float32
+        rad in [-pi, pi]; unchanged outside the mask and at steps. Neighbours count in pairs left and right, and only while the
+        surface goes on, so steps stay sharp and slopes unbiased.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, the window is even or too long, or `out` cannot be written.
+    """
+    wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
+    shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
+    mask = _checks.read_mask("mask", mask, shape)
+    if smoothing_px % 2 == 0 or not 1 <= smoothing_px <= 33:
+        raise ShapeError(f"smoothing_px is {smoothing_px}: take an odd number from 1 to 33")
+    out = _checks.out_array("out", out, shape, np.float32)
+    marked = np.empty(shape, np.float32)
+    mark_no_phase_kernel(wrapped_phase, mask, marked)
+    rates = rates_buffer(shape[0])
+    measure_rates_kernel(marked, marked, rates)
+    smooth_phase_kernel(smoothing_px // 2)(marked, np.zeros(2, np.float32), rates, out)
+    restore_kernel(wrapped_phase, out)
+    return out

@@ -1,0 +1,143 @@
+"""What a frame says about itself before it is decoded: the fringe's period, the noise, how bright it is."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import _checks, runtime
+from tikernels._taichi import AnyArray3, F32Array3, I32Array1, ti
+from tikernels.balance import MIN_PERIOD_PX
+from tikernels.linearization import WHITE_LEVELS
+from tikernels.phase_vector import phase_vector
+
+vec3 = ti.types.vector(3, ti.f32)
+
+# Columns that are looked at: enough to meet every object that fills a twentieth of the picture.
+_COLUMNS = 24
+# A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
+# far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
+_MIN_SHARE = 0.15
+
+
+@dataclass(frozen=True)
+class FrameStatistics:
+    """What `measure_frame` found; light in 0..1 of full scale."""
+
+    period_px: float | None  # camera px a cycle across the stripes; None: no fringe stands out
+    noise: float  # standard deviation of one channel
+    brightness: float  # 95th percentile of the channels' mean
+
+
+@ti.kernel
+def probe_frame_kernel(
+    image: AnyArray3,  # (H, W, 3) levels
+    scale: ti.f32,  # levels to 0..1
+    out_samples: F32Array3,  # (columns, H, 4) phase vector (2), noise (sum of second differences), mean
+):
+    columns, height, width = out_samples.shape[0], image.shape[0], image.shape[1]
+    for sample in range(columns * height):
+        column, y = sample // height, sample % height
+        x = ti.min(ti.max((2 * column + 1) * width // (2 * columns), 1), width - 2)
+        total, noise = vec3(0.0), 0.0
+        for k in ti.static(range(3)):
+            left = ti.cast(image[y, ti.max(x - 1, 0), k], ti.f32)
+            here = ti.cast(image[y, ti.max(x, 0), k], ti.f32)
+            right = ti.cast(image[y, ti.min(x + 1, width - 1), k], ti.f32)
+            total[k] = here * scale
+            noise += (left - 2.0 * here + right) * scale
+        vector, mean = phase_vector(total)
+        out_samples[column, y, 0] = vector.x
+        out_samples[column, y, 1] = vector.y
+        out_samples[column, y, 2] = noise
+        out_samples[column, y, 3] = mean
+
+
+def measure_frame(image: Any, white_level: float | None = None) -> FrameStatistics:
+    """Measure period, noise and brightness on a few columns.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, uint16 or float32
+        Linear light, stripes along the rows.
+    white_level : float, optional
+        Full scale; None: the type's.
+
+    Returns
+    -------
+    FrameStatistics
+        The period to a few per cent, the noise to some 20 %.
+
+    Raises
+    ------
+    ShapeError
+        Shape or dtype is another one.
+    """
+    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    columns = min(_COLUMNS, int(image.shape[1]))
+    samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
+    probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), samples)
+    light = samples[..., 3]
+    lit = light >= np.median(light)  # dark pixels are clipped at zero and show half the noise
+    # The second difference of a sum of three channels has 3 (1 + 4 + 1) times a channel's variance.
+    noise = float(np.median(np.abs(samples[..., 2][lit]))) / (0.6745 * np.sqrt(18))
+    return FrameStatistics(
+        _period(samples[..., 0] + 1j * samples[..., 1]), noise, float(np.percentile(light, 95))
+    )
+
+
+def _period(signal: npt.NDArray[np.complex64]) -> float | None:
+    """Return the period of the turning part of (columns, H) phase vectors."""
+    height = signal.shape[1]
+    if height < 2 * MIN_PERIOD_PX:
+        return None
+    signal = signal - signal.mean(axis=1, keepdims=True)
+    power = (np.abs(np.fft.fft(signal, axis=1)) ** 2).sum(axis=0)
+    frequencies = np.arange(1, (height + 1) // 2)
+    turning = power[frequencies] - power[-frequencies]
+    # Between one cycle and a half in view and the shortest period that three colours resolve.
+    usable = (frequencies >= 1.5) & (frequencies * MIN_PERIOD_PX <= height)
+    if not usable.any() or power.sum() <= 0:
+        return None
+    smooth = np.abs(np.convolve(turning, [0.25, 0.5, 0.25], "same")) * usable
+    peak = int(frequencies[np.argmax(smooth)])
+    lobe = (frequencies > 0.7 * peak) & (frequencies < 1.4 * peak) & usable
+    weights = np.clip(turning[lobe] * np.sign(turning[lobe].sum()), 0, None)
+    if weights.sum() < _MIN_SHARE * power.sum():
+        return None
+    return float(height * weights.sum() / (weights @ frequencies[lobe]))
+
+
+@ti.kernel
+def count_out_of_range_kernel(
+    image: AnyArray3,  # (H, W, 3)
+    white_level: ti.f32,
+    out_count: I32Array1,  # NaN; values below zero or above the white level
+):
+    height, width = image.shape[0], image.shape[1]
+    for pixel in range(height * width):
+        y, x = pixel // width, pixel % width
+        for k in ti.static(range(3)):
+            value = ti.cast(image[y, x, k], ti.f32)
+            if ti.math.isnan(value):
+                out_count[0] += 1
+            elif value < 0.0 or value > white_level:
+                out_count[1] += 1
+
+
+def count_out_of_range(image: Any, white_level: float) -> tuple[int, int]:
+    """Count the values that are NaN, and those outside 0..white_level.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, uint16 or float32
+        A frame.
+    white_level : float
+        Full scale.
+    """
+    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    counts = np.zeros(2, np.int32)
+    count_out_of_range_kernel(image, white_level, counts)
+    runtime.synchronize()
+    return int(counts[0]), int(counts[1])

@@ -1,0 +1,557 @@
+"""Find the order of every fringe from its neighbours: row runs, joined by votes, the best supported joints first.
+
+Along a stripe the phase changes least, so each row falls into runs without a doubt inside (sections 4.1 and 4.2 of Je,
+Lee and Park 2004). A run joins the run above by a vote over their whole contact. The paper grows one region pixel by
+pixel from a bright start near the centre, by priority of intensity, location and direction; here every cell of 8 x 16
+pixels grows its own runs at once, and the cells' patches are then joined, those first whose contact has the most and
+brightest votes (a maximum spanning forest by rounds of O. Boruvka, 1926). That is the order in which the paper's
+priorities would join them, whatever the number of threads. Nothing is joined across a step, so a surface that nothing
+connects to the rest becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from tikernels import _checks, runtime
+from tikernels._taichi import F32Array2, F32Array3, I32Array1, I32Array2, U8Array2, ti
+from tikernels.errors import ShapeError
+from tikernels.transposing import transpose
+from tikernels.filtering import MAX_DEPARTURE, mark_no_phase_kernel, measure_rates_kernel, rates_buffer
+from tikernels.phase_vector import PI, wrap
+from tikernels.triangulation import ProjectorGeometry, mat3, projected, vec3, vec5
+from tikernels.wrapped_phase import NO_PHASE
+
+# Short along the stripe: where a hidden step of whole cycles slips into a run, at most half a cell is wrong.
+_CELL_WIDTH, _CELL_HEIGHT = 8, 16
+# An order inside a patch stays within the cell's pixels: +-24 cycles fit into six bits.
+_ORDERS, _ORDER_ZERO = 64, 32
+#: Regions of fewer pixels are noise, not surfaces.
+MIN_REGION_PX = 32
+# Below this many patches the CPU is done before a second thread has woken up.
+_SERIAL_PATCHES = 6000
+_GOLDEN = -1640531527  # 2^32 / golden ratio, odd: multiplying by it shuffles the 32-bit numbers one to one
+
+# Columns of the patch and contact tables.
+_PIXELS, _WEIGHT, _FIRST, _ROOT, _OFFSET, _PARENT, _STEP, _SUPPORT, _KEY, _CHOICE = range(10)
+_FROM, _TO, _SHIFT, _VOTES, _NAME = range(5)
+_REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
+# Counters.
+_N_PATCHES, _N_CONTACTS, _N_MERGED = range(3)
+
+
+class Unwrapper:
+    """Buffers to unwrap frames of one size, stripes along the rows."""
+
+    def __init__(self, height: int, width: int) -> None:
+        self.shape = (height, width)
+        self.labels = runtime.empty((height, width), np.int32)
+        self.counters = runtime.empty((3,), np.int32)
+        # Clean surfaces need one patch and two contacts a cell; noise needs more, and the tables then grow.
+        cells = -(-height // _CELL_HEIGHT) * -(-width // _CELL_WIDTH)
+        self._allocate(8 * cells, 24 * cells)
+
+    def _allocate(self, patches: int, contacts: int) -> None:
+        self.patches = runtime.empty((10, patches), np.int32)
+        self.contacts = runtime.empty((5, contacts), np.int32)
+        self.regions = runtime.empty((4, patches), np.int32)
+
+    def join(self, phase: Any, quality: Any, rates: Any) -> None:
+        """Sort the pixels into patches and the patches into regions.
+
+        Parameters
+        ----------
+        phase : (H, W) float32
+            rad in [-pi, pi]; NO_PHASE outside the mask.
+        quality : (H, W) float32
+            Larger is better; the modulation.
+        rates
+            What `measure_rates_kernel` found.
+        """
+        while True:
+            grow_patches_kernel(phase, quality, rates, self.labels, self.patches, self.contacts, self.counters)
+            counts = runtime.to_host(self.counters)  # synchronises
+            patches, contacts = int(counts[_N_PATCHES]), int(counts[_N_CONTACTS])
+            if patches <= self.patches.shape[1] and contacts <= self.contacts.shape[1]:
+                break
+            self._allocate(2 * patches, 2 * contacts)
+        serial = runtime.started() == "cpu" and patches < _SERIAL_PATCHES
+        merge = merge_patches_kernel(serial)
+        start_regions_kernel(patches, self.patches)
+        while True:
+            merge(patches, contacts, self.patches, self.contacts, self.counters)
+            if int(runtime.to_host(self.counters)[_N_MERGED]) == 0:  # synchronises
+                break
+        choose_starts_kernel(patches, self.labels, self.patches, self.regions)
+        self.patch_count = patches
+
+    def place(self, phase: Any, rays: Any, projector: ProjectorGeometry, depth_mm: float) -> None:
+        """Give every region the orders that bring it nearest to a depth, instead of 0 at its start.
+
+        Parameters
+        ----------
+        phase : (H, W) float32
+            rad in [-pi, pi].
+        rays : (H, W, 2) float32
+            x and y of every camera pixel's ray at unit depth.
+        projector : ProjectorGeometry
+            Where the projector stands.
+        depth_mm : float
+            Where the object is expected.
+        """
+        arguments = (self.patch_count, phase, self.labels, rays, depth_mm, *projector.arguments())
+        place_regions_kernel(*arguments, self.patches, self.regions)
+
+    def write(self, phase: Any, out_unwrapped: Any, out_mask: Any, out_region: Any) -> None:
+        """Write unwrapped phase (rad, NaN outside), mask and region (from 1, the largest) of every pixel.
+
+        The wrapped phase becomes NaN where the mask ends.
+        """
+        # Numbering a handful of regions by their size is the host's work; ties go to the start's place in the image.
+        table = runtime.to_host(self.regions)[:, : self.patch_count]  # synchronises
+        roots = np.flatnonzero(table[_REGION_PIXELS] >= MIN_REGION_PX)
+        order = np.lexsort((table[_REGION_START, roots], -table[_REGION_PIXELS, roots]))
+        numbers = np.zeros(max(self.patch_count, 1), np.int32)
+        numbers[roots[order]] = np.arange(1, len(roots) + 1)
+        arguments = (phase, self.labels, self.patches, self.regions, numbers)
+        write_unwrapped_kernel(*arguments, out_unwrapped, out_mask, out_region)
+
+
+@ti.func
+def whole_cycles(change: ti.f32, difference: ti.f32) -> ti.i32:
+    """Cycles between the change that is taken to be true and the difference of two wrapped phases."""
+    return ti.cast(ti.round((change - difference) / (2.0 * PI)), ti.i32)
+
+
+@ti.func
+def add_contact(
+    contacts: I32Array2, counters: I32Array1, a: ti.i32, b: ti.i32, shift: ti.i32, votes: ti.i32, name: ti.i32
+):
+    """Note that offset[b] = offset[a] + shift, by so many votes; the name is the contact's own."""
+    place = ti.atomic_add(counters[_N_CONTACTS], 1)
+    if place < contacts.shape[1]:
+        contacts[_FROM, place] = a
+        contacts[_TO, place] = b
+        contacts[_SHIFT, place] = shift
+        contacts[_VOTES, place] = votes
+        contacts[_NAME, place] = name * _GOLDEN
+
+
+@ti.func
+def vote_weight(quality: ti.f32, mean_quality: ti.f32) -> ti.i32:
+    """One to sixteen votes a pixel, four for an ordinary one."""
+    return ti.min(ti.max(ti.cast(4.0 * quality / mean_quality, ti.i32), 1), 16)
+
+
+@ti.func
+def vote_above(phase: F32Array2, labels: I32Array2, y: ti.i32, x: ti.i32, rate: ti.f32) -> ti.types.vector(2, ti.i32):
+    """Patch of the pixel above, and the shift that makes this run continue it; patch -1: no vote across a step.
+
+    The row above holds patches and orders already, this one its runs' own orders.
+    """
+    vote = ti.Vector([-1, 0])
+    above = labels[y - 1, x]
+    if above >= 0:
+        difference = phase[y, x] - phase[y - 1, x]
+        departure = wrap(difference - rate)
+        if ti.abs(departure) <= MAX_DEPARTURE:
+            order = above % _ORDERS - _ORDER_ZERO + whole_cycles(rate + departure, difference)
+            vote = ti.Vector([above // _ORDERS, order - labels[y, x]])
+    return vote
+
+
+@ti.kernel
+def grow_patches_kernel(
+    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+    quality: F32Array2,  # (H, W)
+    rates: F32Array2,  # last row: rate along, rate across (rad a px), mean quality
+    out_labels: I32Array2,  # (H, W) patch and order inside it; -1 outside the mask
+    out_patches: I32Array2,  # (10, capacity)
+    out_contacts: I32Array2,  # (5, capacity)
+    out_counters: I32Array1,
+):
+    height, width = phase.shape[0], phase.shape[1]
+    cell_columns = (width + _CELL_WIDTH - 1) // _CELL_WIDTH
+    cells = cell_columns * ((height + _CELL_HEIGHT - 1) // _CELL_HEIGHT)
+    last = rates.shape[0] - 1
+    for k in range(3):
+        out_counters[k] = 0
+    for cell in range(cells):
+        rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
+        top, left = (cell // cell_columns) * _CELL_HEIGHT, (cell % cell_columns) * _CELL_WIDTH
+        bottom, right = ti.min(top + _CELL_HEIGHT, height), ti.min(left + _CELL_WIDTH, width)
+        for y in range(top, bottom):
+            x = left
+            while x < right:
+                start = x
+                before = phase[y, x]
+                if before > 0.5 * NO_PHASE:
+                    out_labels[y, x] = -1
+                    x += 1
+                else:
+                    # The run: its orders count from its first pixel.
+                    order = 0
+                    out_labels[y, x] = 0
+                    weight = vote_weight(quality[y, x], mean_quality)
+                    x += 1
+                    going = 1
+                    while going == 1 and x < right:
+                        here = phase[y, x]
+                        difference = here - before
+                        departure = wrap(difference - rate_along)
+                        if here > 0.5 * NO_PHASE or ti.abs(departure) > MAX_DEPARTURE:
+                            going = 0
+                        else:
+                            order += whole_cycles(rate_along + departure, difference)
+                            out_labels[y, x] = order
+                            weight += vote_weight(quality[y, x], mean_quality)
+                            before = here
+                            x += 1
+                    # Its contact with the runs above: each pixel votes for a patch and a shift.
+                    patch, shift, votes, voters = -1, 0, 0, 0
+                    if y > top:
+                        for voter in range(start, x):
+                            vote = vote_above(phase, out_labels, y, voter, rate_across)
+                            if vote.x >= 0:
+                                voters += 1
+                                if patch < 0:
+                                    patch, shift = vote.x, vote.y
+                                if vote.x == patch and vote.y == shift:
+                                    votes += 1
+                        if votes < voters:  # seldom: they disagree
+                            for candidate in range(start + 1, x):
+                                choice = vote_above(phase, out_labels, y, candidate, rate_across)
+                                tally = 0
+                                for voter in range(candidate, x):
+                                    vote = vote_above(phase, out_labels, y, voter, rate_across)
+                                    if vote.x == choice.x and vote.y == choice.y:
+                                        tally += 1
+                                if choice.x >= 0 and tally > votes:
+                                    patch, shift, votes = choice.x, choice.y, tally
+                    # One pixel's word is too little for a run of several.
+                    if votes == 0 or 2 * votes < voters or (votes == 1 and x - start > 2):
+                        patch, shift = ti.atomic_add(out_counters[_N_PATCHES], 1), 0
+                        if patch < out_patches.shape[1]:
+                            out_patches[_PIXELS, patch] = 0
+                            out_patches[_WEIGHT, patch] = 0
+                            out_patches[_FIRST, patch] = y * width + start
+                    if patch < out_patches.shape[1]:
+                        out_patches[_PIXELS, patch] = out_patches[_PIXELS, patch] + (x - start)
+                        out_patches[_WEIGHT, patch] = out_patches[_WEIGHT, patch] + weight
+                    # What the others voted for becomes contacts between patches.
+                    if votes < voters:
+                        for candidate in range(start, x):
+                            choice = vote_above(phase, out_labels, y, candidate, rate_across)
+                            tally, noted = 0, 0
+                            for voter in range(start, x):
+                                vote = vote_above(phase, out_labels, y, voter, rate_across)
+                                if vote.x == choice.x and vote.y == choice.y:
+                                    tally += vote_weight(quality[y, voter], mean_quality)
+                                    if voter < candidate:
+                                        noted = 1
+                            if choice.x >= 0 and choice.x != patch and noted == 0:
+                                name = 3 * (y * width + candidate)
+                                add_contact(
+                                    out_contacts, out_counters, choice.x, patch, choice.y - shift, tally, name
+                                )
+                    for column in range(start, x):
+                        out_labels[y, column] = patch * _ORDERS + out_labels[y, column] + shift + _ORDER_ZERO
+    # The cells' borders, right and bottom.
+    for cell in range(cells):
+        rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
+        top, left = (cell // cell_columns) * _CELL_HEIGHT, (cell % cell_columns) * _CELL_WIDTH
+        bottom, right = ti.min(top + _CELL_HEIGHT, height), ti.min(left + _CELL_WIDTH, width)
+        for side in ti.static(range(2)):
+            length, rate = bottom - top, rate_along
+            if ti.static(side == 1):
+                length, rate = right - left, rate_across
+            if (side == 0 and right == width) or (side == 1 and bottom == height):
+                length = 0
+            a, b, shift, votes, name = -1, -1, 0, 0, 0
+            for step in range(length + 1):
+                next_a, next_b, next_shift, vote, pixel = -1, -1, 0, 0, 0
+                if step < length:
+                    y, x = top + step, right - 1
+                    y2, x2 = y, x + 1
+                    if ti.static(side == 1):
+                        y, x = bottom - 1, left + step
+                        y2, x2 = y + 1, x
+                    label, label2 = out_labels[y, x], out_labels[y2, x2]
+                    if label >= 0 and label2 >= 0:
+                        difference = phase[y2, x2] - phase[y, x]
+                        departure = wrap(difference - rate)
+                        if ti.abs(departure) <= MAX_DEPARTURE:
+                            next_a, next_b = label // _ORDERS, label2 // _ORDERS
+                            next_shift = (
+                                label % _ORDERS - label2 % _ORDERS + whole_cycles(rate + departure, difference)
+                            )
+                            vote = vote_weight(ti.min(quality[y, x], quality[y2, x2]), mean_quality)
+                            pixel = 3 * (y * width + x) + 1 + side
+                if next_a == a and next_b == b and next_shift == shift:
+                    votes += vote
+                else:
+                    if a >= 0:
+                        add_contact(out_contacts, out_counters, a, b, shift, votes, name)
+                    a, b, shift, votes, name = next_a, next_b, next_shift, vote, pixel
+            if a >= 0:
+                add_contact(out_contacts, out_counters, a, b, shift, votes, name)
+
+
+@ti.kernel
+def start_regions_kernel(count: ti.i32, patches: I32Array2):
+    for i in range(count):
+        patches[_ROOT, i] = i
+        patches[_OFFSET, i] = 0
+
+
+@cache
+def merge_patches_kernel(serial: bool) -> Any:
+    """Return the kernel of one Boruvka round: every region joins along its best supported contact."""
+
+    @ti.kernel
+    def merge_patches(
+        count: ti.i32,
+        contact_count: ti.i32,
+        patches: I32Array2,  # (10, capacity): root and offset are read and written, the rest is scratch
+        contacts: I32Array2,  # (5, capacity); the votes of spent contacts become 0
+        counters: I32Array1,
+    ):
+        counters[_N_MERGED] = 0
+        ti.loop_config(serialize=serial)
+        for i in range(count):
+            patches[_SUPPORT, i] = 0
+            patches[_KEY, i] = 2147483647
+            patches[_CHOICE, i] = -1
+            patches[_PARENT, i] = i
+            patches[_STEP, i] = 0
+        # The best supported contact of each region; among equals the smallest name, so that it is always the same one.
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            votes = contacts[_VOTES, e]
+            if votes > 0:
+                a, b = patches[_ROOT, contacts[_FROM, e]], patches[_ROOT, contacts[_TO, e]]
+                if a == b:
+                    contacts[_VOTES, e] = 0
+                else:
+                    ti.atomic_max(patches[_SUPPORT, a], votes)
+                    ti.atomic_max(patches[_SUPPORT, b], votes)
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            votes = contacts[_VOTES, e]
+            if votes > 0:
+                a, b = patches[_ROOT, contacts[_FROM, e]], patches[_ROOT, contacts[_TO, e]]
+                if votes == patches[_SUPPORT, a]:
+                    ti.atomic_min(patches[_KEY, a], contacts[_NAME, e])
+                if votes == patches[_SUPPORT, b]:
+                    ti.atomic_min(patches[_KEY, b], contacts[_NAME, e])
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            votes = contacts[_VOTES, e]
+            if votes > 0:
+                a, b = patches[_ROOT, contacts[_FROM, e]], patches[_ROOT, contacts[_TO, e]]
+                if votes == patches[_SUPPORT, a] and contacts[_NAME, e] == patches[_KEY, a]:
+                    patches[_CHOICE, a] = e
+                if votes == patches[_SUPPORT, b] and contacts[_NAME, e] == patches[_KEY, b]:
+                    patches[_CHOICE, b] = e
+        # Hang each region under the one it chose; of two that chose the same contact the smaller stays a root.
+        ti.loop_config(serialize=serial)
+        for i in range(count):
+            e = patches[_CHOICE, i]
+            if e >= 0:
+                a, b = contacts[_FROM, e], contacts[_TO, e]
+                step = patches[_OFFSET, b] - contacts[_SHIFT, e] - patches[_OFFSET, a]
+                other = patches[_ROOT, b]
+                if other == i:
+                    other = patches[_ROOT, a]
+                    step = -step
+                if not (patches[_CHOICE, other] == e and i < other):
+                    patches[_PARENT, i] = other
+                    patches[_STEP, i] = step
+                    counters[_N_MERGED] = 1
+        ti.loop_config(serialize=serial)
+        for i in range(count):
+            root, offset = patches[_ROOT, i], patches[_OFFSET, i]
+            while patches[_PARENT, root] != root:
+                offset += patches[_STEP, root]
+                root = patches[_PARENT, root]
+            patches[_ROOT, i] = root
+            patches[_OFFSET, i] = offset
+
+    return merge_patches
+
+
+@ti.kernel
+def choose_starts_kernel(
+    count: ti.i32,
+    labels: I32Array2,  # (H, W)
+    patches: I32Array2,
+    out_regions: I32Array2,  # (4, capacity) by root: pixels, score, first pixel of the start, order there
+):
+    height, width = labels.shape[0], labels.shape[1]
+    for i in range(count):
+        out_regions[_REGION_PIXELS, i] = 0
+        out_regions[_REGION_SCORE, i] = -(2**31)
+        out_regions[_REGION_START, i] = 2147483647
+        out_regions[_REGION_ORDER, i] = 0
+    for i in range(count):
+        first = patches[_FIRST, i]
+        dy, dx = first // width - height // 2, first % width - width // 2
+        # Nearest to the centre wins, reliable patches (at least half full and three quarters as bright as usual) first.
+        # All in integers: a start must not depend on rounding.
+        score = 2**29 - dy * dy - dx * dx
+        if 2 * patches[_PIXELS, i] >= _CELL_WIDTH * _CELL_HEIGHT and patches[_WEIGHT, i] >= 3 * patches[_PIXELS, i]:
+            score += 2**29
+        patches[_SUPPORT, i] = score
+        ti.atomic_add(out_regions[_REGION_PIXELS, patches[_ROOT, i]], patches[_PIXELS, i])
+        ti.atomic_max(out_regions[_REGION_SCORE, patches[_ROOT, i]], score)
+    for i in range(count):
+        root = patches[_ROOT, i]
+        if patches[_SUPPORT, i] == out_regions[_REGION_SCORE, root]:
+            ti.atomic_min(out_regions[_REGION_START, root], patches[_FIRST, i])
+    for i in range(count):
+        first = patches[_FIRST, i]
+        if first == out_regions[_REGION_START, patches[_ROOT, i]]:
+            order = labels[first // width, first % width] % _ORDERS - _ORDER_ZERO
+            out_regions[_REGION_ORDER, patches[_ROOT, i]] = patches[_OFFSET, i] + order
+
+
+@ti.kernel
+def place_regions_kernel(
+    count: ti.i32,
+    phase: F32Array2,  # (H, W) rad
+    labels: I32Array2,  # (H, W)
+    rays: F32Array3,  # (H, W, 2)
+    depth: ti.f32,  # mm
+    rotation: mat3,
+    translation: vec3,
+    focal: ti.f32,
+    center: ti.f32,
+    lens: vec5,
+    period: ti.f32,
+    axis: ti.i32,
+    patches: I32Array2,
+    regions: I32Array2,  # the order that is taken off each region is written
+):
+    width = labels.shape[1]
+    for i in range(count):
+        patches[_SUPPORT, i] = 0
+        patches[_KEY, i] = 0
+    for i in range(count):
+        # The cycles that a patch's first pixel lacks to lie at the depth; a region takes the mean over its patches, in
+        # 64ths of a cycle, because sums of integers are the same in any order.
+        first = patches[_FIRST, i]
+        y, x = first // width, first % width
+        q = rotation @ (depth * vec3(rays[y, x, 0], rays[y, x, 1], 1.0)) + translation
+        expected = projected(q, focal, center, lens, axis) / period
+        order = labels[y, x] % _ORDERS - _ORDER_ZERO + patches[_OFFSET, i]
+        lacking = expected - phase[y, x] / (2.0 * PI) - ti.cast(order, ti.f32)
+        ti.atomic_add(patches[_SUPPORT, patches[_ROOT, i]], ti.cast(ti.round(64.0 * lacking), ti.i32))
+        ti.atomic_add(patches[_KEY, patches[_ROOT, i]], 1)
+    for i in range(count):
+        if patches[_KEY, i] > 0:
+            mean = ti.cast(patches[_SUPPORT, i], ti.f32) / (64.0 * ti.cast(patches[_KEY, i], ti.f32))
+            regions[_REGION_ORDER, i] = -ti.cast(ti.round(mean), ti.i32)
+
+
+@ti.kernel
+def write_unwrapped_kernel(
+    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask, becomes NaN there
+    labels: I32Array2,  # (H, W)
+    patches: I32Array2,
+    regions: I32Array2,
+    numbers: I32Array1,  # number of the region of each root; 0: too small
+    out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
+    out_mask: U8Array2,  # (H, W) 1 inside
+    out_region: I32Array2,  # (H, W) region's number from 1; 0 outside
+):
+    height, width = phase.shape[0], phase.shape[1]
+    for pixel in range(height * width):
+        y, x = pixel // width, pixel % width
+        label = labels[y, x]
+        unwrapped, region = ti.math.nan, 0
+        if label >= 0:
+            patch = label // _ORDERS
+            root = patches[_ROOT, patch]
+            region = numbers[root]
+            if region > 0:
+                order = label % _ORDERS - _ORDER_ZERO + patches[_OFFSET, patch] - regions[_REGION_ORDER, root]
+                unwrapped = phase[y, x] + 2.0 * PI * ti.cast(order, ti.f32)
+        if region == 0:
+            phase[y, x] = ti.math.nan
+        out_unwrapped[y, x] = unwrapped
+        out_mask[y, x] = ti.cast(region > 0, ti.u8)
+        out_region[y, x] = region
+
+
+def unwrap_phase(
+    wrapped_phase: Any,
+    quality: Any,
+    mask: Any,
+    stripes: str = "horizontal",
+    method: str = "directional",
+    *,
+    out: Any | None = None,
+) -> Any:
+    """Unwrap a phase map.
+
+    Parameters
+    ----------
+    wrapped_phase : (H, W) float32
+        rad in [-pi, pi].
+    quality : (H, W) float32
+        Larger is better; usually the modulation.
+    mask : (H, W) bool or uint8
+        Valid pixels.
+    stripes : {"horizontal", "vertical"}
+        "horizontal" where the phase changes from row to row.
+    method : {"directional"}
+        The unwrapper.
+    out : (H, W) float32, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (H, W) float32
+        Wrapped phase plus whole cycles, rad; NaN outside the mask and in specks of fewer than 32 pixels. Each
+        connected region has order 0 at its start, the reliable pixel nearest the image's centre.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, `stripes` or `method` is unknown, or `out` cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np, tikernels
+    >>> _ = tikernels.init("cpu")
+    >>> true = np.broadcast_to(0.5 * np.arange(64, dtype=np.float32)[:, None], (64, 48))
+    >>> wrapped = (true - 2 * np.pi * np.round(true / (2 * np.pi))).astype(np.float32)
+    >>> ones = np.ones((64, 48), np.float32)
+    >>> unwrapped = unwrap_phase(wrapped, ones, ones > 0)
+    >>> round(float(np.ptp(unwrapped)), 2)
+    31.5
+    """
+    if stripes not in ("horizontal", "vertical"):
+        raise ShapeError(f"stripes is {stripes!r}: choose horizontal or vertical")
+    if method != "directional":
+        raise ShapeError(f"method is {method!r}: choose directional")
+    wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
+    shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
+    quality = _checks.read_array("quality", quality, shape, np.float32)
+    mask = _checks.read_mask("mask", mask, shape)
+    out = _checks.out_array("out", out, shape, np.float32)
+    phase = runtime.empty(shape, np.float32)
+    mark_no_phase_kernel(wrapped_phase, mask, phase)
+    result = out
+    if stripes == "vertical":
+        phase, quality, shape = transpose(phase), transpose(quality), shape[::-1]
+        result = runtime.empty(shape, np.float32)
+    unwrapper = Unwrapper(*shape)
+    rates = rates_buffer(shape[0])
+    measure_rates_kernel(phase, quality, rates)
+    unwrapper.join(phase, quality, rates)
+    unwrapper.write(phase, result, runtime.empty(shape, np.uint8), runtime.empty(shape, np.int32))
+    if stripes == "vertical":
+        transpose(result, out)
+    return out
