@@ -49,6 +49,7 @@ class _Workspace:
         self.gains = Gains(height, width, period_px)
         self.rates = rates_buffer(height)
         self.raw_phase = runtime.empty((height, width), np.float32)
+        self.phase = runtime.empty((height, width), np.float32)
         self.histogram = np.zeros((SLOTS, _BINS), np.int32)
         self.unwrapper = Unwrapper(height, width)
 
@@ -187,11 +188,12 @@ class Decoder:
         if self.settings.equalize:
             table = correction_table(work.histogram.sum(axis=0), max(3, int(_HARMONICS_A_PIXEL * period)))
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
-        smooth_phase_kernel(self.settings.smoothing_px // 2)(work.raw_phase, table, work.rates, buffers["phase"])
-        work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
+        smooth_phase_kernel(self.settings.smoothing_px // 2)(work.raw_phase, table, work.rates, work.phase)
+        work.unwrapper.join(work.phase, buffers["modulation"], work.rates)
         if self.calibration is not None:
-            work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
-        work.unwrapper.write(buffers["phase"], buffers["unwrapped"], buffers["mask"], buffers["region"])
+            work.unwrapper.place(work.phase, self._rays, self._projector, self._depth_mm)
+        outputs = (buffers["wrapped"], buffers["unwrapped"], buffers["mask"], buffers["region"])
+        work.unwrapper.write(work.phase, work.rates, *outputs)
         if self.calibration is not None:
             triangulate_kernel(buffers["unwrapped"], self._rays, *self._projector.arguments(), buffers["points"])
 
@@ -245,7 +247,7 @@ class Decoder:
             out._forget()
             return out
         buffers = {
-            "phase": runtime.empty((height, width), np.float32),
+            "wrapped": runtime.empty((height, width), np.float32),
             "modulation": runtime.empty((height, width), np.float32),
             "unwrapped": runtime.empty((height, width), np.float32),
             "mask": runtime.empty((height, width), np.uint8),

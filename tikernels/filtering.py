@@ -13,7 +13,7 @@ from tikernels._taichi import F32Array1, F32Array2, U8Array2, ti
 from tikernels.equalization import equalized
 from tikernels.errors import ShapeError
 from tikernels.phase_vector import wrap
-from tikernels.wrapped_phase import NO_PHASE
+from tikernels.wrapped_phase import NO_PHASE, STEP_PHASE
 
 # A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends by less
 # than this between them: 0.6 rad is a step of some 4 mm on a rig with 0.14 rad a mm, twelve times the usual noise.
@@ -22,6 +22,8 @@ _MAX_CHANGE = 1.0
 # A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
 # 6 mm on that rig; noise of 0.2 rad a pixel passes.
 MAX_DEPARTURE = 0.8
+# A pixel at a step that departs by less than this from one side belongs to that side.
+_SAME_SURFACE = 0.3
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
 # Pixels of a row that one thread walks: enough threads for a GPU, long enough to slide a window.
@@ -36,10 +38,17 @@ def smooth_phase_kernel(pairs: int) -> Any:
     taps = ti.types.vector(window, ti.f32)
 
     @ti.func
-    def departs(here: ti.f32, there: ti.f32, rate: ti.f32) -> ti.i32:
-        """Whether two neighbours, both valid, lie on different surfaces."""
+    def departure(here: ti.f32, there: ti.f32, rate: ti.f32) -> ti.f32:
+        """How far a neighbour departs from the usual change; without bound where it is not valid."""
         valid = here < 0.5 * NO_PHASE and there < 0.5 * NO_PHASE
-        return ti.cast(valid and ti.abs(wrap(there - here - rate)) > MAX_DEPARTURE, ti.i32)
+        return ti.select(valid, ti.abs(wrap(there - here - rate)), 2.0 * NO_PHASE)
+
+    @ti.func
+    def between_surfaces(one: ti.f32, other: ti.f32) -> ti.i32:
+        """Whether a pixel that departs so far from its neighbours on either side belongs to neither's surface."""
+        low, high = ti.min(one, other), ti.max(one, other)
+        step = (high > MAX_DEPARTURE and high < NO_PHASE) or (low > MAX_DEPARTURE and low < NO_PHASE)
+        return ti.cast(step and low > _SAME_SURFACE, ti.i32)
 
     @ti.func
     def phase_at(phase: F32Array2, table: F32Array1, y: ti.i32, x: ti.i32) -> ti.f32:
@@ -55,7 +64,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
         phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
         table: F32Array1,  # (bins + 1,) rad to add before smoothing
         rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
-        out: F32Array2,  # (H, W) rad, [-pi, pi]; NO_PHASE outside the mask and at steps
+        out: F32Array2,  # (H, W) rad, [-pi, pi]; NO_PHASE outside the mask, STEP_PHASE between two surfaces
     ):
         height, width = phase.shape[0], phase.shape[1]
         last = rates.shape[0] - 1
@@ -75,12 +84,20 @@ def smooth_phase_kernel(pairs: int) -> Any:
                 result = NO_PHASE
                 # Up and down the phases before equalisation do as well: its correction is smaller than a step.
                 here = phase[y, x]
-                if centre < 0.5 * NO_PHASE and not (
-                    departs(values[reach - 1], centre, rate_along)
-                    or departs(centre, values[reach + 1], rate_along)
-                    or (above < y and departs(phase[above, x], here, rate_across))
-                    or (below > y and departs(here, phase[below, x], rate_across))
-                ):
+                if centre < 0.5 * NO_PHASE:
+                    left_departure = departure(values[reach - 1], centre, rate_along)
+                    right_departure = departure(centre, values[reach + 1], rate_along)
+                    upper_departure, lower_departure = 2.0 * NO_PHASE, 2.0 * NO_PHASE
+                    if above < y:
+                        upper_departure = departure(phase[above, x], here, rate_across)
+                    if below > y:
+                        lower_departure = departure(here, phase[below, x], rate_across)
+                    if between_surfaces(left_departure, right_departure) or between_surfaces(
+                        upper_departure, lower_departure
+                    ):
+                        centre = STEP_PHASE
+                    result = centre
+                if centre < 0.5 * NO_PHASE:
                     total, count = 0.0, 1.0
                     for k in ti.static(range(1, pairs + 1)):
                         # Pairs, so that a steady slope along the stripe leaves no bias.

@@ -27,12 +27,13 @@ from tikernels.wrapped_phase import NO_PHASE
 _CELL_WIDTH, _CELL_HEIGHT = 8, 16
 # An order inside a patch stays within the cell's pixels: +-24 cycles fit into six bits.
 _ORDERS, _ORDER_ZERO = 64, 32
-#: Regions of fewer pixels are noise, not surfaces.
-MIN_REGION_PX = 32
+#: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
+MIN_REGION_PX = 128
 # Below this many patches the CPU is done before a second thread has woken up.
 _SERIAL_PATCHES = 6000
 _GOLDEN = -1640531527  # 2^32 / golden ratio, odd: multiplying by it shuffles the 32-bit numbers one to one
 
+_NOTHING, _BETWEEN = -1, -2
 # Columns of the patch and contact tables.
 _PIXELS, _WEIGHT, _FIRST, _ROOT, _OFFSET, _PARENT, _STEP, _SUPPORT, _KEY, _CHOICE = range(10)
 _FROM, _TO, _SHIFT, _VOTES, _NAME = range(5)
@@ -103,10 +104,13 @@ class Unwrapper:
         arguments = (self.patch_count, phase, self.labels, rays, depth_mm, *projector.arguments())
         place_regions_kernel(*arguments, self.patches, self.regions)
 
-    def write(self, phase: Any, out_unwrapped: Any, out_mask: Any, out_region: Any) -> None:
-        """Write unwrapped phase (rad, NaN outside), mask and region (from 1, the largest) of every pixel.
+    def write(
+        self, phase: Any, rates: Any, out_wrapped: Any, out_unwrapped: Any, out_mask: Any, out_region: Any
+    ) -> None:
+        """Write wrapped and unwrapped phase (rad, NaN outside), mask, and region (from 1, the largest).
 
-        The wrapped phase becomes NaN where the mask ends.
+        The last pixel before a step is left out where the step has a pixel that belongs to neither side, or where only
+        the orders show it: at the rim of a round object it can pass for the other surface.
         """
         # Numbering a handful of regions by their size is the host's work; ties go to the start's place in the image.
         table = runtime.to_host(self.regions)[:, : self.patch_count]  # synchronises
@@ -114,8 +118,8 @@ class Unwrapper:
         order = np.lexsort((table[_REGION_START, roots], -table[_REGION_PIXELS, roots]))
         numbers = np.zeros(max(self.patch_count, 1), np.int32)
         numbers[roots[order]] = np.arange(1, len(roots) + 1)
-        arguments = (phase, self.labels, self.patches, self.regions, numbers)
-        write_unwrapped_kernel(*arguments, out_unwrapped, out_mask, out_region)
+        arguments = (phase, rates, self.labels, self.patches, self.regions, numbers)
+        write_unwrapped_kernel(*arguments, out_wrapped, out_unwrapped, out_mask, out_region)
 
 
 @ti.func
@@ -166,7 +170,7 @@ def grow_patches_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)
     rates: F32Array2,  # last row: rate along, rate across (rad a px), mean quality
-    out_labels: I32Array2,  # (H, W) patch and order inside it; -1 outside the mask
+    out_labels: I32Array2,  # (H, W) patch and order inside it; _NOTHING, or _BETWEEN two surfaces
     out_patches: I32Array2,  # (10, capacity)
     out_contacts: I32Array2,  # (5, capacity)
     out_counters: I32Array1,
@@ -187,7 +191,7 @@ def grow_patches_kernel(
                 start = x
                 before = phase[y, x]
                 if before > 0.5 * NO_PHASE:
-                    out_labels[y, x] = -1
+                    out_labels[y, x] = ti.select(before > 1.5 * NO_PHASE, _BETWEEN, _NOTHING)
                     x += 1
                 else:
                     # The run: its orders count from its first pixel.
@@ -456,29 +460,53 @@ def place_regions_kernel(
 
 @ti.kernel
 def write_unwrapped_kernel(
-    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask, becomes NaN there
+    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+    rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     labels: I32Array2,  # (H, W)
     patches: I32Array2,
     regions: I32Array2,
     numbers: I32Array1,  # number of the region of each root; 0: too small
+    out_wrapped: F32Array2,  # (H, W) rad; NaN outside the mask
     out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
     out_mask: U8Array2,  # (H, W) 1 inside
     out_region: I32Array2,  # (H, W) region's number from 1; 0 outside
 ):
     height, width = phase.shape[0], phase.shape[1]
+    last = rates.shape[0] - 1
     for pixel in range(height * width):
         y, x = pixel // width, pixel % width
         label = labels[y, x]
-        unwrapped, region = ti.math.nan, 0
+        wrapped, unwrapped, region = ti.math.nan, ti.math.nan, 0
         if label >= 0:
             patch = label // _ORDERS
-            root = patches[_ROOT, patch]
-            region = numbers[root]
+            region = numbers[patches[_ROOT, patch]]
             if region > 0:
-                order = label % _ORDERS - _ORDER_ZERO + patches[_OFFSET, patch] - regions[_REGION_ORDER, root]
-                unwrapped = phase[y, x] + 2.0 * PI * ti.cast(order, ti.f32)
-        if region == 0:
-            phase[y, x] = ti.math.nan
+                here = phase[y, x]
+                order = label % _ORDERS - _ORDER_ZERO + patches[_OFFSET, patch]
+                for side in ti.static(range(4)):
+                    dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+                    y2, x2 = y + dy, x + dx
+                    if y2 >= 0 and y2 < height and x2 >= 0 and x2 < width:
+                        label2 = labels[y2, x2]
+                        # Inside a patch there is no step.
+                        if label2 == _BETWEEN:
+                            region = 0
+                        elif label2 >= 0 and label2 // _ORDERS != patch:
+                            patch2 = label2 // _ORDERS
+                            root2 = patches[_ROOT, patch2]
+                            if numbers[root2] == 0:
+                                region = 0
+                            elif root2 == patches[_ROOT, patch]:
+                                order2 = label2 % _ORDERS - _ORDER_ZERO + patches[_OFFSET, patch2]
+                                change = phase[y2, x2] - here + 2.0 * PI * ti.cast(order2 - order, ti.f32)
+                                usual = dx * rates[last, 0] + dy * rates[last, 1]
+                                if ti.abs(change - usual) > 2.0 * MAX_DEPARTURE:
+                                    region = 0
+                if region > 0:
+                    wrapped = here
+                    order -= regions[_REGION_ORDER, patches[_ROOT, patch]]
+                    unwrapped = here + 2.0 * PI * ti.cast(order, ti.f32)
+        out_wrapped[y, x] = wrapped
         out_unwrapped[y, x] = unwrapped
         out_mask[y, x] = ti.cast(region > 0, ti.u8)
         out_region[y, x] = region
@@ -513,7 +541,7 @@ def unwrap_phase(
     Returns
     -------
     (H, W) float32
-        Wrapped phase plus whole cycles, rad; NaN outside the mask and in specks of fewer than 32 pixels. Each
+        Wrapped phase plus whole cycles, rad; NaN outside the mask and in specks of fewer than 128 pixels. Each
         connected region has order 0 at its start, the reliable pixel nearest the image's centre.
 
     Raises
@@ -551,7 +579,8 @@ def unwrap_phase(
     rates = rates_buffer(shape[0])
     measure_rates_kernel(phase, quality, rates)
     unwrapper.join(phase, quality, rates)
-    unwrapper.write(phase, result, runtime.empty(shape, np.uint8), runtime.empty(shape, np.int32))
+    wrapped, region = runtime.empty(shape, np.float32), runtime.empty(shape, np.int32)
+    unwrapper.write(phase, rates, wrapped, result, runtime.empty(shape, np.uint8), region)
     if stripes == "vertical":
         transpose(result, out)
     return out

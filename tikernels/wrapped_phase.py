@@ -19,6 +19,8 @@ vec3 = ti.types.vector(3, ti.f32)
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
 NO_PHASE = 100.0
+#: The same, for a pixel that saw two surfaces at once.
+STEP_PHASE = 2.0 * NO_PHASE
 
 # Gain cells that one thread walks along a row: enough threads for a GPU, and more than the 512 iterations below which
 # the CPU runtime uses a single core.
