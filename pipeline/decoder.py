@@ -22,7 +22,7 @@ from tikernels.statistics import count_out_of_range, measure_frame
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
 from tikernels.unwrapping import Unwrapper
-from tikernels.wrapped_phase import recover_phase_kernel
+from tikernels.wrapped_phase import mat23, phase_weights, recover_phase_kernel
 
 # Smaller pictures hold no surface.
 _MIN_SIZE_PX = 16
@@ -49,7 +49,8 @@ class _Workspace:
         self.gains = Gains(height, width, period_px)
         self.rates = rates_buffer(height)
         self.raw_phase = runtime.empty((height, width), np.float32)
-        self.phase = runtime.empty((height, width), np.float32)
+        # Some 60,000 samples pin the equalisation down to a milliradian: more only cost time.
+        self.histogram_mask = 2 ** max(1, round(np.log2(height * width / 2**16))) - 1
         self.histogram = np.zeros((SLOTS, _BINS), np.int32)
         self.unwrapper = Unwrapper(height, width)
 
@@ -102,6 +103,7 @@ class Decoder:
         # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
         self._inverse = invert_crosstalk(np.eye(3) if matrix is None else matrix, normalize_rows=self._balance_first)
         self._matrix = np.linalg.inv(self._inverse)
+        self._weights = phase_weights(self._inverse if self._balance_first else np.eye(3))
         self._workspace: _Workspace | None = None
         self.arch = runtime.init(arch)
 
@@ -149,8 +151,7 @@ class Decoder:
             return frame
         intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
         # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
-        vector = np.array([[-1, 2, -1], [np.sqrt(3), 0, -np.sqrt(3)]]) / 3 @ self._inverse
-        spread = float(np.sqrt((vector**2).sum() / 2))
+        spread = float(np.sqrt((phase_weights(self._inverse) ** 2).sum() / 2))
         modulation = self._threshold(self.settings.min_modulation, scale, _MODULATION_SIGMAS * spread * noise)
         if self.settings.min_intensity is None:
             intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
@@ -174,26 +175,28 @@ class Decoder:
         work.histogram.fill(0)
         recover_phase_kernel(self._balance_first)(
             image,
-            scale,
+            1.0 / scale,
             mat3(self._inverse.tolist()),
+            mat23(self._weights.tolist()),
             gains,
             work.gains.cell,
-            intensity,
-            modulation,
+            intensity / scale,
+            modulation / scale,
             work.raw_phase,
             buffers["modulation"],
+            work.histogram_mask,
             work.histogram,
         )
         table = np.zeros(2, np.float32)
         if self.settings.equalize:
             table = correction_table(work.histogram.sum(axis=0), max(3, int(_HARMONICS_A_PIXEL * period)))
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
-        smooth_phase_kernel(self.settings.smoothing_px // 2)(work.raw_phase, table, work.rates, work.phase)
-        work.unwrapper.join(work.phase, buffers["modulation"], work.rates)
+        smooth_phase_kernel(self.settings.smoothing_px // 2)(work.raw_phase, table, work.rates, buffers["phase"])
+        work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
         if self.calibration is not None:
-            work.unwrapper.place(work.phase, self._rays, self._projector, self._depth_mm)
-        outputs = (buffers["wrapped"], buffers["unwrapped"], buffers["mask"], buffers["region"])
-        work.unwrapper.write(work.phase, work.rates, *outputs)
+            work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
+        outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
+        work.unwrapper.write(buffers["phase"], work.rates, *outputs)
         if self.calibration is not None:
             triangulate_kernel(buffers["unwrapped"], self._rays, *self._projector.arguments(), buffers["points"])
 
@@ -247,7 +250,7 @@ class Decoder:
             out._forget()
             return out
         buffers = {
-            "wrapped": runtime.empty((height, width), np.float32),
+            "phase": runtime.empty((height, width), np.float32),
             "modulation": runtime.empty((height, width), np.float32),
             "unwrapped": runtime.empty((height, width), np.float32),
             "mask": runtime.empty((height, width), np.uint8),

@@ -17,10 +17,7 @@ from tikernels import _checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, ti
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.errors import ShapeError
-from tikernels.phase_vector import phase_vector
-
-mat3 = ti.types.matrix(3, 3, ti.f32)
-vec3 = ti.types.vector(3, ti.f32)
+from tikernels.phase_vector import mat3, phase_vector, vec3
 
 # Window across and along the stripes, as a standard deviation in cycles: at 0.85 cycles a Gaussian passes 1e-6 of the
 # fringe; wider ones blur the reflectance without gaining anything.
@@ -105,8 +102,8 @@ def gain_at(gains: F32Array3, cell: ti.i32, y: ti.i32, x: ti.i32) -> vec3:
     return result
 
 
-# Phase-aware sums look at one pixel in four along the stripes, where neighbours say the same; so do the first sums at
-# every second. The visibility is averaged over every eighth pixel both ways.
+# Along the stripes neighbours say the same: the first sums look at every second pixel, the phase-aware ones at one in each
+# row of a block. The visibility is averaged over every eighth pixel both ways.
 _SPARSE = 8
 
 
@@ -200,8 +197,8 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
             # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
             gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), ti.min(j * columns + rows, width - 1))
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
-                x = j * columns + y % 2
-                while x < ti.min((j + 1) * columns, width):
+                x = j * columns + (y & 1) * rows
+                if x < width:
                     light = light_at(image, scale, y, x)
                     vector, background = phase_vector(balanced(light, gain, inverse))
                     modulation = vector.norm()
@@ -214,7 +211,6 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
                             model = matrix @ model
                         seen += unbalanced(light, inverse)
                         predicted += model
-                    x += 4
             for k in ti.static(range(3)):
                 out_sums[i, j, k] = seen[k]
                 out_sums[i, j, 3 + k] = predicted[k]

@@ -12,9 +12,8 @@ import numpy.typing as npt
 from tikernels import _checks
 from tikernels._taichi import F32Array3, ti
 from tikernels.errors import ShapeError
+from tikernels.phase_vector import mat3, vec3
 
-mat3 = ti.types.matrix(3, 3, ti.f32)
-vec3 = ti.types.vector(3, ti.f32)
 
 
 @ti.kernel

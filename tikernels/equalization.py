@@ -57,7 +57,7 @@ def equalized(phase: ti.f32, table: F32Array1) -> ti.f32:
     """Add the interpolated correction to a phase in [-pi, pi]."""
     bins = table.shape[0] - 1
     place = (phase + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
-    low = ti.min(ti.max(ti.cast(place, ti.i32), 0), bins - 1)
+    low = ti.min(ti.cast(place, ti.i32), bins - 1)
     fraction = place - low
     return wrap(phase + table[low] + fraction * (table[low + 1] - table[low]))
 

@@ -12,7 +12,7 @@ from tikernels import _checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, U8Array2, ti
 from tikernels.equalization import equalized
 from tikernels.errors import ShapeError
-from tikernels.phase_vector import wrap
+from tikernels.phase_vector import PI, wrap
 from tikernels.wrapped_phase import NO_PHASE, STEP_PHASE
 
 # A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends by less
@@ -22,12 +22,14 @@ _MAX_CHANGE = 1.0
 # A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
 # 6 mm on that rig; noise of 0.2 rad a pixel passes.
 MAX_DEPARTURE = 0.8
+# Departures beyond this mean that there is no neighbour: no two phases differ by so much.
+NO_NEIGHBOUR = 0.5 * NO_PHASE
 # A pixel at a step that departs by less than this from one side belongs to that side.
 _SAME_SURFACE = 0.3
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
 # Pixels of a row that one thread walks: enough threads for a GPU, long enough to slide a window.
-_STRETCH = 64
+STRETCH = 64
 
 
 @cache
@@ -38,17 +40,17 @@ def smooth_phase_kernel(pairs: int) -> Any:
     taps = ti.types.vector(window, ti.f32)
 
     @ti.func
-    def departure(here: ti.f32, there: ti.f32, rate: ti.f32) -> ti.f32:
-        """How far a neighbour departs from the usual change; without bound where it is not valid."""
-        valid = here < 0.5 * NO_PHASE and there < 0.5 * NO_PHASE
-        return ti.select(valid, ti.abs(wrap(there - here - rate)), 2.0 * NO_PHASE)
-
-    @ti.func
     def between_surfaces(one: ti.f32, other: ti.f32) -> ti.i32:
         """Whether a pixel that departs so far from its neighbours on either side belongs to neither's surface."""
         low, high = ti.min(one, other), ti.max(one, other)
-        step = (high > MAX_DEPARTURE and high < NO_PHASE) or (low > MAX_DEPARTURE and low < NO_PHASE)
-        return ti.cast(step and low > _SAME_SURFACE, ti.i32)
+        farthest = ti.select(high < NO_NEIGHBOUR, high, low)
+        return ti.cast(farthest > MAX_DEPARTURE and farthest < NO_NEIGHBOUR and low > _SAME_SURFACE, ti.i32)
+
+    @ti.func
+    def departure(change: ti.f32) -> ti.f32:
+        """How far a difference of two phases, less its usual value, is from whole cycles."""
+        size = ti.abs(change)
+        return ti.min(size, ti.abs(size - 2.0 * PI))
 
     @ti.func
     def phase_at(phase: F32Array2, table: F32Array1, y: ti.i32, x: ti.i32) -> ti.f32:
@@ -68,44 +70,43 @@ def smooth_phase_kernel(pairs: int) -> Any:
     ):
         height, width = phase.shape[0], phase.shape[1]
         last = rates.shape[0] - 1
-        stretches = (width + _STRETCH - 1) // _STRETCH
+        stretches = (width + STRETCH - 1) // STRETCH
         for t in range(height * stretches):
-            y, start = t // stretches, (t % stretches) * _STRETCH
+            y, start = t // stretches, (t % stretches) * STRETCH
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, 0], rates[last, 1]
             values = taps(0.0)
             for k in ti.static(range(1, window)):
                 values[k] = phase_at(phase, table, y, start - reach - 1 + k)
-            for x in range(start, ti.min(start + _STRETCH, width)):
+            for x in range(start, ti.min(start + STRETCH, width)):
                 for k in ti.static(range(window - 1)):
                     values[k] = values[k + 1]
                 values[window - 1] = phase_at(phase, table, y, x + reach)
                 centre = values[reach]
                 result = NO_PHASE
-                # Up and down the phases before equalisation do as well: its correction is smaller than a step.
-                here = phase[y, x]
                 if centre < 0.5 * NO_PHASE:
-                    left_departure = departure(values[reach - 1], centre, rate_along)
-                    right_departure = departure(centre, values[reach + 1], rate_along)
-                    upper_departure, lower_departure = 2.0 * NO_PHASE, 2.0 * NO_PHASE
-                    if above < y:
-                        upper_departure = departure(phase[above, x], here, rate_across)
-                    if below > y:
-                        lower_departure = departure(here, phase[below, x], rate_across)
-                    if between_surfaces(left_departure, right_departure) or between_surfaces(
-                        upper_departure, lower_departure
-                    ):
-                        centre = STEP_PHASE
-                    result = centre
-                if centre < 0.5 * NO_PHASE:
-                    total, count = 0.0, 1.0
-                    for k in ti.static(range(1, pairs + 1)):
-                        # Pairs, so that a steady slope along the stripe leaves no bias.
-                        left, right = wrap(values[reach - k] - centre), wrap(values[reach + k] - centre)
-                        if ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE and ti.abs(left + right) < _MAX_BEND:
-                            total += left + right
-                            count += 2.0
-                    result = wrap(centre + total / count)
+                    # Without a neighbour the differences stay far beyond any phase.
+                    left, right = wrap(values[reach - 1] - centre), wrap(values[reach + 1] - centre)
+                    to_left, to_right = ti.abs(left + rate_along), ti.abs(right - rate_along)
+                    # Up and down the phases before equalisation do as well: its correction is smaller than a step.
+                    here = phase[y, x]
+                    to_upper = departure(here - phase[above, x] - rate_across)
+                    to_lower = departure(phase[below, x] - here - rate_across)
+                    step = 0
+                    if ti.max(ti.max(to_left, to_right), ti.max(to_upper, to_lower)) > MAX_DEPARTURE:
+                        step = between_surfaces(to_left, to_right) + between_surfaces(to_upper, to_lower)
+                    if step > 0:
+                        result = STEP_PHASE
+                    else:
+                        total, count = 0.0, 1.0
+                        for k in ti.static(range(1, pairs + 1)):
+                            # Pairs, so that a steady slope along the stripe leaves no bias.
+                            if ti.static(k > 1):
+                                left, right = wrap(values[reach - k] - centre), wrap(values[reach + k] - centre)
+                            if ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE and ti.abs(left + right) < _MAX_BEND:
+                                total += left + right
+                                count += 2.0
+                        result = wrap(centre + total / count)
                 out[y, x] = result
 
     return smooth_phase

@@ -14,12 +14,10 @@ import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, U8Array2, ti
+from tikernels.phase_vector import mat3, vec3
 
 SCENES = ("bust", "plane", "waves", "objects", "ball")
 
-vec2 = ti.types.vector(2, ti.f32)
-vec3 = ti.types.vector(3, ti.f32)
-mat3 = ti.types.matrix(3, 3, ti.f32)
 
 # Every scene lies between these depths: rays start at the first, end at the second, and cast no shadow before it.
 _NEAR_MM = 700.0

@@ -10,9 +10,8 @@ from tikernels import _checks, runtime
 from tikernels._taichi import AnyArray3, F32Array3, I32Array1, ti
 from tikernels.balance import MIN_PERIOD_PX
 from tikernels.linearization import WHITE_LEVELS
-from tikernels.phase_vector import phase_vector
+from tikernels.phase_vector import phase_vector, vec3
 
-vec3 = ti.types.vector(3, ti.f32)
 
 # Columns that are looked at: enough to meet every object that fills a twentieth of the picture.
 _COLUMNS = 24

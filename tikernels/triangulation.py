@@ -12,11 +12,8 @@ import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import F32Array2, F32Array3, ti
-from tikernels.phase_vector import PI
+from tikernels.phase_vector import PI, mat3, vec3
 
-mat3 = ti.types.matrix(3, 3, ti.f32)
-vec2 = ti.types.vector(2, ti.f32)
-vec3 = ti.types.vector(3, ti.f32)
 vec5 = ti.types.vector(5, ti.f32)
 
 

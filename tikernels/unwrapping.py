@@ -18,15 +18,16 @@ from tikernels import _checks, runtime
 from tikernels._taichi import F32Array2, F32Array3, I32Array1, I32Array2, U8Array2, ti
 from tikernels.errors import ShapeError
 from tikernels.transposing import transpose
-from tikernels.filtering import MAX_DEPARTURE, mark_no_phase_kernel, measure_rates_kernel, rates_buffer
-from tikernels.phase_vector import PI, wrap
-from tikernels.triangulation import ProjectorGeometry, mat3, projected, vec3, vec5
+from tikernels.filtering import MAX_DEPARTURE, STRETCH, mark_no_phase_kernel, measure_rates_kernel, rates_buffer
+from tikernels.phase_vector import PI, mat3, vec3
+from tikernels.triangulation import ProjectorGeometry, projected, vec5
 from tikernels.wrapped_phase import NO_PHASE
 
 # Short along the stripe: where a hidden step of whole cycles slips into a run, at most half a cell is wrong.
 _CELL_WIDTH, _CELL_HEIGHT = 8, 16
-# An order inside a patch stays within the cell's pixels: +-24 cycles fit into six bits.
-_ORDERS, _ORDER_ZERO = 64, 32
+# A label holds a patch and, in its lowest six bits, an order inside it, which stays within the cell's +-24 pixels.
+# Shifts, because Taichi's integer division rounds down and branches to do so.
+_ORDER_BITS, _ORDER_MASK, _ORDER_ZERO = 6, 63, 32
 #: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
 MIN_REGION_PX = 128
 # Below this many patches the CPU is done before a second thread has woken up.
@@ -57,6 +58,7 @@ class Unwrapper:
         self.patches = runtime.empty((10, patches), np.int32)
         self.contacts = runtime.empty((5, contacts), np.int32)
         self.regions = runtime.empty((4, patches), np.int32)
+        self.final = runtime.empty((2, patches), np.int32)
 
     def join(self, phase: Any, quality: Any, rates: Any) -> None:
         """Sort the pixels into patches and the patches into regions.
@@ -104,10 +106,8 @@ class Unwrapper:
         arguments = (self.patch_count, phase, self.labels, rays, depth_mm, *projector.arguments())
         place_regions_kernel(*arguments, self.patches, self.regions)
 
-    def write(
-        self, phase: Any, rates: Any, out_wrapped: Any, out_unwrapped: Any, out_mask: Any, out_region: Any
-    ) -> None:
-        """Write wrapped and unwrapped phase (rad, NaN outside), mask, and region (from 1, the largest).
+    def write(self, phase: Any, rates: Any, out_unwrapped: Any, out_mask: Any, out_region: Any) -> None:
+        """Write the unwrapped phase (rad, NaN outside), the mask, and the region (from 1, the largest).
 
         The last pixel before a step is left out where the step has a pixel that belongs to neither side, or where only
         the orders show it: at the rim of a round object it can pass for the other surface.
@@ -118,14 +118,22 @@ class Unwrapper:
         order = np.lexsort((table[_REGION_START, roots], -table[_REGION_PIXELS, roots]))
         numbers = np.zeros(max(self.patch_count, 1), np.int32)
         numbers[roots[order]] = np.arange(1, len(roots) + 1)
-        arguments = (phase, rates, self.labels, self.patches, self.regions, numbers)
-        write_unwrapped_kernel(*arguments, out_wrapped, out_unwrapped, out_mask, out_region)
+        finish_patches_kernel(self.patch_count, self.patches, self.regions, numbers, self.final)
+        outputs = (out_unwrapped, out_mask, out_region)
+        write_unwrapped_kernel(phase, rates, self.labels, self.final, *outputs)
 
 
 @ti.func
-def whole_cycles(change: ti.f32, difference: ti.f32) -> ti.i32:
-    """Cycles between the change that is taken to be true and the difference of two wrapped phases."""
-    return ti.cast(ti.round((change - difference) / (2.0 * PI)), ti.i32)
+def cycles_between(difference: ti.f32, rate: ti.f32) -> ti.i32:
+    """Whole cycles to add to a difference of two wrapped phases to bring it nearest to the usual change."""
+    excess = difference - rate
+    return ti.cast(excess < -PI, ti.i32) - ti.cast(excess > PI, ti.i32)
+
+
+@ti.func
+def departure(difference: ti.f32, rate: ti.f32, cycles: ti.i32) -> ti.f32:
+    """How far a difference with its cycles is from the usual change."""
+    return ti.abs(difference - rate + 2.0 * PI * ti.cast(cycles, ti.f32))
 
 
 @ti.func
@@ -158,10 +166,10 @@ def vote_above(phase: F32Array2, labels: I32Array2, y: ti.i32, x: ti.i32, rate: 
     above = labels[y - 1, x]
     if above >= 0:
         difference = phase[y, x] - phase[y - 1, x]
-        departure = wrap(difference - rate)
-        if ti.abs(departure) <= MAX_DEPARTURE:
-            order = above % _ORDERS - _ORDER_ZERO + whole_cycles(rate + departure, difference)
-            vote = ti.Vector([above // _ORDERS, order - labels[y, x]])
+        cycles = cycles_between(difference, rate)
+        if departure(difference, rate, cycles) <= MAX_DEPARTURE:
+            order = (above & _ORDER_MASK) - _ORDER_ZERO + cycles
+            vote = ti.Vector([above >> _ORDER_BITS, order - labels[y, x]])
     return vote
 
 
@@ -197,19 +205,17 @@ def grow_patches_kernel(
                     # The run: its orders count from its first pixel.
                     order = 0
                     out_labels[y, x] = 0
-                    weight = vote_weight(quality[y, x], mean_quality)
                     x += 1
                     going = 1
                     while going == 1 and x < right:
                         here = phase[y, x]
-                        difference = here - before
-                        departure = wrap(difference - rate_along)
-                        if here > 0.5 * NO_PHASE or ti.abs(departure) > MAX_DEPARTURE:
+                        cycles = cycles_between(here - before, rate_along)
+                        # What is no phase departs by far more.
+                        if departure(here - before, rate_along, cycles) > MAX_DEPARTURE:
                             going = 0
                         else:
-                            order += whole_cycles(rate_along + departure, difference)
+                            order += cycles
                             out_labels[y, x] = order
-                            weight += vote_weight(quality[y, x], mean_quality)
                             before = here
                             x += 1
                     # Its contact with the runs above: each pixel votes for a patch and a shift.
@@ -240,6 +246,7 @@ def grow_patches_kernel(
                             out_patches[_PIXELS, patch] = 0
                             out_patches[_WEIGHT, patch] = 0
                             out_patches[_FIRST, patch] = y * width + start
+                    weight = (x - start) * vote_weight(quality[y, (start + x) >> 1], mean_quality)
                     if patch < out_patches.shape[1]:
                         out_patches[_PIXELS, patch] = out_patches[_PIXELS, patch] + (x - start)
                         out_patches[_WEIGHT, patch] = out_patches[_WEIGHT, patch] + weight
@@ -260,7 +267,7 @@ def grow_patches_kernel(
                                     out_contacts, out_counters, choice.x, patch, choice.y - shift, tally, name
                                 )
                     for column in range(start, x):
-                        out_labels[y, column] = patch * _ORDERS + out_labels[y, column] + shift + _ORDER_ZERO
+                        out_labels[y, column] = (patch << _ORDER_BITS) + out_labels[y, column] + shift + _ORDER_ZERO
     # The cells' borders, right and bottom.
     for cell in range(cells):
         rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
@@ -284,12 +291,10 @@ def grow_patches_kernel(
                     label, label2 = out_labels[y, x], out_labels[y2, x2]
                     if label >= 0 and label2 >= 0:
                         difference = phase[y2, x2] - phase[y, x]
-                        departure = wrap(difference - rate)
-                        if ti.abs(departure) <= MAX_DEPARTURE:
-                            next_a, next_b = label // _ORDERS, label2 // _ORDERS
-                            next_shift = (
-                                label % _ORDERS - label2 % _ORDERS + whole_cycles(rate + departure, difference)
-                            )
+                        cycles = cycles_between(difference, rate)
+                        if departure(difference, rate, cycles) <= MAX_DEPARTURE:
+                            next_a, next_b = label >> _ORDER_BITS, label2 >> _ORDER_BITS
+                            next_shift = (label & _ORDER_MASK) - (label2 & _ORDER_MASK) + cycles
                             vote = vote_weight(ti.min(quality[y, x], quality[y2, x2]), mean_quality)
                             pixel = 3 * (y * width + x) + 1 + side
                 if next_a == a and next_b == b and next_shift == shift:
@@ -416,7 +421,7 @@ def choose_starts_kernel(
     for i in range(count):
         first = patches[_FIRST, i]
         if first == out_regions[_REGION_START, patches[_ROOT, i]]:
-            order = labels[first // width, first % width] % _ORDERS - _ORDER_ZERO
+            order = (labels[first // width, first % width] & _ORDER_MASK) - _ORDER_ZERO
             out_regions[_REGION_ORDER, patches[_ROOT, i]] = patches[_OFFSET, i] + order
 
 
@@ -448,7 +453,7 @@ def place_regions_kernel(
         y, x = first // width, first % width
         q = rotation @ (depth * vec3(rays[y, x, 0], rays[y, x, 1], 1.0)) + translation
         expected = projected(q, focal, center, lens, axis) / period
-        order = labels[y, x] % _ORDERS - _ORDER_ZERO + patches[_OFFSET, i]
+        order = (labels[y, x] & _ORDER_MASK) - _ORDER_ZERO + patches[_OFFSET, i]
         lacking = expected - phase[y, x] / (2.0 * PI) - ti.cast(order, ti.f32)
         ti.atomic_add(patches[_SUPPORT, patches[_ROOT, i]], ti.cast(ti.round(64.0 * lacking), ti.i32))
         ti.atomic_add(patches[_KEY, patches[_ROOT, i]], 1)
@@ -459,57 +464,67 @@ def place_regions_kernel(
 
 
 @ti.kernel
+def finish_patches_kernel(
+    count: ti.i32,
+    patches: I32Array2,
+    regions: I32Array2,
+    numbers: I32Array1,  # number of the region of each root; 0: too small
+    out_final: I32Array2,  # (2, capacity) number of a patch's region, and what its orders lack
+):
+    for i in range(count):
+        root = patches[_ROOT, i]
+        out_final[0, i] = numbers[root]
+        out_final[1, i] = patches[_OFFSET, i] - regions[_REGION_ORDER, root]
+
+
+@ti.kernel
 def write_unwrapped_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     labels: I32Array2,  # (H, W)
-    patches: I32Array2,
-    regions: I32Array2,
-    numbers: I32Array1,  # number of the region of each root; 0: too small
-    out_wrapped: F32Array2,  # (H, W) rad; NaN outside the mask
+    final: I32Array2,  # (2, capacity) number of a patch's region, and what its orders lack
     out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
     out_mask: U8Array2,  # (H, W) 1 inside
     out_region: I32Array2,  # (H, W) region's number from 1; 0 outside
 ):
     height, width = phase.shape[0], phase.shape[1]
+    stretches = (width + STRETCH - 1) // STRETCH
     last = rates.shape[0] - 1
-    for pixel in range(height * width):
-        y, x = pixel // width, pixel % width
-        label = labels[y, x]
-        wrapped, unwrapped, region = ti.math.nan, ti.math.nan, 0
-        if label >= 0:
-            patch = label // _ORDERS
-            region = numbers[patches[_ROOT, patch]]
-            if region > 0:
-                here = phase[y, x]
-                order = label % _ORDERS - _ORDER_ZERO + patches[_OFFSET, patch]
-                for side in ti.static(range(4)):
-                    dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
-                    y2, x2 = y + dy, x + dx
-                    if y2 >= 0 and y2 < height and x2 >= 0 and x2 < width:
+    for t in range(height * stretches):
+        y, start = t // stretches, (t % stretches) * STRETCH
+        for x in range(start, ti.min(start + STRETCH, width)):
+            label = labels[y, x]
+            unwrapped, region = ti.math.nan, 0
+            if label >= 0:
+                patch = label >> _ORDER_BITS
+                region = final[0, patch]
+                if region > 0:
+                    here = phase[y, x]
+                    order = (label & _ORDER_MASK) - _ORDER_ZERO + final[1, patch]
+                    for side in ti.static(range(4)):
+                        dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+                        y2 = ti.min(ti.max(y + dy, 0), height - 1)
+                        x2 = ti.min(ti.max(x + dx, 0), width - 1)
                         label2 = labels[y2, x2]
                         # Inside a patch there is no step.
-                        if label2 == _BETWEEN:
-                            region = 0
-                        elif label2 >= 0 and label2 // _ORDERS != patch:
-                            patch2 = label2 // _ORDERS
-                            root2 = patches[_ROOT, patch2]
-                            if numbers[root2] == 0:
+                        if label2 >> _ORDER_BITS != patch:
+                            if label2 == _BETWEEN:
                                 region = 0
-                            elif root2 == patches[_ROOT, patch]:
-                                order2 = label2 % _ORDERS - _ORDER_ZERO + patches[_OFFSET, patch2]
-                                change = phase[y2, x2] - here + 2.0 * PI * ti.cast(order2 - order, ti.f32)
-                                usual = dx * rates[last, 0] + dy * rates[last, 1]
-                                if ti.abs(change - usual) > 2.0 * MAX_DEPARTURE:
+                            elif label2 >= 0:
+                                patch2 = label2 >> _ORDER_BITS
+                                if final[0, patch2] == 0:
                                     region = 0
-                if region > 0:
-                    wrapped = here
-                    order -= regions[_REGION_ORDER, patches[_ROOT, patch]]
-                    unwrapped = here + 2.0 * PI * ti.cast(order, ti.f32)
-        out_wrapped[y, x] = wrapped
-        out_unwrapped[y, x] = unwrapped
-        out_mask[y, x] = ti.cast(region > 0, ti.u8)
-        out_region[y, x] = region
+                                elif final[0, patch2] == final[0, patch]:
+                                    order2 = (label2 & _ORDER_MASK) - _ORDER_ZERO + final[1, patch2]
+                                    change = phase[y2, x2] - here + 2.0 * PI * ti.cast(order2 - order, ti.f32)
+                                    usual = dx * rates[last, 0] + dy * rates[last, 1]
+                                    if ti.abs(change - usual) > 2.0 * MAX_DEPARTURE:
+                                        region = 0
+                    if region > 0:
+                        unwrapped = here + 2.0 * PI * ti.cast(order, ti.f32)
+            out_unwrapped[y, x] = unwrapped
+            out_mask[y, x] = ti.cast(region > 0, ti.u8)
+            out_region[y, x] = region
 
 
 def unwrap_phase(
@@ -579,8 +594,7 @@ def unwrap_phase(
     rates = rates_buffer(shape[0])
     measure_rates_kernel(phase, quality, rates)
     unwrapper.join(phase, quality, rates)
-    wrapped, region = runtime.empty(shape, np.float32), runtime.empty(shape, np.int32)
-    unwrapper.write(phase, rates, wrapped, result, runtime.empty(shape, np.uint8), region)
+    unwrapper.write(phase, rates, result, runtime.empty(shape, np.uint8), runtime.empty(shape, np.int32))
     if stripes == "vertical":
         transpose(result, out)
     return out

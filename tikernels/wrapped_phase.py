@@ -8,13 +8,13 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, ti
-from tikernels.phase_vector import PI, arctangent, phase_vector
+from tikernels.phase_vector import PI, arctangent, mat3, phase_vector, vec3
 
-mat3 = ti.types.matrix(3, 3, ti.f32)
-vec3 = ti.types.vector(3, ti.f32)
+mat23 = ti.types.matrix(2, 3, ti.f32)
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
@@ -27,6 +27,12 @@ STEP_PHASE = 2.0 * NO_PHASE
 _CELLS_A_THREAD = 8
 # A pixel with two channels at full scale has lost its phase; one alone bends it by 0.03 rad at the most.
 _CLIPPED = 0.998
+
+
+def phase_weights(inverse: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the (2, 3) weights that take balanced camera channels to b (cos phi, sin phi)."""
+    weights: npt.NDArray[np.float64] = np.array([[-1, 2, -1], [np.sqrt(3), 0, -np.sqrt(3)]]) / 3 @ inverse
+    return weights
 
 
 @cache
@@ -44,15 +50,17 @@ def recover_phase_kernel(balance_first: bool) -> Any:
     @ti.kernel
     def recover_phase(
         image: AnyArray3,  # (H, W, 3) levels
-        scale: ti.f32,  # levels to linear light, 0..1
-        inverse: mat3,
+        white: ti.f32,  # level of full scale
+        inverse: mat3,  # undoes the crosstalk
+        weights: mat23,  # of the channels that the gains belong to, in b (cos phi, sin phi)
         gains: F32Array3,  # (Hg, Wg, 3)
         cell: ti.i32,  # px between two nodes of the gains
-        min_intensity: ti.f32,  # linear light
-        min_modulation: ti.f32,  # linear light
+        min_intensity: ti.f32,  # levels
+        min_modulation: ti.f32,  # levels
         out_phase: F32Array2,  # (H, W) rad, [-pi, pi]; NO_PHASE outside the mask
         out_modulation: F32Array2,  # (H, W) levels
-        out_histogram: I32Array2,  # (slots, bins) phases of every second pixel; to be added to
+        histogram_mask: ti.i32,  # columns of which these bits are zero are counted
+        out_histogram: I32Array2,  # (slots, bins) their phases; to be added to
     ):
         height, width = image.shape[0], image.shape[1]
         half = cell // 2
@@ -76,29 +84,25 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                 start = j * cell + half
                 for x in range(ti.max(start, 0), ti.min(start + cell, width)):
                     gain = left + slope * (ti.cast(x - start, ti.f32) + 0.5)
-                    seen = scale * vec3(
+                    seen = vec3(
                         ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
                     )
-                    light = vec3(0.0)
-                    if ti.static(balance_first):
-                        light = inverse @ (seen * gain)
-                    else:
-                        light = (inverse @ seen) * gain
-                    vector, background = phase_vector(light)
+                    channels = seen
+                    if ti.static(not balance_first):
+                        channels = inverse @ seen
+                    vector = weights @ (channels * gain)
                     modulation = ti.sqrt(vector.x * vector.x + vector.y * vector.y)
-                    clipped = (
-                        ti.cast(seen.x >= _CLIPPED, ti.i32)
-                        + ti.cast(seen.y >= _CLIPPED, ti.i32)
-                        + ti.cast(seen.z >= _CLIPPED, ti.i32)
-                    )
                     phase = NO_PHASE
-                    if modulation > min_modulation and background > min_intensity and clipped < 2:
+                    # The second brightest channel at full scale: two are.
+                    low, high = ti.min(seen.x, seen.y), ti.max(seen.x, seen.y)
+                    second = ti.max(low, ti.min(high, seen.z))
+                    if modulation > min_modulation and seen.sum() > 3.0 * min_intensity and second < _CLIPPED * white:
                         phase = arctangent(vector.y, vector.x)
-                        if x % 2 == 0:
+                        if x & histogram_mask == 0:
                             place = ti.cast((phase + PI) * bin_scale, ti.i32)
                             out_histogram[slot, ti.min(place, bins - 1)] += 1
                     out_phase[y, x] = phase
-                    out_modulation[y, x] = modulation / scale
+                    out_modulation[y, x] = modulation
 
     return recover_phase
 
@@ -144,7 +148,7 @@ def compute_wrapped_phase(image: Any, out: tuple[Any, Any, Any] | None = None) -
 
     Notes
     -----
-    The arctangent is a polynomial with an error of 2e-6 rad. Where the modulation is zero the phase is 0.
+    The arctangent is a polynomial with an error of 2e-6 rad. Where the modulation is zero the phase means nothing.
 
     Examples
     --------
