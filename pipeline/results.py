@@ -33,7 +33,9 @@ class DecodedFrame:
     @cached_property
     def wrapped_phase(self) -> npt.NDArray[np.float32]:
         """(H, W) float32: rad in [-pi, pi], corrected and smoothed; NaN outside the mask."""
-        return np.where(self.mask, self._read("phase"), np.float32(np.nan))
+        phase = self._read("phase")
+        phase = phase - np.float32(2 * np.pi) * np.rint(phase / np.float32(2 * np.pi))
+        return np.where(self.mask, phase, np.float32(np.nan))
 
     @cached_property
     def unwrapped_phase(self) -> npt.NDArray[np.float32]:

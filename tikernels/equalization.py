@@ -54,12 +54,12 @@ def correction_table(histogram: npt.NDArray[np.integer[Any]], harmonics: int | N
 
 @ti.func
 def equalized(phase: ti.f32, table: F32Array1) -> ti.f32:
-    """Add the interpolated correction to a phase in [-pi, pi]."""
+    """Add the interpolated correction to a phase in [-pi, pi]; the sum may lie a little beyond."""
     bins = table.shape[0] - 1
     place = (phase + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
     low = ti.min(ti.cast(place, ti.i32), bins - 1)
     fraction = place - low
-    return wrap(phase + table[low] + fraction * (table[low + 1] - table[low]))
+    return phase + table[low] + fraction * (table[low + 1] - table[low])
 
 
 @ti.kernel
@@ -90,7 +90,7 @@ def equalize_phase_kernel(
         y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
         phase = wrapped_phase[y, x]
         if mask[y, x] != 0:
-            phase = equalized(phase, table)
+            phase = wrap(equalized(phase, table))
         out[y, x] = phase
 
 

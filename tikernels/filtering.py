@@ -66,7 +66,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
         phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
         table: F32Array1,  # (bins + 1,) rad to add before smoothing
         rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
-        out: F32Array2,  # (H, W) rad, [-pi, pi]; NO_PHASE outside the mask, STEP_PHASE between two surfaces
+        out: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask, STEP_PHASE between two surfaces
     ):
         height, width = phase.shape[0], phase.shape[1]
         last = rates.shape[0] - 1
@@ -106,7 +106,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
                             if ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE and ti.abs(left + right) < _MAX_BEND:
                                 total += left + right
                                 count += 2.0
-                        result = wrap(centre + total / count)
+                        result = centre + total / count
                 out[y, x] = result
 
     return smooth_phase
@@ -179,12 +179,14 @@ def mark_no_phase_kernel(
 @ti.kernel
 def restore_kernel(
     wrapped_phase: F32Array2,  # (H, W) rad
-    out: F32Array2,  # (H, W) rad; what is NO_PHASE becomes the wrapped phase
+    out: F32Array2,  # (H, W) rad; wrapped; what is NO_PHASE becomes the input's phase
 ):
     for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
         y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
         if out[y, x] > 0.5 * NO_PHASE:
             out[y, x] = wrapped_phase[y, x]
+        else:
+            out[y, x] = wrap(out[y, x])
 
 
 def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *, out: Any | None = None) -> Any:

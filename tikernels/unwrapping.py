@@ -58,7 +58,7 @@ class Unwrapper:
         self.patches = runtime.empty((10, patches), np.int32)
         self.contacts = runtime.empty((5, contacts), np.int32)
         self.regions = runtime.empty((4, patches), np.int32)
-        self.final = runtime.empty((2, patches), np.int32)
+        self.final = runtime.empty((3, patches), np.int32)
 
     def join(self, phase: Any, quality: Any, rates: Any) -> None:
         """Sort the pixels into patches and the patches into regions.
@@ -87,7 +87,7 @@ class Unwrapper:
             if int(runtime.to_host(self.counters)[_N_MERGED]) == 0:  # synchronises
                 break
         choose_starts_kernel(patches, self.labels, self.patches, self.regions)
-        self.patch_count = patches
+        self.patch_count, self.contact_count = patches, contacts
 
     def place(self, phase: Any, rays: Any, projector: ProjectorGeometry, depth_mm: float) -> None:
         """Give every region the orders that bring it nearest to a depth, instead of 0 at its start.
@@ -118,7 +118,8 @@ class Unwrapper:
         order = np.lexsort((table[_REGION_START, roots], -table[_REGION_PIXELS, roots]))
         numbers = np.zeros(max(self.patch_count, 1), np.int32)
         numbers[roots[order]] = np.arange(1, len(roots) + 1)
-        finish_patches_kernel(self.patch_count, self.patches, self.regions, numbers, self.final)
+        tables = (self.labels, self.patches, self.contacts, self.regions, numbers)
+        finish_patches_kernel(self.patch_count, self.contact_count, *tables, self.final)
         outputs = (out_unwrapped, out_mask, out_region)
         write_unwrapped_kernel(phase, rates, self.labels, self.final, *outputs)
 
@@ -279,32 +280,31 @@ def grow_patches_kernel(
                 length, rate = right - left, rate_across
             if (side == 0 and right == width) or (side == 1 and bottom == height):
                 length = 0
-            a, b, shift, votes, name = -1, -1, 0, 0, 0
+            a, b, shift, votes, pixel = -1, -1, 0, 0, 0
             for step in range(length + 1):
-                next_a, next_b, next_shift, vote, pixel = -1, -1, 0, 0, 0
+                next_a, next_b, next_shift = -1, -1, 0
+                y, x = top + step, right - 1
+                if ti.static(side == 1):
+                    y, x = bottom - 1, left + step
                 if step < length:
-                    y, x = top + step, right - 1
-                    y2, x2 = y, x + 1
-                    if ti.static(side == 1):
-                        y, x = bottom - 1, left + step
-                        y2, x2 = y + 1, x
+                    y2, x2 = y + side, x + 1 - side
                     label, label2 = out_labels[y, x], out_labels[y2, x2]
-                    if label >= 0 and label2 >= 0:
+                    if (label | label2) >= 0:
                         difference = phase[y2, x2] - phase[y, x]
                         cycles = cycles_between(difference, rate)
                         if departure(difference, rate, cycles) <= MAX_DEPARTURE:
                             next_a, next_b = label >> _ORDER_BITS, label2 >> _ORDER_BITS
                             next_shift = (label & _ORDER_MASK) - (label2 & _ORDER_MASK) + cycles
-                            vote = vote_weight(ti.min(quality[y, x], quality[y2, x2]), mean_quality)
-                            pixel = 3 * (y * width + x) + 1 + side
                 if next_a == a and next_b == b and next_shift == shift:
-                    votes += vote
+                    votes += 1
                 else:
                     if a >= 0:
-                        add_contact(out_contacts, out_counters, a, b, shift, votes, name)
-                    a, b, shift, votes, name = next_a, next_b, next_shift, vote, pixel
+                        weight = votes * vote_weight(quality[pixel // width, pixel % width], mean_quality)
+                        add_contact(out_contacts, out_counters, a, b, shift, weight, 3 * pixel + 1 + side)
+                    a, b, shift, votes, pixel = next_a, next_b, next_shift, 1, y * width + x
             if a >= 0:
-                add_contact(out_contacts, out_counters, a, b, shift, votes, name)
+                weight = votes * vote_weight(quality[pixel // width, pixel % width], mean_quality)
+                add_contact(out_contacts, out_counters, a, b, shift, weight, 3 * pixel + 1 + side)
 
 
 @ti.kernel
@@ -466,15 +466,68 @@ def place_regions_kernel(
 @ti.kernel
 def finish_patches_kernel(
     count: ti.i32,
+    contact_count: ti.i32,
+    labels: I32Array2,  # (H, W)
     patches: I32Array2,
+    contacts: I32Array2,
     regions: I32Array2,
     numbers: I32Array1,  # number of the region of each root; 0: too small
-    out_final: I32Array2,  # (2, capacity) number of a patch's region, and what its orders lack
+    out_final: I32Array2,  # (3, capacity) number of a patch's region; what its orders lack; 1: no step in or around it
 ):
+    height, width = labels.shape[0], labels.shape[1]
     for i in range(count):
         root = patches[_ROOT, i]
         out_final[0, i] = numbers[root]
         out_final[1, i] = patches[_OFFSET, i] - regions[_REGION_ORDER, root]
+        patches[_CHOICE, i] = 0
+    for e in range(contact_count):
+        a, b = contacts[_FROM, e], contacts[_TO, e]
+        if patches[_OFFSET, b] != patches[_OFFSET, a] + contacts[_SHIFT, e]:
+            patches[_CHOICE, a] = 1
+            patches[_CHOICE, b] = 1
+    for i in range(count):
+        quiet = ti.cast(patches[_PIXELS, i] == _CELL_WIDTH * _CELL_HEIGHT and patches[_CHOICE, i] == 0, ti.i32)
+        if quiet == 1:
+            first = patches[_FIRST, i]
+            for side in ti.static(range(4)):
+                y = first // width + ti.static((-1, 1, 0, 0)[side]) * _CELL_HEIGHT
+                x = first % width + ti.static((0, 0, -1, 1)[side]) * _CELL_WIDTH
+                if y >= 0 and y < height and x >= 0 and x < width:
+                    label = labels[y, x]
+                    if label < 0:
+                        quiet = 0
+                    elif patches[_PIXELS, label >> _ORDER_BITS] != _CELL_WIDTH * _CELL_HEIGHT:
+                        quiet = 0
+        out_final[2, i] = quiet
+
+
+@ti.func
+def beside_step(
+    phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I32Array2, y: ti.i32, x: ti.i32
+) -> ti.i32:
+    """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
+    height, width, last = labels.shape[0], labels.shape[1], rates.shape[0] - 1
+    label = labels[y, x]
+    patch = label >> _ORDER_BITS
+    beside = 0
+    for side in ti.static(range(4)):
+        dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+        y2 = ti.min(ti.max(y + dy, 0), height - 1)
+        x2 = ti.min(ti.max(x + dx, 0), width - 1)
+        label2 = labels[y2, x2]
+        patch2 = label2 >> _ORDER_BITS
+        if patch2 != patch:
+            if label2 == _BETWEEN:
+                beside = 1
+            elif label2 >= 0:
+                if final[0, patch2] == 0:
+                    beside = 1
+                elif final[0, patch2] == final[0, patch]:
+                    cycles = (label2 & _ORDER_MASK) - (label & _ORDER_MASK) + final[1, patch2] - final[1, patch]
+                    change = phase[y2, x2] - phase[y, x] + 2.0 * PI * ti.cast(cycles, ti.f32)
+                    if ti.abs(change - dx * rates[last, 0] - dy * rates[last, 1]) > 2.0 * MAX_DEPARTURE:
+                        beside = 1
+    return beside
 
 
 @ti.kernel
@@ -482,14 +535,13 @@ def write_unwrapped_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     labels: I32Array2,  # (H, W)
-    final: I32Array2,  # (2, capacity) number of a patch's region, and what its orders lack
+    final: I32Array2,  # (3, capacity)
     out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
     out_mask: U8Array2,  # (H, W) 1 inside
     out_region: I32Array2,  # (H, W) region's number from 1; 0 outside
 ):
     height, width = phase.shape[0], phase.shape[1]
     stretches = (width + STRETCH - 1) // STRETCH
-    last = rates.shape[0] - 1
     for t in range(height * stretches):
         y, start = t // stretches, (t % stretches) * STRETCH
         for x in range(start, ti.min(start + STRETCH, width)):
@@ -498,30 +550,12 @@ def write_unwrapped_kernel(
             if label >= 0:
                 patch = label >> _ORDER_BITS
                 region = final[0, patch]
+                if region > 0 and final[2, patch] == 0:
+                    if beside_step(phase, rates, labels, final, y, x):
+                        region = 0
                 if region > 0:
-                    here = phase[y, x]
                     order = (label & _ORDER_MASK) - _ORDER_ZERO + final[1, patch]
-                    for side in ti.static(range(4)):
-                        dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
-                        y2 = ti.min(ti.max(y + dy, 0), height - 1)
-                        x2 = ti.min(ti.max(x + dx, 0), width - 1)
-                        label2 = labels[y2, x2]
-                        # Inside a patch there is no step.
-                        if label2 >> _ORDER_BITS != patch:
-                            if label2 == _BETWEEN:
-                                region = 0
-                            elif label2 >= 0:
-                                patch2 = label2 >> _ORDER_BITS
-                                if final[0, patch2] == 0:
-                                    region = 0
-                                elif final[0, patch2] == final[0, patch]:
-                                    order2 = (label2 & _ORDER_MASK) - _ORDER_ZERO + final[1, patch2]
-                                    change = phase[y2, x2] - here + 2.0 * PI * ti.cast(order2 - order, ti.f32)
-                                    usual = dx * rates[last, 0] + dy * rates[last, 1]
-                                    if ti.abs(change - usual) > 2.0 * MAX_DEPARTURE:
-                                        region = 0
-                    if region > 0:
-                        unwrapped = here + 2.0 * PI * ti.cast(order, ti.f32)
+                    unwrapped = phase[y, x] + 2.0 * PI * ti.cast(order, ti.f32)
             out_unwrapped[y, x] = unwrapped
             out_mask[y, x] = ti.cast(region > 0, ti.u8)
             out_region[y, x] = region
