@@ -17,12 +17,11 @@ from tikernels.equalization import SLOTS, correction_table
 from tikernels.errors import ShapeError
 from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
 from tikernels.linearization import WHITE_LEVELS, linearize
-from tikernels.phase_vector import mat3
 from tikernels.statistics import count_out_of_range, measure_frame
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
 from tikernels.unwrapping import Unwrapper
-from tikernels.wrapped_phase import mat23, phase_weights, recover_phase_kernel
+from tikernels.wrapped_phase import phase_weights, recover_phase_kernel
 
 # Smaller pictures hold no surface.
 _MIN_SIZE_PX = 16
@@ -101,9 +100,11 @@ class Decoder:
             self._rays: Any = None
         self._balance_first = self.settings.reflectance_bands == "broad"
         # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
-        self._inverse = invert_crosstalk(np.eye(3) if matrix is None else matrix, normalize_rows=self._balance_first)
-        self._matrix = np.linalg.inv(self._inverse)
-        self._weights = phase_weights(self._inverse if self._balance_first else np.eye(3))
+        inverse = invert_crosstalk(np.eye(3) if matrix is None else matrix, normalize_rows=self._balance_first)
+        self._inverse, self._matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
+        self._weights = phase_weights(inverse if self._balance_first else np.eye(3)).astype(np.float32)
+        # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
+        self._noise_gain = float(np.sqrt((phase_weights(inverse) ** 2).sum() / 2))
         self._workspace: _Workspace | None = None
         self.arch = runtime.init(arch)
 
@@ -150,9 +151,7 @@ class Decoder:
             self._clear(frame)
             return frame
         intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
-        # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
-        spread = float(np.sqrt((phase_weights(self._inverse) ** 2).sum() / 2))
-        modulation = self._threshold(self.settings.min_modulation, scale, _MODULATION_SIGMAS * spread * noise)
+        modulation = self._threshold(self.settings.min_modulation, scale, _MODULATION_SIGMAS * self._noise_gain * noise)
         if self.settings.min_intensity is None:
             intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
         if self.settings.min_modulation is None:
@@ -176,8 +175,8 @@ class Decoder:
         recover_phase_kernel(self._balance_first)(
             image,
             1.0 / scale,
-            mat3(self._inverse.tolist()),
-            mat23(self._weights.tolist()),
+            self._inverse,
+            self._weights,
             gains,
             work.gains.cell,
             intensity / scale,

@@ -17,7 +17,7 @@ from tikernels import _checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, ti
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.errors import ShapeError
-from tikernels.phase_vector import mat3, phase_vector, vec3
+from tikernels.phase_vector import mat3, matrix_of, phase_vector, vec3
 
 # Window across and along the stripes, as a standard deviation in cycles: at 0.85 cycles a Gaussian passes 1e-6 of the
 # fringe; wider ones blur the reflectance without gaining anything.
@@ -60,8 +60,8 @@ class Gains:
         self,
         image: Any,
         scale: float,
-        inverse: npt.NDArray[np.float64],
-        matrix: npt.NDArray[np.float64],
+        inverse: npt.NDArray[np.floating[Any]],
+        matrix: npt.NDArray[np.floating[Any]],
         min_intensity: float,
         min_modulation: float,
         *,
@@ -73,12 +73,12 @@ class Gains:
         `inverse` undoes the crosstalk `matrix`; with `balance_first` the gains belong to the camera's channels, before
         it, otherwise to the projector's, after it. The thresholds are in linear light.
         """
-        inverse_, matrix_ = mat3(inverse.tolist()), mat3(matrix.tolist())
+        inverse, matrix = inverse.astype(np.float32), matrix.astype(np.float32)
         sum_blocks, predict_blocks = _block_kernels(balance_first)
-        sum_blocks(image, scale, inverse_, min_intensity, self.rows, self.sums)
+        sum_blocks(image, scale, inverse, min_intensity, self.rows, self.sums)
         smooth_blocks_kernel(self.sums, self.taps_across, self.taps_along, 3, self.half, self.gains)
         if phase_aware:
-            args = (image, scale, inverse_, matrix_, self.gains, self.rows, min_intensity, min_modulation)
+            args = (image, scale, inverse, matrix, self.gains, self.rows, min_intensity, min_modulation)
             predict_blocks(*args, self.visibility, self.sums)
             smooth_blocks_kernel(self.sums, self.taps_across, self.taps_along, 6, self.half, self.gains)
         return self.gains
@@ -137,7 +137,7 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
     def sum_blocks_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         scale: ti.f32,  # levels to linear light
-        inverse: mat3,
+        inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
         min_intensity: ti.f32,  # linear light; darker pixels are left out
         rows: ti.i32,
         out_sums: F32Array3,  # (Hb, Wb, >= 3)
@@ -145,6 +145,7 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
         height, width, columns = image.shape[0], image.shape[1], 2 * rows
         for block in range(out_sums.shape[0] * out_sums.shape[1]):
             i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+            inverse = matrix_of(inverse_matrix)
             total = vec3(0.0)
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
                 x = j * columns
@@ -160,8 +161,8 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
     def predict_blocks_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         scale: ti.f32,
-        inverse: mat3,
-        matrix: mat3,
+        inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
+        crosstalk_matrix: F32Array2,  # (3, 3)
         gains: F32Array3,  # (Hg, Wg, 3) of the first look
         rows: ti.i32,
         min_intensity: ti.f32,
@@ -172,6 +173,7 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
         height, width, columns = image.shape[0], image.shape[1], 2 * rows
         sparse_rows = visibility.shape[0] - 1
         for i in range(sparse_rows):
+            inverse = matrix_of(inverse_matrix)
             modulation_sum, background_sum = 0.0, 0.0
             for j in range(width // _SPARSE):
                 y, x = i * _SPARSE, j * _SPARSE
@@ -192,6 +194,7 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
             visibility[sparse_rows, 0] = ti.min(modulation_sum / background_sum, 1.5)
         for block in range(out_sums.shape[0] * out_sums.shape[1]):
             i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+            inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
             seen, predicted = vec3(0.0), vec3(0.0)
             contrast = visibility[sparse_rows, 0]
             # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.

@@ -3,7 +3,7 @@
 Shared by every stage that looks at the phase of a pixel.
 """
 
-from tikernels._taichi import ti
+from tikernels._taichi import F32Array2, ti
 
 vec2 = ti.types.vector(2, ti.f32)
 vec3 = ti.types.vector(3, ti.f32)
@@ -21,6 +21,12 @@ _SIGN = -(2**31)  # the sign bit of a float32
 def with_sign_of(magnitude: ti.f32, sign: ti.f32) -> ti.f32:
     """Return a non-negative number with another's sign; bits, because the CPU's selects cost three times as much."""
     return ti.bit_cast(ti.bit_cast(magnitude, ti.i32) | (ti.bit_cast(sign, ti.i32) & _SIGN), ti.f32)
+
+
+@ti.func
+def matrix_of(array: F32Array2):
+    """Load a (3, 3) argument once a thread; as an array it is passed ten times as fast as a matrix."""
+    return mat3([[array[i, j] for j in range(3)] for i in range(3)])
 
 
 @ti.func

@@ -14,7 +14,7 @@ from tikernels.phase_vector import phase_vector, vec3
 
 
 # Columns that are looked at: enough to meet every object that fills a twentieth of the picture.
-_COLUMNS = 24
+_COLUMNS = 16
 # A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
 # far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
 _MIN_SHARE = 0.15

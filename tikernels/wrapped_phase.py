@@ -12,9 +12,8 @@ import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, ti
-from tikernels.phase_vector import PI, arctangent, mat3, phase_vector, vec3
+from tikernels.phase_vector import PI, arctangent, matrix_of, phase_vector, vec3
 
-mat23 = ti.types.matrix(2, 3, ti.f32)
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
@@ -30,8 +29,8 @@ _CLIPPED = 0.998
 
 
 def phase_weights(inverse: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the (2, 3) weights that take balanced camera channels to b (cos phi, sin phi)."""
-    weights: npt.NDArray[np.float64] = np.array([[-1, 2, -1], [np.sqrt(3), 0, -np.sqrt(3)]]) / 3 @ inverse
+    """Return the (3, 3) weights that take balanced camera channels to b (cos phi, sin phi) and 0."""
+    weights: npt.NDArray[np.float64] = np.array([[-1, 2, -1], [np.sqrt(3), 0, -np.sqrt(3)], [0, 0, 0]]) / 3 @ inverse
     return weights
 
 
@@ -51,8 +50,8 @@ def recover_phase_kernel(balance_first: bool) -> Any:
     def recover_phase(
         image: AnyArray3,  # (H, W, 3) levels
         white: ti.f32,  # level of full scale
-        inverse: mat3,  # undoes the crosstalk
-        weights: mat23,  # of the channels that the gains belong to, in b (cos phi, sin phi)
+        inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk; used where the gains come after it
+        phase_weights: F32Array2,  # (3, 3) takes the channels that the gains belong to to b (cos phi, sin phi), 0
         gains: F32Array3,  # (Hg, Wg, 3)
         cell: ti.i32,  # px between two nodes of the gains
         min_intensity: ti.f32,  # levels
@@ -69,6 +68,7 @@ def recover_phase_kernel(balance_first: bool) -> Any:
         bin_scale = ti.cast(bins, ti.f32) / (2.0 * PI)
         for t in range(height * stretches):
             y, stretch = t // stretches, t % stretches
+            inverse, weights = matrix_of(inverse_matrix), matrix_of(phase_weights)
             v = ti.min(ti.max((y + 0.5) / cell - 0.5, 0.0), ti.cast(gains.shape[0] - 1, ti.f32))
             i = ti.cast(v, ti.i32)
             i1 = ti.min(i + 1, gains.shape[0] - 1)
