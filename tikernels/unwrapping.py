@@ -139,10 +139,22 @@ def departure(difference: ti.f32, rate: ti.f32, cycles: ti.i32) -> ti.f32:
 
 @ti.func
 def add_contact(
-    contacts: I32Array2, counters: I32Array1, a: ti.i32, b: ti.i32, shift: ti.i32, votes: ti.i32, name: ti.i32
+    contacts: I32Array2,
+    counters: I32Array1,
+    reserved: ti.i32,
+    a: ti.i32,
+    b: ti.i32,
+    shift: ti.i32,
+    votes: ti.i32,
+    name: ti.i32,
 ):
-    """Note that offset[b] = offset[a] + shift, by so many votes; the name is the contact's own."""
-    place = ti.atomic_add(counters[_N_CONTACTS], 1)
+    """Note that offset[b] = offset[a] + shift, by so many votes; the name is the contact's own.
+
+    It goes to its reserved place, if it has one (not -1), else behind the others.
+    """
+    place = reserved
+    if place < 0:
+        place = ti.atomic_add(counters[_N_CONTACTS], 1)
     if place < contacts.shape[1]:
         contacts[_FROM, place] = a
         contacts[_TO, place] = b
@@ -188,10 +200,17 @@ def grow_patches_kernel(
     cell_columns = (width + _CELL_WIDTH - 1) // _CELL_WIDTH
     cells = cell_columns * ((height + _CELL_HEIGHT - 1) // _CELL_HEIGHT)
     last = rates.shape[0] - 1
-    for k in range(3):
-        out_counters[k] = 0
+    # Each cell has a place of its own for its first patch and for its first contact right and below: a counter shared by
+    # all threads is asked for the others only.
+    for _ in range(1):
+        out_counters[_N_PATCHES] = cells
+        out_counters[_N_CONTACTS] = 2 * cells
     for cell in range(cells):
         rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
+        reserved = 1
+        out_patches[_PIXELS, cell] = 0
+        out_patches[_WEIGHT, cell] = 0
+        out_patches[_FIRST, cell] = 0
         top, left = (cell // cell_columns) * _CELL_HEIGHT, (cell % cell_columns) * _CELL_WIDTH
         bottom, right = ti.min(top + _CELL_HEIGHT, height), ti.min(left + _CELL_WIDTH, width)
         for y in range(top, bottom):
@@ -242,7 +261,10 @@ def grow_patches_kernel(
                                     patch, shift, votes = choice.x, choice.y, tally
                     # One pixel's word is too little for a run of several.
                     if votes == 0 or 2 * votes < voters or (votes == 1 and x - start > 2):
-                        patch, shift = ti.atomic_add(out_counters[_N_PATCHES], 1), 0
+                        patch, shift = cell, 0
+                        if reserved == 0:
+                            patch = ti.atomic_add(out_counters[_N_PATCHES], 1)
+                        reserved = 0
                         if patch < out_patches.shape[1]:
                             out_patches[_PIXELS, patch] = 0
                             out_patches[_WEIGHT, patch] = 0
@@ -265,7 +287,7 @@ def grow_patches_kernel(
                             if choice.x >= 0 and choice.x != patch and noted == 0:
                                 name = 3 * (y * width + candidate)
                                 add_contact(
-                                    out_contacts, out_counters, choice.x, patch, choice.y - shift, tally, name
+                                    out_contacts, out_counters, -1, choice.x, patch, choice.y - shift, tally, name
                                 )
                     for column in range(start, x):
                         out_labels[y, column] = (patch << _ORDER_BITS) + out_labels[y, column] + shift + _ORDER_ZERO
@@ -280,7 +302,11 @@ def grow_patches_kernel(
                 length, rate = right - left, rate_across
             if (side == 0 and right == width) or (side == 1 and bottom == height):
                 length = 0
-            a, b, shift, votes, pixel = -1, -1, 0, 0, 0
+            a, b, shift, votes, pixel, reserved = -1, -1, 0, 0, 0, 2 * cell + side
+            out_contacts[_VOTES, reserved] = 0
+            out_contacts[_FROM, reserved] = 0
+            out_contacts[_TO, reserved] = 0
+            out_contacts[_SHIFT, reserved] = 0
             for step in range(length + 1):
                 next_a, next_b, next_shift = -1, -1, 0
                 y, x = top + step, right - 1
@@ -300,11 +326,14 @@ def grow_patches_kernel(
                 else:
                     if a >= 0:
                         weight = votes * vote_weight(quality[pixel // width, pixel % width], mean_quality)
-                        add_contact(out_contacts, out_counters, a, b, shift, weight, 3 * pixel + 1 + side)
+                        name = 3 * pixel + 1 + side
+                        add_contact(out_contacts, out_counters, reserved, a, b, shift, weight, name)
+                        reserved = -1
                     a, b, shift, votes, pixel = next_a, next_b, next_shift, 1, y * width + x
             if a >= 0:
                 weight = votes * vote_weight(quality[pixel // width, pixel % width], mean_quality)
-                add_contact(out_contacts, out_counters, a, b, shift, weight, 3 * pixel + 1 + side)
+                name = 3 * pixel + 1 + side
+                add_contact(out_contacts, out_counters, reserved, a, b, shift, weight, name)
 
 
 @ti.kernel
@@ -411,6 +440,8 @@ def choose_starts_kernel(
         score = 2**29 - dy * dy - dx * dx
         if 2 * patches[_PIXELS, i] >= _CELL_WIDTH * _CELL_HEIGHT and patches[_WEIGHT, i] >= 3 * patches[_PIXELS, i]:
             score += 2**29
+        if patches[_PIXELS, i] == 0:
+            score = -(2**31)
         patches[_SUPPORT, i] = score
         ti.atomic_add(out_regions[_REGION_PIXELS, patches[_ROOT, i]], patches[_PIXELS, i])
         ti.atomic_max(out_regions[_REGION_SCORE, patches[_ROOT, i]], score)
@@ -420,7 +451,7 @@ def choose_starts_kernel(
             ti.atomic_min(out_regions[_REGION_START, root], patches[_FIRST, i])
     for i in range(count):
         first = patches[_FIRST, i]
-        if first == out_regions[_REGION_START, patches[_ROOT, i]]:
+        if patches[_PIXELS, i] > 0 and first == out_regions[_REGION_START, patches[_ROOT, i]]:
             order = (labels[first // width, first % width] & _ORDER_MASK) - _ORDER_ZERO
             out_regions[_REGION_ORDER, patches[_ROOT, i]] = patches[_OFFSET, i] + order
 
@@ -449,6 +480,8 @@ def place_regions_kernel(
     for i in range(count):
         # The cycles that a patch's first pixel lacks to lie at the depth; a region takes the mean over its patches, in
         # 64ths of a cycle, because sums of integers are the same in any order.
+        if patches[_PIXELS, i] == 0:
+            continue
         first = patches[_FIRST, i]
         y, x = first // width, first % width
         q = rotation @ (depth * vec3(rays[y, x, 0], rays[y, x, 1], 1.0)) + translation
