@@ -5,6 +5,7 @@ from tikernels.crosstalk import correct_crosstalk
 from tikernels.equalization import equalize_phase
 from tikernels.errors import DeviceNotReady, ShapeError
 from tikernels.filtering import smooth_along_stripes
+from tikernels.fringe_order import correct_fringe_order
 from tikernels.linearization import linearize
 from tikernels.meshing import triangulate_mesh
 from tikernels.runtime import init, supported_archs
@@ -19,6 +20,7 @@ __all__ = [
     "balance_color",
     "compute_wrapped_phase",
     "correct_crosstalk",
+    "correct_fringe_order",
     "equalize_phase",
     "init",
     "linearize",
