@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import RenderError
-from pipeline.export import Floats, Mesh, depth_colors, read_mesh, vertex_normals, write_mesh
+from pipeline.export import Floats, Mesh, read_mesh, vertex_normals, write_mesh
 from pipeline.files import write_atomically
+from pipeline.range_image import depth_colors
 
 View = Literal["three-quarter", "front"]
 

@@ -54,6 +54,7 @@ class SimulationSettings(Model):
 class SimulatedFrame:
     """One frame and its truth, at the pixel centres; NaN where the camera sees nothing."""
 
+    rig: Calibration  # what it was taken with
     image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]  # (H, W, 3) RGB
     white_level: int  # full scale of the image
     phase: npt.NDArray[np.float64]  # (H, W) rad, absolute
@@ -174,6 +175,7 @@ def simulate_frame(
     image, white_level = _expose(_blur(rendered.light, settings.camera_blur_px), settings)
     across = rendered.projector_px[..., rig.phase_axis].astype(np.float64)
     return SimulatedFrame(
+        rig=rig,
         image=image,
         white_level=white_level,
         phase=2 * np.pi / rig.pattern.period_px * across,

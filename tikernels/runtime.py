@@ -198,6 +198,7 @@ def _start(arch: str) -> str | None:
 
 
 def _built_with(arch: str) -> bool:
+    ti._logging.set_logging_level("error")  # asking for CUDA where there is none would be logged as a warning
     try:
         return bool(getattr(ti._lib.core, f"with_{arch}")())
     except (AttributeError, RuntimeError):

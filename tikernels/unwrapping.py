@@ -34,10 +34,16 @@ MIN_REGION_PX = 128
 _SERIAL_PATCHES = 6000
 _GOLDEN = -1640531527  # 2^32 / golden ratio, odd: multiplying by it shuffles the 32-bit numbers one to one
 
+# Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
+# across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again. Across,
+# slopes change the phase more, and a response that is not linear lets the modulation swing three times a cycle.
+_SURE_ALONG, _ALIKE_ALONG = 0.25, 0.75
+_SURE_ACROSS, _ALIKE_ACROSS = 0.5, 0.5
 _NOTHING, _BETWEEN = -1, -2
 # Columns of the patch and contact tables.
 _PIXELS, _WEIGHT, _FIRST, _ROOT, _OFFSET, _PARENT, _STEP, _SUPPORT, _KEY, _CHOICE = range(10)
 _FROM, _TO, _SHIFT, _VOTES, _NAME = range(5)
+_OWNER, _SUM, _LOW, _HIGH, _TURN = range(5)
 _REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
 # Counters.
 _N_PATCHES, _N_CONTACTS, _N_MERGED = range(3)
@@ -59,6 +65,9 @@ class Unwrapper:
         self.contacts = runtime.empty((5, contacts), np.int32)
         self.regions = runtime.empty((4, patches), np.int32)
         self.final = runtime.empty((3, patches), np.int32)
+        # A table for contacts by what they join: crowded in the first round, where hardly any two join the same, and all
+        # but empty when the large regions meet.
+        self.table = runtime.empty((5, 2 ** int(np.ceil(np.log2(patches / 2)))), np.int32)
 
     def join(self, phase: Any, quality: Any, rates: Any) -> None:
         """Sort the pixels into patches and the patches into regions.
@@ -83,7 +92,7 @@ class Unwrapper:
         merge = merge_patches_kernel(serial)
         start_regions_kernel(patches, self.patches)
         while True:
-            merge(patches, contacts, self.patches, self.contacts, self.counters)
+            merge(patches, contacts, self.patches, self.contacts, self.table, self.counters)
             if int(runtime.to_host(self.counters)[_N_MERGED]) == 0:  # synchronises
                 break
         choose_starts_kernel(patches, self.labels, self.patches, self.regions)
@@ -164,25 +173,43 @@ def add_contact(
 
 
 @ti.func
-def vote_weight(quality: ti.f32, mean_quality: ti.f32) -> ti.i32:
-    """One to sixteen votes a pixel, four for an ordinary one."""
+def brightness(quality: ti.f32, mean_quality: ti.f32) -> ti.i32:
+    """One to sixteen, four for an ordinary pixel."""
     return ti.min(ti.max(ti.cast(4.0 * quality / mean_quality, ti.i32), 1), 16)
 
 
 @ti.func
-def vote_above(phase: F32Array2, labels: I32Array2, y: ti.i32, x: ti.i32, rate: ti.f32) -> ti.types.vector(2, ti.i32):
-    """Patch of the pixel above, and the shift that makes this run continue it; patch -1: no vote across a step.
+def vote_weight(departs: ti.f32, quality: ti.f32, quality2: ti.f32, mean_quality: ti.f32) -> ti.i32:
+    """Weight of one pixel's vote, 1 to 64: the phase goes on, and so does the brightness, which is not low.
 
-    The row above holds patches and orders already, this one its runs' own orders.
+    A step that hides behind whole cycles departs by anything at its every pixel and seldom joins two equally bright
+    surfaces.
     """
-    vote = ti.Vector([-1, 0])
+    low, high = ti.min(quality, quality2), ti.max(quality, quality2)
+    going_on = 1.0 - departs / MAX_DEPARTURE
+    alike = low / ti.max(high, 1e-12)
+    return 1 + ti.cast(63.0 * going_on * going_on * alike * alike * ti.min(4.0 * low / mean_quality, 1.0), ti.i32)
+
+
+@ti.func
+def vote_above(
+    phase: F32Array2, quality: F32Array2, labels: I32Array2, y: ti.i32, x: ti.i32, rate: ti.f32
+) -> ti.types.vector(3, ti.i32):
+    """Patch of the pixel above, the shift that makes this run continue it, and whether that is sure.
+
+    Patch -1: no vote across a step. The row above holds patches and orders already, this one its runs' own orders.
+    """
+    vote = ti.Vector([-1, 0, 0])
     above = labels[y - 1, x]
     if above >= 0:
         difference = phase[y, x] - phase[y - 1, x]
         cycles = cycles_between(difference, rate)
-        if departure(difference, rate, cycles) <= MAX_DEPARTURE:
+        departs = departure(difference, rate, cycles)
+        if departs <= MAX_DEPARTURE:
             order = (above & _ORDER_MASK) - _ORDER_ZERO + cycles
-            vote = ti.Vector([above >> _ORDER_BITS, order - labels[y, x]])
+            low, high = ti.min(quality[y, x], quality[y - 1, x]), ti.max(quality[y, x], quality[y - 1, x])
+            sure = departs <= _SURE_ACROSS and low > _ALIKE_ACROSS * high
+            vote = ti.Vector([above >> _ORDER_BITS, order - labels[y, x], ti.cast(sure, ti.i32)])
     return vote
 
 
@@ -231,7 +258,9 @@ def grow_patches_kernel(
                         here = phase[y, x]
                         cycles = cycles_between(here - before, rate_along)
                         # What is no phase departs by far more.
-                        if departure(here - before, rate_along, cycles) > MAX_DEPARTURE:
+                        departs = departure(here - before, rate_along, cycles)
+                        low, high = ti.min(quality[y, x], quality[y, x - 1]), ti.max(quality[y, x], quality[y, x - 1])
+                        if departs > _SURE_ALONG or low < _ALIKE_ALONG * high:
                             going = 0
                         else:
                             order += cycles
@@ -242,21 +271,21 @@ def grow_patches_kernel(
                     patch, shift, votes, voters = -1, 0, 0, 0
                     if y > top:
                         for voter in range(start, x):
-                            vote = vote_above(phase, out_labels, y, voter, rate_across)
+                            vote = vote_above(phase, quality, out_labels, y, voter, rate_across)
                             if vote.x >= 0:
                                 voters += 1
-                                if patch < 0:
+                                if patch < 0 and vote.z == 1:
                                     patch, shift = vote.x, vote.y
                                 if vote.x == patch and vote.y == shift:
-                                    votes += 1
-                        if votes < voters:  # seldom: they disagree
+                                    votes += vote.z
+                        if votes < voters:  # seldom: they disagree, or are not sure
                             for candidate in range(start + 1, x):
-                                choice = vote_above(phase, out_labels, y, candidate, rate_across)
+                                choice = vote_above(phase, quality, out_labels, y, candidate, rate_across)
                                 tally = 0
                                 for voter in range(candidate, x):
-                                    vote = vote_above(phase, out_labels, y, voter, rate_across)
+                                    vote = vote_above(phase, quality, out_labels, y, voter, rate_across)
                                     if vote.x == choice.x and vote.y == choice.y:
-                                        tally += 1
+                                        tally += vote.z
                                 if choice.x >= 0 and tally > votes:
                                     patch, shift, votes = choice.x, choice.y, tally
                     # One pixel's word is too little for a run of several.
@@ -269,25 +298,43 @@ def grow_patches_kernel(
                             out_patches[_PIXELS, patch] = 0
                             out_patches[_WEIGHT, patch] = 0
                             out_patches[_FIRST, patch] = y * width + start
-                    weight = (x - start) * vote_weight(quality[y, (start + x) >> 1], mean_quality)
+                    weight = (x - start) * brightness(quality[y, (start + x) >> 1], mean_quality)
                     if patch < out_patches.shape[1]:
                         out_patches[_PIXELS, patch] = out_patches[_PIXELS, patch] + (x - start)
                         out_patches[_WEIGHT, patch] = out_patches[_WEIGHT, patch] + weight
                     # What the others voted for becomes contacts between patches.
                     if votes < voters:
                         for candidate in range(start, x):
-                            choice = vote_above(phase, out_labels, y, candidate, rate_across)
+                            choice = vote_above(phase, quality, out_labels, y, candidate, rate_across)
                             tally, noted = 0, 0
                             for voter in range(start, x):
-                                vote = vote_above(phase, out_labels, y, voter, rate_across)
+                                vote = vote_above(phase, quality, out_labels, y, voter, rate_across)
                                 if vote.x == choice.x and vote.y == choice.y:
-                                    tally += vote_weight(quality[y, voter], mean_quality)
+                                    difference = phase[y, voter] - phase[y - 1, voter]
+                                    departs = departure(difference, rate_across, cycles_between(difference, rate_across))
+                                    above = quality[y - 1, voter]
+                                    tally += 2 * vote_weight(departs, quality[y, voter], above, mean_quality)
                                     if voter < candidate:
                                         noted = 1
                             if choice.x >= 0 and choice.x != patch and noted == 0:
                                 name = 3 * (y * width + candidate)
                                 add_contact(
                                     out_contacts, out_counters, -1, choice.x, patch, choice.y - shift, tally, name
+                                )
+                    # The run before, where it ended without a step.
+                    if start > left:
+                        label = out_labels[y, start - 1]
+                        if label >= 0:
+                            difference = phase[y, start] - phase[y, start - 1]
+                            cycles = cycles_between(difference, rate_along)
+                            departs = departure(difference, rate_along, cycles)
+                            if departs <= MAX_DEPARTURE and label >> _ORDER_BITS != patch:
+                                turn = (label & _ORDER_MASK) - _ORDER_ZERO + cycles - shift
+                                before = quality[y, start - 1]
+                                tally = vote_weight(departs, quality[y, start], before, mean_quality)
+                                name = 3 * (y * width + start - 1) + 1
+                                add_contact(
+                                    out_contacts, out_counters, -1, label >> _ORDER_BITS, patch, turn, tally, name
                                 )
                     for column in range(start, x):
                         out_labels[y, column] = (patch << _ORDER_BITS) + out_labels[y, column] + shift + _ORDER_ZERO
@@ -302,13 +349,15 @@ def grow_patches_kernel(
                 length, rate = right - left, rate_across
             if (side == 0 and right == width) or (side == 1 and bottom == height):
                 length = 0
+            # A pixel counts double on the shorter side, so that both are worth the same.
+            scale = ti.static((1, _CELL_HEIGHT // _CELL_WIDTH)[side])
             a, b, shift, votes, pixel, reserved = -1, -1, 0, 0, 0, 2 * cell + side
             out_contacts[_VOTES, reserved] = 0
             out_contacts[_FROM, reserved] = 0
             out_contacts[_TO, reserved] = 0
             out_contacts[_SHIFT, reserved] = 0
             for step in range(length + 1):
-                next_a, next_b, next_shift = -1, -1, 0
+                next_a, next_b, next_shift, weight = -1, -1, 0, 0
                 y, x = top + step, right - 1
                 if ti.static(side == 1):
                     y, x = bottom - 1, left + step
@@ -318,22 +367,22 @@ def grow_patches_kernel(
                     if (label | label2) >= 0:
                         difference = phase[y2, x2] - phase[y, x]
                         cycles = cycles_between(difference, rate)
-                        if departure(difference, rate, cycles) <= MAX_DEPARTURE:
+                        departs = departure(difference, rate, cycles)
+                        if departs <= MAX_DEPARTURE:
                             next_a, next_b = label >> _ORDER_BITS, label2 >> _ORDER_BITS
                             next_shift = (label & _ORDER_MASK) - (label2 & _ORDER_MASK) + cycles
+                            weight = scale * vote_weight(departs, quality[y, x], quality[y2, x2], mean_quality)
                 if next_a == a and next_b == b and next_shift == shift:
-                    votes += 1
+                    votes += weight
                 else:
                     if a >= 0:
-                        weight = votes * vote_weight(quality[pixel // width, pixel % width], mean_quality)
                         name = 3 * pixel + 1 + side
-                        add_contact(out_contacts, out_counters, reserved, a, b, shift, weight, name)
+                        add_contact(out_contacts, out_counters, reserved, a, b, shift, votes, name)
                         reserved = -1
-                    a, b, shift, votes, pixel = next_a, next_b, next_shift, 1, y * width + x
+                    a, b, shift, votes, pixel = next_a, next_b, next_shift, weight, y * width + x
             if a >= 0:
-                weight = votes * vote_weight(quality[pixel // width, pixel % width], mean_quality)
                 name = 3 * pixel + 1 + side
-                add_contact(out_contacts, out_counters, reserved, a, b, shift, weight, name)
+                add_contact(out_contacts, out_counters, reserved, a, b, shift, votes, name)
 
 
 @ti.kernel
@@ -341,6 +390,25 @@ def start_regions_kernel(count: ti.i32, patches: I32Array2):
     for i in range(count):
         patches[_ROOT, i] = i
         patches[_OFFSET, i] = 0
+
+
+@ti.func
+def joined_regions(patches: I32Array2, contacts: I32Array2, e: ti.i32) -> ti.types.vector(3, ti.i32):
+    """Return the two regions that a contact joins, the smaller root first, and the shift from the first to the second."""
+    a, b = contacts[_FROM, e], contacts[_TO, e]
+    root, root2 = patches[_ROOT, a], patches[_ROOT, b]
+    turn = contacts[_SHIFT, e] + patches[_OFFSET, a] - patches[_OFFSET, b]
+    if root > root2:
+        root, root2, turn = root2, root, -turn
+    return ti.Vector([root, root2, turn])
+
+
+@ti.func
+def table_place(joins: ti.types.vector(3, ti.i32), size: ti.i32) -> ti.i32:
+    """Scatter what a contact joins over a table whose size is a power of two."""
+    mixed = (joins.x * _GOLDEN) ^ (joins.y * 73244475) ^ (joins.z * 1540483477)
+    mixed = (mixed ^ ((mixed >> 15) & 0x1FFFF)) * _GOLDEN
+    return (mixed ^ ((mixed >> 13) & 0x7FFFF)) & (size - 1)
 
 
 @cache
@@ -353,9 +421,53 @@ def merge_patches_kernel(serial: bool) -> Any:
         contact_count: ti.i32,
         patches: I32Array2,  # (10, capacity): root and offset are read and written, the rest is scratch
         contacts: I32Array2,  # (5, capacity); the votes of spent contacts become 0
+        table: I32Array2,  # (5, power of two) scratch
         counters: I32Array1,
     ):
         counters[_N_MERGED] = 0
+        # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
+        # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
+        ti.loop_config(serialize=serial)
+        for place in range(table.shape[1]):
+            table[_OWNER, place] = 2147483647
+            table[_SUM, place] = 0
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            if contacts[_VOTES, e] > 0:
+                joins = joined_regions(patches, contacts, e)
+                if joins.x == joins.y:
+                    contacts[_VOTES, e] = 0
+                else:
+                    ti.atomic_min(table[_OWNER, table_place(joins, table.shape[1])], contacts[_NAME, e])
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            if contacts[_VOTES, e] > 0:
+                joins = joined_regions(patches, contacts, e)
+                place = table_place(joins, table.shape[1])
+                if table[_OWNER, place] == contacts[_NAME, e]:
+                    table[_LOW, place] = joins.x
+                    table[_HIGH, place] = joins.y
+                    table[_TURN, place] = joins.z
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            votes = contacts[_VOTES, e]
+            if votes > 0:
+                joins = joined_regions(patches, contacts, e)
+                place = table_place(joins, table.shape[1])
+                same = (
+                    table[_LOW, place] == joins.x
+                    and table[_HIGH, place] == joins.y
+                    and table[_TURN, place] == joins.z
+                )
+                if same and table[_OWNER, place] != contacts[_NAME, e]:
+                    ti.atomic_add(table[_SUM, place], votes)
+                    contacts[_VOTES, e] = 0
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            if contacts[_VOTES, e] > 0:
+                place = table_place(joined_regions(patches, contacts, e), table.shape[1])
+                if table[_OWNER, place] == contacts[_NAME, e]:
+                    contacts[_VOTES, e] += table[_SUM, place]
         ti.loop_config(serialize=serial)
         for i in range(count):
             patches[_SUPPORT, i] = 0

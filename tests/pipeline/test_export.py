@@ -13,7 +13,8 @@ import pytest
 import pyvista
 
 from pipeline.errors import FootageError, OutputError
-from pipeline.export import Mesh, depth_colors, read_mesh, shade_range, vertex_normals, write_mesh, write_range_image
+from pipeline.export import Mesh, read_mesh, vertex_normals, write_mesh
+from pipeline.range_image import depth_colors, shade_range, write_range_image
 from pipeline.files import write_atomically
 
 SUFFIXES = (".ply", ".wrl", ".obj", ".stl", ".glb", ".gltf")

@@ -1,0 +1,227 @@
+"""The command line: parses, calls, shows progress."""
+
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from cyclopts import App, Parameter
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from hardware.link import list_serial_ports
+from pipeline.calibration import Calibration, Pattern
+from pipeline.decoder import Decoder, DecodeWarning
+from pipeline.errors import (
+    CalibrationError,
+    FootageError,
+    OutputError,
+    RenderError,
+    SettingsError,
+)
+from pipeline.models import build
+from pipeline.settings import DecodeSettings
+from tikernels import runtime
+from tikernels.errors import DeviceNotReady, ShapeError
+
+Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
+
+#: Every error that a user can cause; each message is one line.
+_USER_ERRORS = (CalibrationError, DeviceNotReady, FootageError, OutputError, RenderError, SettingsError, ShapeError)
+
+_out = Console()
+_err = Console(stderr=True)
+
+app = App(
+    name="colorphase",
+    help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
+    version_flags=["--version"],
+)
+
+
+@app.command
+def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: bool = False) -> None:
+    """Simulate one colour frame of a bust, decode it, and measure the result against the truth.
+
+    Example: colorphase demo --out demo
+
+    Parameters
+    ----------
+    out
+        Folder for the frame, the mesh, the pictures and the report.
+    arch
+        Where to compute.
+    force
+        Write into a folder that holds other things.
+    """
+    from pipeline.demo import run_demo
+
+    with _progress() as step:
+        summary = run_demo(out, arch, force=force, step=step)
+    table = Table(title="measured from one frame, against the truth", show_header=False)
+    for name, value in summary.measured.items():
+        table.add_row(name, value)
+    _out.print(table)
+    for note in summary.notes:
+        _err.print(f"note: {note}", style="yellow", highlight=False)
+    _out.print(f"look at {summary.picture}", highlight=False, soft_wrap=True)
+
+
+@app.command
+def pattern(
+    file: Path,
+    *,
+    size: str = "1024x768",
+    period: float = 768 / 44,
+    stripes: Literal["horizontal", "vertical"] = "horizontal",
+) -> None:
+    """Write the picture that the projector shows, and its description beside it as JSON.
+
+    Example: colorphase pattern pattern.png --size 1024x768 --period 17.4545 --stripes horizontal
+
+    Parameters
+    ----------
+    file
+        The PNG to write.
+    size
+        The projector's width and height in px.
+    period
+        Projector px a cycle.
+    stripes
+        Which way they run.
+    """
+    from pipeline.pattern import write_pattern
+
+    width, separator, height = size.lower().partition("x")
+    if not (separator and width.isdigit() and height.isdigit()):
+        raise SettingsError(f"--size is {size!r}: give width and height in px, as in 1024x768")
+    chosen = build(Pattern, {"period_px": period, "stripes": stripes}, SettingsError, "pattern")
+    write_pattern(file, (int(width), int(height)), chosen)
+
+
+@app.command
+def decode(
+    input: Path,
+    *,
+    out: Path,
+    settings: Path | None = None,
+    calibration: Path | None = None,
+    arch: Arch = "auto",
+    force: bool = False,
+) -> None:
+    """Decode a picture: result.zarr, mesh.ply, range.png, shaded.png and report.json.
+
+    Example: colorphase decode face.png --out face --settings settings.toml --calibration calibration.json
+
+    Parameters
+    ----------
+    input
+        The picture: PNG, TIFF or JPEG, in colour.
+    out
+        Folder for the results.
+    settings
+        TOML file of settings; what is left out is the default.
+    calibration
+        The rig's calibration.json; with it results are in mm.
+    arch
+        Where to compute.
+    force
+        Write into a folder that holds other things.
+    """
+    from pipeline.outputs import output_folder, write_frame
+    from pipeline.picture import read_picture
+    from pipeline.report import frame_report
+
+    chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
+    rig = None if calibration is None else Calibration.read(calibration)
+    with _progress() as step, output_folder(out, force=force) as folder:
+        step("reading")
+        image = read_picture(input)
+        step("decoding")
+        frame = Decoder(chosen, rig, arch=arch).decode(image)
+        step("writing")
+        write_frame(folder, frame, chosen, rig, frame_report(frame, chosen, rig, input.name))
+    _out.print(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}", highlight=False, soft_wrap=True)
+
+
+@app.command
+def render(
+    input: Path,
+    *,
+    out: Path,
+    view: Literal["three-quarter", "front"] = "three-quarter",
+    size: Annotated[tuple[int, int], Parameter(consume_multiple=True)] = (1280, 960),
+) -> None:
+    """Draw a mesh off screen.
+
+    Example: colorphase render face/mesh.ply --out face.png --view front
+
+    Parameters
+    ----------
+    input
+        The mesh: a PLY file.
+    out
+        The PNG to write.
+    view
+        From where.
+    size
+        Width and height of the picture in px.
+    """
+    from pipeline.export import read_mesh
+    from pipeline.render import render_mesh
+
+    if out.suffix.lower() != ".png":
+        raise OutputError(f"{out} is not a PNG file: name it .png")
+    with _progress() as step:
+        step("reading")
+        mesh = read_mesh(input)
+        step("drawing")
+        render_mesh(mesh, out, view=view, size_px=size)
+
+
+@app.command
+def devices() -> None:
+    """List where kernels can run, and the serial ports.
+
+    Example: colorphase devices
+    """
+    table = Table("what", "name", "note")
+    for arch in runtime.supported_archs():
+        software = arch == "vulkan" and all(device.software for device in runtime.vulkan_devices())
+        names = ", ".join(device.name for device in runtime.vulkan_devices()) if arch == "vulkan" else ""
+        table.add_row("arch", arch, f"{names} (software: for checking, slow)" if software else names)
+    table.add_row("kernel language", runtime.kernel_language(), "")
+    for port in list_serial_ports():
+        table.add_row("serial port", port.device, port.description)
+    _out.print(table)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str], None]]:
+    """Show what is being done and for how long, on a terminal."""
+    with Progress(
+        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=_err, transient=True
+    ) as progress:
+        task = progress.add_task("starting")
+        yield lambda what: progress.update(task, description=what)
+
+
+def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+    prefix = "warning" if issubclass(category, DecodeWarning) else category.__name__
+    _err.print(f"{prefix}: {message}", style="yellow", highlight=False, soft_wrap=True)
+
+
+def main() -> None:
+    """Run the command line; a user's mistake is one line on standard error and exit code 1."""
+    warnings.showwarning = _show_warning
+    try:
+        app()
+    except _USER_ERRORS as error:
+        _err.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        _err.print("interrupted", style="red")
+        sys.exit(130)

@@ -1,0 +1,84 @@
+"""The backends that kernels run on, and what every host function must refuse."""
+
+import os
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", DeprecationWarning)  # Taichi's own, once, while it is imported
+    import tikernels
+    from tikernels._taichi import ti
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run what needs no GPU first: starting another device drops all buffers and compiled kernels."""
+
+    def on_gpu(item: pytest.Item) -> bool:
+        callspec = getattr(item, "callspec", None)
+        return callspec is not None and callspec.params.get("arch") == "vulkan"
+
+    items.sort(key=on_gpu)
+
+
+@pytest.fixture(params=["cpu", "vulkan"])
+def arch(request: pytest.FixtureRequest) -> str:
+    """Start a backend. CI installs a software Vulkan, so there a missing one is a failure and never skipped."""
+    name = str(request.param)
+    if name not in tikernels.supported_archs():
+        reason = f"this machine has no {name} driver"
+        if os.environ.get("CI") == "true":
+            pytest.fail(f"{reason}, and CI must test every backend")
+        pytest.skip(reason)
+    return tikernels.init(name)
+
+
+@pytest.fixture
+def menu(arch: str) -> Callable[..., None]:
+    """Return the check that every host function passes: what it must take, and what it must refuse."""
+
+    def check(call: Callable[..., Any], out: npt.NDArray[Any] | None = None, /, **inputs: npt.NDArray[Any]) -> None:
+        expected = np.array(call(**inputs))
+        for name, array in inputs.items():
+            before = array.copy()
+            for variant in (every_second(array), read_only(array), on_device(array)):
+                np.testing.assert_array_equal(call(**{**inputs, name: variant}), expected, err_msg=name)
+            np.testing.assert_array_equal(array, before, err_msg=f"{name} was written to")
+            for bad in (array.astype(np.complex64), array[None], array[..., :-1], array[:0], array.tolist()):
+                with pytest.raises(tikernels.ShapeError, match=r"has shape|is .*, expected|is empty|is a "):
+                    call(**{**inputs, name: bad})
+        if out is not None:
+            assert call(**inputs, out=out) is out
+            np.testing.assert_array_equal(out, expected)
+            for bad in (out.astype(np.float64), out[:-1], out[None], every_second(out), read_only(out), out.tolist()):
+                with pytest.raises(tikernels.ShapeError):
+                    call(**inputs, out=bad)
+
+    return check
+
+
+def every_second(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the same values, every second one of a larger array's."""
+    larger = np.zeros((*array.shape[:-1], 2 * array.shape[-1]), array.dtype)
+    larger[..., ::2] = array
+    return larger[..., ::2]
+
+
+def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return a copy that cannot be written."""
+    copy = array.copy()
+    copy.setflags(write=False)
+    return copy
+
+
+def on_device(array: npt.NDArray[Any]) -> Any:
+    """Return the same values as an ndarray of the kernel language."""
+    values = array.view(np.uint8) if array.dtype == np.bool_ else array
+    kinds = {"float32": ti.f32, "int32": ti.i32, "uint8": ti.u8, "uint16": ti.u16}
+    buffer = ti.ndarray(kinds[values.dtype.name], values.shape)
+    buffer.from_numpy(np.ascontiguousarray(values))
+    return buffer

@@ -1,0 +1,419 @@
+"""The NumPy float64 twin of every kernel, written from the equations; plain where the kernels are fast."""
+
+from collections import Counter
+from collections.abc import Callable, Iterator
+from itertools import groupby
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import ProjectorGeometry
+
+Array = npt.NDArray[Any]
+
+CYCLE = 2 * np.pi
+#: Phases of R, G and B relative to the pattern's, rad.
+CHANNEL_PHASES = np.array([-1, 0, 1]) * CYCLE / 3
+#: Departure from the usual change (rad) beyond which a neighbour lies on another surface.
+MAX_DEPARTURE = 0.8
+
+
+def wrapped_difference(a: npt.ArrayLike, b: npt.ArrayLike) -> Array:
+    """Return a - b modulo a cycle, rad in [-pi, pi]."""
+    difference = np.subtract(a, b, dtype=np.float64)
+    return difference - CYCLE * np.rint(difference / CYCLE)
+
+
+def wrapped(phase: npt.ArrayLike) -> Array:
+    """Return a phase as kernels take it: float32 rad in [-pi, pi]."""
+    return wrapped_difference(phase, 0.0).astype(np.float32)
+
+
+def ramp(height: int, width: int, period_px: float = 12.0, tilt: float = 0.0) -> Array:
+    """Return the phase of a plane, rad: a cycle every `period_px` rows, `tilt` rad a column."""
+    return CYCLE / period_px * np.arange(height)[:, None] + tilt * np.arange(width)
+
+
+def fringes(
+    phase: Array,
+    modulation: npt.ArrayLike = 0.25,
+    background: npt.ArrayLike = 0.4,
+    crosstalk_matrix: npt.ArrayLike | None = None,
+) -> Array:
+    """Return the (H, W, 3) float32 light that a phase map shows; each term may differ by pixel or channel."""
+    light = background + modulation * np.cos(phase[..., None] + CHANNEL_PHASES)
+    if crosstalk_matrix is not None:
+        light = light @ np.transpose(crosstalk_matrix)
+    return light.astype(np.float32)
+
+
+def commonest_offset(difference: Array, region: Array) -> Array:
+    """Return, at every pixel, the commonest value of an integer map in the pixel's region; 0 outside (region 0)."""
+    inside = region > 0
+    pairs, counts = np.unique(np.stack([region[inside], difference[inside]]), axis=1, return_counts=True)
+    pairs = pairs[:, np.argsort(counts, kind="stable")]  # of a region's entries the last one stays
+    table = np.zeros(int(region.max()) + 1, difference.dtype)
+    table[pairs[0]] = pairs[1]
+    return np.where(inside, table[region], 0)
+
+
+def wrong_orders(difference: Array, region: Array) -> Array:
+    """Return where an order less the true one is not its region's commonest, (H, W) bool."""
+    return (region > 0) & (difference != commonest_offset(difference, region))
+
+
+def linearize(levels: Array, transfer: str, white_level: float) -> Array:
+    """Undo the transfer of IEC 61966-2-1 (sRGB) or of Rec. ITU-R BT.709-6."""
+    value = levels.astype(np.float64) / white_level
+    if transfer == "srgb":
+        return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    if transfer == "bt709":
+        return np.where(value < 0.081, value / 4.5, ((value + 0.099) / 1.099) ** (1 / 0.45))
+    return value
+
+
+def correct_crosstalk(image: Array, crosstalk_matrix: npt.ArrayLike) -> Array:
+    """Solve camera = matrix @ projector at every pixel."""
+    pixels = image.reshape(-1, 3).astype(np.float64)
+    return np.linalg.solve(np.asarray(crosstalk_matrix, np.float64), pixels.T).T.reshape(image.shape)
+
+
+def compute_wrapped_phase(image: Array) -> tuple[Array, Array, Array]:
+    """Return phase, modulation and background of R, G, B = a + b cos(phi + (-1, 0, 1) 2 pi/3) (equation 2.4)."""
+    r, g, b = np.moveaxis(image.astype(np.float64), -1, 0)
+    y, x = np.sqrt(3) * (r - b), 2 * g - r - b
+    return np.arctan2(y, x), np.hypot(y, x) / 3, (r + g + b) / 3
+
+
+def gaussian_sums(image: Array, sigma_rows: float, sigma_columns: float) -> Array:
+    """Return Gaussian-weighted sums around every pixel of (H, W, C), cut at three deviations, nothing outside."""
+
+    def band(length: int, sigma: float) -> Array:
+        distance = np.subtract.outer(np.arange(length), np.arange(length))
+        return np.where(np.abs(distance) <= 3 * sigma, np.exp(-0.5 * (distance / sigma) ** 2), 0.0)
+
+    rows, columns = band(image.shape[0], sigma_rows), band(image.shape[1], sigma_columns)
+    return np.einsum("ij,jkc->ikc", rows, np.einsum("kl,jlc->jkc", columns, image, optimize=True), optimize=True)
+
+
+def balance_gains(
+    image: Array, period_px: float, mask: Array | None = None, crosstalk_matrix: npt.ArrayLike | None = None
+) -> Array:
+    """Return the (H, W, 3) gains that balance the colours, from full-resolution windows of 0.85 by 1 cycles."""
+    matrix = np.eye(3) if crosstalk_matrix is None else np.asarray(crosstalk_matrix, np.float64)
+    matrix = matrix / matrix.sum(axis=1, keepdims=True)
+    light = image.astype(np.float64)
+    lit = np.ones(light.shape[:2], bool) if mask is None else np.asarray(mask, bool)
+
+    def gains(seen: Array, predicted: Array | float) -> Array:
+        color = seen / predicted
+        return color.mean(axis=-1, keepdims=True) / color
+
+    def smooth(values: Array) -> Array:
+        return gaussian_sums(values * lit[..., None], 0.85 * period_px, period_px)
+
+    first = gains(smooth(light), 1.0)
+    phase, modulation, background = compute_wrapped_phase(correct_crosstalk(light * first, matrix))
+    visibility = modulation[lit].sum() / background[lit].sum()
+    neutral = background[..., None] * (1 + visibility * np.cos(phase[..., None] + CHANNEL_PHASES))
+    return gains(smooth(light), smooth(neutral @ matrix.T))
+
+
+def equalize_phase(wrapped_phase: Array, mask: Array, bins: int = 256, harmonics: int | None = None) -> Array:
+    """Map the masked phases through their interpolated cumulative distribution, mean correction zero."""
+    counted = wrapped_phase[mask].astype(np.float64)
+    counts, edges = np.histogram(counted, bins, (-np.pi, np.pi))
+    table = CYCLE * np.concatenate([[0.0], np.cumsum(counts)]) / len(counted) - np.pi - edges
+    if harmonics is not None:
+        angles = np.outer(np.arange(1, harmonics + 1), edges)
+        weights = 2 / bins * np.exp(-1j * angles[:, :-1]) @ table[:-1]
+        table = table[:-1].mean() + (weights[:, None] * np.exp(1j * angles)).real.sum(axis=0)
+    middle_of_bin = (table[1:] + table[:-1]) / 2
+    table = table - counts @ middle_of_bin / len(counted)
+    correction = np.interp(wrapped_phase.astype(np.float64), edges, table)
+    return np.where(mask, wrapped_difference(wrapped_phase + correction, 0.0), wrapped_phase)
+
+
+def neighbour(phase: Array, rows: int, columns: int) -> Array:
+    """Return the value so many rows below and columns to the right; NaN beyond the border."""
+    height, width = phase.shape
+    result = np.full(phase.shape, np.nan)
+    target = np.s_[max(-rows, 0) : min(height - rows, height), max(-columns, 0) : min(width - columns, width)]
+    source = np.s_[max(rows, 0) : min(height + rows, height), max(columns, 0) : min(width + columns, width)]
+    if abs(rows) < height and abs(columns) < width:
+        result[target] = phase[source]
+    return result
+
+
+def usual_change(phase: Array, quality: Array) -> tuple[float, float, float]:
+    """Return the usual change along a row and from row to row (rad a px, complex means), and the mean quality.
+
+    Every eighth pixel both ways is asked, never the last of a row or column.
+    """
+    height, width = phase.shape
+    rows = np.minimum(np.arange(0, height, 8), max(height - 2, 0))
+    columns = np.minimum(np.arange(0, width, 8), max(width - 2, 0))
+    grid = np.ix_(rows, columns)
+
+    def mean_change(other: Array) -> float:
+        return float(np.angle(np.nansum(np.exp(1j * (other - phase)[grid])) + 1e-6))
+
+    counted = ~np.isnan(phase[grid])
+    full = counted.any(axis=1)
+    means = np.where(counted, quality[grid], 0.0).sum(axis=1)[full] / counted.sum(axis=1)[full]
+    usable = means[means > 0]
+    mean_quality = float(usable.mean()) if len(usable) else 0.0
+    return mean_change(neighbour(phase, 0, 1)), mean_change(neighbour(phase, 1, 0)), max(mean_quality, 1e-12)
+
+
+def smooth_along_stripes(wrapped_phase: Array, mask: Array, smoothing_px: int) -> Array:
+    """Average each pixel with the pairs left and right of it that its surface holds; leave pixels at steps alone."""
+    phase = np.where(mask, wrapped_phase, np.nan).astype(np.float64)
+    along, across, _ = usual_change(phase, phase)
+
+    def saw_two_surfaces(rows: int, columns: int, rate: float) -> Array:
+        departures = [
+            np.abs(wrapped_difference(neighbour(phase, side * rows, side * columns) - phase, side * rate))
+            for side in (-1, 1)
+        ]
+        return (np.fmax(*departures) > MAX_DEPARTURE) & (np.fmin(*departures) > 0.3)
+
+    total, count = np.zeros(phase.shape), np.ones(phase.shape)
+    for k in range(1, smoothing_px // 2 + 1):
+        left, right = (wrapped_difference(neighbour(phase, 0, side), phase) for side in (-k, k))
+        same = (np.maximum(np.abs(left), np.abs(right)) < 1.0) & (np.abs(left + right) < 0.6)
+        total += np.where(same, left + right, 0.0)
+        count += 2 * same
+    keep = np.isnan(phase) | saw_two_surfaces(1, 0, across) | saw_two_surfaces(0, 1, along)
+    return np.where(keep, wrapped_phase, wrapped_difference(phase + total / count, 0.0))
+
+
+def unwrap_phase(wrapped_phase: Array, quality: Array, mask: Array) -> tuple[Array, Array]:
+    """Return orders and regions, stripes along the rows, one run and one contact at a time.
+
+    Returns
+    -------
+    order : (H, W) int
+        Up to one constant a region.
+    region : (H, W) int
+        From 1; 0 where no order is given: outside the mask, in specks and beside hidden steps.
+    """
+    phase = np.where(mask, wrapped_phase, np.nan).astype(np.float64)
+    height, width = phase.shape
+    along, across, mean_quality = usual_change(phase, quality)
+    patch_of, order = np.full(phase.shape, -1), np.zeros(phase.shape, int)
+    contacts: list[tuple[int, int, int, int, int]] = []  # votes, name, patch, patch, shift of its orders
+    patches = 0
+
+    def cycles(a: tuple[int, int], b: tuple[int, int], rate: float) -> int | None:
+        """Cycles to add at b to continue a; None across a step."""
+        departure = phase[b] - phase[a] - rate
+        whole = np.rint(departure / CYCLE)
+        return None if not abs(departure - CYCLE * whole) <= MAX_DEPARTURE else -int(whole)
+
+    def weight(pixel: tuple[int, int]) -> int:
+        """One to sixteen votes, four for an ordinary pixel."""
+        return min(max(int(4 * quality[pixel] / mean_quality), 1), 16)
+
+    def runs(y: int, left: int, right: int) -> Iterator[tuple[int, int]]:
+        start = left
+        for x in range(left, right):
+            if np.isnan(phase[y, x]):
+                start = x + 1
+            elif x + 1 == right or cycles((y, x), (y, x + 1), along) is None:
+                yield start, x + 1
+                start = x + 1
+
+    def grow(y: int, start: int, stop: int, top: int) -> None:
+        """Join a run to the patch above that most of its pixels vote for, or start a patch."""
+        nonlocal patches
+        for x in range(start + 1, stop):
+            order[y, x] = order[y, x - 1] + (cycles((y, x - 1), (y, x), along) or 0)
+        ballots = {}
+        for x in range(start, stop) if y > top else ():
+            step = cycles((y - 1, x), (y, x), across)
+            if step is not None:
+                ballots[x] = (patch_of[y - 1, x], order[y - 1, x] + step - order[y, x])
+        (winner, votes), *_ = [*Counter(ballots.values()).most_common(1), ((-1, 0), 0)]
+        patch, shift = winner
+        if votes == 0 or 2 * votes < len(ballots) or (votes == 1 and stop - start > 2):
+            patch, shift = patches, 0
+            patches += 1
+        for choice in dict.fromkeys(ballots.values()):
+            if choice[0] != patch and votes < len(ballots):
+                voters = [x for x in ballots if ballots[x] == choice]
+                tally = sum(weight((y, x)) for x in voters)
+                contacts.append((tally, 3 * (y * width + voters[0]), choice[0], patch, choice[1] - shift))
+        patch_of[y, start:stop] = patch
+        order[y, start:stop] += shift
+
+    def touch(pairs: list[tuple[tuple[int, int], tuple[int, int]]], rate: float, side: int) -> None:
+        """Note what pairs of pixels on either side of a border say, a contact for each stretch that agrees."""
+
+        def said(pair: tuple[tuple[int, int], tuple[int, int]]) -> tuple[int, int, int] | None:
+            a, b = pair
+            step = cycles(a, b, rate)
+            return None if step is None else (patch_of[a], patch_of[b], order[a] - order[b] + step)
+
+        for vote, stretch in groupby(pairs, said):
+            if vote is not None:
+                agreeing = list(stretch)
+                y, x = agreeing[0][0]
+                name = 3 * (y * width + x) + 1 + side
+                contacts.append((len(agreeing) * weight((y, x)), name, *vote))
+
+    cells = [(top, left) for top in range(0, height, 16) for left in range(0, width, 8)]
+    for top, left in cells:
+        for y in range(top, min(top + 16, height)):
+            for start, stop in runs(y, left, min(left + 8, width)):
+                grow(y, start, stop, top)
+    for top, left in cells:
+        bottom, right = min(top + 16, height) - 1, min(left + 8, width) - 1
+        if right + 1 < width:
+            touch([((y, right), (y, right + 1)) for y in range(top, bottom + 1)], along, 0)
+        if bottom + 1 < height:
+            touch([((bottom, x), (bottom + 1, x)) for x in range(left, right + 1)], across, 1)
+    root, offset = maximum_spanning_forest(patches, contacts)
+    order += np.where(patch_of >= 0, offset[patch_of], 0)
+    region = np.where(patch_of >= 0, root[patch_of] + 1, 0)
+    return _leave_out(phase, order, region, patch_of, along, across)
+
+
+def maximum_spanning_forest(
+    patches: int, contacts: list[tuple[int, int, int, int, int]]
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Join patches, best supported contacts first (J. B. Kruskal, 1956); return each patch's root and offset.
+
+    Equal support goes by the contact's name, shuffled by a multiplication that no two names share.
+    """
+    parent, step = list(range(patches)), [0] * patches
+
+    def find(i: int) -> tuple[int, int]:
+        path = []
+        while parent[i] != i:
+            path.append(i)
+            i = parent[i]
+        total = 0
+        for j in reversed(path):
+            total += step[j]
+            parent[j], step[j] = i, total
+        return i, total
+
+    def shuffled(name: int) -> int:
+        return (name * -1640531527 + 2**31) % 2**32
+
+    for _, _, a, b, shift in sorted(contacts, key=lambda contact: (-contact[0], shuffled(contact[1]))):
+        (root_a, offset_a), (root_b, offset_b) = find(a), find(b)
+        if root_a != root_b:
+            parent[root_b], step[root_b] = root_a, offset_a + shift - offset_b
+    found = np.array([find(i) for i in range(patches)], np.int64).reshape(-1, 2)
+    return found[:, 0], found[:, 1]
+
+
+def _leave_out(
+    phase: Array, order: Array, region: Array, patch_of: Array, along: float, across: float
+) -> tuple[Array, Array]:
+    """Leave out regions below 128 px, their neighbours, and pixels whole cycles away from a neighbour."""
+    sizes = np.bincount(region.ravel())
+    small = (region > 0) & (sizes[region] < 128)
+    unwrapped = phase + CYCLE * order
+    out = small.copy()
+    for rows, columns in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        beside = {
+            name: neighbour(values, rows, columns)
+            for name, values in {"small": small, "region": region, "patch": patch_of, "unwrapped": unwrapped}.items()
+        }
+        departure = np.abs(beside["unwrapped"] - unwrapped - rows * across - columns * along)
+        hidden_step = (beside["region"] == region) & (departure > 2 * MAX_DEPARTURE)
+        out |= (beside["patch"] != patch_of) & ((beside["small"] == 1) | hidden_step)
+    region = np.where(out, 0, region)
+    return np.where(region > 0, order, 0), region
+
+
+def correct_fringe_order(unwrapped_phase: Array, mask: Array, window_px: int) -> Array:
+    """Return the cycles that the sequential in-place filter adds, pixel by pixel from the centre (equation 4.3).
+
+    Phases count in whole 2^16ths of a cycle, so that every sum is exact.
+    """
+    unit = np.float32(2**16 / CYCLE)
+    phase = np.where(mask, np.rint(np.where(mask, unwrapped_phase, 0) * unit), 0).astype(np.int64)
+    height, width = phase.shape
+    cycles = np.zeros(phase.shape, np.int64)
+    reach = window_px // 2
+    middle_y, middle_x = height // 2, width // 2
+    for y in [*range(middle_y, -1, -1), *range(middle_y + 1, height)]:
+        for x in [*range(middle_x, -1, -1), *range(middle_x + 1, width)]:
+            if mask[y, x]:
+                window = np.s_[max(y - reach, 0) : y + reach + 1, max(x - reach, 0) : x + reach + 1]
+                count = int(mask[window].sum())
+                excess = int((phase[window] + 2**16 * cycles[window]).sum()) - count * int(phase[y, x])
+                whole = (2 * abs(excess) + count * 2**16) // (2 * count * 2**16)  # halves away from zero
+                cycles[y, x] = whole if excess >= 0 else -whole
+    return cycles
+
+
+def projector_px(points: Array, projector: ProjectorGeometry) -> Array:
+    """Return the projector row (or column) that points in the camera's frame fall on, by OpenCV's lens."""
+    matrix = np.array([[projector.focal_px, 0, 0], [0, projector.focal_px, 0], [0, 0, 1]])
+    matrix[projector.axis, 2] = projector.center_px
+    flat = np.nan_to_num(points.reshape(-1, 3).astype(np.float64), nan=1.0)
+    rotation, _ = cv2.Rodrigues(np.asarray(projector.rotation, np.float64))
+    pixels, _ = cv2.projectPoints(flat, rotation, projector.translation_mm, matrix, projector.distortion)
+    place = pixels.reshape(-1, 2)[:, projector.axis].reshape(points.shape[:-1])
+    return np.where(np.isnan(points[..., 0]), np.nan, place)
+
+
+def triangulate(unwrapped_phase: Array, rays: Array, projector: ProjectorGeometry) -> Array:
+    """Return points: the closed form for a projector without distortion, then Newton's rule along the ray."""
+    row = unwrapped_phase.astype(np.float64) * projector.period_px / CYCLE
+    directions = np.concatenate([rays.astype(np.float64), np.ones((*row.shape, 1))], axis=-1)
+    # slope z' = y' with X' = depth R d + t: a plane through the projector's centre.
+    slope = ((row - projector.center_px) / projector.focal_px)[..., None]
+    normal = projector.rotation[projector.axis] - slope * projector.rotation[2]
+    offset = projector.translation_mm[projector.axis] - slope[..., 0] * projector.translation_mm[2]
+    depth = -offset / (normal * directions).sum(axis=-1)
+    if np.any(projector.distortion):
+        for _ in range(8):
+            landed, beyond = (projector_px(d[..., None] * directions, projector) for d in (depth, depth + 1e-3))
+            depth = depth + 1e-3 * (row - landed) / (beyond - landed)
+    return np.where((depth > 0)[..., None], depth[..., None] * directions, np.nan)
+
+
+def triangulate_mesh(points: Array, mask: Array, max_step: float) -> set[frozenset[int]]:
+    """Return the triangles as sets of vertices: each square of four pixels split along the better diagonal."""
+    number = np.cumsum(mask.ravel()).reshape(mask.shape) - 1
+    depth = points[..., 2].astype(np.float64)
+
+    def whole(*corners: tuple[int, int]) -> bool:
+        inside = all(mask[corner] for corner in corners)
+        return inside and all(abs(depth[a] - depth[b]) <= max_step for a in corners for b in corners)
+
+    triangles = set()
+    for y, x in np.ndindex(mask.shape[0] - 1, mask.shape[1] - 1):
+        a, b, c, d = (y, x), (y, x + 1), (y + 1, x), (y + 1, x + 1)
+        splits = [((a, b, c), (b, c, d), (b, c)), ((a, b, d), (a, c, d), (a, d))]
+        found = [[corners for corners in split[:2] if whole(*corners)] for split in splits]
+        steps = [abs(depth[one] - depth[other]) for _, _, (one, other) in splits]
+        best = 1 if (len(found[1]), -steps[1]) > (len(found[0]), -steps[0]) else 0
+        triangles |= {frozenset(int(number[corner]) for corner in corners) for corners in found[best]}
+    return triangles
+
+
+def harmonics(error: Array, phase: Array, count: int = 3) -> Array:
+    """Return the amplitudes of an error's harmonics against the phase: its mean, then 1 to `count`, rad."""
+    columns = [np.ones(phase.shape)]
+    for k in range(1, count + 1):
+        columns += [np.cos(k * phase), np.sin(k * phase)]
+    fit = np.linalg.lstsq(np.stack(columns, axis=-1), error, rcond=None)[0]
+    return np.concatenate([fit[:1], np.hypot(fit[1::2], fit[2::2])])
+
+
+def eroded(mask: Array, rim_px: int) -> Array:
+    """Return the pixels further than this inside the mask's rim."""
+    kernel = np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)
+    return cv2.erode(mask.astype(np.uint8), kernel, borderValue=0) != 0
+
+
+
