@@ -12,14 +12,14 @@ from pydantic import Field, model_validator
 
 from pipeline.errors import CalibrationError
 from pipeline.files import write_atomically
-from pipeline.models import Model, array_of, read_file
+from pipeline.models import ArrayOf, FloatArray, Model, read_file
 from tikernels.triangulation import ProjectorGeometry
 
-Vector3 = array_of(3)
-Matrix3 = array_of(3, 3)
-Distortion = array_of(5)
-Shift = array_of(3, 2)
-Response = array_of(3, 256)
+Vector3 = Annotated[FloatArray, ArrayOf((3,))]
+Matrix3 = Annotated[FloatArray, ArrayOf((3, 3))]
+Distortion = Annotated[FloatArray, ArrayOf((5,))]
+Shift = Annotated[FloatArray, ArrayOf((3, 2))]
+Response = Annotated[FloatArray, ArrayOf((3, 256))]
 
 
 class Lens(Model):
@@ -55,7 +55,7 @@ class Lens(Model):
             grid -= shift_px
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
         rays = cv2.undistortPoints(grid, self.matrix, self.distortion, criteria=criteria)
-        return rays.reshape(height, width, 2).astype(np.float32)
+        return np.asarray(rays, np.float32).reshape(height, width, 2)
 
 
 class Pattern(Model):

@@ -4,7 +4,6 @@ import warnings
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, FootageError, SettingsError
@@ -32,7 +31,8 @@ _MODULATION_SIGMAS = 5.0
 _MODULATION_FRACTION = 0.03
 _INTENSITY_SIGMAS = 3.0
 _INTENSITY_FRACTION = 0.02
-# Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like one.
+# Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
+# one.
 _HARMONICS_A_PIXEL = 0.8
 
 

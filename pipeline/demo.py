@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.decoder import Decoder
 from pipeline.errors import RenderError
 from pipeline.meshes import frame_mesh
@@ -61,7 +63,7 @@ def run_demo(out: Path, arch: str, *, force: bool, step: Callable[[str], None]) 
         measured = measure_against_truth(frame, truth)
         report = {**frame_report(frame, settings, calibration, "simulated bust"), "against_truth": measured}
         step("writing")
-        write_png(folder / "frame.png", truth.image)
+        write_png(folder / "frame.png", np.asarray(truth.image, np.uint8))
         calibration.write(folder / "calibration.json")
         write_frame(folder, frame, settings, calibration, report)
         picture = out / "render.png"

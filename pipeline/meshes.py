@@ -23,8 +23,8 @@ def frame_mesh(frame: DecodedFrame) -> Mesh:
     Returns
     -------
     Mesh
-        With a calibration in mm; without one x and y in px and z the relative phase in rad. The modulation goes along as
-        a vertex property. Pixels without a range are left out, so the mesh of an empty frame has no vertices.
+        With a calibration in mm; without one x and y in px and z the relative phase in rad. The modulation goes along
+        as a vertex property. Pixels without a range are left out, so the mesh of an empty frame has no vertices.
     """
     values = frame.range_image
     mask = frame.mask & np.isfinite(values)

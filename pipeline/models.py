@@ -1,12 +1,14 @@
 """What every file that a user hands us shares: frozen models, unknown keys refused, errors that name the key."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainSerializer, ValidationError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import core_schema
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -20,26 +22,28 @@ class Model(BaseModel):
 M = TypeVar("M", bound=Model)
 
 
-def array_of(*shape: int) -> Any:
-    """Return a field type: a read-only float64 array of this shape, a nested list in the file."""
+@dataclass(frozen=True)
+class ArrayOf:
+    """Annotate a field as a read-only float64 array of this shape, a nested list in the file."""
 
-    def read(value: Any) -> FloatArray:
+    shape: tuple[int, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        to_list = core_schema.plain_serializer_function_ser_schema(lambda array: array.tolist())
+        return core_schema.no_info_plain_validator_function(self.read, serialization=to_list)
+
+    def read(self, value: Any) -> FloatArray:
+        """Turn numbers into the array, or say what they should be."""
         try:
             array = np.array(value, dtype=np.float64)
         except (TypeError, ValueError) as error:
-            raise ValueError(f"must be {'x'.join(map(str, shape))} numbers") from error
-        if array.shape != shape:
-            raise ValueError(f"must have shape {shape}, got {array.shape}")
+            raise ValueError(f"must be {'x'.join(map(str, self.shape))} numbers") from error
+        if array.shape != self.shape:
+            raise ValueError(f"must have shape {self.shape}, got {array.shape}")
         if not np.isfinite(array).all():
             raise ValueError("must be finite")
         array.setflags(write=False)
         return array
-
-    return Annotated[
-        npt.NDArray[np.float64],
-        BeforeValidator(read),
-        PlainSerializer(lambda array: array.tolist(), return_type=list),
-    ]
 
 
 def build(model: type[M], values: Any, error: type[Exception], where: str) -> M:

@@ -18,7 +18,16 @@ from pipeline.settings import DecodeSettings
 from pipeline.store import write_store
 
 #: What we put into an output folder, and may therefore replace.
-NAMES = ("result.zarr", "mesh.ply", "range.png", "shaded.png", "report.json", "frame.png", "render.png", "calibration.json")
+NAMES = (
+    "result.zarr",
+    "mesh.ply",
+    "range.png",
+    "shaded.png",
+    "report.json",
+    "frame.png",
+    "render.png",
+    "calibration.json",
+)
 
 
 @contextmanager

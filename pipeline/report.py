@@ -59,10 +59,10 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
     Returns
     -------
     dict
-        ``phase_rms_rad`` over the lit pixels (brighter than 20 levels, 4 px inside the lit area), one constant, given as
-        ``phase_constant_rad``, removed; ``coverage``, the share of those pixels that have a result;
-        ``wrong_orders``, pixels whose order is not their surface's commonest; and with a calibration
-        ``depth_rms_mm``, each surface's commonest order, which nothing in one frame tells, taken as known.
+        ``phase_rms_rad`` over the lit pixels (brighter than 20 levels, 4 px inside the lit area), one constant, given
+        as ``phase_constant_rad``, removed; ``coverage``, the share of those pixels that have a result;
+        ``wrong_orders``, pixels whose order is not their surface's commonest; and with a calibration ``depth_rms_mm``,
+        each surface's commonest order, which nothing in one frame tells, taken as known.
     """
     brightness = truth.image.mean(axis=2) * (255.0 / truth.white_level)
     square = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)

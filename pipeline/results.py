@@ -65,8 +65,10 @@ class DecodedFrame:
 
     @cached_property
     def absolute(self) -> npt.NDArray[np.bool_]:
-        """(H, W) bool: whether the order is known, not only relative to its region. A single frame of an uncoded pattern
-        never tells, so nothing is."""
+        """(H, W) bool: whether the order is known, not only relative to its region.
+
+        A single frame of a plain pattern never tells, so nothing is.
+        """
         return np.zeros(self.mask.shape, np.bool_)
 
     @cached_property
@@ -76,8 +78,10 @@ class DecodedFrame:
 
     @cached_property
     def range_image(self) -> npt.NDArray[np.float32]:
-        """(H, W) float32: depth in mm with a calibration; without one relative, in rad: the unwrapped phase minus that
-        of the reference, or minus the linear ramp that fits it best. NaN outside the mask."""
+        """(H, W) float32: depth in mm with a calibration, else relative, in rad; NaN outside the mask.
+
+        Relative is the unwrapped phase minus that of the reference, or minus the linear ramp that fits it best.
+        """
         if self.points is not None:
             return np.ascontiguousarray(self.points[..., 2])
         if self._reference is not None:
@@ -105,4 +109,4 @@ def _best_ramp(phase: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> n
     columns = np.stack([np.ones(len(y)), y - (height - 1) / 2, x - (width - 1) / 2])
     offset, down, right = np.linalg.lstsq(columns @ columns.T, columns @ phase[mask].astype(np.float64))[0]
     ramp = offset + down * (np.arange(height)[:, None] - (height - 1) / 2)
-    return (ramp + right * (np.arange(width) - (width - 1) / 2)).astype(np.float32)
+    return np.asarray(ramp + right * (np.arange(width) - (width - 1) / 2), np.float32)

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
+from pipeline.calibration import Matrix3
 from pipeline.errors import SettingsError
 from pipeline.models import Model, build, read_file
-from pipeline.calibration import Matrix3
 from tikernels.balance import MIN_PERIOD_PX
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.errors import ShapeError

@@ -1,7 +1,7 @@
 """The NumPy float64 twin of every kernel, written from the equations; plain where the kernels are fast."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import groupby
 from typing import Any
 
@@ -414,6 +414,3 @@ def eroded(mask: Array, rim_px: int) -> Array:
     """Return the pixels further than this inside the mask's rim."""
     kernel = np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)
     return cv2.erode(mask.astype(np.uint8), kernel, borderValue=0) != 0
-
-
-

@@ -1,7 +1,7 @@
 """The argument checks that Taichi does not make.
 
-Taichi checks neither shapes across arguments nor whether a NumPy array may be written, and dies obscurely when no device
-is started: every host function comes through here first.
+Taichi checks neither shapes across arguments nor whether a NumPy array may be written, and dies obscurely when no
+device is started: every host function comes through here first.
 """
 
 from collections.abc import Sequence

@@ -6,7 +6,7 @@ same language without either. Every kernel file takes ``ti`` and its array types
 
 import importlib
 import os
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 # Importing must print nothing; both languages greet on import otherwise.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")
@@ -27,16 +27,30 @@ def _import_language() -> tuple[Any, str]:
 
 ti, language = _import_language()
 
-# Array arguments of kernels: element type and number of axes.
+# Array arguments of kernels (element type and number of axes), and small vectors; types that mypy takes for anything.
 if TYPE_CHECKING:
-    F32Array1 = F32Array2 = F32Array3 = I32Array1 = I32Array2 = I32Array3 = U8Array1 = U8Array2 = AnyArray3 = Any
+    F32Array1: TypeAlias = Any
+    F32Array2: TypeAlias = Any
+    F32Array3: TypeAlias = Any
+    F32Array4: TypeAlias = Any
+    I32Array1: TypeAlias = Any
+    I32Array2: TypeAlias = Any
+    U8Array2: TypeAlias = Any
+    AnyArray2: TypeAlias = Any
+    AnyArray3: TypeAlias = Any
+    vec2: TypeAlias = Any
+    vec3: TypeAlias = Any
+    vec5: TypeAlias = Any
+    ivec3: TypeAlias = Any
+    mat3: TypeAlias = Any
+    f32: TypeAlias = Any
+    i32: TypeAlias = Any
 else:
-    F32Array1 = ti.types.ndarray(dtype=ti.f32, ndim=1)
-    F32Array2 = ti.types.ndarray(dtype=ti.f32, ndim=2)
-    F32Array3 = ti.types.ndarray(dtype=ti.f32, ndim=3)
-    I32Array1 = ti.types.ndarray(dtype=ti.i32, ndim=1)
-    I32Array2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
-    I32Array3 = ti.types.ndarray(dtype=ti.i32, ndim=3)
-    U8Array1 = ti.types.ndarray(dtype=ti.u8, ndim=1)
+    F32Array1, F32Array2, F32Array3, F32Array4 = (ti.types.ndarray(dtype=ti.f32, ndim=n) for n in (1, 2, 3, 4))
+    I32Array1, I32Array2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     U8Array2 = ti.types.ndarray(dtype=ti.u8, ndim=2)
-    AnyArray3 = ti.types.ndarray(ndim=3)
+    AnyArray2, AnyArray3 = (ti.types.ndarray(ndim=n) for n in (2, 3))
+    vec2, vec3, vec5 = (ti.types.vector(n, ti.f32) for n in (2, 3, 5))
+    ivec3 = ti.types.vector(3, ti.i32)
+    mat3 = ti.types.matrix(3, 3, ti.f32)
+    f32, i32 = ti.f32, ti.i32

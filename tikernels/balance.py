@@ -2,9 +2,9 @@
 
 The camera's channel i sees r_i times what a neutral surface would send back, r_i changing slowly. A window of a few
 cycles averages the fringes out and leaves r_i (section 3.1 of Je, Lee and Park 2004); a Gaussian window does so without
-the ripple that a box leaves when it is not a whole number of cycles. At the edge of a surface the window is one-sided and
-13 % of the fringe passes it, so a second look, which knows the phase by then, compares what each channel sums up to with
-what the phase says it should. A third look gains less than 0.001 rad.
+the ripple that a box leaves when it is not a whole number of cycles. At the edge of a surface the window is one-sided
+and 13 % of the fringe passes it, so a second look, which knows the phase by then, compares what each channel sums up to
+with what the phase says it should. A third look gains less than 0.001 rad.
 """
 
 from functools import cache
@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, ti
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, i32, mat3, ti, vec3
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.errors import ShapeError
-from tikernels.phase_vector import mat3, matrix_of, phase_vector, vec3
+from tikernels.phase_vector import matrix_of, phase_vector
 
 # Window across and along the stripes, as a standard deviation in cycles: at 0.85 cycles a Gaussian passes 1e-6 of the
 # fringe; wider ones blur the reflectance without gaining anything.
@@ -85,7 +85,7 @@ class Gains:
 
 
 @ti.func
-def gain_at(gains: F32Array3, cell: ti.i32, y: ti.i32, x: ti.i32) -> vec3:
+def gain_at(gains: F32Array3, cell: i32, y: i32, x: i32) -> vec3:
     """Interpolate the gains at a pixel, bilinearly."""
     v = (ti.cast(y, ti.f32) + 0.5) / cell - 0.5
     u = (ti.cast(x, ti.f32) + 0.5) / cell - 0.5
@@ -102,22 +102,22 @@ def gain_at(gains: F32Array3, cell: ti.i32, y: ti.i32, x: ti.i32) -> vec3:
     return result
 
 
-# Along the stripes neighbours say the same: the first sums look at every second pixel, the phase-aware ones at one in each
-# row of a block. The visibility is averaged over every eighth pixel both ways.
+# Along the stripes neighbours say the same: the first sums look at every second pixel, the phase-aware ones at one in
+# each row of a block. The visibility is averaged over every eighth pixel both ways.
 _SPARSE = 8
 
 
 @cache
 def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
     @ti.func
-    def light_at(image: AnyArray3, scale: ti.f32, y: ti.i32, x: ti.i32) -> vec3:
+    def light_at(image: AnyArray3, scale: f32, y: i32, x: i32) -> vec3:
         return scale * vec3(
             ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
         )
 
     @ti.func
     def unbalanced(light: vec3, inverse: mat3) -> vec3:
-        """The channels that the gains belong to."""
+        """Return the channels that the gains belong to."""
         result = light
         if ti.static(not balance_first):
             result = inverse @ light
@@ -125,7 +125,7 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
 
     @ti.func
     def balanced(light: vec3, gain: vec3, inverse: mat3) -> vec3:
-        """The projector's channels as a neutral surface sends them back."""
+        """Return the projector's channels as a neutral surface sends them back."""
         result = vec3(0.0)
         if ti.static(balance_first):
             result = inverse @ (light * gain)
@@ -136,10 +136,10 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
     @ti.kernel
     def sum_blocks_kernel(
         image: AnyArray3,  # (H, W, 3) levels
-        scale: ti.f32,  # levels to linear light
+        scale: f32,  # levels to linear light
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
-        min_intensity: ti.f32,  # linear light; darker pixels are left out
-        rows: ti.i32,
+        min_intensity: f32,  # linear light; darker pixels are left out
+        rows: i32,
         out_sums: F32Array3,  # (Hb, Wb, >= 3)
     ):
         height, width, columns = image.shape[0], image.shape[1], 2 * rows
@@ -160,13 +160,13 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
     @ti.kernel
     def predict_blocks_kernel(
         image: AnyArray3,  # (H, W, 3) levels
-        scale: ti.f32,
+        scale: f32,
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
         crosstalk_matrix: F32Array2,  # (3, 3)
         gains: F32Array3,  # (Hg, Wg, 3) of the first look
-        rows: ti.i32,
-        min_intensity: ti.f32,
-        min_modulation: ti.f32,
+        rows: i32,
+        min_intensity: f32,
+        min_modulation: f32,
         visibility: F32Array2,  # (H / 8 + 1, 2) scratch: sums of modulation and background a row; last: their totals
         out_sums: F32Array3,  # (Hb, Wb, 6) what is there, and what the phase predicts
     ):
@@ -198,7 +198,9 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
             seen, predicted = vec3(0.0), vec3(0.0)
             contrast = visibility[sparse_rows, 0]
             # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
-            gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), ti.min(j * columns + rows, width - 1))
+            gain = gain_at(
+                gains, columns, ti.min(i * rows + rows // 2, height - 1), ti.min(j * columns + rows, width - 1)
+            )
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
                 x = j * columns + (y & 1) * rows
                 if x < width:
@@ -226,7 +228,7 @@ def smooth_blocks_kernel(
     sums: F32Array3,  # (Hb, Wb, >= channels) a block's sums
     taps_across: F32Array1,  # half a Gaussian, from its middle
     taps_along: F32Array1,
-    channels: ti.i32,  # 3: seen; 6: seen and predicted
+    channels: i32,  # 3: seen; 6: seen and predicted
     half: F32Array3,  # (Hg, Wg, >= channels) scratch: smoothed across the stripes
     out_gains: F32Array3,  # (Hg, Wg, 3)
 ):
@@ -283,7 +285,7 @@ def _gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
 def apply_gains_kernel(
     image: F32Array3,  # (H, W, 3) linear light
     gains: F32Array3,  # (Hg, Wg, 3)
-    cell: ti.i32,
+    cell: i32,
     out: F32Array3,  # (H, W, 3)
 ):
     for pixel in range(image.shape[0] * image.shape[1]):

@@ -10,10 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array3, ti
+from tikernels._taichi import F32Array3, mat3, ti, vec3
 from tikernels.errors import ShapeError
-from tikernels.phase_vector import mat3, vec3
-
 
 
 @ti.kernel
@@ -54,7 +52,7 @@ def invert_crosstalk(crosstalk_matrix: npt.ArrayLike, *, normalize_rows: bool = 
         matrix = matrix / sums
     if np.linalg.cond(matrix) > 100:
         raise ShapeError("crosstalk_matrix cannot be inverted: two of its rows are alike")
-    return np.linalg.inv(matrix)
+    return np.asarray(np.linalg.inv(matrix), np.float64)
 
 
 def correct_crosstalk(image: Any, crosstalk_matrix: npt.ArrayLike, out: Any | None = None) -> Any:

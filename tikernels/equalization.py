@@ -1,7 +1,7 @@
 """Equalise the distribution of the phase, which undoes the projector's response without knowing it.
 
-Over many cycles a surface shows every phase equally often; a response that is not linear crowds them (section 3.2 of Je,
-Lee and Park 2004). The cumulative distribution, interpolated, is the map that spreads them again. Its free constant is
+Over many cycles a surface shows every phase equally often; a response that is not linear crowds them (section 3.2 of
+Je, Lee and Park 2004). The cumulative distribution, interpolated, is the map that spreads them again. Its free constant is
 set so that the mean correction is zero; otherwise the whole phase would shift with the branch cut.
 """
 
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array1, F32Array2, I32Array2, U8Array2, ti
+from tikernels._taichi import F32Array1, F32Array2, I32Array2, U8Array2, f32, i32, ti
 from tikernels.errors import ShapeError
 from tikernels.phase_vector import PI, wrap
 
@@ -53,7 +53,7 @@ def correction_table(histogram: npt.NDArray[np.integer[Any]], harmonics: int | N
 
 
 @ti.func
-def equalized(phase: ti.f32, table: F32Array1) -> ti.f32:
+def equalized(phase: f32, table: F32Array1) -> f32:
     """Add the interpolated correction to a phase in [-pi, pi]; the sum may lie a little beyond."""
     bins = table.shape[0] - 1
     place = (phase + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
@@ -66,7 +66,7 @@ def equalized(phase: ti.f32, table: F32Array1) -> ti.f32:
 def count_phases_kernel(
     wrapped_phase: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
-    step: ti.i32,  # px between two samples along a row
+    step: i32,  # px between two samples along a row
     out_histogram: I32Array2,  # (SLOTS, bins), to be added to
 ):
     height, width = wrapped_phase.shape[0], wrapped_phase.shape[1]

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, U8Array2, ti
+from tikernels._taichi import F32Array1, F32Array2, U8Array2, f32, i32, ti
 from tikernels.equalization import equalized
 from tikernels.errors import ShapeError
 from tikernels.phase_vector import PI, wrap
@@ -40,20 +40,20 @@ def smooth_phase_kernel(pairs: int) -> Any:
     taps = ti.types.vector(window, ti.f32)
 
     @ti.func
-    def between_surfaces(one: ti.f32, other: ti.f32) -> ti.i32:
+    def between_surfaces(one: f32, other: f32) -> i32:
         """Whether a pixel that departs so far from its neighbours on either side belongs to neither's surface."""
         low, high = ti.min(one, other), ti.max(one, other)
         farthest = ti.select(high < NO_NEIGHBOUR, high, low)
         return ti.cast(farthest > MAX_DEPARTURE and farthest < NO_NEIGHBOUR and low > _SAME_SURFACE, ti.i32)
 
     @ti.func
-    def departure(change: ti.f32) -> ti.f32:
+    def departure(change: f32) -> f32:
         """How far a difference of two phases, less its usual value, is from whole cycles."""
         size = ti.abs(change)
         return ti.min(size, ti.abs(size - 2.0 * PI))
 
     @ti.func
-    def phase_at(phase: F32Array2, table: F32Array1, y: ti.i32, x: ti.i32) -> ti.f32:
+    def phase_at(phase: F32Array2, table: F32Array1, y: i32, x: i32) -> f32:
         value = NO_PHASE
         if 0 <= x and x < phase.shape[1]:
             value = phase[y, x]
@@ -206,8 +206,8 @@ def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *
     Returns
     -------
     (H, W) float32
-        rad in [-pi, pi]; unchanged outside the mask and at steps. Neighbours count in pairs left and right, and only while the
-        surface goes on, so steps stay sharp and slopes unbiased.
+        rad in [-pi, pi]; unchanged outside the mask and at steps. Neighbours count in pairs left and right, and only
+        while the surface goes on, so steps stay sharp and slopes unbiased.
 
     Raises
     ------

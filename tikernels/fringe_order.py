@@ -1,15 +1,15 @@
 """Correct single wrong orders by their surroundings: the in-place filter of section 4.2 of Je, Lee and Park 2004.
 
-phi2 = phi1 + 2 pi round((mean of phi over the window - phi1) / 2 pi), pixel after pixel from the image's centre: its row to
-the left, then to the right, then row by row up, then down (equation 4.3). In place means that a pixel sees its corrected
-predecessors, which makes the filter sequential. But a pixel can only change if its window says so with nothing corrected,
-or if a predecessor in its window changed; so all windows are summed in parallel first, and only what can change is looked
-at again, until nothing changes any more. What is left then obeys the sequential filter's equation at every pixel, and as
-each pixel depends on its predecessors alone, there is but one such result.
+phi2 = phi1 + 2 pi round((mean of phi over the window - phi1) / 2 pi), pixel after pixel from the image's centre: its
+row to the left, then to the right, then row by row up, then down (equation 4.3). In place means that a pixel sees its
+corrected predecessors, which makes the filter sequential. But a pixel can only change if its window says so with
+nothing corrected, or if a predecessor in its window changed; so all windows are summed in parallel first, and only what
+can change is looked at again, until nothing changes any more. What is left then obeys the sequential filter's equation
+at every pixel, and as each pixel depends on its predecessors alone, there is but one such result.
 
-Phases are summed as integers, 2^16 a cycle: such sums are exact in any order, so that the orders agree bit for bit however
-the work is divided. A sum may wrap around; its difference from a multiple of the pixel's own phase does not while the
-mean lies within 2^15 / window^2 cycles.
+Phases are summed as integers, 2^16 a cycle: such sums are exact in any order, so that the orders agree bit for bit
+however the work is divided. A sum may wrap around; its difference from a multiple of the pixel's own phase does not
+while the mean lies within 2^15 / window^2 cycles.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, ti
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, i32, ti
 from tikernels.errors import ShapeError
 from tikernels.filtering import STRETCH
 from tikernels.phase_vector import PI
@@ -33,7 +33,7 @@ _MAX_WINDOW_PX = 31  # 961 pixels: means within 34 cycles
 def sum_rows_kernel(
     unwrapped: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
-    reach: ti.i32,  # px on either side
+    reach: i32,  # px on either side
     out_phase: I32Array2,  # (H, W) 2^16 a cycle; 0 outside the mask
     out_sums: I32Array2,  # (H, W) over the window's row
     out_counts: I32Array2,  # (H, W) valid pixels in it
@@ -65,7 +65,7 @@ def sum_rows_kernel(
 
 
 @ti.func
-def rounded_cycles(excess: ti.i32, count: ti.i32) -> ti.i32:
+def rounded_cycles(excess: i32, count: i32) -> i32:
     """Round excess / count to whole cycles, halves away from zero."""
     cycle = count * _CYCLE
     cycles = (ti.abs(excess) + cycle // 2) // cycle
@@ -78,7 +78,7 @@ def sum_windows_kernel(
     mask: U8Array2,  # (H, W)
     row_sums: I32Array2,  # (H, W)
     row_counts: I32Array2,  # (H, W)
-    reach: ti.i32,
+    reach: i32,
     out_excess: I32Array2,  # (H, W) window sum less the pixel's own phase times the count
     out_counts: I32Array2,  # (H, W)
     out_cycles: I32Array2,  # (H, W) correction so far: none
@@ -127,7 +127,7 @@ def sum_windows_kernel(
 
 
 @ti.func
-def precedes(y: ti.i32, x: ti.i32, y2: ti.i32, x2: ti.i32, middle_y: ti.i32, middle_x: ti.i32) -> ti.i32:
+def precedes(y: i32, x: i32, y2: i32, x2: i32, middle_y: i32, middle_x: i32) -> i32:
     """Whether the filter comes to (y, x) before it comes to (y2, x2)."""
     earlier = 0
     if y != y2:
@@ -147,7 +147,7 @@ def correct_active_kernel(
     mask: U8Array2,  # (H, W)
     excess: I32Array2,  # (H, W) of the uncorrected windows
     counts: I32Array2,  # (H, W)
-    reach: ti.i32,
+    reach: i32,
     cycles: I32Array2,  # (H, W) corrections; read and written
     active: U8Array2,  # (H, W) pixels to look at; cleared
     later: U8Array2,  # (H, W) pixels to look at next time
@@ -223,9 +223,8 @@ def correct_fringe_order(
         A shape or dtype is another one, the window is even or out of range, `stripes` is unknown, or `out` cannot be
         written.
 
-    Notes
-    -----
-    The filter knows no steps: beside a real one of more than half a cycle it pulls pixels across. Use it on one surface.
+    Notes ----- The filter knows no steps: beside a real one of more than half a cycle it pulls pixels across. Use it on
+    one surface.
 
     Examples
     --------

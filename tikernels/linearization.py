@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks
-from tikernels._taichi import AnyArray3, F32Array3, ti
+from tikernels._taichi import AnyArray3, F32Array3, f32, ti
 from tikernels.errors import ShapeError
 
 TRANSFERS = ("linear", "srgb", "bt709")
@@ -25,19 +25,19 @@ def linear_light(transfer: str) -> Any:
     if transfer == "srgb":
 
         @ti.func
-        def to_linear(value: ti.f32) -> ti.f32:
+        def to_linear(value: f32) -> f32:
             return ti.select(value <= 0.04045, value / 12.92, ti.pow((ti.max(value, 0.0) + 0.055) / 1.055, 2.4))
 
     elif transfer == "bt709":
 
         @ti.func
-        def to_linear(value: ti.f32) -> ti.f32:
+        def to_linear(value: f32) -> f32:
             return ti.select(value < 0.081, value / 4.5, ti.pow((ti.max(value, 0.0) + 0.099) / 1.099, 1 / 0.45))
 
     else:
 
         @ti.func
-        def to_linear(value: ti.f32) -> ti.f32:
+        def to_linear(value: f32) -> f32:
             return value
 
     return to_linear
@@ -50,7 +50,7 @@ def _linearize_kernel(transfer: str) -> Any:
     @ti.kernel
     def linearize_kernel(
         image: AnyArray3,  # (H, W, 3) encoded, 0..white_level
-        scale: ti.f32,  # 1 / white_level
+        scale: f32,  # 1 / white_level
         out: F32Array3,  # (H, W, 3) linear light, 0..1
     ):
         for y, x in ti.ndrange(image.shape[0], image.shape[1]):

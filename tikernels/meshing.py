@@ -6,18 +6,18 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array3, I32Array1, I32Array2, U8Array2, ti
+from tikernels._taichi import F32Array3, I32Array1, I32Array2, U8Array2, f32, i32, ti
 
 
 @ti.func
-def joined(points: F32Array3, mask: U8Array2, y: ti.i32, x: ti.i32, y2: ti.i32, x2: ti.i32, max_step: ti.f32) -> ti.i32:
+def joined(points: F32Array3, mask: U8Array2, y: i32, x: i32, y2: i32, x2: i32, max_step: f32) -> i32:
     """Whether an edge of the mesh may run between two pixels."""
     inside = mask[y, x] != 0 and mask[y2, x2] != 0
     return ti.cast(inside and ti.abs(points[y, x, 2] - points[y2, x2, 2]) <= max_step, ti.i32)
 
 
 @ti.func
-def square_triangles(points: F32Array3, mask: U8Array2, y: ti.i32, x: ti.i32, max_step: ti.f32) -> ti.i32:
+def square_triangles(points: F32Array3, mask: U8Array2, y: i32, x: i32, max_step: f32) -> i32:
     """Which triangles a square of four pixels holds: bit 0 upper left, 1 lower right, 2 upper right, 3 lower left.
 
     A whole square is split along its diagonal with the smaller step, into bits 0 and 1, or 2 and 3.
@@ -45,7 +45,7 @@ def square_triangles(points: F32Array3, mask: U8Array2, y: ti.i32, x: ti.i32, ma
 def count_triangles_kernel(
     points: F32Array3,  # (H, W, 3)
     mask: U8Array2,  # (H, W)
-    max_step: ti.f32,
+    max_step: f32,
     out_triangles: I32Array1,  # (H,) triangles between a row and the next
     out_vertices: I32Array1,  # (H,) masked pixels
 ):
@@ -81,7 +81,7 @@ def number_vertices_kernel(
 def fill_triangles_kernel(
     points: F32Array3,  # (H, W, 3)
     mask: U8Array2,  # (H, W)
-    max_step: ti.f32,
+    max_step: f32,
     numbers: I32Array2,  # (H, W) vertex numbers
     first: I32Array1,  # (H,) place of a row's first triangle
     out_faces: I32Array2,  # (M, 3)

@@ -3,11 +3,7 @@
 Shared by every stage that looks at the phase of a pixel.
 """
 
-from tikernels._taichi import F32Array2, ti
-
-vec2 = ti.types.vector(2, ti.f32)
-vec3 = ti.types.vector(3, ti.f32)
-mat3 = ti.types.matrix(3, 3, ti.f32)
+from tikernels._taichi import F32Array2, f32, mat3, ti, vec2, vec3
 
 PI = 3.141592653589793
 
@@ -18,7 +14,7 @@ _SIGN = -(2**31)  # the sign bit of a float32
 
 
 @ti.func
-def with_sign_of(magnitude: ti.f32, sign: ti.f32) -> ti.f32:
+def with_sign_of(magnitude: f32, sign: f32) -> f32:
     """Return a non-negative number with another's sign; bits, because the CPU's selects cost three times as much."""
     return ti.bit_cast(ti.bit_cast(magnitude, ti.i32) | (ti.bit_cast(sign, ti.i32) & _SIGN), ti.f32)
 
@@ -30,7 +26,7 @@ def matrix_of(array: F32Array2):
 
 
 @ti.func
-def arctangent(y: ti.f32, x: ti.f32) -> ti.f32:
+def arctangent(y: f32, x: f32) -> f32:
     """Angle of (x, y) in [-pi, pi]; pi/2 for (0, 0)."""
     # In the upper half plane the angle is pi/4 (right) or 3 pi/4 (left) less the arctangent of a ratio within [-1, 1].
     height = ti.abs(y)
@@ -48,6 +44,6 @@ def phase_vector(light: vec3):
 
 
 @ti.func
-def wrap(angle: ti.f32) -> ti.f32:
+def wrap(angle: f32) -> f32:
     """Bring an angle within (-3 pi, 3 pi) back to [-pi, pi]."""
     return angle - ti.select(ti.abs(angle) > PI, with_sign_of(2.0 * PI, angle), 0.0)

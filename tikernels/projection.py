@@ -13,8 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, U8Array2, ti
-from tikernels.phase_vector import mat3, vec3
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, F32Array4, U8Array2, f32, i32, mat3, ti, vec3
 
 SCENES = ("bust", "plane", "waves", "objects", "ball")
 
@@ -37,7 +36,7 @@ class SceneTruth(NamedTuple):
 
 
 @ti.func
-def ellipsoid(p: vec3, radii: vec3) -> ti.f32:
+def ellipsoid(p: vec3, radii: vec3) -> f32:
     """Distance to an ellipsoid, to first order."""
     outer = (p / radii).norm()
     inner = (p / (radii * radii)).norm()
@@ -45,20 +44,20 @@ def ellipsoid(p: vec3, radii: vec3) -> ti.f32:
 
 
 @ti.func
-def smooth_union(a: ti.f32, b: ti.f32, blend_mm: ti.f32) -> ti.f32:
+def smooth_union(a: f32, b: f32, blend_mm: f32) -> f32:
     """Return the smaller of two distances, with a fillet."""
     h = ti.max(blend_mm - ti.abs(a - b), 0.0) / blend_mm
     return ti.min(a, b) - h * h * blend_mm * 0.25
 
 
 @ti.func
-def smooth_cut(a: ti.f32, b: ti.f32, blend_mm: ti.f32) -> ti.f32:
+def smooth_cut(a: f32, b: f32, blend_mm: f32) -> f32:
     """Return a with b taken away, with a fillet."""
     return -smooth_union(-a, b, blend_mm)
 
 
 @ti.func
-def bust(p: vec3) -> ti.f32:
+def bust(p: vec3) -> f32:
     """Head and shoulders around (0, 0, 850) mm, face towards the camera."""
     q = p - vec3(0.0, -5.0, 850.0)
     mirrored = vec3(ti.abs(q.x), q.y, q.z)
@@ -70,7 +69,7 @@ def bust(p: vec3) -> ti.f32:
     if q.z < 10.0 and skull < 40.0:
         cheek = ellipsoid(mirrored - vec3(36.0, 2.0, -52.0), vec3(22.0, 24.0, 18.0))
         distance = smooth_union(distance, cheek, 22.0)
-        brow = ellipsoid(mirrored - vec3(24.0, -40.0, -68.0), vec3(27.0, 9.0, 12.0))
+        brow = ellipsoid(mirrored - vec3(20.0, -40.0, -70.0), vec3(20.0, 8.0, 11.0))
         distance = smooth_union(distance, brow, 14.0)
         socket = ellipsoid(mirrored - vec3(29.0, -22.0, -88.0), vec3(21.0, 14.0, 20.0))
         distance = smooth_cut(distance, socket, 14.0)
@@ -97,13 +96,13 @@ def bust(p: vec3) -> ti.f32:
 
 
 @ti.func
-def wall(p: vec3, depth_mm: ti.f32) -> ti.f32:
+def wall(p: vec3, depth_mm: f32) -> f32:
     """Distance to a wall that leans back a little."""
     return (depth_mm + 0.06 * p.x - 0.04 * p.y - p.z) / ti.sqrt(1.0 + 0.06 * 0.06 + 0.04 * 0.04)
 
 
 @ti.func
-def interpolation_weight(tap: ti.i32, fraction: ti.f32) -> ti.f32:
+def interpolation_weight(tap: i32, fraction: f32) -> f32:
     """Weight of one of eight Lagrange taps, -3..4 around the sample.
 
     Exact on polynomials of degree 7: on a sinusoid of 17 px a cycle the error is 3e-7, where cubic convolution leaves
@@ -117,7 +116,7 @@ def interpolation_weight(tap: ti.i32, fraction: ti.f32) -> ti.f32:
 
 
 @ti.func
-def sample(light: F32Array3, column: ti.f32, row: ti.f32, channel: ti.i32) -> ti.f32:
+def sample(light: F32Array3, column: f32, row: f32, channel: i32) -> f32:
     """Read the projector's light between its pixels; nothing is projected outside its frame."""
     height, width = light.shape[0], light.shape[1]
     value = 0.0
@@ -134,7 +133,7 @@ def sample(light: F32Array3, column: ti.f32, row: ti.f32, channel: ti.i32) -> ti
 
 
 @ti.func
-def surface_color(p: vec3, color: vec3, texture: ti.f32) -> vec3:
+def surface_color(p: vec3, color: vec3, texture: f32) -> vec3:
     """Reflectance that varies slowly by +-texture, with one redder, darker blotch of some 30 mm."""
     slow = ti.sin(0.021 * p.x + 0.4) * ti.cos(0.026 * p.y + 0.011 * p.x)
     blotch = ti.exp(-((p.x - 35.0) ** 2 + (p.y - 15.0) ** 2) / 800.0)
@@ -147,20 +146,20 @@ def _scene(scene: str) -> Any:
     if scene == "bust":
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> ti.f32:
+        def distance_to(p: vec3, motion: vec3) -> f32:
             return ti.min(bust(p - motion), wall(p, 985.0))
 
     elif scene == "plane":
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> ti.f32:
+        def distance_to(p: vec3, motion: vec3) -> f32:
             q = p - motion
             return (900.0 + 0.25 * q.x + 0.2 * q.y - q.z) / ti.sqrt(1.0 + 0.0625 + 0.04)
 
     elif scene == "waves":
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> ti.f32:
+        def distance_to(p: vec3, motion: vec3) -> f32:
             q = p - motion
             height = 9.0 * ti.sin(q.x * 0.055) * ti.cos(q.y * 0.05) + 5.0 * ti.sin(q.x * 0.02 + q.y * 0.08)
             return (900.0 + height - q.z) * 0.75  # the slope stays under 0.8
@@ -168,7 +167,7 @@ def _scene(scene: str) -> Any:
     elif scene == "objects":
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> ti.f32:
+        def distance_to(p: vec3, motion: vec3) -> f32:
             q = p - motion
             ball = (q - vec3(-130.0, -60.0, 880.0)).norm() - 62.0
             egg = ellipsoid(q - vec3(120.0, 45.0, 930.0), vec3(85.0, 60.0, 50.0))
@@ -179,23 +178,24 @@ def _scene(scene: str) -> Any:
     else:
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> ti.f32:
+        def distance_to(p: vec3, motion: vec3) -> f32:
             ball = (p - motion - vec3(0.0, 0.0, 880.0)).norm() - 85.0
             return ti.min(ball, wall(p, 985.0))
 
     return distance_to
 
 
-
-
 @cache
 def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool) -> Any:
-    """Specialise the renderer: `views` is 3 where camera channels see along rays of their own, else 1; `fields` is 3
-    where the projector shows its colours one after another, else 1."""
+    """Specialise the renderer.
+
+    `views` is 3 where camera channels see along rays of their own, else 1; `fields` is 3 where the projector shows its
+    colours one after another, else 1.
+    """
     distance_to = _scene(scene)
 
     @ti.func
-    def trace(ray: vec3, motion: vec3) -> ti.f32:
+    def trace(ray: vec3, motion: vec3) -> f32:
         """Depth of the first surface along a ray of unit depth; beyond _FAR_MM: none."""
         length = ray.norm()
         depth = _NEAR_MM
@@ -208,7 +208,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
         return depth
 
     @ti.func
-    def shadowed(p: vec3, direction: vec3, motion: vec3) -> ti.i32:
+    def shadowed(p: vec3, direction: vec3, motion: vec3) -> i32:
         """Whether something stands between a point and the projector."""
         hidden = 0
         # The surface's own tolerance must not shadow it: the first 2 mm are skipped.
@@ -231,7 +231,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
 
     @ti.kernel
     def render_scene_kernel(
-        rays: ti.types.ndarray(dtype=ti.f32, ndim=4),  # (views, H, W, 2) unit-depth rays, lens distortion taken out
+        rays: F32Array4,  # (views, H, W, 2) unit-depth rays, lens distortion taken out
         light: F32Array3,  # (Hp, Wp, 3) linear projector light, 0..1
         crosstalk: mat3,
         rotation: mat3,  # X_projector = rotation X_camera + translation
@@ -239,9 +239,9 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
         lens: F32Array1,  # fx, fy, cx, cy, k1, k2, p1, p2, k3 of the projector
         projector_shift: F32Array2,  # (3, 2) px, lateral colour
         color: vec3,
-        texture: ti.f32,
-        ambient: ti.f32,
-        falloff_mm: ti.f32,  # distance at which the projector's light counts 1
+        texture: f32,
+        ambient: f32,
+        falloff_mm: f32,  # distance at which the projector's light counts 1
         field_motion: vec3,  # mm that the objects move from one colour field to the next
         out_light: F32Array3,
         out_projector_px: F32Array3,
@@ -279,9 +279,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
                         radial = 1.0 + r2 * (lens[4] + r2 * (lens[5] + r2 * lens[8]))
                         u = lens[0] * (a * radial + 2 * lens[6] * a * b + lens[7] * (r2 + 2 * a * a)) + lens[2]
                         v = lens[1] * (b * radial + lens[6] * (r2 + 2 * b * b) + 2 * lens[7] * a * b) + lens[3]
-                        inside = (
-                            u >= -0.5 and u <= light.shape[1] - 0.5 and v >= -0.5 and v <= light.shape[0] - 0.5
-                        )
+                        inside = u >= -0.5 and u <= light.shape[1] - 0.5 and v >= -0.5 and v <= light.shape[0] - 0.5
                         lit = 0
                         if slope > 0.0 and inside:
                             lit = 1 - shadowed(p, direction, motion)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tikernels._taichi import language, ti
+from tikernels._taichi import f32, i32, language, ti
 from tikernels.errors import DeviceNotReady
 
 #: Every arch by name, in the order in which "auto" prefers them.
@@ -177,7 +177,7 @@ def synchronize() -> None:
 
 
 _DEVICE_TYPES = {
-    "float32": ti.f32, "int32": ti.i32, "uint8": ti.u8, "uint16": ti.u16, "uint32": ti.u32,
+    "float32": f32, "int32": i32, "uint8": ti.u8, "uint16": ti.u16, "uint32": ti.u32,
 }  # fmt: skip
 
 

@@ -7,11 +7,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray3, F32Array3, I32Array1, ti
+from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti, vec3
 from tikernels.balance import MIN_PERIOD_PX
 from tikernels.linearization import WHITE_LEVELS
-from tikernels.phase_vector import phase_vector, vec3
-
+from tikernels.phase_vector import phase_vector
 
 # Columns that are looked at: enough to meet every object that fills a twentieth of the picture.
 _COLUMNS = 16
@@ -32,7 +31,7 @@ class FrameStatistics:
 @ti.kernel
 def probe_frame_kernel(
     image: AnyArray3,  # (H, W, 3) levels
-    scale: ti.f32,  # levels to 0..1
+    scale: f32,  # levels to 0..1
     out_samples: F32Array3,  # (columns, H, 4) phase vector (2), noise (sum of second differences), mean
 ):
     columns, height, width = out_samples.shape[0], image.shape[0], image.shape[1]
@@ -81,9 +80,7 @@ def measure_frame(image: Any, white_level: float | None = None) -> FrameStatisti
     lit = light >= np.median(light)  # dark pixels are clipped at zero and show half the noise
     # The second difference of a sum of three channels has 3 (1 + 4 + 1) times a channel's variance.
     noise = float(np.median(np.abs(samples[..., 2][lit]))) / (0.6745 * np.sqrt(18))
-    return FrameStatistics(
-        _period(samples[..., 0] + 1j * samples[..., 1]), noise, float(np.percentile(light, 95))
-    )
+    return FrameStatistics(_period(samples[..., 0] + 1j * samples[..., 1]), noise, float(np.percentile(light, 95)))
 
 
 def _period(signal: npt.NDArray[np.complex64]) -> float | None:
@@ -111,7 +108,7 @@ def _period(signal: npt.NDArray[np.complex64]) -> float | None:
 @ti.kernel
 def count_out_of_range_kernel(
     image: AnyArray3,  # (H, W, 3)
-    white_level: ti.f32,
+    white_level: f32,
     out_count: I32Array1,  # NaN; values below zero or above the white level
 ):
     height, width = image.shape[0], image.shape[1]

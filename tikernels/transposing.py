@@ -4,13 +4,13 @@ from typing import Any
 
 from tikernels import runtime
 from tikernels._checks import dtype_name
-from tikernels._taichi import ti
+from tikernels._taichi import AnyArray2, AnyArray3, ti
 
 
 @ti.kernel
 def transpose_kernel(
-    image: ti.types.ndarray(ndim=2),  # (H, W)
-    out: ti.types.ndarray(ndim=2),  # (W, H)
+    image: AnyArray2,  # (H, W)
+    out: AnyArray2,  # (W, H)
 ):
     for pixel in range(out.shape[0] * out.shape[1]):
         y, x = pixel // out.shape[1], pixel % out.shape[1]
@@ -19,8 +19,8 @@ def transpose_kernel(
 
 @ti.kernel
 def transpose_color_kernel(
-    image: ti.types.ndarray(ndim=3),  # (H, W, 3)
-    out: ti.types.ndarray(ndim=3),  # (W, H, 3)
+    image: AnyArray3,  # (H, W, 3)
+    out: AnyArray3,  # (W, H, 3)
 ):
     for pixel in range(out.shape[0] * out.shape[1]):
         y, x = pixel // out.shape[1], pixel % out.shape[1]

@@ -1,8 +1,8 @@
 """Turn phase into points: the camera's ray of a pixel meets the projector's surface of equal phase.
 
-Without lens distortion that surface is a plane through the projector's centre and the meeting point is closed-form; with
-it, the row where the ray's point really lands is compared with the row that the phase names, and the plane is moved by
-the difference, five times: each turn leaves a few per cent of the error.
+Without lens distortion that surface is a plane through the projector's centre and the meeting point is closed-form;
+with it, the row where the ray's point really lands is compared with the row that the phase names, and the plane is
+moved by the difference, five times: each turn leaves a few per cent of the error.
 """
 
 from typing import Any, NamedTuple
@@ -11,10 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array2, F32Array3, ti
-from tikernels.phase_vector import PI, mat3, vec3
-
-vec5 = ti.types.vector(5, ti.f32)
+from tikernels._taichi import F32Array2, F32Array3, f32, i32, mat3, ti, vec3, vec5
+from tikernels.phase_vector import PI
 
 
 class ProjectorGeometry(NamedTuple):
@@ -42,7 +40,7 @@ class ProjectorGeometry(NamedTuple):
 
 
 @ti.func
-def projected(q: vec3, focal: ti.f32, center: ti.f32, lens: vec5, axis: ti.i32) -> ti.f32:
+def projected(q: vec3, focal: f32, center: f32, lens: vec5, axis: i32) -> f32:
     """Projector row (axis 1) or column (axis 0) of a point in the projector's frame, px."""
     a, b = q.x / q.z, q.y / q.z
     r2 = a * a + b * b
@@ -54,8 +52,8 @@ def projected(q: vec3, focal: ti.f32, center: ti.f32, lens: vec5, axis: ti.i32) 
 
 @ti.func
 def ray_depth(
-    ray: vec3, row: ti.f32, rotation: mat3, translation: vec3, focal: ti.f32, center: ti.f32, lens: vec5, axis: ti.i32
-) -> ti.f32:
+    ray: vec3, row: f32, rotation: mat3, translation: vec3, focal: f32, center: f32, lens: vec5, axis: i32
+) -> f32:
     """Depth (mm) at which a ray of unit depth meets a projector row; not positive where it does not."""
     direction = rotation @ ray
     along, offset = direction.y, translation.y
@@ -77,11 +75,11 @@ def triangulate_kernel(
     rays: F32Array3,  # (H, W, 2) x, y at unit depth
     rotation: mat3,
     translation: vec3,
-    focal: ti.f32,
-    center: ti.f32,
+    focal: f32,
+    center: f32,
     lens: vec5,
-    period: ti.f32,
-    axis: ti.i32,
+    period: f32,
+    axis: i32,
     out_points: F32Array3,  # (H, W, 3) mm
 ):
     height, width = unwrapped_phase.shape[0], unwrapped_phase.shape[1]

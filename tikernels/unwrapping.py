@@ -15,12 +15,25 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array2, F32Array3, I32Array1, I32Array2, U8Array2, ti
+from tikernels._taichi import (
+    F32Array2,
+    F32Array3,
+    I32Array1,
+    I32Array2,
+    U8Array2,
+    f32,
+    i32,
+    ivec3,
+    mat3,
+    ti,
+    vec3,
+    vec5,
+)
 from tikernels.errors import ShapeError
-from tikernels.transposing import transpose
 from tikernels.filtering import MAX_DEPARTURE, STRETCH, mark_no_phase_kernel, measure_rates_kernel, rates_buffer
-from tikernels.phase_vector import PI, mat3, vec3
-from tikernels.triangulation import ProjectorGeometry, projected, vec5
+from tikernels.phase_vector import PI
+from tikernels.transposing import transpose
+from tikernels.triangulation import ProjectorGeometry, projected
 from tikernels.wrapped_phase import NO_PHASE
 
 # Short along the stripe: where a hidden step of whole cycles slips into a run, at most half a cell is wrong.
@@ -35,8 +48,8 @@ _SERIAL_PATCHES = 6000
 _GOLDEN = -1640531527  # 2^32 / golden ratio, odd: multiplying by it shuffles the 32-bit numbers one to one
 
 # Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
-# across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again. Across,
-# slopes change the phase more, and a response that is not linear lets the modulation swing three times a cycle.
+# across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again.
+# Across, slopes change the phase more, and a response that is not linear lets the modulation swing three times a cycle.
 _SURE_ALONG, _ALIKE_ALONG = 0.25, 0.75
 _SURE_ACROSS, _ALIKE_ACROSS = 0.5, 0.5
 _NOTHING, _BETWEEN = -1, -2
@@ -65,8 +78,8 @@ class Unwrapper:
         self.contacts = runtime.empty((5, contacts), np.int32)
         self.regions = runtime.empty((4, patches), np.int32)
         self.final = runtime.empty((3, patches), np.int32)
-        # A table for contacts by what they join: crowded in the first round, where hardly any two join the same, and all
-        # but empty when the large regions meet.
+        # A table for contacts by what they join: crowded in the first round, where hardly any two join the same, and
+        # all but empty when the large regions meet.
         self.table = runtime.empty((5, 2 ** int(np.ceil(np.log2(patches / 2)))), np.int32)
 
     def join(self, phase: Any, quality: Any, rates: Any) -> None:
@@ -134,14 +147,14 @@ class Unwrapper:
 
 
 @ti.func
-def cycles_between(difference: ti.f32, rate: ti.f32) -> ti.i32:
+def cycles_between(difference: f32, rate: f32) -> i32:
     """Whole cycles to add to a difference of two wrapped phases to bring it nearest to the usual change."""
     excess = difference - rate
     return ti.cast(excess < -PI, ti.i32) - ti.cast(excess > PI, ti.i32)
 
 
 @ti.func
-def departure(difference: ti.f32, rate: ti.f32, cycles: ti.i32) -> ti.f32:
+def departure(difference: f32, rate: f32, cycles: i32) -> f32:
     """How far a difference with its cycles is from the usual change."""
     return ti.abs(difference - rate + 2.0 * PI * ti.cast(cycles, ti.f32))
 
@@ -150,12 +163,12 @@ def departure(difference: ti.f32, rate: ti.f32, cycles: ti.i32) -> ti.f32:
 def add_contact(
     contacts: I32Array2,
     counters: I32Array1,
-    reserved: ti.i32,
-    a: ti.i32,
-    b: ti.i32,
-    shift: ti.i32,
-    votes: ti.i32,
-    name: ti.i32,
+    reserved: i32,
+    a: i32,
+    b: i32,
+    shift: i32,
+    votes: i32,
+    name: i32,
 ):
     """Note that offset[b] = offset[a] + shift, by so many votes; the name is the contact's own.
 
@@ -173,13 +186,13 @@ def add_contact(
 
 
 @ti.func
-def brightness(quality: ti.f32, mean_quality: ti.f32) -> ti.i32:
+def brightness(quality: f32, mean_quality: f32) -> i32:
     """One to sixteen, four for an ordinary pixel."""
     return ti.min(ti.max(ti.cast(4.0 * quality / mean_quality, ti.i32), 1), 16)
 
 
 @ti.func
-def vote_weight(departs: ti.f32, quality: ti.f32, quality2: ti.f32, mean_quality: ti.f32) -> ti.i32:
+def vote_weight(departs: f32, quality: f32, quality2: f32, mean_quality: f32) -> i32:
     """Weight of one pixel's vote, 1 to 64: the phase goes on, and so does the brightness, which is not low.
 
     A step that hides behind whole cycles departs by anything at its every pixel and seldom joins two equally bright
@@ -192,9 +205,7 @@ def vote_weight(departs: ti.f32, quality: ti.f32, quality2: ti.f32, mean_quality
 
 
 @ti.func
-def vote_above(
-    phase: F32Array2, quality: F32Array2, labels: I32Array2, y: ti.i32, x: ti.i32, rate: ti.f32
-) -> ti.types.vector(3, ti.i32):
+def vote_above(phase: F32Array2, quality: F32Array2, labels: I32Array2, y: i32, x: i32, rate: f32) -> ivec3:
     """Patch of the pixel above, the shift that makes this run continue it, and whether that is sure.
 
     Patch -1: no vote across a step. The row above holds patches and orders already, this one its runs' own orders.
@@ -227,8 +238,8 @@ def grow_patches_kernel(
     cell_columns = (width + _CELL_WIDTH - 1) // _CELL_WIDTH
     cells = cell_columns * ((height + _CELL_HEIGHT - 1) // _CELL_HEIGHT)
     last = rates.shape[0] - 1
-    # Each cell has a place of its own for its first patch and for its first contact right and below: a counter shared by
-    # all threads is asked for the others only.
+    # Each cell has a place of its own for its first patch and for its first contact right and below: a counter shared
+    # by all threads is asked for the others only.
     for _ in range(1):
         out_counters[_N_PATCHES] = cells
         out_counters[_N_CONTACTS] = 2 * cells
@@ -311,7 +322,9 @@ def grow_patches_kernel(
                                 vote = vote_above(phase, quality, out_labels, y, voter, rate_across)
                                 if vote.x == choice.x and vote.y == choice.y:
                                     difference = phase[y, voter] - phase[y - 1, voter]
-                                    departs = departure(difference, rate_across, cycles_between(difference, rate_across))
+                                    departs = departure(
+                                        difference, rate_across, cycles_between(difference, rate_across)
+                                    )
                                     above = quality[y - 1, voter]
                                     tally += 2 * vote_weight(departs, quality[y, voter], above, mean_quality)
                                     if voter < candidate:
@@ -386,15 +399,15 @@ def grow_patches_kernel(
 
 
 @ti.kernel
-def start_regions_kernel(count: ti.i32, patches: I32Array2):
+def start_regions_kernel(count: i32, patches: I32Array2):
     for i in range(count):
         patches[_ROOT, i] = i
         patches[_OFFSET, i] = 0
 
 
 @ti.func
-def joined_regions(patches: I32Array2, contacts: I32Array2, e: ti.i32) -> ti.types.vector(3, ti.i32):
-    """Return the two regions that a contact joins, the smaller root first, and the shift from the first to the second."""
+def joined_regions(patches: I32Array2, contacts: I32Array2, e: i32) -> ivec3:
+    """Return the two regions that a contact joins, the smaller root first, and the shift between them."""
     a, b = contacts[_FROM, e], contacts[_TO, e]
     root, root2 = patches[_ROOT, a], patches[_ROOT, b]
     turn = contacts[_SHIFT, e] + patches[_OFFSET, a] - patches[_OFFSET, b]
@@ -404,7 +417,7 @@ def joined_regions(patches: I32Array2, contacts: I32Array2, e: ti.i32) -> ti.typ
 
 
 @ti.func
-def table_place(joins: ti.types.vector(3, ti.i32), size: ti.i32) -> ti.i32:
+def table_place(joins: ivec3, size: i32) -> i32:
     """Scatter what a contact joins over a table whose size is a power of two."""
     mixed = (joins.x * _GOLDEN) ^ (joins.y * 73244475) ^ (joins.z * 1540483477)
     mixed = (mixed ^ ((mixed >> 15) & 0x1FFFF)) * _GOLDEN
@@ -417,8 +430,8 @@ def merge_patches_kernel(serial: bool) -> Any:
 
     @ti.kernel
     def merge_patches(
-        count: ti.i32,
-        contact_count: ti.i32,
+        count: i32,
+        contact_count: i32,
         patches: I32Array2,  # (10, capacity): root and offset are read and written, the rest is scratch
         contacts: I32Array2,  # (5, capacity); the votes of spent contacts become 0
         table: I32Array2,  # (5, power of two) scratch
@@ -455,9 +468,7 @@ def merge_patches_kernel(serial: bool) -> Any:
                 joins = joined_regions(patches, contacts, e)
                 place = table_place(joins, table.shape[1])
                 same = (
-                    table[_LOW, place] == joins.x
-                    and table[_HIGH, place] == joins.y
-                    and table[_TURN, place] == joins.z
+                    table[_LOW, place] == joins.x and table[_HIGH, place] == joins.y and table[_TURN, place] == joins.z
                 )
                 if same and table[_OWNER, place] != contacts[_NAME, e]:
                     ti.atomic_add(table[_SUM, place], votes)
@@ -533,7 +544,7 @@ def merge_patches_kernel(serial: bool) -> Any:
 
 @ti.kernel
 def choose_starts_kernel(
-    count: ti.i32,
+    count: i32,
     labels: I32Array2,  # (H, W)
     patches: I32Array2,
     out_regions: I32Array2,  # (4, capacity) by root: pixels, score, first pixel of the start, order there
@@ -570,18 +581,18 @@ def choose_starts_kernel(
 
 @ti.kernel
 def place_regions_kernel(
-    count: ti.i32,
+    count: i32,
     phase: F32Array2,  # (H, W) rad
     labels: I32Array2,  # (H, W)
     rays: F32Array3,  # (H, W, 2)
-    depth: ti.f32,  # mm
+    depth: f32,  # mm
     rotation: mat3,
     translation: vec3,
-    focal: ti.f32,
-    center: ti.f32,
+    focal: f32,
+    center: f32,
     lens: vec5,
-    period: ti.f32,
-    axis: ti.i32,
+    period: f32,
+    axis: i32,
     patches: I32Array2,
     regions: I32Array2,  # the order that is taken off each region is written
 ):
@@ -610,8 +621,8 @@ def place_regions_kernel(
 
 @ti.kernel
 def finish_patches_kernel(
-    count: ti.i32,
-    contact_count: ti.i32,
+    count: i32,
+    contact_count: i32,
     labels: I32Array2,  # (H, W)
     patches: I32Array2,
     contacts: I32Array2,
@@ -647,9 +658,7 @@ def finish_patches_kernel(
 
 
 @ti.func
-def beside_step(
-    phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I32Array2, y: ti.i32, x: ti.i32
-) -> ti.i32:
+def beside_step(phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32) -> i32:
     """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
     height, width, last = labels.shape[0], labels.shape[1], rates.shape[0] - 1
     label = labels[y, x]

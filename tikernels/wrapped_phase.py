@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, ti
-from tikernels.phase_vector import PI, arctangent, matrix_of, phase_vector, vec3
-
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, f32, i32, ti, vec3
+from tikernels.phase_vector import PI, arctangent, matrix_of, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
@@ -39,7 +38,7 @@ def recover_phase_kernel(balance_first: bool) -> Any:
     """Return the kernel from grey levels to phase: balance, crosstalk, arctangent and masks in one pass."""
 
     @ti.func
-    def node_gain(gains: F32Array3, i: ti.i32, i1: ti.i32, fraction: ti.f32, j: ti.i32) -> vec3:
+    def node_gain(gains: F32Array3, i: i32, i1: i32, fraction: f32, j: i32) -> vec3:
         column = ti.min(ti.max(j, 0), gains.shape[1] - 1)
         result = vec3(0.0)
         for k in ti.static(range(3)):
@@ -49,16 +48,16 @@ def recover_phase_kernel(balance_first: bool) -> Any:
     @ti.kernel
     def recover_phase(
         image: AnyArray3,  # (H, W, 3) levels
-        white: ti.f32,  # level of full scale
+        white: f32,  # level of full scale
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk; used where the gains come after it
         phase_weights: F32Array2,  # (3, 3) takes the channels that the gains belong to to b (cos phi, sin phi), 0
         gains: F32Array3,  # (Hg, Wg, 3)
-        cell: ti.i32,  # px between two nodes of the gains
-        min_intensity: ti.f32,  # levels
-        min_modulation: ti.f32,  # levels
+        cell: i32,  # px between two nodes of the gains
+        min_intensity: f32,  # levels
+        min_modulation: f32,  # levels
         out_phase: F32Array2,  # (H, W) rad, [-pi, pi]; NO_PHASE outside the mask
         out_modulation: F32Array2,  # (H, W) levels
-        histogram_mask: ti.i32,  # columns of which these bits are zero are counted
+        histogram_mask: i32,  # columns of which these bits are zero are counted
         out_histogram: I32Array2,  # (slots, bins) their phases; to be added to
     ):
         height, width = image.shape[0], image.shape[1]
@@ -85,7 +84,9 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                 for x in range(ti.max(start, 0), ti.min(start + cell, width)):
                     gain = left + slope * (ti.cast(x - start, ti.f32) + 0.5)
                     seen = vec3(
-                        ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
+                        ti.cast(image[y, x, 0], ti.f32),
+                        ti.cast(image[y, x, 1], ti.f32),
+                        ti.cast(image[y, x, 2], ti.f32),
                     )
                     channels = seen
                     if ti.static(not balance_first):

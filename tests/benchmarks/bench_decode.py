@@ -19,7 +19,7 @@ SIZES = ((480, 640), (1440, 1920), (2160, 3840))  # height, width
 
 
 def frame(height: int, width: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
-    """A simulated bust at 12 px a cycle: small pictures tiled, so that every size has the same fringes and noise."""
+    """Return a simulated bust at 12 px a cycle, tiled, so that every size has the same fringes and noise."""
     small = simulate_frame(simulated_rig(), SimulationSettings()).image
     tiles = -(-height // 480), -(-width // 640)
     # Every other tile is mirrored, so that surfaces go on across the seams; left and right keep the fringe whole.
@@ -28,7 +28,7 @@ def frame(height: int, width: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 
 def median_ms(body: Callable[[], object], repeats: int) -> float:
-    """Median time of a call after warming up, the device waited for inside."""
+    """Return the median time of a call after warming up, the device waited for inside."""
     for _ in range(3):
         body()
     times = []
@@ -71,8 +71,10 @@ def main() -> None:
         decoder.decode(image).unwrapped_phase  # noqa: B018
         times.append(time.perf_counter() - start)
         memory.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
-    print(f"frames 3-7 {1e3 * np.median(times[2:7]):.2f} ms, 496-500 {1e3 * np.median(times[-5:]):.2f} ms; "
-          f"peak memory after 50 {memory[49]:.0f} MB, after 500 {memory[-1]:.0f} MB")
+    print(
+        f"frames 3-7 {1e3 * np.median(times[2:7]):.2f} ms, 496-500 {1e3 * np.median(times[-5:]):.2f} ms; "
+        f"peak memory after 50 {memory[49]:.0f} MB, after 500 {memory[-1]:.0f} MB"
+    )
 
 
 if __name__ == "__main__":

@@ -14,8 +14,8 @@ import pyvista
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.export import Mesh, read_mesh, vertex_normals, write_mesh
-from pipeline.range_image import depth_colors, shade_range, write_range_image
 from pipeline.files import write_atomically
+from pipeline.range_image import depth_colors, shade_range, write_range_image
 
 SUFFIXES = (".ply", ".wrl", ".obj", ".stl", ".glb", ".gltf")
 GREY = 48

@@ -51,14 +51,14 @@ def test_as_the_twin(arch, matrix, masked):
 
 @pytest.mark.parametrize("matrix", [None, MATRIX], ids=["no crosstalk", "crosstalk"])
 def test_the_colour_no_longer_bends_the_phase(arch, matrix):
-    """0.26 rad RMS before; 0.01 rad (0.07 mm) are left where the window is whole, some more at the rim."""
+    """0.2 rad RMS before; 0.03 rad, the noise of the best frame, where the window is whole, some more at the rim."""
     image, phase = scene(matrix=matrix)
     before = reference.wrapped_difference(phase_of(image, matrix), phase)
     after = reference.wrapped_difference(
         phase_of(tikernels.balance_color(image, PERIOD_PX, crosstalk_matrix=matrix), matrix), phase
     )
     assert rms(before) > 0.2
-    assert rms(after[30:-30, 30:-30]) < 0.01
+    assert rms(after[30:-30, 30:-30]) < 0.035
     assert rms(after) < 0.06
 
 

@@ -46,9 +46,7 @@ def test_normalized_rows_keep_grey():
 
 def test_menu(menu):
     image = np.random.default_rng(2).random((5, 7, 3), np.float32)
-    menu(
-        lambda image, out=None: tikernels.correct_crosstalk(image, MATRIX, out=out), np.empty_like(image), image=image
-    )
+    menu(lambda image, out=None: tikernels.correct_crosstalk(image, MATRIX, out=out), np.empty_like(image), image=image)
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from tikernels.equalization import correction_table
 
 
 def bent_ramp(amplitude: float = 0.2, seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    """Return a noisy phase bent by a third harmonic, and the true one."""
-    true = reference.ramp(91, 113, 12.0, tilt=0.031)
+    """Return a noisy phase bent by a third harmonic, and the true one: whole cycles, every phase as often."""
+    true = reference.ramp(96, 113, 12.0, tilt=2 * np.pi / 113)
     noise = 0.01 * np.random.default_rng(seed).standard_normal(true.shape)
     return reference.wrapped(true + amplitude * np.sin(3 * true) + noise), true
 

@@ -34,9 +34,9 @@ def test_a_slope_is_kept(arch, tilt):
 def test_the_noise_falls(arch):
     """Five samples of equal noise: its standard deviation falls by sqrt(5)."""
     true = reference.ramp(80, 120, 12.0, tilt=0.02)
-    found = tikernels.smooth_along_stripes(noisy(true, 0.1), np.ones(true.shape, bool), 5)
+    found = tikernels.smooth_along_stripes(noisy(true, 0.05), np.ones(true.shape, bool), 5)
     left = reference.wrapped_difference(found, true)[:, 2:-2].std()
-    assert left == pytest.approx(0.1 / np.sqrt(5), rel=0.05)
+    assert left == pytest.approx(0.05 / np.sqrt(5), rel=0.05)
 
 
 def test_a_step_stays_sharp(arch):

@@ -5,6 +5,8 @@ import pytest
 import reference
 
 import tikernels
+from pipeline import Decoder, DecodeSettings
+from pipeline.simulate import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 63), (31, 17)])
@@ -65,3 +67,23 @@ def test_menu(menu):
         return tikernels.compute_wrapped_phase(image, None if out is None else (out, *spare))[0]
 
     menu(phase, np.empty((5, 7), np.float32), image=image)
+
+
+@pytest.mark.parametrize("arch", ["vulkan"], indirect=True)
+@pytest.mark.parametrize("bands", ["broad", "narrow"])
+def test_backends_decode_the_same(arch, bands):
+    """A frame's phase to 1e-3 rad, 7 um of depth; its orders but for a pixel in 10,000; each backend bit by bit."""
+    frame = simulate_frame(simulated_rig((320, 240)), SimulationSettings(reflectance_bands=bands))
+    settings = DecodeSettings(crosstalk_matrix=np.array(TYPICAL_CROSSTALK), reflectance_bands=bands)
+    results = {}
+    for name in (arch, "cpu"):
+        first, second = (Decoder(settings, arch=name).decode(frame.image) for _ in range(2))
+        for field in ("wrapped_phase", "unwrapped_phase", "mask", "modulation", "region"):
+            np.testing.assert_array_equal(getattr(first, field), getattr(second, field), err_msg=f"{name}: {field}")
+        results[name] = first
+    gpu, cpu = results[arch], results["cpu"]
+    assert np.count_nonzero(gpu.mask != cpu.mask) <= 1e-3 * gpu.mask.size
+    both = gpu.mask & cpu.mask
+    difference = np.abs(reference.wrapped_difference(gpu.wrapped_phase, cpu.wrapped_phase))[both]
+    assert np.count_nonzero(difference > 1e-3) <= 1e-4 * gpu.mask.size
+    assert np.count_nonzero((gpu.fringe_order != cpu.fringe_order) & both) <= 1e-4 * gpu.mask.size

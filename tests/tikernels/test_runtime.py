@@ -1,0 +1,91 @@
+"""Starting devices, and every module's own examples."""
+
+import doctest
+import importlib
+import pkgutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import tikernels
+from tikernels import runtime
+
+MODULES = sorted(module.name for module in pkgutil.iter_modules(tikernels.__path__, "tikernels."))
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples(name):
+    tikernels.init("cpu")
+    assert doctest.testmod(importlib.import_module(name)).failed == 0
+
+
+def test_a_named_arch_is_what_runs(arch):
+    assert runtime.started() == arch
+    assert tikernels.init("auto") == arch  # keeps what runs
+    assert tikernels.init(arch) == arch
+
+
+def test_buffers_come_and_go(arch):
+    host = np.arange(12, dtype=np.float32).reshape(3, 4)
+    buffer = runtime.to_device(host)
+    assert tuple(buffer.shape) == (3, 4)
+    assert runtime.is_device_array(buffer) == (arch != "cpu")
+    np.testing.assert_array_equal(runtime.to_host(buffer), host)
+    assert tuple(runtime.empty((2, 5), np.uint8).shape) == (2, 5)
+
+
+def test_the_cpu_is_always_there():
+    assert tikernels.supported_archs()[-1] == "cpu"
+
+
+def test_an_unknown_arch_is_refused():
+    with pytest.raises(
+        tikernels.DeviceNotReady, match=r"no arch is called 'gpu': choose auto, cpu, cuda, metal, vulkan"
+    ):
+        tikernels.init("gpu")
+
+
+def run(program: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+
+
+def test_a_missing_arch_is_one_line():
+    missing = next(name for name in ("metal", "cuda") if name not in tikernels.supported_archs())
+    done = run(
+        "import tikernels\n"
+        f"try: tikernels.init('{missing}')\n"
+        "except tikernels.DeviceNotReady as error: print(error)\n"
+        "print(tikernels.runtime.is_started(), tikernels.init('cpu'))"
+    )
+    message, after = done.stdout.splitlines()
+    assert message.startswith(f"{missing} cannot be started here ({missing}: ")
+    assert message.endswith("`colorphase devices` lists what can")
+    assert after == "False cpu"
+    assert done.stderr == ""
+
+
+def test_no_device_before_init():
+    done = run(
+        "import numpy as np, tikernels\n"
+        "image = np.zeros((4, 4, 3), np.float32)\n"
+        "phase, mask = image[..., 0].copy(), image[..., 0] == 0\n"
+        "calls = {\n"
+        "    'linearize': lambda: tikernels.linearize(image),\n"
+        "    'correct_crosstalk': lambda: tikernels.correct_crosstalk(image, np.eye(3)),\n"
+        "    'balance_color': lambda: tikernels.balance_color(image, 12),\n"
+        "    'compute_wrapped_phase': lambda: tikernels.compute_wrapped_phase(image),\n"
+        "    'equalize_phase': lambda: tikernels.equalize_phase(phase, mask),\n"
+        "    'smooth_along_stripes': lambda: tikernels.smooth_along_stripes(phase, mask),\n"
+        "    'unwrap_phase': lambda: tikernels.unwrap_phase(phase, phase, mask),\n"
+        "    'correct_fringe_order': lambda: tikernels.correct_fringe_order(phase, mask),\n"
+        "    'triangulate_mesh': lambda: tikernels.triangulate_mesh(image, mask, 1.0),\n"
+        "}\n"
+        "for name, call in calls.items():\n"
+        "    try: call()\n"
+        "    except tikernels.DeviceNotReady as error: print(name, error)\n"
+    )
+    lines = done.stdout.splitlines()
+    assert len(lines) == 9, done.stderr
+    assert all(line.endswith('no device is started: call tikernels.init("auto") first') for line in lines)
