@@ -39,6 +39,7 @@ app = App(
     name="colorphase",
     help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
     version_flags=["--version"],
+    error_formatter=lambda error: f"[red]error: {' '.join(str(error).split())}[/red]",
 )
 
 
@@ -73,6 +74,7 @@ def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: boo
 @app.command
 def pattern(
     file: Path,
+    /,
     *,
     size: str = "1024x768",
     period: float = 768 / 44,
@@ -105,6 +107,7 @@ def pattern(
 @app.command
 def decode(
     input: Path,
+    /,
     *,
     out: Path,
     settings: Path | None = None,
@@ -145,11 +148,14 @@ def decode(
         step("writing")
         write_frame(folder, frame, chosen, rig, frame_report(frame, chosen, rig, input.name))
     _out.print(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}", highlight=False, soft_wrap=True)
+    if not frame.mask.any():  # the warning has said why
+        sys.exit(1)
 
 
 @app.command
 def render(
     input: Path,
+    /,
     *,
     out: Path,
     view: Literal["three-quarter", "front"] = "three-quarter",
@@ -203,7 +209,12 @@ def devices() -> None:
 def _progress() -> Iterator[Callable[[str], None]]:
     """Show what is being done and for how long, on a terminal."""
     with Progress(
-        SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn(), console=_err, transient=True
+        SpinnerColumn(),
+        TextColumn("{task.description}"),
+        TimeElapsedColumn(),
+        console=_err,
+        transient=True,
+        disable=not _err.is_terminal,
     ) as progress:
         task = progress.add_task("starting")
         yield lambda what: progress.update(task, description=what)

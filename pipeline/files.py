@@ -12,6 +12,7 @@ from pipeline.errors import OutputError
 _ADVICE = {
     errno.ENOENT: "its folder does not exist: create the folder first",
     errno.ENOTDIR: "its folder is a file: choose another folder",
+    errno.EEXIST: "its folder is a file: choose another folder",
     errno.EISDIR: "it is a folder: name a file in it",
     errno.EACCES: "the folder is not writable: choose another one",
     errno.EPERM: "the folder is not writable: choose another one",
@@ -19,6 +20,11 @@ _ADVICE = {
     errno.ENOSPC: "the disk is full: free some space",
     errno.EDQUOT: "your disk quota is used up: free some space",
 }
+
+
+def explain(error: OSError) -> str:
+    """Return what is wrong with a place that cannot be written, and what to do."""
+    return _ADVICE.get(error.errno or 0, error.strerror or str(error))
 
 
 def write_atomically(path: str | Path, content: bytes | Callable[[BinaryIO], None]) -> None:
@@ -46,8 +52,7 @@ def write_atomically(path: str | Path, content: bytes | Callable[[BinaryIO], Non
                 file.write(content)
         os.replace(temporary, path)
     except OSError as error:
-        advice = _ADVICE.get(error.errno or 0, error.strerror or str(error))
-        raise OutputError(f"cannot write {path}: {advice}") from error
+        raise OutputError(f"cannot write {path}: {explain(error)}") from error
     finally:
         # After an error the folder itself may be unreachable: then nothing was left in it.
         try:

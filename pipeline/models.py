@@ -59,12 +59,12 @@ def build(model: type[M], values: Any, error: type[Exception], where: str) -> M:
     except ValidationError as invalid:
         faults = invalid.errors(include_url=False)
         fault = faults[0]
-        key = ".".join(str(part) for part in fault["loc"]) or "the whole"
+        key = "".join(f"{part}." for part in fault["loc"]).rstrip(".") + ": " if fault["loc"] else ""
         reason = {"extra_forbidden": "is not a known key", "missing": "is missing"}.get(
             fault["type"], fault["msg"].removeprefix("Value error, ")
         )
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        raise error(f"{where}: {key}: {reason}{more}") from None
+        raise error(f"{where}: {key}{reason}{more}") from None
 
 
 def read_file(path: str | Path, model: type[M], parse: Callable[[str], Any], error: type[Exception]) -> M:

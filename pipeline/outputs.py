@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.calibration import Calibration
-from pipeline.errors import OutputError
+from pipeline.errors import FootageError, OutputError
 from pipeline.export import write_mesh
+from pipeline.files import explain
 from pipeline.meshes import frame_mesh
 from pipeline.range_image import shade_range, write_png, write_range_image
 from pipeline.results import DecodedFrame
@@ -65,10 +66,10 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
             if target.is_dir() and not target.is_symlink():
                 shutil.rmtree(target)
             entry.replace(target)
-    except OutputError:
+    except (FootageError, OutputError):  # OSErrors too, but not about this folder
         raise
     except OSError as error:
-        raise OutputError(f"cannot write {path}: {error.strerror or error}") from None
+        raise OutputError(f"cannot write {path}: {explain(error)}") from None
     finally:
         if work is not None:
             shutil.rmtree(work, ignore_errors=True)

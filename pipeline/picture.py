@@ -34,6 +34,7 @@ def read_picture(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uin
     for start, end in _ENDS.items():
         if data.startswith(start) and end not in data[-1024:]:
             raise FootageError(f"{path} is truncated: copy it again")
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the message below says it in one line
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
     except cv2.error:
