@@ -79,7 +79,7 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
     measured["phase_constant_rad"] = constant
     cycles = np.rint((error - constant) / (2 * np.pi)).astype(int)
     surface = np.where(valid, _surfaces(truth), 0)
-    wrong, commonest = 0, np.zeros(valid.shape)
+    wrong, commonest = 0, np.full(valid.shape, np.nan)  # NaN: on no surface large enough to tell
     for number in np.flatnonzero(np.bincount(surface.ravel()) >= _MIN_SURFACE_PX):
         if number > 0:
             here = surface == number
@@ -88,7 +88,7 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
             wrong += int(here.sum() - counts.max())
     measured["wrong_orders"] = wrong
     if frame.calibrated:
-        placed = np.where(valid, frame.unwrapped_phase - 2 * np.pi * commonest, np.nan).astype(np.float32)
+        placed = (frame.unwrapped_phase - 2 * np.pi * commonest).astype(np.float32)
         points = triangulate(placed, truth.rig.camera.rays(), truth.rig.projector_geometry())
         depth_error = (points - truth.points)[valid][:, 2]
         measured["depth_rms_mm"] = float(np.sqrt(np.nanmean(depth_error.astype(np.float64) ** 2)))

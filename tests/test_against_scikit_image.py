@@ -25,7 +25,7 @@ Array = npt.NDArray[Any]
 
 
 def label_surfaces(mask: Array, joined_right: Array, joined_down: Array) -> Array:
-    """Return a number from 1 for every connected part of the mask, given which neighbours belong together; 0 outside."""
+    """Return the connected parts of the mask, from 1, given which neighbours belong together; 0 outside."""
     label = np.arange(1, mask.size + 1).reshape(mask.shape)
     pairs = np.concatenate(
         [
@@ -89,7 +89,7 @@ def test_simulated_scenes(arch, scene, gamma):
 
 @pytest.mark.parametrize("axis, stripes", [("x", "vertical"), ("y", "horizontal")])
 def test_real_captures(arch, axis, stripes):
-    """A toy with bumps, a base and deep shadow, shrunk to 11 to 15 px a cycle, where the truth comes from Gray codes."""
+    """A toy with bumps, a base and deep shadow, shrunk to 11 to 15 px a cycle; the true orders are of Gray codes."""
     if not DATA.exists():
         pytest.skip(f"the captures are not at {DATA}")
     image = cv2.imread(str(DATA / f"object1_{axis}_rgb.png"))[..., ::-1]

@@ -111,5 +111,5 @@ def test_menu(menu):
 
 @pytest.mark.parametrize("period_px", [3.9, 0.0, -12.0, float("nan")])
 def test_periods_that_no_camera_resolves(arch, period_px):
-    with pytest.raises(tikernels.ShapeError, match="period_px is .*: three colours resolve a cycle of 4 px or more"):
+    with pytest.raises(tikernels.ShapeError, match=r"period_px is .*: three colours resolve a cycle of 4 px or more"):
         tikernels.balance_color(np.ones((8, 8, 3), np.float32), period_px)

@@ -30,7 +30,7 @@ def linear(frame: SimulatedFrame) -> np.ndarray:
 
 
 def phase_error(frame: SimulatedFrame) -> tuple[np.ndarray, np.ndarray]:
-    """Return the plain arctangent's error and the true phase, rad, well inside the lit area, darkest pixels left out."""
+    """Return the plain arctangent's error and the true phase, rad, well inside what is lit, dark pixels left out."""
     inside = reference.eroded(frame.mask, 6) & (linear(frame).mean(axis=-1) > 20 / 255)
     found, _, _ = reference.compute_wrapped_phase(linear(frame))
     return reference.wrapped_difference(found, frame.phase)[inside], frame.phase[inside]
@@ -44,7 +44,7 @@ def error_harmonics(**faults: Any) -> np.ndarray:
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
 def test_an_ideal_frame_shows_its_phase(arch, scene, stripes):
-    """The plain arctangent is right to 0.003 rad, 0.02 mm, but where a pixel's neighbourhood ends; exposed so that nothing clips."""
+    """The plain arctangent is right to 0.003 rad, 0.02 mm; exposed so that nothing clips."""
     settings = SimulationSettings(**{**IDEAL, "scene": scene, "exposure": 0.5})
     frame = simulate_frame(rig((320, 240), stripes=stripes), settings)
     error, _ = phase_error(frame)
@@ -70,7 +70,7 @@ def test_points_project_to_the_phase(arch, scene, stripes):
 
 
 def test_the_plane_is_a_plane(arch):
-    """z = 900 + 0.25 x + 0.2 y; the tracer stops within a micrometre along its normal, float32 adds a tenth of one."""
+    """Z = 900 + 0.25 x + 0.2 y; the tracer stops within a micrometre along its normal, float32 adds a tenth of one."""
     x, y, z = np.moveaxis(photograph("plane").points.astype(np.float64), -1, 0)
     assert np.abs(900 + 0.25 * x + 0.2 * y - z).max() < 2e-3
 
@@ -116,8 +116,8 @@ def test_an_ideal_frame_has_no_harmonics(arch):
     assert np.abs(error_harmonics()).max() < 5e-4
 
 
-# What the table in the method gives for 12 px a cycle, constant, 1st, 2nd, 3rd harmonic, rad. Amplitudes hang on ambient
-# light and period, hence a third of freedom; what the table calls nothing stays below a tenth of what it names.
+# Constant, 1st, 2nd and 3rd harmonic (rad) that faults are known by at 12 px a cycle. Amplitudes hang on ambient light
+# and period, hence a third of freedom; what should be nothing stays below a tenth of what is named.
 @pytest.mark.parametrize(
     "faults, expected",
     [
@@ -156,8 +156,8 @@ def test_clipping_bends_the_third_harmonic(arch):
 
 
 def test_motion_between_fields_is_a_depth_bias(arch):
-    """Red, green and blue see a surface that comes nearer: a constant, half of what two fields move, and a 2nd harmonic."""
-    moved = (0.0, 0.0, -0.7)  # mm a field; 0.138 rad a mm make it 0.1 rad, as in the table
+    """Red, green and blue see a surface that comes nearer: a constant, what one field moves, and a 2nd harmonic."""
+    moved = (0.0, 0.0, -0.7)  # mm a field; 0.138 rad a mm make it 0.1 rad
     constant, first, second, third = error_harmonics(field_motion_mm=moved)
     assert abs(constant) == pytest.approx(0.1, rel=0.35)
     assert second == pytest.approx(0.06, rel=0.35)

@@ -1,0 +1,287 @@
+"""One frame through the decoder: accuracy against exact truth, inputs of every kind, and what it refuses."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+import tikernels
+from pipeline import Calibration, Decoder, DecodeSettings, DecodeWarning
+from pipeline.errors import CalibrationError, FootageError, SettingsError
+from pipeline.report import measure_against_truth
+from pipeline.simulate import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
+from tikernels import projection
+from tikernels.errors import DeviceNotReady, ShapeError
+
+SIZE = (320, 240)  # half the usual picture; at twice the pattern's period its fringes are as fine
+
+
+def simulated(scene="bust", stripes="horizontal", tilt_deg=0.0, distortion=False, **settings):
+    """A frame, its truth, and the calibration of its rig."""
+    lens = {"camera_distortion": (-0.1, 0.05, 1e-3, -1e-3, 0.0), "projector_distortion": (-0.08, 0.02, 1e-3, 5e-4, 0.0)}
+    rig = simulated_rig(
+        SIZE, period_px=2 * 768 / 44, stripes=stripes, tilt_deg=tilt_deg, **(lens if distortion else {})
+    )
+    settings = SimulationSettings(scene=scene, **settings)
+    frame = simulate_frame(rig, settings)
+    return frame, rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix})
+
+
+@pytest.mark.parametrize("scene", projection.SCENES)
+@pytest.mark.parametrize(("gamma", "reflectance"), [(2.0, SKIN), (1.0, WHITE)])
+def test_accuracy_on_every_scene(arch, scene, gamma, reflectance):
+    truth, calibration = simulated(scene, gamma=gamma, reflectance=reflectance)
+    frame = Decoder(DecodeSettings(), calibration, arch=arch).decode(truth.image)
+    measured = measure_against_truth(frame, truth)
+    assert measured["phase_rms_rad"] < 0.05  # 0.36 mm on this rig at the usual period
+    assert abs(measured["phase_constant_rad"]) < 0.015
+    assert measured["coverage"] > 0.95
+    assert measured["wrong_orders"] == 0
+    assert measured["depth_rms_mm"] < 1.0  # the period is twice the usual one, so a radian is twice as deep
+
+
+@pytest.mark.parametrize(
+    ("stripes", "tilt_deg", "distortion"),
+    [("vertical", 0, False), ("horizontal", 20, False), ("vertical", -20, False), ("horizontal", 0, True)],
+)
+def test_stripes_tilt_and_distortion(stripes, tilt_deg, distortion):
+    truth, calibration = simulated("waves", stripes, tilt_deg, distortion)
+    frame = Decoder(DecodeSettings(stripes=stripes), calibration, arch="cpu").decode(truth.image)
+    measured = measure_against_truth(frame, truth)
+    assert measured["phase_rms_rad"] < 0.05
+    assert measured["wrong_orders"] == 0
+    assert measured["coverage"] > 0.97
+    assert measured["depth_rms_mm"] < 1.0
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 16])
+def test_bit_depths(bits):
+    truth, calibration = simulated("plane", bits=bits)
+    white_level = None if bits in (8, 16) else float(2**bits - 1)
+    settings = DecodeSettings(white_level=white_level)
+    measured = measure_against_truth(Decoder(settings, calibration, arch="cpu").decode(truth.image), truth)
+    assert measured["phase_rms_rad"] < 0.04
+
+
+def test_float_input_and_srgb():
+    truth, calibration = simulated("plane", transfer="srgb")
+    image = (truth.image / 255).astype(np.float32)
+    good = Decoder(DecodeSettings(transfer="srgb"), calibration, arch="cpu").decode(image)
+    ignored = Decoder(DecodeSettings(equalize=False), calibration, arch="cpu").decode(image)
+    undone = Decoder(DecodeSettings(transfer="srgb", equalize=False), calibration, arch="cpu").decode(image)
+    assert measure_against_truth(good, truth)["phase_rms_rad"] < 0.04
+    # At gamma 2 the camera's sRGB nearly cancels the projector's response, so each alone says little; that they differ
+    # says that the transfer was undone.
+    assert (
+        abs(
+            measure_against_truth(ignored, truth)["phase_rms_rad"]
+            - measure_against_truth(undone, truth)["phase_rms_rad"]
+        )
+        > 0.05
+    )
+
+
+def test_narrow_bands_want_the_crosstalk_undone_first():
+    truth, calibration = simulated("plane", reflectance_bands="narrow", reflectance=(0.8, 0.5, 0.35), texture=0.0)
+    constants = {}
+    for bands in ("broad", "narrow"):
+        frame = Decoder(DecodeSettings(reflectance_bands=bands), calibration, arch="cpu").decode(truth.image)
+        constants[bands] = abs(measure_against_truth(frame, truth)["phase_constant_rad"])
+    assert constants["narrow"] < 0.01 < constants["broad"]
+
+
+def test_fields_agree():
+    truth, calibration = simulated("bust")
+    frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(truth.image)
+    mask = frame.mask
+    for field in (frame.wrapped_phase, frame.unwrapped_phase, frame.range_image):
+        np.testing.assert_array_equal(np.isnan(field), ~mask)
+    assert np.abs(frame.wrapped_phase[mask]).max() <= np.pi + 1e-6
+    rebuilt = frame.wrapped_phase + 2 * np.pi * frame.fringe_order
+    np.testing.assert_allclose(rebuilt[mask], frame.unwrapped_phase[mask], atol=1e-4)  # float32 of some 300 rad
+    assert not frame.fringe_order[~mask].any()
+    np.testing.assert_array_equal(frame.region > 0, mask)
+    sizes = np.bincount(frame.region.ravel())[1:]
+    assert (np.diff(sizes) <= 0).all()
+    assert not frame.absolute.any()
+    np.testing.assert_array_equal(frame.range_image[mask], frame.points[..., 2][mask])
+    assert frame.region.dtype == frame.fringe_order.dtype == np.int32
+
+
+def test_without_a_calibration_the_range_is_relative():
+    truth, _ = simulated("waves")
+    plane, _ = simulated("plane")
+    settings = DecodeSettings(crosstalk_matrix=SimulationSettings().crosstalk_matrix)
+    frame = Decoder(settings, arch="cpu").decode(truth.image)
+    assert frame.points is None
+    mask = frame.mask
+    y, x = np.nonzero(mask)
+    ramp = np.linalg.lstsq(np.stack([y, x, np.ones(len(y))], axis=1), frame.unwrapped_phase[mask].astype(float))[0]
+    expected = frame.unwrapped_phase[mask] - (ramp[0] * y + ramp[1] * x + ramp[2])
+    np.testing.assert_allclose(frame.range_image[mask], expected, atol=1e-3)
+    reference = Decoder(settings, arch="cpu").decode(plane.image)
+    against = Decoder(settings, reference=reference, arch="cpu").decode(truth.image)
+    both = against.mask & reference.mask
+    difference = frame.unwrapped_phase[both] - reference.unwrapped_phase[both]
+    np.testing.assert_allclose(against.range_image[both], difference, atol=1e-4)
+
+
+def test_the_depth_range_chooses_the_order():
+    truth, calibration = simulated("plane")
+    depth = truth.points[..., 2]
+    middle = float(np.nanmedian(depth))
+    for offset in (-200.0, 0.0, 200.0):
+        ranged = calibration.model_copy(update={"depth_range_mm": (middle + offset - 50, middle + offset + 50)})
+        frame = Decoder(DecodeSettings(), ranged, arch="cpu").decode(truth.image)
+        # A cycle is some 90 mm here: the order nearest to the middle lies within half of it.
+        assert abs(np.nanmedian(frame.range_image) - middle - offset) < 60
+
+
+def test_out_is_used_again_and_frames_are_fresh():
+    first, calibration = simulated("plane", seed=1)
+    second, _ = simulated("bust", seed=2)
+    decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
+    one = decoder.decode(first.image)
+    kept = one.unwrapped_phase.copy()
+    two = decoder.decode(second.image)
+    np.testing.assert_array_equal(one.unwrapped_phase, kept)
+    assert two.mask.sum() != one.mask.sum()
+    again = decoder.decode(second.image, out=one)
+    assert again is one
+    np.testing.assert_array_equal(one.unwrapped_phase, two.unwrapped_phase)
+    np.testing.assert_array_equal(one.region, two.region)
+
+
+def test_input_is_left_alone_and_may_be_any_layout(arch):
+    truth, calibration = simulated("plane")
+    decoder = Decoder(DecodeSettings(), calibration, arch=arch)
+    expected = decoder.decode(truth.image).unwrapped_phase
+    frozen = truth.image.copy()
+    frozen.setflags(write=False)
+    bgr = np.ascontiguousarray(truth.image[..., ::-1])
+    for image in (frozen, bgr[..., ::-1], np.asfortranarray(truth.image)):
+        np.testing.assert_array_equal(decoder.decode(image).unwrapped_phase, expected)
+    np.testing.assert_array_equal(frozen, truth.image)
+
+
+def test_two_runs_are_bit_identical(arch):
+    truth, calibration = simulated("bust")
+    runs = [Decoder(DecodeSettings(), calibration, arch=arch).decode(truth.image) for _ in range(2)]
+    for name in ("wrapped_phase", "fringe_order", "mask", "region", "points"):
+        np.testing.assert_array_equal(getattr(runs[0], name), getattr(runs[1], name))
+
+
+@pytest.mark.parametrize("level", [0, 90, 255])
+def test_no_fringe_gives_an_empty_mask_and_a_warning(level):
+    image = np.full((64, 80, 3), level, np.uint8)
+    with pytest.warns(DecodeWarning, match="no fringe stands out"):
+        frame = Decoder(DecodeSettings(), arch="cpu").decode(image)
+    assert not frame.mask.any()
+    assert np.isnan(frame.unwrapped_phase).all()
+    assert np.isnan(frame.range_image).all()
+    assert frame.period_px is None
+
+
+def test_noise_is_no_fringe():
+    image = np.random.default_rng(3).integers(0, 256, (120, 160, 3)).astype(np.uint8)
+    with pytest.warns(DecodeWarning, match="no fringe stands out"):
+        assert not Decoder(DecodeSettings(), arch="cpu").decode(image).mask.any()
+
+
+def test_the_other_direction_is_named():
+    truth, _ = simulated("plane", "vertical")
+    with pytest.warns(DecodeWarning, match="set stripes to 'vertical'"):
+        Decoder(DecodeSettings(), arch="cpu").decode(truth.image)
+
+
+def test_a_given_period_is_used():
+    truth, _ = simulated("plane")
+    frame = Decoder(DecodeSettings(camera_period_px=11.0), arch="cpu").decode(truth.image)
+    assert frame.period_px == 11.0
+    assert frame.mask.mean() > 0.9
+
+
+def good_image():
+    return np.random.default_rng(0).random((32, 40, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("image", "error", "message"),
+    [
+        (good_image()[..., 0], ShapeError, "grey"),
+        (good_image()[..., :1], ShapeError, "grey"),
+        (np.dstack([good_image(), good_image()[..., :1]]), ShapeError, "transparency"),
+        (good_image()[:0], ShapeError, "at least 16x16"),
+        (good_image()[:1, :1], ShapeError, "1x1"),
+        (good_image().astype(np.float64), ShapeError, "float64"),
+        (good_image().tolist(), ShapeError, "list"),
+        (np.where(good_image() > 0.9, np.nan, good_image()).astype(np.float32), FootageError, "NaN"),
+        (good_image() * 255, FootageError, "outside 0..1"),
+        (good_image() - 1, FootageError, "outside 0..1"),
+    ],
+)
+def test_bad_images_get_one_line(image, error, message):
+    with pytest.raises(error, match=message) as raised:
+        Decoder(DecodeSettings(), arch="cpu").decode(image)
+    assert "\n" not in str(raised.value)
+
+
+def test_values_above_the_white_level():
+    image = np.full((32, 32, 3), 2000, np.uint16)
+    with pytest.raises(FootageError, match="outside 0..1023"):
+        Decoder(DecodeSettings(white_level=1023), arch="cpu").decode(image)
+
+
+def test_a_calibration_of_another_size():
+    _, calibration = simulated("plane")
+    with pytest.raises(CalibrationError, match="480x640 but the calibration is for 240x320: recalibrate or crop"):
+        Decoder(DecodeSettings(), calibration, arch="cpu").decode(np.zeros((480, 640, 3), np.uint8))
+
+
+def test_settings_and_calibration_that_contradict():
+    _, calibration = simulated("plane", "vertical")
+    with pytest.raises(SettingsError, match="vertical"):
+        Decoder(DecodeSettings(), calibration, arch="cpu")
+
+
+def test_parallel_axes_need_a_depth_range():
+    _, calibration = simulated("plane")
+    parallel = calibration.model_copy(update={"rotation": np.eye(3), "translation_mm": np.array([0.0, 180.0, 0.0])})
+    with pytest.raises(CalibrationError, match="depth_range_mm"):
+        Decoder(DecodeSettings(), parallel, arch="cpu")
+    Decoder(DecodeSettings(), parallel.model_copy(update={"depth_range_mm": (500.0, 900.0)}), arch="cpu")
+
+
+def test_an_out_of_another_size():
+    truth, _ = simulated("plane")
+    decoder = Decoder(DecodeSettings(), arch="cpu")
+    frame = decoder.decode(truth.image)
+    with pytest.raises(ShapeError, match="another size"):
+        decoder.decode(np.ascontiguousarray(truth.image[:-8]), out=frame)
+
+
+def test_an_arch_that_the_machine_lacks():
+    missing = next((a for a in ("cuda", "metal", "vulkan") if a not in tikernels.supported_archs()), None)
+    if missing is None:
+        pytest.skip("this machine has every arch")
+    with pytest.raises(DeviceNotReady, match="cannot be started here"):
+        Decoder(DecodeSettings(), arch=missing)
+
+
+def test_device_arrays_are_taken(arch):
+    truth, calibration = simulated("plane")
+    decoder = Decoder(DecodeSettings(), calibration, arch=arch)
+    from tikernels._taichi import ti
+
+    on_device = ti.ndarray(ti.f32, truth.image.shape)
+    on_device.from_numpy((truth.image / 255).astype(np.float32))
+    frame = decoder.decode(on_device)
+    expected = decoder.decode((truth.image / 255).astype(np.float32))
+    np.testing.assert_array_equal(frame.unwrapped_phase, expected.unwrapped_phase)
+
+
+def test_unused_calibration_is_a_calibration():
+    """The exported names are those of the contract."""
+    assert {"Calibration", "DecodeSettings", "Decoder"} <= set(__import__("pipeline").__all__)
+    assert Calibration.model_fields.keys() >= {"camera", "projector", "rotation", "translation_mm", "pattern"}
+    warnings.simplefilter("error")
