@@ -12,7 +12,7 @@ from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.balance import Gains
 from tikernels.crosstalk import invert_crosstalk
-from tikernels.equalization import SLOTS, correction_table
+from tikernels.equalization import SLOTS, correction_table, count_phases_kernel
 from tikernels.errors import ShapeError
 from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
 from tikernels.linearization import WHITE_LEVELS, linearize
@@ -49,7 +49,7 @@ class _Workspace:
         self.rates = rates_buffer(height)
         self.raw_phase = runtime.empty((height, width), np.float32)
         # Some 60,000 samples pin the equalisation down to a milliradian: more only cost time.
-        self.histogram_mask = 2 ** max(1, round(np.log2(height * width / 2**16))) - 1
+        self.histogram_step = max(1, height * width // 2**16)
         self.histogram = np.zeros((SLOTS, _BINS), np.int32)
         self.unwrapper = Unwrapper(height, width)
 
@@ -171,7 +171,6 @@ class Decoder:
         gains = work.gains.measure(
             image, scale, self._inverse, self._matrix, intensity, modulation, balance_first=self._balance_first
         )
-        work.histogram.fill(0)
         recover_phase_kernel(self._balance_first)(
             image,
             1.0 / scale,
@@ -183,11 +182,11 @@ class Decoder:
             modulation / scale,
             work.raw_phase,
             buffers["modulation"],
-            work.histogram_mask,
-            work.histogram,
         )
         table = np.zeros(2, np.float32)
         if self.settings.equalize:
+            work.histogram.fill(0)
+            count_phases_kernel(work.raw_phase, work.histogram_step, work.histogram)
             table = correction_table(work.histogram.sum(axis=0), max(3, int(_HARMONICS_A_PIXEL * period)))
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
         smooth_phase_kernel(self.settings.smoothing_px // 2)(work.raw_phase, table, work.rates, buffers["phase"])

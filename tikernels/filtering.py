@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, U8Array2, f32, i32, ti
+from tikernels._taichi import F32Array1, F32Array2, f32, i32, ti
 from tikernels.equalization import equalized
 from tikernels.errors import ShapeError
 from tikernels.phase_vector import PI, wrap
-from tikernels.wrapped_phase import NO_PHASE, STEP_PHASE
+from tikernels.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
 
 # A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends by less
 # than this between them: 0.6 rad is a step of some 4 mm on a rig with 0.14 rad a mm, twelve times the usual noise.
@@ -92,6 +92,10 @@ def smooth_phase_kernel(pairs: int) -> Any:
                     here = phase[y, x]
                     to_upper = departure(here - phase[above, x] - rate_across)
                     to_lower = departure(phase[below, x] - here - rate_across)
+                    if above == y:
+                        to_upper = 2.0 * NO_NEIGHBOUR
+                    if below == y:
+                        to_lower = 2.0 * NO_NEIGHBOUR
                     step = 0
                     if ti.max(ti.max(to_left, to_right), ti.max(to_upper, to_lower)) > MAX_DEPARTURE:
                         step = between_surfaces(to_left, to_right) + between_surfaces(to_upper, to_lower)
@@ -160,20 +164,6 @@ def measure_rates_kernel(
         out_rates[rows, 0] = ti.atan2(along.y, along.x)
         out_rates[rows, 1] = ti.atan2(across.y, across.x)
         out_rates[rows, 2] = ti.max(total / ti.max(count, 1.0), 1e-12)
-
-
-@ti.kernel
-def mark_no_phase_kernel(
-    wrapped_phase: F32Array2,  # (H, W) rad
-    mask: U8Array2,  # (H, W)
-    out: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
-):
-    for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
-        y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
-        value = NO_PHASE
-        if mask[y, x] != 0 and not ti.math.isnan(wrapped_phase[y, x]):
-            value = wrapped_phase[y, x]
-        out[y, x] = value
 
 
 @ti.kernel

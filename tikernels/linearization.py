@@ -26,13 +26,13 @@ def linear_light(transfer: str) -> Any:
 
         @ti.func
         def to_linear(value: f32) -> f32:
-            return ti.select(value <= 0.04045, value / 12.92, ti.pow((ti.max(value, 0.0) + 0.055) / 1.055, 2.4))
+            return ti.select(value <= 0.04045, value / 12.92, ti.pow((value + 0.055) / 1.055, 2.4))
 
     elif transfer == "bt709":
 
         @ti.func
         def to_linear(value: f32) -> f32:
-            return ti.select(value < 0.081, value / 4.5, ti.pow((ti.max(value, 0.0) + 0.099) / 1.099, 1 / 0.45))
+            return ti.select(value < 0.081, value / 4.5, ti.pow((value + 0.099) / 1.099, 1 / 0.45))
 
     else:
 

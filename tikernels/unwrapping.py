@@ -30,11 +30,11 @@ from tikernels._taichi import (
     vec5,
 )
 from tikernels.errors import ShapeError
-from tikernels.filtering import MAX_DEPARTURE, STRETCH, mark_no_phase_kernel, measure_rates_kernel, rates_buffer
+from tikernels.filtering import MAX_DEPARTURE, STRETCH, measure_rates_kernel, rates_buffer
 from tikernels.phase_vector import PI
 from tikernels.transposing import transpose
 from tikernels.triangulation import ProjectorGeometry, projected
-from tikernels.wrapped_phase import NO_PHASE
+from tikernels.wrapped_phase import NO_PHASE, mark_no_phase_kernel
 
 # Short along the stripe: where a hidden step of whole cycles slips into a run, at most half a cell is wrong.
 _CELL_WIDTH, _CELL_HEIGHT = 8, 16
@@ -58,8 +58,12 @@ _PIXELS, _WEIGHT, _FIRST, _ROOT, _OFFSET, _PARENT, _STEP, _SUPPORT, _KEY, _CHOIC
 _FROM, _TO, _SHIFT, _VOTES, _NAME = range(5)
 _OWNER, _SUM, _LOW, _HIGH, _TURN = range(5)
 _REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
-# Counters.
-_N_PATCHES, _N_CONTACTS, _N_MERGED = range(3)
+# Counters; the last is the most patches, or a quarter of the most contacts, that any cell has.
+_N_PATCHES, _N_CONTACTS, _N_MERGED, _N_CROWDED = range(4)
+# A cell drafts up to 2^3 patches, and four times as many contacts, in places of its own: clean surfaces need one and
+# two. Where noise needs more, the drafts grow. Counters shared by all threads would do without drafts, but their order
+# is chance, and Mesa's software Vulkan loses threads that wait for one inside a loop.
+_DRAFT_BITS = 3
 
 
 class Unwrapper:
@@ -68,19 +72,23 @@ class Unwrapper:
     def __init__(self, height: int, width: int) -> None:
         self.shape = (height, width)
         self.labels = runtime.empty((height, width), np.int32)
-        self.counters = runtime.empty((3,), np.int32)
-        # Clean surfaces need one patch and two contacts a cell; noise needs more, and the tables then grow.
-        cells = -(-height // _CELL_HEIGHT) * -(-width // _CELL_WIDTH)
-        self._allocate(8 * cells, 24 * cells)
+        self.counters = runtime.empty((4,), np.int32)
+        self.cells = -(-height // _CELL_HEIGHT) * -(-width // _CELL_WIDTH)
+        self.firsts = runtime.empty((2, self.cells + 1), np.int32)
+        self._allocate(_DRAFT_BITS)
 
-    def _allocate(self, patches: int, contacts: int) -> None:
+    def _allocate(self, draft_bits: int) -> None:
+        self.draft_bits = draft_bits
+        patches = self.cells << draft_bits
+        self.draft_patches = runtime.empty((3, patches), np.int32)
+        self.draft_contacts = runtime.empty((5, 4 * patches), np.int32)
         self.patches = runtime.empty((10, patches), np.int32)
-        self.contacts = runtime.empty((5, contacts), np.int32)
+        self.contacts = runtime.empty((5, 4 * patches), np.int32)
         self.regions = runtime.empty((4, patches), np.int32)
         self.final = runtime.empty((3, patches), np.int32)
         # A table for contacts by what they join: crowded in the first round, where hardly any two join the same, and
         # all but empty when the large regions meet.
-        self.table = runtime.empty((5, 2 ** int(np.ceil(np.log2(patches / 2)))), np.int32)
+        self.table = runtime.empty((5, 2 ** int(np.ceil(np.log2(4 * self.cells)))), np.int32)
 
     def join(self, phase: Any, quality: Any, rates: Any) -> None:
         """Sort the pixels into patches and the patches into regions.
@@ -95,15 +103,16 @@ class Unwrapper:
             What `measure_rates_kernel` found.
         """
         while True:
-            grow_patches_kernel(phase, quality, rates, self.labels, self.patches, self.contacts, self.counters)
+            drafts = (self.draft_patches, self.draft_contacts, self.firsts)
+            grow_patches_kernel(phase, quality, rates, self.draft_bits, self.labels, *drafts)
+            number_patches_kernel(self.cells, self.firsts, self.counters)
             counts = runtime.to_host(self.counters)  # synchronises
-            patches, contacts = int(counts[_N_PATCHES]), int(counts[_N_CONTACTS])
-            if patches <= self.patches.shape[1] and contacts <= self.contacts.shape[1]:
+            if counts[_N_CROWDED] <= 1 << self.draft_bits:
                 break
-            self._allocate(2 * patches, 2 * contacts)
-        serial = runtime.started() == "cpu" and patches < _SERIAL_PATCHES
-        merge = merge_patches_kernel(serial)
-        start_regions_kernel(patches, self.patches)
+            self._allocate(int(counts[_N_CROWDED] - 1).bit_length())
+        patches, contacts = int(counts[_N_PATCHES]), int(counts[_N_CONTACTS])
+        collect_patches_kernel(self.cells, self.draft_bits, *drafts, self.patches, self.contacts)
+        merge = merge_patches_kernel(runtime.started() == "cpu" and patches < _SERIAL_PATCHES)
         while True:
             merge(patches, contacts, self.patches, self.contacts, self.table, self.counters)
             if int(runtime.to_host(self.counters)[_N_MERGED]) == 0:  # synchronises
@@ -140,10 +149,10 @@ class Unwrapper:
         order = np.lexsort((table[_REGION_START, roots], -table[_REGION_PIXELS, roots]))
         numbers = np.zeros(max(self.patch_count, 1), np.int32)
         numbers[roots[order]] = np.arange(1, len(roots) + 1)
-        tables = (self.labels, self.patches, self.contacts, self.regions, numbers)
-        finish_patches_kernel(self.patch_count, self.contact_count, *tables, self.final)
-        outputs = (out_unwrapped, out_mask, out_region)
-        write_unwrapped_kernel(phase, rates, self.labels, self.final, *outputs)
+        labels = (self.labels, self.firsts, self.draft_bits)
+        tables = (self.patches, self.contacts, self.regions, numbers)
+        finish_patches_kernel(self.patch_count, self.contact_count, *labels, *tables, self.final)
+        write_unwrapped_kernel(phase, rates, *labels, self.final, out_unwrapped, out_mask, out_region)
 
 
 @ti.func
@@ -161,28 +170,19 @@ def departure(difference: f32, rate: f32, cycles: i32) -> f32:
 
 @ti.func
 def add_contact(
-    contacts: I32Array2,
-    counters: I32Array1,
-    reserved: i32,
-    a: i32,
-    b: i32,
-    shift: i32,
-    votes: i32,
-    name: i32,
-):
-    """Note that offset[b] = offset[a] + shift, by so many votes; the name is the contact's own.
+    contacts: I32Array2, start: i32, count: i32, room: i32, a: i32, b: i32, shift: i32, votes: i32, name: i32
+) -> i32:
+    """Note that offset[b] = offset[a] + shift, by so many votes, and return how many contacts there are now.
 
-    It goes to its reserved place, if it has one (not -1), else behind the others.
+    The contacts of a cell begin at its start; the name is the contact's own.
     """
-    place = reserved
-    if place < 0:
-        place = ti.atomic_add(counters[_N_CONTACTS], 1)
-    if place < contacts.shape[1]:
-        contacts[_FROM, place] = a
-        contacts[_TO, place] = b
-        contacts[_SHIFT, place] = shift
-        contacts[_VOTES, place] = votes
-        contacts[_NAME, place] = name * _GOLDEN
+    place = start + ti.min(count, room - 1)
+    contacts[_FROM, place] = a
+    contacts[_TO, place] = b
+    contacts[_SHIFT, place] = shift
+    contacts[_VOTES, place] = votes
+    contacts[_NAME, place] = name * _GOLDEN
+    return count + 1
 
 
 @ti.func
@@ -229,26 +229,21 @@ def grow_patches_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)
     rates: F32Array2,  # last row: rate along, rate across (rad a px), mean quality
+    draft_bits: i32,  # a cell has places for 2^bits patches and four times as many contacts
     out_labels: I32Array2,  # (H, W) patch and order inside it; _NOTHING, or _BETWEEN two surfaces
-    out_patches: I32Array2,  # (10, capacity)
-    out_contacts: I32Array2,  # (5, capacity)
-    out_counters: I32Array1,
+    out_patches: I32Array2,  # (3, cells << bits)
+    out_contacts: I32Array2,  # (5, 4 cells << bits)
+    out_counts: I32Array2,  # (2, cells + 1) patches and contacts of each cell
 ):
     height, width = phase.shape[0], phase.shape[1]
     cell_columns = (width + _CELL_WIDTH - 1) // _CELL_WIDTH
     cells = cell_columns * ((height + _CELL_HEIGHT - 1) // _CELL_HEIGHT)
     last = rates.shape[0] - 1
-    # Each cell has a place of its own for its first patch and for its first contact right and below: a counter shared
-    # by all threads is asked for the others only.
-    for _ in range(1):
-        out_counters[_N_PATCHES] = cells
-        out_counters[_N_CONTACTS] = 2 * cells
+    room = 1 << draft_bits
     for cell in range(cells):
         rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
-        reserved = 1
-        out_patches[_PIXELS, cell] = 0
-        out_patches[_WEIGHT, cell] = 0
-        out_patches[_FIRST, cell] = 0
+        patch_start, contact_start = cell << draft_bits, cell << (draft_bits + 2)
+        patch_count, contact_count = 0, 0
         top, left = (cell // cell_columns) * _CELL_HEIGHT, (cell % cell_columns) * _CELL_WIDTH
         bottom, right = ti.min(top + _CELL_HEIGHT, height), ti.min(left + _CELL_WIDTH, width)
         for y in range(top, bottom):
@@ -300,21 +295,19 @@ def grow_patches_kernel(
                                 if choice.x >= 0 and tally > votes:
                                     patch, shift, votes = choice.x, choice.y, tally
                     # One pixel's word is too little for a run of several.
-                    if votes == 0 or 2 * votes < voters or (votes == 1 and x - start > 2):
-                        patch, shift = cell, 0
-                        if reserved == 0:
-                            patch = ti.atomic_add(out_counters[_N_PATCHES], 1)
-                        reserved = 0
-                        if patch < out_patches.shape[1]:
-                            out_patches[_PIXELS, patch] = 0
-                            out_patches[_WEIGHT, patch] = 0
-                            out_patches[_FIRST, patch] = y * width + start
+                    joins = votes > 0 and 2 * votes >= voters and (votes > 1 or x - start <= 2)
+                    if not joins:
+                        patch, shift = patch_start + ti.min(patch_count, room - 1), 0
+                        patch_count += 1
+                        out_patches[_PIXELS, patch] = 0
+                        out_patches[_WEIGHT, patch] = 0
+                        out_patches[_FIRST, patch] = y * width + start
+                    # Not "+=": that is atomic, and nobody else writes here.
                     weight = (x - start) * brightness(quality[y, (start + x) >> 1], mean_quality)
-                    if patch < out_patches.shape[1]:
-                        out_patches[_PIXELS, patch] = out_patches[_PIXELS, patch] + (x - start)
-                        out_patches[_WEIGHT, patch] = out_patches[_WEIGHT, patch] + weight
+                    out_patches[_PIXELS, patch] = out_patches[_PIXELS, patch] + (x - start)
+                    out_patches[_WEIGHT, patch] = out_patches[_WEIGHT, patch] + weight
                     # What the others voted for becomes contacts between patches.
-                    if votes < voters:
+                    if votes < voters or (voters > 0 and not joins):
                         for candidate in range(start, x):
                             choice = vote_above(phase, quality, out_labels, y, candidate, rate_across)
                             tally, noted = 0, 0
@@ -331,8 +324,17 @@ def grow_patches_kernel(
                                         noted = 1
                             if choice.x >= 0 and choice.x != patch and noted == 0:
                                 name = 3 * (y * width + candidate)
-                                add_contact(
-                                    out_contacts, out_counters, -1, choice.x, patch, choice.y - shift, tally, name
+                                turn = choice.y - shift
+                                contact_count = add_contact(
+                                    out_contacts,
+                                    contact_start,
+                                    contact_count,
+                                    4 * room,
+                                    choice.x,
+                                    patch,
+                                    turn,
+                                    tally,
+                                    name,
                                 )
                     # The run before, where it ended without a step.
                     if start > left:
@@ -346,14 +348,26 @@ def grow_patches_kernel(
                                 before = quality[y, start - 1]
                                 tally = vote_weight(departs, quality[y, start], before, mean_quality)
                                 name = 3 * (y * width + start - 1) + 1
-                                add_contact(
-                                    out_contacts, out_counters, -1, label >> _ORDER_BITS, patch, turn, tally, name
+                                other = label >> _ORDER_BITS
+                                contact_count = add_contact(
+                                    out_contacts,
+                                    contact_start,
+                                    contact_count,
+                                    4 * room,
+                                    other,
+                                    patch,
+                                    turn,
+                                    tally,
+                                    name,
                                 )
                     for column in range(start, x):
                         out_labels[y, column] = (patch << _ORDER_BITS) + out_labels[y, column] + shift + _ORDER_ZERO
+        out_counts[0, cell] = patch_count
+        out_counts[1, cell] = contact_count
     # The cells' borders, right and bottom.
     for cell in range(cells):
         rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
+        contact_start, contact_count = cell << (draft_bits + 2), out_counts[1, cell]
         top, left = (cell // cell_columns) * _CELL_HEIGHT, (cell % cell_columns) * _CELL_WIDTH
         bottom, right = ti.min(top + _CELL_HEIGHT, height), ti.min(left + _CELL_WIDTH, width)
         for side in ti.static(range(2)):
@@ -364,11 +378,7 @@ def grow_patches_kernel(
                 length = 0
             # A pixel counts double on the shorter side, so that both are worth the same.
             scale = ti.static((1, _CELL_HEIGHT // _CELL_WIDTH)[side])
-            a, b, shift, votes, pixel, reserved = -1, -1, 0, 0, 0, 2 * cell + side
-            out_contacts[_VOTES, reserved] = 0
-            out_contacts[_FROM, reserved] = 0
-            out_contacts[_TO, reserved] = 0
-            out_contacts[_SHIFT, reserved] = 0
+            a, b, shift, votes, pixel = -1, -1, 0, 0, 0
             for step in range(length + 1):
                 next_a, next_b, next_shift, weight = -1, -1, 0, 0
                 y, x = top + step, right - 1
@@ -390,19 +400,71 @@ def grow_patches_kernel(
                 else:
                     if a >= 0:
                         name = 3 * pixel + 1 + side
-                        add_contact(out_contacts, out_counters, reserved, a, b, shift, votes, name)
-                        reserved = -1
+                        contact_count = add_contact(
+                            out_contacts, contact_start, contact_count, 4 * room, a, b, shift, votes, name
+                        )
                     a, b, shift, votes, pixel = next_a, next_b, next_shift, weight, y * width + x
             if a >= 0:
                 name = 3 * pixel + 1 + side
-                add_contact(out_contacts, out_counters, reserved, a, b, shift, votes, name)
+                contact_count = add_contact(
+                    out_contacts, contact_start, contact_count, 4 * room, a, b, shift, votes, name
+                )
+        out_counts[1, cell] = contact_count
 
 
 @ti.kernel
-def start_regions_kernel(count: i32, patches: I32Array2):
-    for i in range(count):
-        patches[_ROOT, i] = i
-        patches[_OFFSET, i] = 0
+def number_patches_kernel(
+    cells: i32,
+    firsts: I32Array2,  # (2, cells + 1) patches and contacts of each cell; becomes the number of each cell's first ones
+    out_counters: I32Array1,
+):
+    for _ in range(1):
+        patches, contacts, crowded = 0, 0, 0
+        for cell in range(cells):
+            patch_count, contact_count = firsts[0, cell], firsts[1, cell]
+            crowded = ti.max(crowded, ti.max(patch_count, (contact_count + 3) // 4))
+            firsts[0, cell] = patches
+            firsts[1, cell] = contacts
+            patches += patch_count
+            contacts += contact_count
+        firsts[0, cells] = patches
+        firsts[1, cells] = contacts
+        out_counters[_N_PATCHES] = patches
+        out_counters[_N_CONTACTS] = contacts
+        out_counters[_N_CROWDED] = crowded
+
+
+@ti.func
+def patch_number(draft: i32, firsts: I32Array2, draft_bits: i32) -> i32:
+    """Return the final number of a drafted patch."""
+    return firsts[0, draft >> draft_bits] + (draft & ((1 << draft_bits) - 1))
+
+
+@ti.kernel
+def collect_patches_kernel(
+    cells: i32,
+    draft_bits: i32,
+    draft_patches: I32Array2,  # (3, cells << bits)
+    draft_contacts: I32Array2,  # (5, 4 cells << bits)
+    firsts: I32Array2,  # (2, cells + 1)
+    out_patches: I32Array2,  # (10, capacity) each a region of its own
+    out_contacts: I32Array2,  # (5, capacity)
+):
+    for cell in range(cells):
+        for k in range(firsts[0, cell + 1] - firsts[0, cell]):
+            draft, patch = (cell << draft_bits) + k, firsts[0, cell] + k
+            out_patches[_PIXELS, patch] = draft_patches[_PIXELS, draft]
+            out_patches[_WEIGHT, patch] = draft_patches[_WEIGHT, draft]
+            out_patches[_FIRST, patch] = draft_patches[_FIRST, draft]
+            out_patches[_ROOT, patch] = patch
+            out_patches[_OFFSET, patch] = 0
+        for k in range(firsts[1, cell + 1] - firsts[1, cell]):
+            draft, contact = (cell << (draft_bits + 2)) + k, firsts[1, cell] + k
+            out_contacts[_FROM, contact] = patch_number(draft_contacts[_FROM, draft], firsts, draft_bits)
+            out_contacts[_TO, contact] = patch_number(draft_contacts[_TO, draft], firsts, draft_bits)
+            out_contacts[_SHIFT, contact] = draft_contacts[_SHIFT, draft]
+            out_contacts[_VOTES, contact] = draft_contacts[_VOTES, draft]
+            out_contacts[_NAME, contact] = draft_contacts[_NAME, draft]
 
 
 @ti.func
@@ -563,8 +625,6 @@ def choose_starts_kernel(
         score = 2**29 - dy * dy - dx * dx
         if 2 * patches[_PIXELS, i] >= _CELL_WIDTH * _CELL_HEIGHT and patches[_WEIGHT, i] >= 3 * patches[_PIXELS, i]:
             score += 2**29
-        if patches[_PIXELS, i] == 0:
-            score = -(2**31)
         patches[_SUPPORT, i] = score
         ti.atomic_add(out_regions[_REGION_PIXELS, patches[_ROOT, i]], patches[_PIXELS, i])
         ti.atomic_max(out_regions[_REGION_SCORE, patches[_ROOT, i]], score)
@@ -574,7 +634,7 @@ def choose_starts_kernel(
             ti.atomic_min(out_regions[_REGION_START, root], patches[_FIRST, i])
     for i in range(count):
         first = patches[_FIRST, i]
-        if patches[_PIXELS, i] > 0 and first == out_regions[_REGION_START, patches[_ROOT, i]]:
+        if first == out_regions[_REGION_START, patches[_ROOT, i]]:
             order = (labels[first // width, first % width] & _ORDER_MASK) - _ORDER_ZERO
             out_regions[_REGION_ORDER, patches[_ROOT, i]] = patches[_OFFSET, i] + order
 
@@ -603,8 +663,6 @@ def place_regions_kernel(
     for i in range(count):
         # The cycles that a patch's first pixel lacks to lie at the depth; a region takes the mean over its patches, in
         # 64ths of a cycle, because sums of integers are the same in any order.
-        if patches[_PIXELS, i] == 0:
-            continue
         first = patches[_FIRST, i]
         y, x = first // width, first % width
         q = rotation @ (depth * vec3(rays[y, x, 0], rays[y, x, 1], 1.0)) + translation
@@ -624,6 +682,8 @@ def finish_patches_kernel(
     count: i32,
     contact_count: i32,
     labels: I32Array2,  # (H, W)
+    firsts: I32Array2,  # (2, cells + 1)
+    draft_bits: i32,
     patches: I32Array2,
     contacts: I32Array2,
     regions: I32Array2,
@@ -652,28 +712,40 @@ def finish_patches_kernel(
                     label = labels[y, x]
                     if label < 0:
                         quiet = 0
-                    elif patches[_PIXELS, label >> _ORDER_BITS] != _CELL_WIDTH * _CELL_HEIGHT:
+                    elif (
+                        patches[_PIXELS, patch_number(label >> _ORDER_BITS, firsts, draft_bits)]
+                        != _CELL_WIDTH * _CELL_HEIGHT
+                    ):
                         quiet = 0
         out_final[2, i] = quiet
 
 
 @ti.func
-def beside_step(phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32) -> i32:
+def beside_step(
+    phase: F32Array2,
+    rates: F32Array2,
+    labels: I32Array2,
+    firsts: I32Array2,
+    draft_bits: i32,
+    final: I32Array2,
+    y: i32,
+    x: i32,
+) -> i32:
     """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
     height, width, last = labels.shape[0], labels.shape[1], rates.shape[0] - 1
     label = labels[y, x]
-    patch = label >> _ORDER_BITS
+    patch = patch_number(label >> _ORDER_BITS, firsts, draft_bits)
     beside = 0
     for side in ti.static(range(4)):
         dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
         y2 = ti.min(ti.max(y + dy, 0), height - 1)
         x2 = ti.min(ti.max(x + dx, 0), width - 1)
         label2 = labels[y2, x2]
-        patch2 = label2 >> _ORDER_BITS
-        if patch2 != patch:
+        if label2 >> _ORDER_BITS != label >> _ORDER_BITS:
             if label2 == _BETWEEN:
                 beside = 1
             elif label2 >= 0:
+                patch2 = patch_number(label2 >> _ORDER_BITS, firsts, draft_bits)
                 if final[0, patch2] == 0:
                     beside = 1
                 elif final[0, patch2] == final[0, patch]:
@@ -689,6 +761,8 @@ def write_unwrapped_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     labels: I32Array2,  # (H, W)
+    firsts: I32Array2,  # (2, cells + 1)
+    draft_bits: i32,
     final: I32Array2,  # (3, capacity)
     out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
     out_mask: U8Array2,  # (H, W) 1 inside
@@ -702,10 +776,10 @@ def write_unwrapped_kernel(
             label = labels[y, x]
             unwrapped, region = ti.math.nan, 0
             if label >= 0:
-                patch = label >> _ORDER_BITS
+                patch = patch_number(label >> _ORDER_BITS, firsts, draft_bits)
                 region = final[0, patch]
                 if region > 0 and final[2, patch] == 0:
-                    if beside_step(phase, rates, labels, final, y, x):
+                    if beside_step(phase, rates, labels, firsts, draft_bits, final, y, x):
                         region = 0
                 if region > 0:
                     order = (label & _ORDER_MASK) - _ORDER_ZERO + final[1, patch]

@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, f32, i32, ti, vec3
-from tikernels.phase_vector import PI, arctangent, matrix_of, phase_vector
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, U8Array2, f32, i32, ti, vec3
+from tikernels.phase_vector import arctangent, matrix_of, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
@@ -57,14 +57,10 @@ def recover_phase_kernel(balance_first: bool) -> Any:
         min_modulation: f32,  # levels
         out_phase: F32Array2,  # (H, W) rad, [-pi, pi]; NO_PHASE outside the mask
         out_modulation: F32Array2,  # (H, W) levels
-        histogram_mask: i32,  # columns of which these bits are zero are counted
-        out_histogram: I32Array2,  # (slots, bins) their phases; to be added to
     ):
         height, width = image.shape[0], image.shape[1]
         half = cell // 2
         stretches = (gains.shape[1] + _CELLS_A_THREAD) // _CELLS_A_THREAD
-        bins = out_histogram.shape[1]
-        bin_scale = ti.cast(bins, ti.f32) / (2.0 * PI)
         for t in range(height * stretches):
             y, stretch = t // stretches, t % stretches
             inverse, weights = matrix_of(inverse_matrix), matrix_of(phase_weights)
@@ -72,7 +68,6 @@ def recover_phase_kernel(balance_first: bool) -> Any:
             i = ti.cast(v, ti.i32)
             i1 = ti.min(i + 1, gains.shape[0] - 1)
             fraction = v - i
-            slot = y % out_histogram.shape[0]
             # Cell j lies between node j and the next one, whose pixels are half a cell further on.
             first = stretch * _CELLS_A_THREAD - 1
             right = node_gain(gains, i, i1, fraction, first)
@@ -99,13 +94,24 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                     second = ti.max(low, ti.min(high, seen.z))
                     if modulation > min_modulation and seen.sum() > 3.0 * min_intensity and second < _CLIPPED * white:
                         phase = arctangent(vector.y, vector.x)
-                        if x & histogram_mask == 0:
-                            place = ti.cast((phase + PI) * bin_scale, ti.i32)
-                            out_histogram[slot, ti.min(place, bins - 1)] += 1
                     out_phase[y, x] = phase
                     out_modulation[y, x] = modulation
 
     return recover_phase
+
+
+@ti.kernel
+def mark_no_phase_kernel(
+    wrapped_phase: F32Array2,  # (H, W) rad
+    mask: U8Array2,  # (H, W)
+    out: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+):
+    for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
+        y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
+        value = NO_PHASE
+        if mask[y, x] != 0 and not ti.math.isnan(wrapped_phase[y, x]):
+            value = wrapped_phase[y, x]
+        out[y, x] = value
 
 
 @ti.kernel

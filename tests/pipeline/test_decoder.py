@@ -17,7 +17,7 @@ SIZE = (320, 240)  # half the usual picture; at twice the pattern's period its f
 
 
 def simulated(scene="bust", stripes="horizontal", tilt_deg=0.0, distortion=False, **settings):
-    """A frame, its truth, and the calibration of its rig."""
+    """Return a frame with its truth, and the calibration of its rig."""
     lens = {"camera_distortion": (-0.1, 0.05, 1e-3, -1e-3, 0.0), "projector_distortion": (-0.08, 0.02, 1e-3, 5e-4, 0.0)}
     rig = simulated_rig(
         SIZE, period_px=2 * 768 / 44, stripes=stripes, tilt_deg=tilt_deg, **(lens if distortion else {})
@@ -216,8 +216,8 @@ def good_image():
         (good_image().astype(np.float64), ShapeError, "float64"),
         (good_image().tolist(), ShapeError, "list"),
         (np.where(good_image() > 0.9, np.nan, good_image()).astype(np.float32), FootageError, "NaN"),
-        (good_image() * 255, FootageError, "outside 0..1"),
-        (good_image() - 1, FootageError, "outside 0..1"),
+        (good_image() * 255, FootageError, r"outside 0\.\.1"),
+        (good_image() - 1, FootageError, r"outside 0\.\.1"),
     ],
 )
 def test_bad_images_get_one_line(image, error, message):
@@ -228,7 +228,7 @@ def test_bad_images_get_one_line(image, error, message):
 
 def test_values_above_the_white_level():
     image = np.full((32, 32, 3), 2000, np.uint16)
-    with pytest.raises(FootageError, match="outside 0..1023"):
+    with pytest.raises(FootageError, match=r"outside 0\.\.1023"):
         Decoder(DecodeSettings(white_level=1023), arch="cpu").decode(image)
 
 
