@@ -55,7 +55,9 @@ def _linearize_kernel(transfer: str) -> Any:
     ):
         for y, x in ti.ndrange(image.shape[0], image.shape[1]):
             for i in ti.static(range(3)):
-                out[y, x, i] = to_linear(ti.cast(image[y, x, i], ti.f32) * scale)
+                value = ti.cast(image[y, x, i], ti.f32) * scale
+                # A GPU's pow turns NaN into a number.
+                out[y, x, i] = ti.select(ti.math.isnan(value), ti.math.nan, to_linear(value))
 
     return linearize_kernel
 
