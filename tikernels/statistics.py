@@ -79,7 +79,7 @@ def measure_frame(image: Any, white_level: float | None = None) -> FrameStatisti
     light = samples[..., 3]
     lit = light >= np.median(light)  # dark pixels are clipped at zero and show half the noise
     # The second difference of a sum of three channels has 3 (1 + 4 + 1) times a channel's variance.
-    noise = float(np.median(np.abs(samples[..., 2][lit]))) / (0.6745 * np.sqrt(18))
+    noise = float(np.median(np.abs(samples[..., 2][lit])) / (0.6745 * np.sqrt(18)))
     return FrameStatistics(_period(samples[..., 0] + 1j * samples[..., 1]), noise, float(np.percentile(light, 95)))
 
 

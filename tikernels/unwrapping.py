@@ -43,8 +43,6 @@ _CELL_WIDTH, _CELL_HEIGHT = 8, 16
 _ORDER_BITS, _ORDER_MASK, _ORDER_ZERO = 6, 63, 32
 #: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
 MIN_REGION_PX = 128
-# Below this many patches the CPU is done before a second thread has woken up.
-_SERIAL_PATCHES = 6000
 _GOLDEN = -1640531527  # 2^32 / golden ratio, odd: multiplying by it shuffles the 32-bit numbers one to one
 
 # Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
@@ -112,13 +110,16 @@ class Unwrapper:
             self._allocate(int(counts[_N_CROWDED] - 1).bit_length())
         patches, contacts = int(counts[_N_PATCHES]), int(counts[_N_CONTACTS])
         collect_patches_kernel(self.cells, self.draft_bits, *drafts, self.patches, self.contacts)
-        merge = merge_patches_kernel(runtime.started() == "cpu" and patches < _SERIAL_PATCHES)
+        # On the CPU one thread is done before others have woken up ten times a round, and can close the table's gaps.
+        merge = merge_patches_kernel(runtime.started() == "cpu")
         while True:
             merge(patches, contacts, self.patches, self.contacts, self.table, self.counters)
-            if int(runtime.to_host(self.counters)[_N_MERGED]) == 0:  # synchronises
+            counts = runtime.to_host(self.counters)  # synchronises
+            if counts[_N_MERGED] == 0:
                 break
+            contacts = int(counts[_N_CONTACTS])
         choose_starts_kernel(patches, self.labels, self.patches, self.regions)
-        self.patch_count, self.contact_count = patches, contacts
+        self.patch_count = patches
 
     def place(self, phase: Any, rays: Any, projector: ProjectorGeometry, depth_mm: float) -> None:
         """Give every region the orders that bring it nearest to a depth, instead of 0 at its start.
@@ -150,8 +151,8 @@ class Unwrapper:
         numbers = np.zeros(max(self.patch_count, 1), np.int32)
         numbers[roots[order]] = np.arange(1, len(roots) + 1)
         labels = (self.labels, self.firsts, self.draft_bits)
-        tables = (self.patches, self.contacts, self.regions, numbers)
-        finish_patches_kernel(self.patch_count, self.contact_count, *labels, *tables, self.final)
+        tables = (self.patches, self.draft_contacts, self.regions, numbers)
+        finish_patches_kernel(self.patch_count, self.cells, *labels, *tables, self.final)
         write_unwrapped_kernel(phase, rates, *labels, self.final, out_unwrapped, out_mask, out_region)
 
 
@@ -218,8 +219,8 @@ def vote_above(phase: F32Array2, quality: F32Array2, labels: I32Array2, y: i32, 
         departs = departure(difference, rate, cycles)
         if departs <= MAX_DEPARTURE:
             order = (above & _ORDER_MASK) - _ORDER_ZERO + cycles
-            low, high = ti.min(quality[y, x], quality[y - 1, x]), ti.max(quality[y, x], quality[y - 1, x])
-            sure = departs <= _SURE_ACROSS and low > _ALIKE_ACROSS * high
+            here, there = quality[y, x], quality[y - 1, x]
+            sure = departs <= _SURE_ACROSS and ti.min(here, there) > _ALIKE_ACROSS * ti.max(here, there)
             vote = ti.Vector([above >> _ORDER_BITS, order - labels[y, x], ti.cast(sure, ti.i32)])
     return vote
 
@@ -256,7 +257,7 @@ def grow_patches_kernel(
                     x += 1
                 else:
                     # The run: its orders count from its first pixel.
-                    order = 0
+                    order, quality_before = 0, quality[y, x]
                     out_labels[y, x] = 0
                     x += 1
                     going = 1
@@ -265,13 +266,14 @@ def grow_patches_kernel(
                         cycles = cycles_between(here - before, rate_along)
                         # What is no phase departs by far more.
                         departs = departure(here - before, rate_along, cycles)
-                        low, high = ti.min(quality[y, x], quality[y, x - 1]), ti.max(quality[y, x], quality[y, x - 1])
+                        quality_here = quality[y, x]
+                        low, high = ti.min(quality_here, quality_before), ti.max(quality_here, quality_before)
                         if departs > _SURE_ALONG or low < _ALIKE_ALONG * high:
                             going = 0
                         else:
                             order += cycles
                             out_labels[y, x] = order
-                            before = here
+                            before, quality_before = here, quality_here
                             x += 1
                     # Its contact with the runs above: each pixel votes for a patch and a shift.
                     patch, shift, votes, voters = -1, 0, 0, 0
@@ -600,6 +602,15 @@ def merge_patches_kernel(serial: bool) -> Any:
                 root = patches[_PARENT, root]
             patches[_ROOT, i] = root
             patches[_OFFSET, i] = offset
+        if ti.static(serial):
+            for _ in range(1):
+                kept = 0
+                for e in range(contact_count):
+                    if contacts[_VOTES, e] > 0:
+                        for row in ti.static(range(5)):
+                            contacts[row, kept] = contacts[row, e]
+                        kept += 1
+                counters[_N_CONTACTS] = kept
 
     return merge_patches
 
@@ -680,12 +691,12 @@ def place_regions_kernel(
 @ti.kernel
 def finish_patches_kernel(
     count: i32,
-    contact_count: i32,
+    cells: i32,
     labels: I32Array2,  # (H, W)
     firsts: I32Array2,  # (2, cells + 1)
     draft_bits: i32,
     patches: I32Array2,
-    contacts: I32Array2,
+    draft_contacts: I32Array2,
     regions: I32Array2,
     numbers: I32Array1,  # number of the region of each root; 0: too small
     out_final: I32Array2,  # (3, capacity) number of a patch's region; what its orders lack; 1: no step in or around it
@@ -696,11 +707,14 @@ def finish_patches_kernel(
         out_final[0, i] = numbers[root]
         out_final[1, i] = patches[_OFFSET, i] - regions[_REGION_ORDER, root]
         patches[_CHOICE, i] = 0
-    for e in range(contact_count):
-        a, b = contacts[_FROM, e], contacts[_TO, e]
-        if patches[_OFFSET, b] != patches[_OFFSET, a] + contacts[_SHIFT, e]:
-            patches[_CHOICE, a] = 1
-            patches[_CHOICE, b] = 1
+    for cell in range(cells):
+        for k in range(firsts[1, cell + 1] - firsts[1, cell]):
+            e = (cell << (draft_bits + 2)) + k
+            a = patch_number(draft_contacts[_FROM, e], firsts, draft_bits)
+            b = patch_number(draft_contacts[_TO, e], firsts, draft_bits)
+            if patches[_OFFSET, b] != patches[_OFFSET, a] + draft_contacts[_SHIFT, e]:
+                patches[_CHOICE, a] = 1
+                patches[_CHOICE, b] = 1
     for i in range(count):
         quiet = ti.cast(patches[_PIXELS, i] == _CELL_WIDTH * _CELL_HEIGHT and patches[_CHOICE, i] == 0, ti.i32)
         if quiet == 1:
