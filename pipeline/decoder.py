@@ -1,5 +1,6 @@
 """Turn one colour frame into phase, orders and points."""
 
+import sys
 import warnings
 from typing import Any
 
@@ -106,6 +107,7 @@ class Decoder:
         # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
         self._noise_gain = float(np.sqrt((phase_weights(inverse) ** 2).sum() / 2))
         self._workspace: _Workspace | None = None
+        self._last_buffers: dict[str, Any] = {}
         self.arch = runtime.init(arch)
 
     def decode(self, image: Any, out: DecodedFrame | None = None) -> DecodedFrame:
@@ -247,16 +249,22 @@ class Decoder:
                 raise ShapeError("out is a result of another size or calibration: leave it away for this frame")
             out._forget()
             return out
-        buffers = {
-            "phase": runtime.empty((height, width), np.float32),
-            "modulation": runtime.empty((height, width), np.float32),
-            "unwrapped": runtime.empty((height, width), np.float32),
-            "mask": runtime.empty((height, width), np.uint8),
-            "region": runtime.empty((height, width), np.int32),
-        }
-        if self.calibration is not None:
-            buffers["points"] = runtime.empty((height, width, 3), np.float32)
+        buffers = self._unused_buffers(height, width)
         return DecodedFrame(None, 0.0, (), self.calibration is not None, vertical, buffers, self._reference)
+
+    def _unused_buffers(self, height: int, width: int) -> dict[str, Any]:
+        """Return the buffers of the frame before if nobody holds it or its arrays any more, else new ones."""
+        buffers, self._last_buffers = self._last_buffers, {}
+        # A buffer that only the dictionary and this expression know of is free; the dictionary goes with its frame.
+        free = bool(buffers) and sys.getrefcount(buffers) == 2 and buffers["mask"].shape == (height, width)
+        if not free or any(sys.getrefcount(buffers[name]) > 2 for name in buffers):
+            types = {"phase": np.float32, "modulation": np.float32, "unwrapped": np.float32, "mask": np.uint8}
+            buffers = {name: runtime.empty((height, width), dtype) for name, dtype in types.items()}
+            buffers["region"] = runtime.empty((height, width), np.int32)
+            if self.calibration is not None:
+                buffers["points"] = runtime.empty((height, width, 3), np.float32)
+        self._last_buffers = buffers
+        return buffers
 
     def _clear(self, frame: DecodedFrame) -> None:
         empty = {"mask": 0, "region": 0, "modulation": 0.0}

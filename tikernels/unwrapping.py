@@ -72,7 +72,7 @@ class Unwrapper:
         self.labels = runtime.empty((height, width), np.int32)
         self.counters = runtime.empty((4,), np.int32)
         self.cells = -(-height // _CELL_HEIGHT) * -(-width // _CELL_WIDTH)
-        self.firsts = runtime.empty((2, self.cells + 1), np.int32)
+        self.firsts = runtime.empty((3, self.cells + 1), np.int32)
         self._allocate(_DRAFT_BITS)
 
     def _allocate(self, draft_bits: int) -> None:
@@ -234,7 +234,7 @@ def grow_patches_kernel(
     out_labels: I32Array2,  # (H, W) patch and order inside it; _NOTHING, or _BETWEEN two surfaces
     out_patches: I32Array2,  # (3, cells << bits)
     out_contacts: I32Array2,  # (5, 4 cells << bits)
-    out_counts: I32Array2,  # (2, cells + 1) patches and contacts of each cell
+    out_counts: I32Array2,  # (3, cells + 1) patches and contacts of each cell; 1 where it has a pixel between surfaces
 ):
     height, width = phase.shape[0], phase.shape[1]
     cell_columns = (width + _CELL_WIDTH - 1) // _CELL_WIDTH
@@ -244,7 +244,7 @@ def grow_patches_kernel(
     for cell in range(cells):
         rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
         patch_start, contact_start = cell << draft_bits, cell << (draft_bits + 2)
-        patch_count, contact_count = 0, 0
+        patch_count, contact_count, steps = 0, 0, 0
         top, left = (cell // cell_columns) * _CELL_HEIGHT, (cell % cell_columns) * _CELL_WIDTH
         bottom, right = ti.min(top + _CELL_HEIGHT, height), ti.min(left + _CELL_WIDTH, width)
         for y in range(top, bottom):
@@ -253,7 +253,10 @@ def grow_patches_kernel(
                 start = x
                 before = phase[y, x]
                 if before > 0.5 * NO_PHASE:
-                    out_labels[y, x] = ti.select(before > 1.5 * NO_PHASE, _BETWEEN, _NOTHING)
+                    out_labels[y, x] = _NOTHING
+                    if before > 1.5 * NO_PHASE:
+                        out_labels[y, x] = _BETWEEN
+                        steps = 1
                     x += 1
                 else:
                     # The run: its orders count from its first pixel.
@@ -366,6 +369,7 @@ def grow_patches_kernel(
                         out_labels[y, column] = (patch << _ORDER_BITS) + out_labels[y, column] + shift + _ORDER_ZERO
         out_counts[0, cell] = patch_count
         out_counts[1, cell] = contact_count
+        out_counts[2, cell] = steps
     # The cells' borders, right and bottom.
     for cell in range(cells):
         rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
@@ -417,7 +421,7 @@ def grow_patches_kernel(
 @ti.kernel
 def number_patches_kernel(
     cells: i32,
-    firsts: I32Array2,  # (2, cells + 1) patches and contacts of each cell; becomes the number of each cell's first ones
+    firsts: I32Array2,  # (3, cells + 1) patches and contacts of each cell; becomes the number of each cell's first ones
     out_counters: I32Array1,
 ):
     for _ in range(1):
@@ -448,7 +452,7 @@ def collect_patches_kernel(
     draft_bits: i32,
     draft_patches: I32Array2,  # (3, cells << bits)
     draft_contacts: I32Array2,  # (5, 4 cells << bits)
-    firsts: I32Array2,  # (2, cells + 1)
+    firsts: I32Array2,  # (3, cells + 1)
     out_patches: I32Array2,  # (10, capacity) each a region of its own
     out_contacts: I32Array2,  # (5, capacity)
 ):
@@ -693,45 +697,43 @@ def finish_patches_kernel(
     count: i32,
     cells: i32,
     labels: I32Array2,  # (H, W)
-    firsts: I32Array2,  # (2, cells + 1)
+    firsts: I32Array2,  # (3, cells + 1)
     draft_bits: i32,
     patches: I32Array2,
     draft_contacts: I32Array2,
     regions: I32Array2,
     numbers: I32Array1,  # number of the region of each root; 0: too small
-    out_final: I32Array2,  # (3, capacity) number of a patch's region; what its orders lack; 1: no step in or around it
+    out_final: I32Array2,  # (3, capacity) by patch its region's number and what its orders lack; by cell 1: steps near
 ):
-    height, width = labels.shape[0], labels.shape[1]
     for i in range(count):
         root = patches[_ROOT, i]
         out_final[0, i] = numbers[root]
         out_final[1, i] = patches[_OFFSET, i] - regions[_REGION_ORDER, root]
-        patches[_CHOICE, i] = 0
+    # A cell has steps where a pixel lies between surfaces, a patch is too small a region, or a contact was overruled.
     for cell in range(cells):
+        for k in range(firsts[0, cell + 1] - firsts[0, cell]):
+            if out_final[0, firsts[0, cell] + k] == 0:
+                firsts[2, cell] = 1
         for k in range(firsts[1, cell + 1] - firsts[1, cell]):
             e = (cell << (draft_bits + 2)) + k
-            a = patch_number(draft_contacts[_FROM, e], firsts, draft_bits)
-            b = patch_number(draft_contacts[_TO, e], firsts, draft_bits)
+            draft_a, draft_b = draft_contacts[_FROM, e], draft_contacts[_TO, e]
+            a, b = patch_number(draft_a, firsts, draft_bits), patch_number(draft_b, firsts, draft_bits)
             if patches[_OFFSET, b] != patches[_OFFSET, a] + draft_contacts[_SHIFT, e]:
-                patches[_CHOICE, a] = 1
-                patches[_CHOICE, b] = 1
-    for i in range(count):
-        quiet = ti.cast(patches[_PIXELS, i] == _CELL_WIDTH * _CELL_HEIGHT and patches[_CHOICE, i] == 0, ti.i32)
-        if quiet == 1:
-            first = patches[_FIRST, i]
-            for side in ti.static(range(4)):
-                y = first // width + ti.static((-1, 1, 0, 0)[side]) * _CELL_HEIGHT
-                x = first % width + ti.static((0, 0, -1, 1)[side]) * _CELL_WIDTH
-                if y >= 0 and y < height and x >= 0 and x < width:
-                    label = labels[y, x]
-                    if label < 0:
-                        quiet = 0
-                    elif (
-                        patches[_PIXELS, patch_number(label >> _ORDER_BITS, firsts, draft_bits)]
-                        != _CELL_WIDTH * _CELL_HEIGHT
-                    ):
-                        quiet = 0
-        out_final[2, i] = quiet
+                firsts[2, draft_a >> draft_bits] = 1
+                firsts[2, draft_b >> draft_bits] = 1
+    columns = (labels.shape[1] + _CELL_WIDTH - 1) // _CELL_WIDTH
+    for cell in range(cells):
+        column = cell % columns
+        steps = firsts[2, cell]
+        if column > 0:
+            steps |= firsts[2, cell - 1]
+        if column < columns - 1:
+            steps |= firsts[2, cell + 1]
+        if cell >= columns:
+            steps |= firsts[2, cell - columns]
+        if cell + columns < cells:
+            steps |= firsts[2, cell + columns]
+        out_final[2, cell] = steps
 
 
 @ti.func
@@ -775,7 +777,7 @@ def write_unwrapped_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     labels: I32Array2,  # (H, W)
-    firsts: I32Array2,  # (2, cells + 1)
+    firsts: I32Array2,  # (3, cells + 1)
     draft_bits: i32,
     final: I32Array2,  # (3, capacity)
     out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
@@ -792,7 +794,7 @@ def write_unwrapped_kernel(
             if label >= 0:
                 patch = patch_number(label >> _ORDER_BITS, firsts, draft_bits)
                 region = final[0, patch]
-                if region > 0 and final[2, patch] == 0:
+                if region > 0 and final[2, label >> (_ORDER_BITS + draft_bits)] == 1:
                     if beside_step(phase, rates, labels, firsts, draft_bits, final, y, x):
                         region = 0
                 if region > 0:
