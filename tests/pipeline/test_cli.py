@@ -1,0 +1,155 @@
+"""The command line as its user meets it: what it makes, what it refuses, and that nothing half-written stays."""
+
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import zarr
+
+from pipeline.export import read_mesh
+from pipeline.picture import read_picture
+from pipeline.range_image import write_png
+from pipeline.simulate import SimulationSettings, simulate_frame, simulated_rig
+from pipeline.store import FIELDS
+from tikernels import runtime
+
+
+def colorphase(*arguments, cwd):
+    """Run the command in a process of its own."""
+    code = "import sys; from pipeline.cli import main; sys.argv[0] = 'colorphase'; main()"
+    return subprocess.run(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        timeout=240,
+        env={**os.environ, "COLUMNS": "200"},
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with a frame of our own simulator, its calibration, and a black picture."""
+    runtime.init("cpu")
+    folder = tmp_path_factory.mktemp("cli")
+    rig = simulated_rig((320, 240), period_px=2 * 768 / 44)
+    settings = SimulationSettings()
+    write_png(folder / "frame.png", simulate_frame(rig, settings).image)
+    rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix}).write(folder / "calibration.json")
+    write_png(folder / "black.png", np.zeros((64, 64, 3), np.uint8))
+    (folder / "settings.toml").write_text("smoothing_px = 3\n")
+    return folder
+
+
+def test_decode_with_a_calibration(folder):
+    done = colorphase(
+        *("decode", "frame.png", "--out", "mm", "--calibration", "calibration.json"),
+        *("--settings", "settings.toml", "--arch", "cpu"),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    out = folder / "mm"
+    assert sorted(p.name for p in out.iterdir()) == [
+        "mesh.ply",
+        "range.png",
+        "report.json",
+        "result.zarr",
+        "shaded.png",
+    ]
+    report = json.loads((out / "report.json").read_text())
+    assert report["range_unit"] == "mm"
+    assert report["settings"]["smoothing_px"] == 3
+    assert report["warnings"] == []
+    group = zarr.open_group(out / "result.zarr", mode="r")
+    assert group.metadata.zarr_format == 3
+    assert set(group.array_keys()) == set(FIELDS)
+    assert group.attrs["calibration_sha256"] == report["calibration_sha256"]
+    for name in FIELDS:
+        assert group[name].shape[0] == 1
+        assert group[name].chunks == group[name].shape
+    mask = group["mask"][0]
+    mesh = read_mesh(out / "mesh.ply")
+    assert len(mesh.vertices) == mask.sum() == np.isfinite(group["points"][0]).all(axis=-1).sum()
+    assert mesh.unit == "mm"
+    assert read_picture(out / "range.png").shape[0] == 240
+
+
+def test_decode_without_one_is_relative(folder):
+    done = colorphase("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((folder / "rad" / "report.json").read_text())["range_unit"] == "rad"
+    assert read_mesh(folder / "rad" / "mesh.ply").unit == "rad"
+    assert "points" not in set(zarr.open_group(folder / "rad" / "result.zarr", mode="r").array_keys())
+    # Our own results may be replaced.
+    again = colorphase("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
+    assert again.returncode == 0, again.stderr
+
+
+def test_a_frame_without_fringes(folder):
+    done = colorphase("decode", "black.png", "--out", "none", "--arch", "cpu", cwd=folder)
+    assert done.returncode == 1
+    assert "no fringe stands out" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert json.loads((folder / "none" / "report.json").read_text())["valid_fraction"] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("decode", "no.png", "--out", "x"), "cannot read no.png"),
+        (("decode", "settings.toml", "--out", "x"), "not a picture"),
+        (("decode", "black.png", "--out", "x", "--calibration", "calibration.json"), "recalibrate or crop"),
+        (("decode", "frame.png", "--out", "x", "--calibration", "settings.toml"), "not what it should be"),
+        (("decode", "frame.png", "--out", "x", "--settings", "calibration.json"), "not what it should be"),
+        (("decode", "frame.png", "--out", "frame.png"), "is a file"),
+        (("decode", "frame.png", "--out", "frame.png/x"), "its folder is a file"),
+        (("decode", "frame.png", "--out", "."), "holds something else"),
+        (("decode", "frame.png", "--out", "x", "--arch", "abacus"), "Invalid value"),
+        (("render", "frame.png", "--out", "x.png"), "PLY"),
+        (("render", "none.ply", "--out", "x.png"), "cannot read none.ply"),
+        (("render", "none.ply", "--out", "x.gif"), "name it .png"),
+        (("pattern", "x.png", "--size", "wide"), "as in 1024x768"),
+        (("pattern", "x.png", "--period", "1"), "period_px"),
+        (("pattern", "x/y.png"), "create the folder first"),
+    ],
+)
+def test_mistakes_get_one_line_and_leave_nothing(folder, arguments, message):
+    before = sorted(p.name for p in folder.iterdir())
+    done = colorphase(*arguments, cwd=folder)
+    assert done.returncode != 0
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    assert lines[0].startswith("error: ")
+    assert message in lines[0]
+    assert sorted(p.name for p in folder.iterdir()) == before
+
+
+def test_demo_pattern_and_devices(folder):
+    done = colorphase("demo", "--out", "demo", "--arch", "cpu", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    report = json.loads((folder / "demo" / "report.json").read_text())
+    truth = report["against_truth"]
+    assert truth["wrong_orders"] == 0
+    assert truth["phase_rms_rad"] < 0.05
+    assert truth["depth_rms_mm"] < 0.5
+    assert truth["coverage"] > 0.95
+    assert f"{truth['depth_rms_mm']:.3f} mm" in done.stdout
+    assert (folder / "demo" / "shaded.png").exists()
+    assert (folder / "demo" / "render.png").exists() or "install" in done.stderr
+    assert colorphase("pattern", "pattern.png", "--size", "320x240", cwd=folder).returncode == 0
+    assert read_picture(folder / "pattern.png").shape == (240, 320, 3)
+    listed = colorphase("devices", cwd=folder)
+    assert listed.returncode == 0
+    assert "cpu" in listed.stdout
+    assert runtime.kernel_language() in listed.stdout
+
+
+@pytest.mark.parametrize("command", ["demo", "pattern", "decode", "render", "devices"])
+def test_help_has_an_example(folder, command):
+    done = colorphase(command, "--help", cwd=folder)
+    assert done.returncode == 0
+    assert f"Example: colorphase {command}" in done.stdout
