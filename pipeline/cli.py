@@ -67,7 +67,7 @@ def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: boo
         table.add_row(name, value)
     _out.print(table)
     for note in summary.notes:
-        _err.print(f"note: {note}", style="yellow", highlight=False)
+        _err.print(f"note: {note}", style="yellow", highlight=False, soft_wrap=True)
     _out.print(f"look at {summary.picture}", highlight=False, soft_wrap=True)
 
 

@@ -4,7 +4,9 @@ Taichi needs X11's libraries even on a machine without a screen and has no wheel
 same language without either. Every kernel file takes ``ti`` and its array types from here.
 """
 
+import contextlib
 import importlib
+import io
 import os
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -17,7 +19,9 @@ def _import_language() -> tuple[Any, str]:
     reasons = []
     for name in ("taichi", "quadrants"):
         try:
-            return importlib.import_module(name), name
+            # Where it fails, Taichi prints advice besides raising.
+            with contextlib.redirect_stdout(io.StringIO()):
+                return importlib.import_module(name), name
         except ImportError as error:
             reasons.append(f"{name}: {error}")
     raise ImportError(
