@@ -4,10 +4,10 @@ Taichi needs X11's libraries even on a machine without a screen and has no wheel
 same language without either. Every kernel file takes ``ti`` and its array types from here.
 """
 
-import contextlib
+import ctypes
 import importlib
-import io
 import os
+import sys
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 # Importing must print nothing; both languages greet on import otherwise.
@@ -19,10 +19,12 @@ def _import_language() -> tuple[Any, str]:
     reasons = []
     for name in ("taichi", "quadrants"):
         try:
-            # Where it fails, Taichi prints advice besides raising.
-            with contextlib.redirect_stdout(io.StringIO()):
-                return importlib.import_module(name), name
-        except ImportError as error:
+            if name == "taichi" and sys.platform == "linux":
+                ctypes.CDLL(
+                    "libX11.so.6"
+                )  # asked first, because a failing import prints advice that is of no help here
+            return importlib.import_module(name), name
+        except (ImportError, OSError) as error:
             reasons.append(f"{name}: {error}")
     raise ImportError(
         f"neither Taichi nor Quadrants can be imported ({'; '.join(reasons)}): pip install 'colorphase[headless]'"
