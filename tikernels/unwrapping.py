@@ -43,6 +43,8 @@ _CELL_WIDTH, _CELL_HEIGHT = 8, 16
 _ORDER_BITS, _ORDER_MASK, _ORDER_ZERO = 6, 63, 32
 #: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
 MIN_REGION_PX = 128
+# Below this many contacts one CPU thread is done before others have woken up ten times a round.
+_SERIAL_CONTACTS = 12000
 _GOLDEN = -1640531527  # 2^32 / golden ratio, odd: multiplying by it shuffles the 32-bit numbers one to one
 
 # Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
@@ -110,14 +112,15 @@ class Unwrapper:
             self._allocate(int(counts[_N_CROWDED] - 1).bit_length())
         patches, contacts = int(counts[_N_PATCHES]), int(counts[_N_CONTACTS])
         collect_patches_kernel(self.cells, self.draft_bits, *drafts, self.patches, self.contacts)
-        # On the CPU one thread is done before others have woken up ten times a round, and can close the table's gaps.
-        merge = merge_patches_kernel(runtime.started() == "cpu")
+        on_cpu = runtime.started() == "cpu"
         while True:
+            merge = merge_patches_kernel(on_cpu and contacts < _SERIAL_CONTACTS)
             merge(patches, contacts, self.patches, self.contacts, self.table, self.counters)
-            counts = runtime.to_host(self.counters)  # synchronises
-            if counts[_N_MERGED] == 0:
+            if runtime.to_host(self.counters)[_N_MERGED] == 0:  # synchronises
                 break
-            contacts = int(counts[_N_CONTACTS])
+            if on_cpu:  # a GPU passes over spent contacts faster than one of its threads could close the gaps
+                close_gaps_kernel(contacts, self.contacts, self.counters)
+                contacts = int(self.counters[_N_CONTACTS])
         choose_starts_kernel(patches, self.labels, self.patches, self.regions)
         self.patch_count = patches
 
@@ -606,17 +609,24 @@ def merge_patches_kernel(serial: bool) -> Any:
                 root = patches[_PARENT, root]
             patches[_ROOT, i] = root
             patches[_OFFSET, i] = offset
-        if ti.static(serial):
-            for _ in range(1):
-                kept = 0
-                for e in range(contact_count):
-                    if contacts[_VOTES, e] > 0:
-                        for row in ti.static(range(5)):
-                            contacts[row, kept] = contacts[row, e]
-                        kept += 1
-                counters[_N_CONTACTS] = kept
 
     return merge_patches
+
+
+@ti.kernel
+def close_gaps_kernel(
+    contact_count: i32,
+    contacts: I32Array2,  # (5, capacity); those with votes move to the front, in order
+    out_counters: I32Array1,
+):
+    for _ in range(1):
+        kept = 0
+        for e in range(contact_count):
+            if contacts[_VOTES, e] > 0:
+                for row in ti.static(range(5)):
+                    contacts[row, kept] = contacts[row, e]
+                kept += 1
+        out_counters[_N_CONTACTS] = kept
 
 
 @ti.kernel
