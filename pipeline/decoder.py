@@ -95,6 +95,10 @@ class Decoder:
                     f"settings say {self._stripes} stripes but the calibration's pattern has "
                     f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
                 )
+            for name in ("response", "color_shift_px"):
+                if getattr(calibration, name) is not None:
+                    message = f"the calibration's {name} is not used by this version: decoding goes on without it"
+                    warnings.warn(message, DecodeWarning, stacklevel=2)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
             self._depth_mm = _expected_depth(calibration)
             self._projector = calibration.projector_geometry()

@@ -48,7 +48,8 @@ class DecodeSettings(Model):
     code: None = None
     """The pattern's code; a calibration's pattern wins."""
     noise: tuple[NonNegative, NonNegative] | None = None
-    """Read noise's standard deviation and gain, in grey levels; None: estimated from the frame."""
+    """Read noise's standard deviation and gain, in grey levels; None: estimated from the frame. So far the thresholds
+    use the first; the gain will matter for errors a pixel."""
     white_level: Positive | None = None
     """Full scale of the input; None: the type's (1.0 for floats)."""
     min_intensity: NonNegative | None = None

@@ -1,10 +1,9 @@
 """One frame through the decoder: accuracy against exact truth, inputs of every kind, and what it refuses."""
 
-import warnings
-
 import numpy as np
 import pytest
 
+import pipeline
 import tikernels
 from pipeline import Calibration, Decoder, DecodeSettings, DecodeWarning
 from pipeline.errors import CalibrationError, FootageError, SettingsError
@@ -280,8 +279,14 @@ def test_device_arrays_are_taken(arch):
     np.testing.assert_array_equal(frame.unwrapped_phase, expected.unwrapped_phase)
 
 
-def test_unused_calibration_is_a_calibration():
-    """The exported names are those of the contract."""
-    assert {"Calibration", "DecodeSettings", "Decoder"} <= set(__import__("pipeline").__all__)
+def test_what_a_calibration_holds_in_vain_is_said():
+    _, calibration = simulated("plane")
+    curve = np.tile(np.linspace(0, 1, 256) ** 2, (3, 1))
+    with pytest.warns(DecodeWarning, match="response is not used"):
+        Decoder(DecodeSettings(), calibration.model_copy(update={"response": curve}), arch="cpu")
+
+
+def test_exported_names():
+    """The names of the contract."""
+    assert {"Calibration", "DecodeSettings", "Decoder"} <= set(pipeline.__all__)
     assert Calibration.model_fields.keys() >= {"camera", "projector", "rotation", "translation_mm", "pattern"}
-    warnings.simplefilter("error")
