@@ -28,8 +28,9 @@ def frame(height: int, width: int) -> np.ndarray[Any, np.dtype[np.uint8]]:
 
 
 def median_ms(body: Callable[[], object], repeats: int) -> float:
-    """Return the median time of a call after warming up, the device waited for inside."""
-    for _ in range(3):
+    """Return the median time of a call after warming up for a second, the device waited for inside."""
+    warm = time.perf_counter() + 1.0
+    while time.perf_counter() < warm:
         body()
     times = []
     for _ in range(repeats):
