@@ -31,35 +31,50 @@ from tikernels._taichi import (
 )
 from tikernels.errors import ShapeError
 from tikernels.filtering import MAX_DEPARTURE, STRETCH, measure_rates_kernel, rates_buffer
+from tikernels.patches import (
+    BETWEEN,
+    CELL_HEIGHT,
+    CELL_WIDTH,
+    CHOICE,
+    FIRST,
+    FROM,
+    GOLDEN,
+    KEY,
+    N_CONTACTS,
+    N_CROWDED,
+    N_MERGED,
+    N_PATCHES,
+    NAME,
+    OFFSET,
+    ORDER_BITS,
+    ORDER_MASK,
+    ORDER_ZERO,
+    PARENT,
+    PIXELS,
+    ROOT,
+    SHIFT,
+    STEP,
+    SUPPORT,
+    TO,
+    VOTES,
+    WEIGHT,
+    collect_patches_kernel,
+    grow_patches_kernel,
+    number_patches_kernel,
+    patch_number,
+)
 from tikernels.phase_vector import PI
 from tikernels.transposing import transpose
 from tikernels.triangulation import ProjectorGeometry, projected
-from tikernels.wrapped_phase import NO_PHASE, mark_no_phase_kernel
+from tikernels.wrapped_phase import mark_no_phase_kernel
 
-# Short along the stripe: where a hidden step of whole cycles slips into a run, at most half a cell is wrong.
-_CELL_WIDTH, _CELL_HEIGHT = 8, 16
-# A label holds a patch and, in its lowest six bits, an order inside it, which stays within the cell's +-24 pixels.
-# Shifts, because Taichi's integer division rounds down and branches to do so.
-_ORDER_BITS, _ORDER_MASK, _ORDER_ZERO = 6, 63, 32
 #: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
 MIN_REGION_PX = 128
 # Below this many contacts one CPU thread is done before others have woken up ten times a round.
 _SERIAL_CONTACTS = 12000
-_GOLDEN = -1640531527  # 2^32 / golden ratio, odd: multiplying by it shuffles the 32-bit numbers one to one
-
-# Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
-# across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again.
-# Across, slopes change the phase more, and a response that is not linear lets the modulation swing three times a cycle.
-_SURE_ALONG, _ALIKE_ALONG = 0.25, 0.75
-_SURE_ACROSS, _ALIKE_ACROSS = 0.5, 0.5
-_NOTHING, _BETWEEN = -1, -2
-# Columns of the patch and contact tables.
-_PIXELS, _WEIGHT, _FIRST, _ROOT, _OFFSET, _PARENT, _STEP, _SUPPORT, _KEY, _CHOICE = range(10)
-_FROM, _TO, _SHIFT, _VOTES, _NAME = range(5)
+# Rows of the table that contacts are summed in, and of the table of regions.
 _OWNER, _SUM, _LOW, _HIGH, _TURN = range(5)
 _REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
-# Counters; the last is the most patches, or a quarter of the most contacts, that any cell has.
-_N_PATCHES, _N_CONTACTS, _N_MERGED, _N_CROWDED = range(4)
 # A cell drafts up to 2^3 patches, and four times as many contacts, in places of its own: clean surfaces need one and
 # two. Where noise needs more, the drafts grow. Counters shared by all threads would do without drafts, but their order
 # is chance, and Mesa's software Vulkan loses threads that wait for one inside a loop.
@@ -73,7 +88,7 @@ class Unwrapper:
         self.shape = (height, width)
         self.labels = runtime.empty((height, width), np.int32)
         self.counters = runtime.empty((4,), np.int32)
-        self.cells = -(-height // _CELL_HEIGHT) * -(-width // _CELL_WIDTH)
+        self.cells = -(-height // CELL_HEIGHT) * -(-width // CELL_WIDTH)
         self.firsts = runtime.empty((3, self.cells + 1), np.int32)
         self._allocate(_DRAFT_BITS)
 
@@ -107,20 +122,20 @@ class Unwrapper:
             grow_patches_kernel(phase, quality, rates, self.draft_bits, self.labels, *drafts)
             number_patches_kernel(self.cells, self.firsts, self.counters)
             counts = runtime.to_host(self.counters)  # synchronises
-            if counts[_N_CROWDED] <= 1 << self.draft_bits:
+            if counts[N_CROWDED] <= 1 << self.draft_bits:
                 break
-            self._allocate(int(counts[_N_CROWDED] - 1).bit_length())
-        patches, contacts = int(counts[_N_PATCHES]), int(counts[_N_CONTACTS])
+            self._allocate(int(counts[N_CROWDED] - 1).bit_length())
+        patches, contacts = int(counts[N_PATCHES]), int(counts[N_CONTACTS])
         collect_patches_kernel(self.cells, self.draft_bits, *drafts, self.patches, self.contacts)
         on_cpu = runtime.started() == "cpu"
         while True:
             merge = merge_patches_kernel(on_cpu and contacts < _SERIAL_CONTACTS)
             merge(patches, contacts, self.patches, self.contacts, self.table, self.counters)
-            if runtime.to_host(self.counters)[_N_MERGED] == 0:  # synchronises
+            if runtime.to_host(self.counters)[N_MERGED] == 0:  # synchronises
                 break
             if on_cpu:  # a GPU passes over spent contacts faster than one of its threads could close the gaps
                 close_gaps_kernel(contacts, self.contacts, self.counters)
-                contacts = int(self.counters[_N_CONTACTS])
+                contacts = int(self.counters[N_CONTACTS])
         choose_starts_kernel(patches, self.labels, self.patches, self.regions)
         self.patch_count = patches
 
@@ -160,328 +175,11 @@ class Unwrapper:
 
 
 @ti.func
-def cycles_between(difference: f32, rate: f32) -> i32:
-    """Whole cycles to add to a difference of two wrapped phases to bring it nearest to the usual change."""
-    excess = difference - rate
-    return ti.cast(excess < -PI, ti.i32) - ti.cast(excess > PI, ti.i32)
-
-
-@ti.func
-def departure(difference: f32, rate: f32, cycles: i32) -> f32:
-    """How far a difference with its cycles is from the usual change."""
-    return ti.abs(difference - rate + 2.0 * PI * ti.cast(cycles, ti.f32))
-
-
-@ti.func
-def add_contact(
-    contacts: I32Array2, start: i32, count: i32, room: i32, a: i32, b: i32, shift: i32, votes: i32, name: i32
-) -> i32:
-    """Note that offset[b] = offset[a] + shift, by so many votes, and return how many contacts there are now.
-
-    The contacts of a cell begin at its start; the name is the contact's own.
-    """
-    place = start + ti.min(count, room - 1)
-    contacts[_FROM, place] = a
-    contacts[_TO, place] = b
-    contacts[_SHIFT, place] = shift
-    contacts[_VOTES, place] = votes
-    contacts[_NAME, place] = name * _GOLDEN
-    return count + 1
-
-
-@ti.func
-def brightness(quality: f32, mean_quality: f32) -> i32:
-    """One to sixteen, four for an ordinary pixel."""
-    return ti.min(ti.max(ti.cast(4.0 * quality / mean_quality, ti.i32), 1), 16)
-
-
-@ti.func
-def vote_weight(departs: f32, quality: f32, quality2: f32, mean_quality: f32) -> i32:
-    """Weight of one pixel's vote, 1 to 64: the phase goes on, and so does the brightness, which is not low.
-
-    A step that hides behind whole cycles departs by anything at its every pixel and seldom joins two equally bright
-    surfaces.
-    """
-    low, high = ti.min(quality, quality2), ti.max(quality, quality2)
-    going_on = 1.0 - departs / MAX_DEPARTURE
-    alike = low / ti.max(high, 1e-12)
-    return 1 + ti.cast(63.0 * going_on * going_on * alike * alike * ti.min(4.0 * low / mean_quality, 1.0), ti.i32)
-
-
-@ti.func
-def vote_above(phase: F32Array2, quality: F32Array2, labels: I32Array2, y: i32, x: i32, rate: f32) -> ivec3:
-    """Patch of the pixel above, the shift that makes this run continue it, and whether that is sure.
-
-    Patch -1: no vote across a step. The row above holds patches and orders already, this one its runs' own orders.
-    """
-    vote = ti.Vector([-1, 0, 0])
-    above = labels[y - 1, x]
-    if above >= 0:
-        difference = phase[y, x] - phase[y - 1, x]
-        cycles = cycles_between(difference, rate)
-        departs = departure(difference, rate, cycles)
-        if departs <= MAX_DEPARTURE:
-            order = (above & _ORDER_MASK) - _ORDER_ZERO + cycles
-            here, there = quality[y, x], quality[y - 1, x]
-            sure = departs <= _SURE_ACROSS and ti.min(here, there) > _ALIKE_ACROSS * ti.max(here, there)
-            vote = ti.Vector([above >> _ORDER_BITS, order - labels[y, x], ti.cast(sure, ti.i32)])
-    return vote
-
-
-@ti.kernel
-def grow_patches_kernel(
-    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
-    quality: F32Array2,  # (H, W)
-    rates: F32Array2,  # last row: rate along, rate across (rad a px), mean quality
-    draft_bits: i32,  # a cell has places for 2^bits patches and four times as many contacts
-    out_labels: I32Array2,  # (H, W) patch and order inside it; _NOTHING, or _BETWEEN two surfaces
-    out_patches: I32Array2,  # (3, cells << bits)
-    out_contacts: I32Array2,  # (5, 4 cells << bits)
-    out_counts: I32Array2,  # (3, cells + 1) patches and contacts of each cell; 1 where it has a pixel between surfaces
-):
-    height, width = phase.shape[0], phase.shape[1]
-    cell_columns = (width + _CELL_WIDTH - 1) // _CELL_WIDTH
-    cells = cell_columns * ((height + _CELL_HEIGHT - 1) // _CELL_HEIGHT)
-    last = rates.shape[0] - 1
-    room = 1 << draft_bits
-    for cell in range(cells):
-        rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
-        patch_start, contact_start = cell << draft_bits, cell << (draft_bits + 2)
-        patch_count, contact_count, steps = 0, 0, 0
-        top, left = (cell // cell_columns) * _CELL_HEIGHT, (cell % cell_columns) * _CELL_WIDTH
-        bottom, right = ti.min(top + _CELL_HEIGHT, height), ti.min(left + _CELL_WIDTH, width)
-        for y in range(top, bottom):
-            x = left
-            while x < right:
-                start = x
-                before = phase[y, x]
-                if before > 0.5 * NO_PHASE:
-                    out_labels[y, x] = _NOTHING
-                    if before > 1.5 * NO_PHASE:
-                        out_labels[y, x] = _BETWEEN
-                        steps = 1
-                    x += 1
-                else:
-                    # The run: its orders count from its first pixel.
-                    order, quality_before = 0, quality[y, x]
-                    out_labels[y, x] = 0
-                    x += 1
-                    going = 1
-                    while going == 1 and x < right:
-                        here = phase[y, x]
-                        cycles = cycles_between(here - before, rate_along)
-                        # What is no phase departs by far more.
-                        departs = departure(here - before, rate_along, cycles)
-                        quality_here = quality[y, x]
-                        low, high = ti.min(quality_here, quality_before), ti.max(quality_here, quality_before)
-                        if departs > _SURE_ALONG or low < _ALIKE_ALONG * high:
-                            going = 0
-                        else:
-                            order += cycles
-                            out_labels[y, x] = order
-                            before, quality_before = here, quality_here
-                            x += 1
-                    # Its contact with the runs above: each pixel votes for a patch and a shift.
-                    patch, shift, votes, voters = -1, 0, 0, 0
-                    if y > top:
-                        for voter in range(start, x):
-                            vote = vote_above(phase, quality, out_labels, y, voter, rate_across)
-                            if vote.x >= 0:
-                                voters += 1
-                                if patch < 0 and vote.z == 1:
-                                    patch, shift = vote.x, vote.y
-                                if vote.x == patch and vote.y == shift:
-                                    votes += vote.z
-                        if votes < voters:  # seldom: they disagree, or are not sure
-                            for candidate in range(start + 1, x):
-                                choice = vote_above(phase, quality, out_labels, y, candidate, rate_across)
-                                tally = 0
-                                for voter in range(candidate, x):
-                                    vote = vote_above(phase, quality, out_labels, y, voter, rate_across)
-                                    if vote.x == choice.x and vote.y == choice.y:
-                                        tally += vote.z
-                                if choice.x >= 0 and tally > votes:
-                                    patch, shift, votes = choice.x, choice.y, tally
-                    # One pixel's word is too little for a run of several.
-                    joins = votes > 0 and 2 * votes >= voters and (votes > 1 or x - start <= 2)
-                    if not joins:
-                        patch, shift = patch_start + ti.min(patch_count, room - 1), 0
-                        patch_count += 1
-                        out_patches[_PIXELS, patch] = 0
-                        out_patches[_WEIGHT, patch] = 0
-                        out_patches[_FIRST, patch] = y * width + start
-                    # Not "+=": that is atomic, and nobody else writes here.
-                    weight = (x - start) * brightness(quality[y, (start + x) >> 1], mean_quality)
-                    out_patches[_PIXELS, patch] = out_patches[_PIXELS, patch] + (x - start)
-                    out_patches[_WEIGHT, patch] = out_patches[_WEIGHT, patch] + weight
-                    # What the others voted for becomes contacts between patches.
-                    if votes < voters or (voters > 0 and not joins):
-                        for candidate in range(start, x):
-                            choice = vote_above(phase, quality, out_labels, y, candidate, rate_across)
-                            tally, noted = 0, 0
-                            for voter in range(start, x):
-                                vote = vote_above(phase, quality, out_labels, y, voter, rate_across)
-                                if vote.x == choice.x and vote.y == choice.y:
-                                    difference = phase[y, voter] - phase[y - 1, voter]
-                                    departs = departure(
-                                        difference, rate_across, cycles_between(difference, rate_across)
-                                    )
-                                    above = quality[y - 1, voter]
-                                    tally += 2 * vote_weight(departs, quality[y, voter], above, mean_quality)
-                                    if voter < candidate:
-                                        noted = 1
-                            if choice.x >= 0 and choice.x != patch and noted == 0:
-                                name = 3 * (y * width + candidate)
-                                turn = choice.y - shift
-                                contact_count = add_contact(
-                                    out_contacts,
-                                    contact_start,
-                                    contact_count,
-                                    4 * room,
-                                    choice.x,
-                                    patch,
-                                    turn,
-                                    tally,
-                                    name,
-                                )
-                    # The run before, where it ended without a step.
-                    if start > left:
-                        label = out_labels[y, start - 1]
-                        if label >= 0:
-                            difference = phase[y, start] - phase[y, start - 1]
-                            cycles = cycles_between(difference, rate_along)
-                            departs = departure(difference, rate_along, cycles)
-                            if departs <= MAX_DEPARTURE and label >> _ORDER_BITS != patch:
-                                turn = (label & _ORDER_MASK) - _ORDER_ZERO + cycles - shift
-                                before = quality[y, start - 1]
-                                tally = vote_weight(departs, quality[y, start], before, mean_quality)
-                                name = 3 * (y * width + start - 1) + 1
-                                other = label >> _ORDER_BITS
-                                contact_count = add_contact(
-                                    out_contacts,
-                                    contact_start,
-                                    contact_count,
-                                    4 * room,
-                                    other,
-                                    patch,
-                                    turn,
-                                    tally,
-                                    name,
-                                )
-                    for column in range(start, x):
-                        out_labels[y, column] = (patch << _ORDER_BITS) + out_labels[y, column] + shift + _ORDER_ZERO
-        out_counts[0, cell] = patch_count
-        out_counts[1, cell] = contact_count
-        out_counts[2, cell] = steps
-    # The cells' borders, right and bottom.
-    for cell in range(cells):
-        rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
-        contact_start, contact_count = cell << (draft_bits + 2), out_counts[1, cell]
-        top, left = (cell // cell_columns) * _CELL_HEIGHT, (cell % cell_columns) * _CELL_WIDTH
-        bottom, right = ti.min(top + _CELL_HEIGHT, height), ti.min(left + _CELL_WIDTH, width)
-        for side in ti.static(range(2)):
-            length, rate = bottom - top, rate_along
-            if ti.static(side == 1):
-                length, rate = right - left, rate_across
-            if (side == 0 and right == width) or (side == 1 and bottom == height):
-                length = 0
-            # A pixel counts double on the shorter side, so that both are worth the same.
-            scale = ti.static((1, _CELL_HEIGHT // _CELL_WIDTH)[side])
-            a, b, shift, votes, pixel = -1, -1, 0, 0, 0
-            for step in range(length + 1):
-                next_a, next_b, next_shift, weight = -1, -1, 0, 0
-                y, x = top + step, right - 1
-                if ti.static(side == 1):
-                    y, x = bottom - 1, left + step
-                if step < length:
-                    y2, x2 = y + side, x + 1 - side
-                    label, label2 = out_labels[y, x], out_labels[y2, x2]
-                    if (label | label2) >= 0:
-                        difference = phase[y2, x2] - phase[y, x]
-                        cycles = cycles_between(difference, rate)
-                        departs = departure(difference, rate, cycles)
-                        if departs <= MAX_DEPARTURE:
-                            next_a, next_b = label >> _ORDER_BITS, label2 >> _ORDER_BITS
-                            next_shift = (label & _ORDER_MASK) - (label2 & _ORDER_MASK) + cycles
-                            weight = scale * vote_weight(departs, quality[y, x], quality[y2, x2], mean_quality)
-                if next_a == a and next_b == b and next_shift == shift:
-                    votes += weight
-                else:
-                    if a >= 0:
-                        name = 3 * pixel + 1 + side
-                        contact_count = add_contact(
-                            out_contacts, contact_start, contact_count, 4 * room, a, b, shift, votes, name
-                        )
-                    a, b, shift, votes, pixel = next_a, next_b, next_shift, weight, y * width + x
-            if a >= 0:
-                name = 3 * pixel + 1 + side
-                contact_count = add_contact(
-                    out_contacts, contact_start, contact_count, 4 * room, a, b, shift, votes, name
-                )
-        out_counts[1, cell] = contact_count
-
-
-@ti.kernel
-def number_patches_kernel(
-    cells: i32,
-    firsts: I32Array2,  # (3, cells + 1) patches and contacts of each cell; becomes the number of each cell's first ones
-    out_counters: I32Array1,
-):
-    for _ in range(1):
-        patches, contacts, crowded = 0, 0, 0
-        for cell in range(cells):
-            patch_count, contact_count = firsts[0, cell], firsts[1, cell]
-            crowded = ti.max(crowded, ti.max(patch_count, (contact_count + 3) // 4))
-            firsts[0, cell] = patches
-            firsts[1, cell] = contacts
-            patches += patch_count
-            contacts += contact_count
-        firsts[0, cells] = patches
-        firsts[1, cells] = contacts
-        out_counters[_N_PATCHES] = patches
-        out_counters[_N_CONTACTS] = contacts
-        out_counters[_N_CROWDED] = crowded
-
-
-@ti.func
-def patch_number(draft: i32, firsts: I32Array2, draft_bits: i32) -> i32:
-    """Return the final number of a drafted patch."""
-    return firsts[0, draft >> draft_bits] + (draft & ((1 << draft_bits) - 1))
-
-
-@ti.kernel
-def collect_patches_kernel(
-    cells: i32,
-    draft_bits: i32,
-    draft_patches: I32Array2,  # (3, cells << bits)
-    draft_contacts: I32Array2,  # (5, 4 cells << bits)
-    firsts: I32Array2,  # (3, cells + 1)
-    out_patches: I32Array2,  # (10, capacity) each a region of its own
-    out_contacts: I32Array2,  # (5, capacity)
-):
-    for cell in range(cells):
-        for k in range(firsts[0, cell + 1] - firsts[0, cell]):
-            draft, patch = (cell << draft_bits) + k, firsts[0, cell] + k
-            out_patches[_PIXELS, patch] = draft_patches[_PIXELS, draft]
-            out_patches[_WEIGHT, patch] = draft_patches[_WEIGHT, draft]
-            out_patches[_FIRST, patch] = draft_patches[_FIRST, draft]
-            out_patches[_ROOT, patch] = patch
-            out_patches[_OFFSET, patch] = 0
-        for k in range(firsts[1, cell + 1] - firsts[1, cell]):
-            draft, contact = (cell << (draft_bits + 2)) + k, firsts[1, cell] + k
-            out_contacts[_FROM, contact] = patch_number(draft_contacts[_FROM, draft], firsts, draft_bits)
-            out_contacts[_TO, contact] = patch_number(draft_contacts[_TO, draft], firsts, draft_bits)
-            out_contacts[_SHIFT, contact] = draft_contacts[_SHIFT, draft]
-            out_contacts[_VOTES, contact] = draft_contacts[_VOTES, draft]
-            out_contacts[_NAME, contact] = draft_contacts[_NAME, draft]
-
-
-@ti.func
 def joined_regions(patches: I32Array2, contacts: I32Array2, e: i32) -> ivec3:
     """Return the two regions that a contact joins, the smaller root first, and the shift between them."""
-    a, b = contacts[_FROM, e], contacts[_TO, e]
-    root, root2 = patches[_ROOT, a], patches[_ROOT, b]
-    turn = contacts[_SHIFT, e] + patches[_OFFSET, a] - patches[_OFFSET, b]
+    a, b = contacts[FROM, e], contacts[TO, e]
+    root, root2 = patches[ROOT, a], patches[ROOT, b]
+    turn = contacts[SHIFT, e] + patches[OFFSET, a] - patches[OFFSET, b]
     if root > root2:
         root, root2, turn = root2, root, -turn
     return ti.Vector([root, root2, turn])
@@ -490,8 +188,8 @@ def joined_regions(patches: I32Array2, contacts: I32Array2, e: i32) -> ivec3:
 @ti.func
 def table_place(joins: ivec3, size: i32) -> i32:
     """Scatter what a contact joins over a table whose size is a power of two."""
-    mixed = (joins.x * _GOLDEN) ^ (joins.y * 73244475) ^ (joins.z * 1540483477)
-    mixed = (mixed ^ ((mixed >> 15) & 0x1FFFF)) * _GOLDEN
+    mixed = (joins.x * GOLDEN) ^ (joins.y * 73244475) ^ (joins.z * 1540483477)
+    mixed = (mixed ^ ((mixed >> 15) & 0x1FFFF)) * GOLDEN
     return (mixed ^ ((mixed >> 13) & 0x7FFFF)) & (size - 1)
 
 
@@ -508,7 +206,7 @@ def merge_patches_kernel(serial: bool) -> Any:
         table: I32Array2,  # (5, power of two) scratch
         counters: I32Array1,
     ):
-        counters[_N_MERGED] = 0
+        counters[N_MERGED] = 0
         # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
         # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
         ti.loop_config(serialize=serial)
@@ -517,98 +215,98 @@ def merge_patches_kernel(serial: bool) -> Any:
             table[_SUM, place] = 0
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            if contacts[_VOTES, e] > 0:
+            if contacts[VOTES, e] > 0:
                 joins = joined_regions(patches, contacts, e)
                 if joins.x == joins.y:
-                    contacts[_VOTES, e] = 0
+                    contacts[VOTES, e] = 0
                 else:
-                    ti.atomic_min(table[_OWNER, table_place(joins, table.shape[1])], contacts[_NAME, e])
+                    ti.atomic_min(table[_OWNER, table_place(joins, table.shape[1])], contacts[NAME, e])
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            if contacts[_VOTES, e] > 0:
+            if contacts[VOTES, e] > 0:
                 joins = joined_regions(patches, contacts, e)
                 place = table_place(joins, table.shape[1])
-                if table[_OWNER, place] == contacts[_NAME, e]:
+                if table[_OWNER, place] == contacts[NAME, e]:
                     table[_LOW, place] = joins.x
                     table[_HIGH, place] = joins.y
                     table[_TURN, place] = joins.z
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            votes = contacts[_VOTES, e]
+            votes = contacts[VOTES, e]
             if votes > 0:
                 joins = joined_regions(patches, contacts, e)
                 place = table_place(joins, table.shape[1])
                 same = (
                     table[_LOW, place] == joins.x and table[_HIGH, place] == joins.y and table[_TURN, place] == joins.z
                 )
-                if same and table[_OWNER, place] != contacts[_NAME, e]:
+                if same and table[_OWNER, place] != contacts[NAME, e]:
                     ti.atomic_add(table[_SUM, place], votes)
-                    contacts[_VOTES, e] = 0
+                    contacts[VOTES, e] = 0
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            if contacts[_VOTES, e] > 0:
+            if contacts[VOTES, e] > 0:
                 place = table_place(joined_regions(patches, contacts, e), table.shape[1])
-                if table[_OWNER, place] == contacts[_NAME, e]:
-                    contacts[_VOTES, e] += table[_SUM, place]
+                if table[_OWNER, place] == contacts[NAME, e]:
+                    contacts[VOTES, e] += table[_SUM, place]
         ti.loop_config(serialize=serial)
         for i in range(count):
-            patches[_SUPPORT, i] = 0
-            patches[_KEY, i] = 2147483647
-            patches[_CHOICE, i] = -1
-            patches[_PARENT, i] = i
-            patches[_STEP, i] = 0
+            patches[SUPPORT, i] = 0
+            patches[KEY, i] = 2147483647
+            patches[CHOICE, i] = -1
+            patches[PARENT, i] = i
+            patches[STEP, i] = 0
         # The best supported contact of each region; among equals the smallest name, so that it is always the same one.
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            votes = contacts[_VOTES, e]
+            votes = contacts[VOTES, e]
             if votes > 0:
-                a, b = patches[_ROOT, contacts[_FROM, e]], patches[_ROOT, contacts[_TO, e]]
+                a, b = patches[ROOT, contacts[FROM, e]], patches[ROOT, contacts[TO, e]]
                 if a == b:
-                    contacts[_VOTES, e] = 0
+                    contacts[VOTES, e] = 0
                 else:
-                    ti.atomic_max(patches[_SUPPORT, a], votes)
-                    ti.atomic_max(patches[_SUPPORT, b], votes)
+                    ti.atomic_max(patches[SUPPORT, a], votes)
+                    ti.atomic_max(patches[SUPPORT, b], votes)
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            votes = contacts[_VOTES, e]
+            votes = contacts[VOTES, e]
             if votes > 0:
-                a, b = patches[_ROOT, contacts[_FROM, e]], patches[_ROOT, contacts[_TO, e]]
-                if votes == patches[_SUPPORT, a]:
-                    ti.atomic_min(patches[_KEY, a], contacts[_NAME, e])
-                if votes == patches[_SUPPORT, b]:
-                    ti.atomic_min(patches[_KEY, b], contacts[_NAME, e])
+                a, b = patches[ROOT, contacts[FROM, e]], patches[ROOT, contacts[TO, e]]
+                if votes == patches[SUPPORT, a]:
+                    ti.atomic_min(patches[KEY, a], contacts[NAME, e])
+                if votes == patches[SUPPORT, b]:
+                    ti.atomic_min(patches[KEY, b], contacts[NAME, e])
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            votes = contacts[_VOTES, e]
+            votes = contacts[VOTES, e]
             if votes > 0:
-                a, b = patches[_ROOT, contacts[_FROM, e]], patches[_ROOT, contacts[_TO, e]]
-                if votes == patches[_SUPPORT, a] and contacts[_NAME, e] == patches[_KEY, a]:
-                    patches[_CHOICE, a] = e
-                if votes == patches[_SUPPORT, b] and contacts[_NAME, e] == patches[_KEY, b]:
-                    patches[_CHOICE, b] = e
+                a, b = patches[ROOT, contacts[FROM, e]], patches[ROOT, contacts[TO, e]]
+                if votes == patches[SUPPORT, a] and contacts[NAME, e] == patches[KEY, a]:
+                    patches[CHOICE, a] = e
+                if votes == patches[SUPPORT, b] and contacts[NAME, e] == patches[KEY, b]:
+                    patches[CHOICE, b] = e
         # Hang each region under the one it chose; of two that chose the same contact the smaller stays a root.
         ti.loop_config(serialize=serial)
         for i in range(count):
-            e = patches[_CHOICE, i]
+            e = patches[CHOICE, i]
             if e >= 0:
-                a, b = contacts[_FROM, e], contacts[_TO, e]
-                step = patches[_OFFSET, b] - contacts[_SHIFT, e] - patches[_OFFSET, a]
-                other = patches[_ROOT, b]
+                a, b = contacts[FROM, e], contacts[TO, e]
+                step = patches[OFFSET, b] - contacts[SHIFT, e] - patches[OFFSET, a]
+                other = patches[ROOT, b]
                 if other == i:
-                    other = patches[_ROOT, a]
+                    other = patches[ROOT, a]
                     step = -step
-                if not (patches[_CHOICE, other] == e and i < other):
-                    patches[_PARENT, i] = other
-                    patches[_STEP, i] = step
-                    counters[_N_MERGED] = 1
+                if not (patches[CHOICE, other] == e and i < other):
+                    patches[PARENT, i] = other
+                    patches[STEP, i] = step
+                    counters[N_MERGED] = 1
         ti.loop_config(serialize=serial)
         for i in range(count):
-            root, offset = patches[_ROOT, i], patches[_OFFSET, i]
-            while patches[_PARENT, root] != root:
-                offset += patches[_STEP, root]
-                root = patches[_PARENT, root]
-            patches[_ROOT, i] = root
-            patches[_OFFSET, i] = offset
+            root, offset = patches[ROOT, i], patches[OFFSET, i]
+            while patches[PARENT, root] != root:
+                offset += patches[STEP, root]
+                root = patches[PARENT, root]
+            patches[ROOT, i] = root
+            patches[OFFSET, i] = offset
 
     return merge_patches
 
@@ -622,11 +320,11 @@ def close_gaps_kernel(
     for _ in range(1):
         kept = 0
         for e in range(contact_count):
-            if contacts[_VOTES, e] > 0:
+            if contacts[VOTES, e] > 0:
                 for row in ti.static(range(5)):
                     contacts[row, kept] = contacts[row, e]
                 kept += 1
-        out_counters[_N_CONTACTS] = kept
+        out_counters[N_CONTACTS] = kept
 
 
 @ti.kernel
@@ -643,25 +341,25 @@ def choose_starts_kernel(
         out_regions[_REGION_START, i] = 2147483647
         out_regions[_REGION_ORDER, i] = 0
     for i in range(count):
-        first = patches[_FIRST, i]
+        first = patches[FIRST, i]
         dy, dx = first // width - height // 2, first % width - width // 2
         # Nearest to the centre wins, reliable patches (at least half full and three quarters as bright as usual) first.
         # All in integers: a start must not depend on rounding.
         score = 2**29 - dy * dy - dx * dx
-        if 2 * patches[_PIXELS, i] >= _CELL_WIDTH * _CELL_HEIGHT and patches[_WEIGHT, i] >= 3 * patches[_PIXELS, i]:
+        if 2 * patches[PIXELS, i] >= CELL_WIDTH * CELL_HEIGHT and patches[WEIGHT, i] >= 3 * patches[PIXELS, i]:
             score += 2**29
-        patches[_SUPPORT, i] = score
-        ti.atomic_add(out_regions[_REGION_PIXELS, patches[_ROOT, i]], patches[_PIXELS, i])
-        ti.atomic_max(out_regions[_REGION_SCORE, patches[_ROOT, i]], score)
+        patches[SUPPORT, i] = score
+        ti.atomic_add(out_regions[_REGION_PIXELS, patches[ROOT, i]], patches[PIXELS, i])
+        ti.atomic_max(out_regions[_REGION_SCORE, patches[ROOT, i]], score)
     for i in range(count):
-        root = patches[_ROOT, i]
-        if patches[_SUPPORT, i] == out_regions[_REGION_SCORE, root]:
-            ti.atomic_min(out_regions[_REGION_START, root], patches[_FIRST, i])
+        root = patches[ROOT, i]
+        if patches[SUPPORT, i] == out_regions[_REGION_SCORE, root]:
+            ti.atomic_min(out_regions[_REGION_START, root], patches[FIRST, i])
     for i in range(count):
-        first = patches[_FIRST, i]
-        if first == out_regions[_REGION_START, patches[_ROOT, i]]:
-            order = (labels[first // width, first % width] & _ORDER_MASK) - _ORDER_ZERO
-            out_regions[_REGION_ORDER, patches[_ROOT, i]] = patches[_OFFSET, i] + order
+        first = patches[FIRST, i]
+        if first == out_regions[_REGION_START, patches[ROOT, i]]:
+            order = (labels[first // width, first % width] & ORDER_MASK) - ORDER_ZERO
+            out_regions[_REGION_ORDER, patches[ROOT, i]] = patches[OFFSET, i] + order
 
 
 @ti.kernel
@@ -683,22 +381,22 @@ def place_regions_kernel(
 ):
     width = labels.shape[1]
     for i in range(count):
-        patches[_SUPPORT, i] = 0
-        patches[_KEY, i] = 0
+        patches[SUPPORT, i] = 0
+        patches[KEY, i] = 0
     for i in range(count):
         # The cycles that a patch's first pixel lacks to lie at the depth; a region takes the mean over its patches, in
         # 64ths of a cycle, because sums of integers are the same in any order.
-        first = patches[_FIRST, i]
+        first = patches[FIRST, i]
         y, x = first // width, first % width
         q = rotation @ (depth * vec3(rays[y, x, 0], rays[y, x, 1], 1.0)) + translation
         expected = projected(q, focal, center, lens, axis) / period
-        order = (labels[y, x] & _ORDER_MASK) - _ORDER_ZERO + patches[_OFFSET, i]
+        order = (labels[y, x] & ORDER_MASK) - ORDER_ZERO + patches[OFFSET, i]
         lacking = expected - phase[y, x] / (2.0 * PI) - ti.cast(order, ti.f32)
-        ti.atomic_add(patches[_SUPPORT, patches[_ROOT, i]], ti.cast(ti.round(64.0 * lacking), ti.i32))
-        ti.atomic_add(patches[_KEY, patches[_ROOT, i]], 1)
+        ti.atomic_add(patches[SUPPORT, patches[ROOT, i]], ti.cast(ti.round(64.0 * lacking), ti.i32))
+        ti.atomic_add(patches[KEY, patches[ROOT, i]], 1)
     for i in range(count):
-        if patches[_KEY, i] > 0:
-            mean = ti.cast(patches[_SUPPORT, i], ti.f32) / (64.0 * ti.cast(patches[_KEY, i], ti.f32))
+        if patches[KEY, i] > 0:
+            mean = ti.cast(patches[SUPPORT, i], ti.f32) / (64.0 * ti.cast(patches[KEY, i], ti.f32))
             regions[_REGION_ORDER, i] = -ti.cast(ti.round(mean), ti.i32)
 
 
@@ -716,9 +414,9 @@ def finish_patches_kernel(
     out_final: I32Array2,  # (3, capacity) by patch its region's number and what its orders lack; by cell 1: steps near
 ):
     for i in range(count):
-        root = patches[_ROOT, i]
+        root = patches[ROOT, i]
         out_final[0, i] = numbers[root]
-        out_final[1, i] = patches[_OFFSET, i] - regions[_REGION_ORDER, root]
+        out_final[1, i] = patches[OFFSET, i] - regions[_REGION_ORDER, root]
     # A cell has steps where a pixel lies between surfaces, a patch is too small a region, or a contact was overruled.
     for cell in range(cells):
         for k in range(firsts[0, cell + 1] - firsts[0, cell]):
@@ -726,12 +424,12 @@ def finish_patches_kernel(
                 firsts[2, cell] = 1
         for k in range(firsts[1, cell + 1] - firsts[1, cell]):
             e = (cell << (draft_bits + 2)) + k
-            draft_a, draft_b = draft_contacts[_FROM, e], draft_contacts[_TO, e]
+            draft_a, draft_b = draft_contacts[FROM, e], draft_contacts[TO, e]
             a, b = patch_number(draft_a, firsts, draft_bits), patch_number(draft_b, firsts, draft_bits)
-            if patches[_OFFSET, b] != patches[_OFFSET, a] + draft_contacts[_SHIFT, e]:
+            if patches[OFFSET, b] != patches[OFFSET, a] + draft_contacts[SHIFT, e]:
                 firsts[2, draft_a >> draft_bits] = 1
                 firsts[2, draft_b >> draft_bits] = 1
-    columns = (labels.shape[1] + _CELL_WIDTH - 1) // _CELL_WIDTH
+    columns = (labels.shape[1] + CELL_WIDTH - 1) // CELL_WIDTH
     for cell in range(cells):
         column = cell % columns
         steps = firsts[2, cell]
@@ -760,22 +458,22 @@ def beside_step(
     """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
     height, width, last = labels.shape[0], labels.shape[1], rates.shape[0] - 1
     label = labels[y, x]
-    patch = patch_number(label >> _ORDER_BITS, firsts, draft_bits)
+    patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
     beside = 0
     for side in ti.static(range(4)):
         dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
         y2 = ti.min(ti.max(y + dy, 0), height - 1)
         x2 = ti.min(ti.max(x + dx, 0), width - 1)
         label2 = labels[y2, x2]
-        if label2 >> _ORDER_BITS != label >> _ORDER_BITS:
-            if label2 == _BETWEEN:
+        if label2 >> ORDER_BITS != label >> ORDER_BITS:
+            if label2 == BETWEEN:
                 beside = 1
             elif label2 >= 0:
-                patch2 = patch_number(label2 >> _ORDER_BITS, firsts, draft_bits)
+                patch2 = patch_number(label2 >> ORDER_BITS, firsts, draft_bits)
                 if final[0, patch2] == 0:
                     beside = 1
                 elif final[0, patch2] == final[0, patch]:
-                    cycles = (label2 & _ORDER_MASK) - (label & _ORDER_MASK) + final[1, patch2] - final[1, patch]
+                    cycles = (label2 & ORDER_MASK) - (label & ORDER_MASK) + final[1, patch2] - final[1, patch]
                     change = phase[y2, x2] - phase[y, x] + 2.0 * PI * ti.cast(cycles, ti.f32)
                     if ti.abs(change - dx * rates[last, 0] - dy * rates[last, 1]) > 2.0 * MAX_DEPARTURE:
                         beside = 1
@@ -802,13 +500,13 @@ def write_unwrapped_kernel(
             label = labels[y, x]
             unwrapped, region = ti.math.nan, 0
             if label >= 0:
-                patch = patch_number(label >> _ORDER_BITS, firsts, draft_bits)
+                patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
                 region = final[0, patch]
-                if region > 0 and final[2, label >> (_ORDER_BITS + draft_bits)] == 1:
+                if region > 0 and final[2, label >> (ORDER_BITS + draft_bits)] == 1:
                     if beside_step(phase, rates, labels, firsts, draft_bits, final, y, x):
                         region = 0
                 if region > 0:
-                    order = (label & _ORDER_MASK) - _ORDER_ZERO + final[1, patch]
+                    order = (label & ORDER_MASK) - ORDER_ZERO + final[1, patch]
                     unwrapped = phase[y, x] + 2.0 * PI * ti.cast(order, ti.f32)
             out_unwrapped[y, x] = unwrapped
             out_mask[y, x] = ti.cast(region > 0, ti.u8)
