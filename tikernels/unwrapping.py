@@ -3,9 +3,9 @@
 Along a stripe the phase changes least, so each row falls into runs without a doubt inside (sections 4.1 and 4.2 of Je,
 Lee and Park 2004). A run joins the run above by a vote over their whole contact. The paper grows one region pixel by
 pixel from a bright start near the centre, by priority of intensity, location and direction; here every cell of 8 x 16
-pixels grows its own runs at once, and the cells' patches are then joined, those first whose contact has the most and
-brightest votes (a maximum spanning forest by rounds of O. Boruvka, 1926). That is the order in which the paper's
-priorities would join them, whatever the number of threads. Nothing is joined across a step, so a surface that nothing
+pixels grows its own runs at once (`patches.py`), and the cells' patches are then joined in rounds (O. Boruvka, 1926):
+every region joins the neighbour with which its contacts, those that agree on the shift taken together, have the most
+votes. The result does not depend on the number of threads. Nothing is joined across a step, so a surface that nothing
 connects to the rest becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
 """
 
