@@ -47,16 +47,19 @@ if TYPE_CHECKING:
     vec2: TypeAlias = Any
     vec3: TypeAlias = Any
     vec5: TypeAlias = Any
-    ivec3: TypeAlias = Any
+    ivec2: TypeAlias = Any
     mat3: TypeAlias = Any
     f32: TypeAlias = Any
     i32: TypeAlias = Any
+    u1: TypeAlias = Any
+    Static: TypeAlias = Any
 else:
     F32Array1, F32Array2, F32Array3, F32Array4 = (ti.types.ndarray(dtype=ti.f32, ndim=n) for n in (1, 2, 3, 4))
     I32Array1, I32Array2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     U8Array2 = ti.types.ndarray(dtype=ti.u8, ndim=2)
     AnyArray2, AnyArray3 = (ti.types.ndarray(ndim=n) for n in (2, 3))
     vec2, vec3, vec5 = (ti.types.vector(n, ti.f32) for n in (2, 3, 5))
-    ivec3 = ti.types.vector(3, ti.i32)
+    ivec2 = ti.types.vector(2, ti.i32)
     mat3 = ti.types.matrix(3, 3, ti.f32)
-    f32, i32 = ti.f32, ti.i32
+    f32, i32, u1 = ti.f32, ti.i32, ti.u1
+    Static = ti.template()  # known when the kernel is compiled

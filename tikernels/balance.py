@@ -186,6 +186,7 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
             visibility[i, 0] = modulation_sum
             visibility[i, 1] = background_sum
         # One thread adds the rows up in order, so that the sum is the same every time.
+        ti.loop_config(serialize=True)
         for _ in range(1):
             modulation_sum, background_sum = 0.0, 1e-12
             for i in range(sparse_rows):

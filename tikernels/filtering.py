@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, f32, i32, ti
+from tikernels._taichi import F32Array1, F32Array2, f32, ti, u1
 from tikernels.equalization import equalized
 from tikernels.errors import ShapeError
 from tikernels.phase_vector import PI, wrap
@@ -28,38 +28,30 @@ NO_NEIGHBOUR = 0.5 * NO_PHASE
 _SAME_SURFACE = 0.3
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
-# Pixels of a row that one thread walks: enough threads for a GPU, long enough to slide a window.
-STRETCH = 64
+# Pixels of a row that one thread works on: enough threads for a GPU. A CPU does eight or sixteen at once, if the
+# thread copies them to arrays of its own first: of those alone the compiler knows that they do not overlap.
+STRIP = 32
 
 
 @cache
 def smooth_phase_kernel(pairs: int) -> Any:
     """Return the kernel that equalises and smooths in one pass; `pairs` neighbours on either side."""
     reach = max(pairs, 1)
-    window = 2 * reach + 1
-    taps = ti.types.vector(window, ti.f32)
+    window = 2 * reach + STRIP
+    taps, lanes = ti.types.vector(window, ti.f32), ti.types.vector(STRIP, ti.f32)
 
     @ti.func
-    def between_surfaces(one: f32, other: f32) -> i32:
+    def between_surfaces(one: f32, other: f32) -> u1:
         """Whether a pixel that departs so far from its neighbours on either side belongs to neither's surface."""
         low, high = ti.min(one, other), ti.max(one, other)
         farthest = ti.select(high < NO_NEIGHBOUR, high, low)
-        return ti.cast(farthest > MAX_DEPARTURE and farthest < NO_NEIGHBOUR and low > _SAME_SURFACE, ti.i32)
+        return (farthest > MAX_DEPARTURE) & (farthest < NO_NEIGHBOUR) & (low > _SAME_SURFACE)
 
     @ti.func
     def departure(change: f32) -> f32:
         """How far a difference of two phases, less its usual value, is from whole cycles."""
         size = ti.abs(change)
         return ti.min(size, ti.abs(size - 2.0 * PI))
-
-    @ti.func
-    def phase_at(phase: F32Array2, table: F32Array1, y: i32, x: i32) -> f32:
-        value = NO_PHASE
-        if 0 <= x and x < phase.shape[1]:
-            value = phase[y, x]
-            if value < 0.5 * NO_PHASE:
-                value = equalized(value, table)
-        return value
 
     @ti.kernel
     def smooth_phase(
@@ -70,48 +62,45 @@ def smooth_phase_kernel(pairs: int) -> Any:
     ):
         height, width = phase.shape[0], phase.shape[1]
         last = rates.shape[0] - 1
-        stretches = (width + STRETCH - 1) // STRETCH
-        for t in range(height * stretches):
-            y, start = t // stretches, (t % stretches) * STRETCH
+        strips = (width + STRIP - 1) // STRIP
+        for t in range(height * strips):
+            y, first = t // strips, (t % strips) * STRIP
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, 0], rates[last, 1]
-            values = taps(0.0)
-            for k in ti.static(range(1, window)):
-                values[k] = phase_at(phase, table, y, start - reach - 1 + k)
-            for x in range(start, ti.min(start + STRETCH, width)):
-                for k in ti.static(range(window - 1)):
-                    values[k] = values[k + 1]
-                values[window - 1] = phase_at(phase, table, y, x + reach)
-                centre = values[reach]
-                result = NO_PHASE
-                if centre < 0.5 * NO_PHASE:
-                    # Without a neighbour the differences stay far beyond any phase.
-                    left, right = wrap(values[reach - 1] - centre), wrap(values[reach + 1] - centre)
-                    to_left, to_right = ti.abs(left + rate_along), ti.abs(right - rate_along)
-                    # Up and down the phases before equalisation do as well: its correction is smaller than a step.
-                    here = phase[y, x]
-                    to_upper = departure(here - phase[above, x] - rate_across)
-                    to_lower = departure(phase[below, x] - here - rate_across)
-                    if above == y:
-                        to_upper = 2.0 * NO_NEIGHBOUR
-                    if below == y:
-                        to_lower = 2.0 * NO_NEIGHBOUR
-                    step = 0
-                    if ti.max(ti.max(to_left, to_right), ti.max(to_upper, to_lower)) > MAX_DEPARTURE:
-                        step = between_surfaces(to_left, to_right) + between_surfaces(to_upper, to_lower)
-                    if step > 0:
-                        result = STEP_PHASE
-                    else:
-                        total, count = 0.0, 1.0
-                        for k in ti.static(range(1, pairs + 1)):
-                            # Pairs, so that a steady slope along the stripe leaves no bias.
-                            if ti.static(k > 1):
-                                left, right = wrap(values[reach - k] - centre), wrap(values[reach + k] - centre)
-                            if ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE and ti.abs(left + right) < _MAX_BEND:
-                                total += left + right
-                                count += 2.0
-                        result = centre + total / count
-                out[y, x] = result
+            raw, values = taps(0.0), taps(0.0)
+            upper, lower, result = lanes(0.0), lanes(0.0), lanes(0.0)
+            for k in range(window):
+                raw[k] = NO_PHASE
+            for k in range(ti.max(0, reach - first), ti.min(window, width - first + reach)):
+                raw[k] = phase[y, first - reach + k]
+            for k in range(window):
+                values[k] = ti.select(raw[k] < 0.5 * NO_PHASE, equalized(raw[k], table), NO_PHASE)
+            # Up and down the phases before equalisation do as well: its correction is smaller than a step.
+            for k in range(ti.min(STRIP, width - first)):
+                upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
+            for k in range(STRIP):
+                centre, here = values[reach + k], raw[reach + k]
+                # Without a neighbour the differences stay far beyond any phase.
+                left, right = wrap(values[reach + k - 1] - centre), wrap(values[reach + k + 1] - centre)
+                to_left, to_right = ti.abs(left + rate_along), ti.abs(right - rate_along)
+                to_upper = departure(here - upper[k] - rate_across)
+                to_lower = departure(lower[k] - here - rate_across)
+                to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
+                to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
+                total, count = 0.0, 1.0
+                for tap in ti.static(range(1, pairs + 1)):
+                    # Pairs, so that a steady slope along the stripe leaves no bias.
+                    if ti.static(tap > 1):
+                        left = wrap(values[reach + k - tap] - centre)
+                        right = wrap(values[reach + k + tap] - centre)
+                    ok = (ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE) & (ti.abs(left + right) < _MAX_BEND)
+                    total += ti.select(ok, left + right, 0.0)
+                    count += ti.select(ok, 2.0, 0.0)
+                step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
+                value = ti.select(step, STEP_PHASE, centre + total / count)
+                result[k] = ti.select(centre < 0.5 * NO_PHASE, value, NO_PHASE)
+            for k in range(ti.min(STRIP, width - first)):
+                out[y, first + k] = result[k]
 
     return smooth_phase
 
@@ -152,6 +141,7 @@ def measure_rates_kernel(
         out_rates[i, 3] = across.y
         out_rates[i, 4] = total / ti.max(count, 1.0)
     # One thread adds the rows up in order, so that the sum is the same every time.
+    ti.loop_config(serialize=True)
     for _ in range(1):
         along, across = ti.Vector([1e-6, 0.0]), ti.Vector([1e-6, 0.0])
         total, count = 0.0, 0.0

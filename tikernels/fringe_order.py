@@ -19,7 +19,7 @@ import numpy as np
 from tikernels import _checks, runtime
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, i32, ti
 from tikernels.errors import ShapeError
-from tikernels.filtering import STRETCH
+from tikernels.filtering import STRIP
 from tikernels.phase_vector import PI
 from tikernels.transposing import transpose
 
@@ -39,21 +39,21 @@ def sum_rows_kernel(
     out_counts: I32Array2,  # (H, W) valid pixels in it
 ):
     height, width = unwrapped.shape[0], unwrapped.shape[1]
-    stretches = (width + STRETCH - 1) // STRETCH
+    stretches = (width + STRIP - 1) // STRIP
     for t in range(height * stretches):
-        y, start = t // stretches, (t % stretches) * STRETCH
-        for x in range(start, ti.min(start + STRETCH, width)):
+        y, start = t // stretches, (t % stretches) * STRIP
+        for x in range(start, ti.min(start + STRIP, width)):
             phase = 0
             if mask[y, x] != 0:
                 phase = ti.cast(ti.round(unwrapped[y, x] * (_CYCLE / (2.0 * PI))), ti.i32)
             out_phase[y, x] = phase
     for t in range(height * stretches):
-        y, start = t // stretches, (t % stretches) * STRETCH
+        y, start = t // stretches, (t % stretches) * STRIP
         total, count = 0, 0
         for x in range(ti.max(start - reach, 0), ti.min(start + reach, width)):
             total += out_phase[y, x]
             count += ti.cast(mask[y, x] != 0, ti.i32)
-        for x in range(start, ti.min(start + STRETCH, width)):
+        for x in range(start, ti.min(start + STRIP, width)):
             if x + reach < width:
                 total += out_phase[y, x + reach]
                 count += ti.cast(mask[y, x + reach] != 0, ti.i32)
@@ -88,12 +88,13 @@ def sum_windows_kernel(
 ):
     height, width = phase.shape[0], phase.shape[1]
     bands = (height + _BAND - 1) // _BAND
-    stretches = (width + STRETCH - 1) // STRETCH
+    stretches = (width + STRIP - 1) // STRIP
+    ti.loop_config(serialize=True)
     for _ in range(1):
         out_changed[0] = 0
     for t in range(bands * stretches):
-        top, start = (t // stretches) * _BAND, (t % stretches) * STRETCH
-        end = ti.min(start + STRETCH, width)
+        top, start = (t // stretches) * _BAND, (t % stretches) * STRIP
+        end = ti.min(start + STRIP, width)
         for x in range(start, end):
             total, count = 0, 0
             for y in range(ti.max(top - reach, 0), ti.min(top + reach + 1, height)):
@@ -155,6 +156,7 @@ def correct_active_kernel(
 ):
     height, width = mask.shape[0], mask.shape[1]
     middle_y, middle_x = height // 2, width // 2
+    ti.loop_config(serialize=True)
     for _ in range(1):
         out_changed[0] = 0
     # A thread takes a row, in the filter's own order, so that what it changes there counts at once.

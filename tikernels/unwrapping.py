@@ -9,7 +9,6 @@ votes. The result does not depend on the number of threads. Nothing is joined ac
 connects to the rest becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
 """
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -20,17 +19,17 @@ from tikernels._taichi import (
     F32Array3,
     I32Array1,
     I32Array2,
+    Static,
     U8Array2,
     f32,
     i32,
-    ivec3,
     mat3,
     ti,
     vec3,
     vec5,
 )
 from tikernels.errors import ShapeError
-from tikernels.filtering import MAX_DEPARTURE, STRETCH, measure_rates_kernel, rates_buffer
+from tikernels.filtering import MAX_DEPARTURE, STRIP, measure_rates_kernel, rates_buffer
 from tikernels.patches import (
     BETWEEN,
     CELL_HEIGHT,
@@ -60,6 +59,7 @@ from tikernels.patches import (
     WEIGHT,
     collect_patches_kernel,
     grow_patches_kernel,
+    note_borders_kernel,
     number_patches_kernel,
     patch_number,
 )
@@ -70,10 +70,10 @@ from tikernels.wrapped_phase import mark_no_phase_kernel
 
 #: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
 MIN_REGION_PX = 128
-# Below this many contacts one CPU thread is done before others have woken up ten times a round.
-_SERIAL_CONTACTS = 12000
+# Below this many patches or contacts one CPU thread is done before others have woken up ten times a round.
+_SERIAL = 12000
 # Rows of the table that contacts are summed in, and of the table of regions.
-_OWNER, _SUM, _LOW, _HIGH, _TURN = range(5)
+_OWNER, _CONTACT, _SUM = range(3)
 _REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
 # A cell drafts up to 2^3 patches, and four times as many contacts, in places of its own: clean surfaces need one and
 # two. Where noise needs more, the drafts grow. Counters shared by all threads would do without drafts, but their order
@@ -81,11 +81,16 @@ _REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
 _DRAFT_BITS = 3
 
 
+strip_of_integers = ti.types.vector(STRIP, ti.i32)
+strip_of_floats = ti.types.vector(STRIP, ti.f32)
+
+
 class Unwrapper:
     """Buffers to unwrap frames of one size, stripes along the rows."""
 
     def __init__(self, height: int, width: int) -> None:
         self.shape = (height, width)
+        self.on_cpu = runtime.started() == "cpu"
         self.labels = runtime.empty((height, width), np.int32)
         self.counters = runtime.empty((4,), np.int32)
         self.cells = -(-height // CELL_HEIGHT) * -(-width // CELL_WIDTH)
@@ -103,7 +108,10 @@ class Unwrapper:
         self.final = runtime.empty((3, patches), np.int32)
         # A table for contacts by what they join: crowded in the first round, where hardly any two join the same, and
         # all but empty when the large regions meet.
-        self.table = runtime.empty((5, 2 ** int(np.ceil(np.log2(4 * self.cells)))), np.int32)
+        self.table = runtime.empty((3, 2 ** int(np.ceil(np.log2(4 * self.cells)))), np.int32)
+
+    def _serial(self, count: int) -> bool:
+        return self.on_cpu and count < _SERIAL
 
     def join(self, phase: Any, quality: Any, rates: Any) -> None:
         """Sort the pixels into patches and the patches into regions.
@@ -118,25 +126,27 @@ class Unwrapper:
             What `measure_rates_kernel` found.
         """
         while True:
-            drafts = (self.draft_patches, self.draft_contacts, self.firsts)
-            grow_patches_kernel(phase, quality, rates, self.draft_bits, self.labels, *drafts)
+            drafts: Any = (self.draft_patches, self.draft_contacts, self.firsts)
+            growing = (phase, quality, rates, self.draft_bits, self.labels)
+            grow_patches_kernel(*growing, *drafts)
+            note_borders_kernel(*growing, self.draft_contacts, self.firsts)
             number_patches_kernel(self.cells, self.firsts, self.counters)
             counts = runtime.to_host(self.counters)  # synchronises
             if counts[N_CROWDED] <= 1 << self.draft_bits:
                 break
             self._allocate(int(counts[N_CROWDED] - 1).bit_length())
         patches, contacts = int(counts[N_PATCHES]), int(counts[N_CONTACTS])
-        collect_patches_kernel(self.cells, self.draft_bits, *drafts, self.patches, self.contacts)
-        on_cpu = runtime.started() == "cpu"
+        drafts = (self.cells, self.draft_bits, *drafts)
+        collect_patches_kernel(self._serial(contacts), *drafts, self.patches, self.contacts)
         while True:
-            merge = merge_patches_kernel(on_cpu and contacts < _SERIAL_CONTACTS)
-            merge(patches, contacts, self.patches, self.contacts, self.table, self.counters)
+            tables = (self.patches, self.contacts, self.table, self.counters)
+            merge_patches_kernel(self._serial(contacts), patches, contacts, *tables)
             if runtime.to_host(self.counters)[N_MERGED] == 0:  # synchronises
                 break
-            if on_cpu:  # a GPU passes over spent contacts faster than one of its threads could close the gaps
+            if self.on_cpu:  # a GPU passes over spent contacts faster than one of its threads could close the gaps
                 close_gaps_kernel(contacts, self.contacts, self.counters)
                 contacts = int(self.counters[N_CONTACTS])
-        choose_starts_kernel(patches, self.labels, self.patches, self.regions)
+        choose_starts_kernel(self._serial(patches), patches, self.labels, self.patches, self.regions)
         self.patch_count = patches
 
     def place(self, phase: Any, rays: Any, projector: ProjectorGeometry, depth_mm: float) -> None:
@@ -168,147 +178,124 @@ class Unwrapper:
         order = np.lexsort((table[_REGION_START, roots], -table[_REGION_PIXELS, roots]))
         numbers = np.zeros(max(self.patch_count, 1), np.int32)
         numbers[roots[order]] = np.arange(1, len(roots) + 1)
-        labels = (self.labels, self.firsts, self.draft_bits)
+        columns = -(-self.shape[1] // CELL_WIDTH)
         tables = (self.patches, self.draft_contacts, self.regions, numbers)
-        finish_patches_kernel(self.patch_count, self.cells, *labels, *tables, self.final)
-        write_unwrapped_kernel(phase, rates, *labels, self.final, out_unwrapped, out_mask, out_region)
+        finish_patches_kernel(
+            self._serial(self.patch_count), self.cells, columns, self.firsts, self.draft_bits, *tables, self.final
+        )
+        outputs = (out_unwrapped, out_mask, out_region)
+        write_unwrapped_kernel(phase, rates, self.labels, self.final, *outputs)
 
 
 @ti.func
-def joined_regions(patches: I32Array2, contacts: I32Array2, e: i32) -> ivec3:
-    """Return the two regions that a contact joins, the smaller root first, and the shift between them."""
-    a, b = contacts[FROM, e], contacts[TO, e]
-    root, root2 = patches[ROOT, a], patches[ROOT, b]
-    turn = contacts[SHIFT, e] + patches[OFFSET, a] - patches[OFFSET, b]
-    if root > root2:
-        root, root2, turn = root2, root, -turn
-    return ti.Vector([root, root2, turn])
-
-
-@ti.func
-def table_place(joins: ivec3, size: i32) -> i32:
-    """Scatter what a contact joins over a table whose size is a power of two."""
-    mixed = (joins.x * GOLDEN) ^ (joins.y * 73244475) ^ (joins.z * 1540483477)
+def table_place(contacts: I32Array2, e: i32, size: i32) -> i32:
+    """Scatter what a contact joins, and the shift, over a table whose size is a power of two."""
+    mixed = (contacts[FROM, e] * GOLDEN) ^ (contacts[TO, e] * 73244475) ^ (contacts[SHIFT, e] * 1540483477)
     mixed = (mixed ^ ((mixed >> 15) & 0x1FFFF)) * GOLDEN
     return (mixed ^ ((mixed >> 13) & 0x7FFFF)) & (size - 1)
 
 
-@cache
-def merge_patches_kernel(serial: bool) -> Any:
-    """Return the kernel of one Boruvka round: every region joins along its best supported contact."""
-
-    @ti.kernel
-    def merge_patches(
-        count: i32,
-        contact_count: i32,
-        patches: I32Array2,  # (10, capacity): root and offset are read and written, the rest is scratch
-        contacts: I32Array2,  # (5, capacity); the votes of spent contacts become 0
-        table: I32Array2,  # (5, power of two) scratch
-        counters: I32Array1,
-    ):
-        counters[N_MERGED] = 0
-        # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
-        # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
-        ti.loop_config(serialize=serial)
-        for place in range(table.shape[1]):
-            table[_OWNER, place] = 2147483647
-            table[_SUM, place] = 0
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
-                joins = joined_regions(patches, contacts, e)
-                if joins.x == joins.y:
-                    contacts[VOTES, e] = 0
-                else:
-                    ti.atomic_min(table[_OWNER, table_place(joins, table.shape[1])], contacts[NAME, e])
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
-                joins = joined_regions(patches, contacts, e)
-                place = table_place(joins, table.shape[1])
-                if table[_OWNER, place] == contacts[NAME, e]:
-                    table[_LOW, place] = joins.x
-                    table[_HIGH, place] = joins.y
-                    table[_TURN, place] = joins.z
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
+@ti.kernel
+def merge_patches_kernel(
+    serial: Static,  # whether one thread does it
+    count: i32,
+    contact_count: i32,
+    patches: I32Array2,  # (10, capacity): root and offset are read and written, the rest is scratch
+    contacts: I32Array2,  # (5, capacity); the votes of spent contacts become 0
+    table: I32Array2,  # (3, power of two) scratch
+    counters: I32Array1,
+):
+    """One Boruvka round: every region joins along its best supported contact."""
+    counters[N_MERGED] = 0
+    # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
+    # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
+    ti.loop_config(serialize=serial)
+    for place in range(table.shape[1]):
+        table[_OWNER, place] = 2147483647
+        table[_SUM, place] = 0
+    # A contact joins the roots of its regions, the smaller first.
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        if contacts[VOTES, e] > 0:
+            a, b = contacts[FROM, e], contacts[TO, e]
+            turn = contacts[SHIFT, e] + patches[OFFSET, a] - patches[OFFSET, b]
+            a, b = patches[ROOT, a], patches[ROOT, b]
+            if a > b:
+                a, b, turn = b, a, -turn
+            contacts[FROM, e], contacts[TO, e], contacts[SHIFT, e] = a, b, turn
+            if a == b:
+                contacts[VOTES, e] = 0
+            else:
+                ti.atomic_min(table[_OWNER, table_place(contacts, e, table.shape[1])], contacts[NAME, e])
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        if contacts[VOTES, e] > 0:
+            place = table_place(contacts, e, table.shape[1])
+            if table[_OWNER, place] == contacts[NAME, e]:
+                table[_CONTACT, place] = e
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        votes = contacts[VOTES, e]
+        if votes > 0:
+            place = table_place(contacts, e, table.shape[1])
+            owner = table[_CONTACT, place]
+            same = contacts[FROM, owner] == contacts[FROM, e] and contacts[TO, owner] == contacts[TO, e]
+            if owner != e and same and contacts[SHIFT, owner] == contacts[SHIFT, e]:
+                ti.atomic_add(table[_SUM, place], votes)
+                contacts[VOTES, e] = 0
+    ti.loop_config(serialize=serial)
+    for i in range(count):
+        patches[SUPPORT, i] = 0
+        patches[KEY, i] = 2147483647
+        patches[CHOICE, i] = -1
+        patches[PARENT, i] = i
+        patches[STEP, i] = 0
+    # The best supported contact of each region; among equals the smallest name, so that it is always the same one.
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        if contacts[VOTES, e] > 0:
+            place = table_place(contacts, e, table.shape[1])
             votes = contacts[VOTES, e]
-            if votes > 0:
-                joins = joined_regions(patches, contacts, e)
-                place = table_place(joins, table.shape[1])
-                same = (
-                    table[_LOW, place] == joins.x and table[_HIGH, place] == joins.y and table[_TURN, place] == joins.z
-                )
-                if same and table[_OWNER, place] != contacts[NAME, e]:
-                    ti.atomic_add(table[_SUM, place], votes)
-                    contacts[VOTES, e] = 0
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
-                place = table_place(joined_regions(patches, contacts, e), table.shape[1])
-                if table[_OWNER, place] == contacts[NAME, e]:
-                    contacts[VOTES, e] += table[_SUM, place]
-        ti.loop_config(serialize=serial)
-        for i in range(count):
-            patches[SUPPORT, i] = 0
-            patches[KEY, i] = 2147483647
-            patches[CHOICE, i] = -1
-            patches[PARENT, i] = i
-            patches[STEP, i] = 0
-        # The best supported contact of each region; among equals the smallest name, so that it is always the same one.
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            votes = contacts[VOTES, e]
-            if votes > 0:
-                a, b = patches[ROOT, contacts[FROM, e]], patches[ROOT, contacts[TO, e]]
-                if a == b:
-                    contacts[VOTES, e] = 0
-                else:
-                    ti.atomic_max(patches[SUPPORT, a], votes)
-                    ti.atomic_max(patches[SUPPORT, b], votes)
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            votes = contacts[VOTES, e]
-            if votes > 0:
-                a, b = patches[ROOT, contacts[FROM, e]], patches[ROOT, contacts[TO, e]]
-                if votes == patches[SUPPORT, a]:
-                    ti.atomic_min(patches[KEY, a], contacts[NAME, e])
-                if votes == patches[SUPPORT, b]:
-                    ti.atomic_min(patches[KEY, b], contacts[NAME, e])
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            votes = contacts[VOTES, e]
-            if votes > 0:
-                a, b = patches[ROOT, contacts[FROM, e]], patches[ROOT, contacts[TO, e]]
-                if votes == patches[SUPPORT, a] and contacts[NAME, e] == patches[KEY, a]:
-                    patches[CHOICE, a] = e
-                if votes == patches[SUPPORT, b] and contacts[NAME, e] == patches[KEY, b]:
-                    patches[CHOICE, b] = e
-        # Hang each region under the one it chose; of two that chose the same contact the smaller stays a root.
-        ti.loop_config(serialize=serial)
-        for i in range(count):
-            e = patches[CHOICE, i]
-            if e >= 0:
-                a, b = contacts[FROM, e], contacts[TO, e]
-                step = patches[OFFSET, b] - contacts[SHIFT, e] - patches[OFFSET, a]
-                other = patches[ROOT, b]
-                if other == i:
-                    other = patches[ROOT, a]
-                    step = -step
-                if not (patches[CHOICE, other] == e and i < other):
-                    patches[PARENT, i] = other
-                    patches[STEP, i] = step
-                    counters[N_MERGED] = 1
-        ti.loop_config(serialize=serial)
-        for i in range(count):
-            root, offset = patches[ROOT, i], patches[OFFSET, i]
-            while patches[PARENT, root] != root:
-                offset += patches[STEP, root]
-                root = patches[PARENT, root]
-            patches[ROOT, i] = root
-            patches[OFFSET, i] = offset
-
-    return merge_patches
+            if table[_CONTACT, place] == e:
+                votes += table[_SUM, place]
+                contacts[VOTES, e] = votes
+            ti.atomic_max(patches[SUPPORT, contacts[FROM, e]], votes)
+            ti.atomic_max(patches[SUPPORT, contacts[TO, e]], votes)
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        votes = contacts[VOTES, e]
+        if votes > 0:
+            for end in ti.static((FROM, TO)):
+                if votes == patches[SUPPORT, contacts[end, e]]:
+                    ti.atomic_min(patches[KEY, contacts[end, e]], contacts[NAME, e])
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        votes = contacts[VOTES, e]
+        if votes > 0:
+            for end in ti.static((FROM, TO)):
+                root = contacts[end, e]
+                if votes == patches[SUPPORT, root] and contacts[NAME, e] == patches[KEY, root]:
+                    patches[CHOICE, root] = e
+    # Hang each region under the one it chose; of two that chose the same contact the smaller stays a root.
+    ti.loop_config(serialize=serial)
+    for i in range(count):
+        e = patches[CHOICE, i]
+        if e >= 0:
+            other, step = contacts[TO, e], -contacts[SHIFT, e]
+            if other == i:
+                other, step = contacts[FROM, e], -step
+            if not (patches[CHOICE, other] == e and i < other):
+                patches[PARENT, i] = other
+                patches[STEP, i] = step
+                counters[N_MERGED] = 1
+    ti.loop_config(serialize=serial)
+    for i in range(count):
+        root, offset = patches[ROOT, i], patches[OFFSET, i]
+        while patches[PARENT, root] != root:
+            offset += patches[STEP, root]
+            root = patches[PARENT, root]
+        patches[ROOT, i] = root
+        patches[OFFSET, i] = offset
 
 
 @ti.kernel
@@ -317,6 +304,7 @@ def close_gaps_kernel(
     contacts: I32Array2,  # (5, capacity); those with votes move to the front, in order
     out_counters: I32Array1,
 ):
+    ti.loop_config(serialize=True)
     for _ in range(1):
         kept = 0
         for e in range(contact_count):
@@ -329,17 +317,20 @@ def close_gaps_kernel(
 
 @ti.kernel
 def choose_starts_kernel(
+    serial: Static,
     count: i32,
     labels: I32Array2,  # (H, W)
     patches: I32Array2,
     out_regions: I32Array2,  # (4, capacity) by root: pixels, score, first pixel of the start, order there
 ):
     height, width = labels.shape[0], labels.shape[1]
+    ti.loop_config(serialize=serial)
     for i in range(count):
         out_regions[_REGION_PIXELS, i] = 0
         out_regions[_REGION_SCORE, i] = -(2**31)
         out_regions[_REGION_START, i] = 2147483647
         out_regions[_REGION_ORDER, i] = 0
+    ti.loop_config(serialize=serial)
     for i in range(count):
         first = patches[FIRST, i]
         dy, dx = first // width - height // 2, first % width - width // 2
@@ -351,10 +342,12 @@ def choose_starts_kernel(
         patches[SUPPORT, i] = score
         ti.atomic_add(out_regions[_REGION_PIXELS, patches[ROOT, i]], patches[PIXELS, i])
         ti.atomic_max(out_regions[_REGION_SCORE, patches[ROOT, i]], score)
+    ti.loop_config(serialize=serial)
     for i in range(count):
         root = patches[ROOT, i]
         if patches[SUPPORT, i] == out_regions[_REGION_SCORE, root]:
             ti.atomic_min(out_regions[_REGION_START, root], patches[FIRST, i])
+    ti.loop_config(serialize=serial)
     for i in range(count):
         first = patches[FIRST, i]
         if first == out_regions[_REGION_START, patches[ROOT, i]]:
@@ -402,25 +395,26 @@ def place_regions_kernel(
 
 @ti.kernel
 def finish_patches_kernel(
-    count: i32,
+    serial: Static,
     cells: i32,
-    labels: I32Array2,  # (H, W)
+    columns: i32,  # cells a row
     firsts: I32Array2,  # (3, cells + 1)
     draft_bits: i32,
     patches: I32Array2,
     draft_contacts: I32Array2,
     regions: I32Array2,
     numbers: I32Array1,  # number of the region of each root; 0: too small
-    out_final: I32Array2,  # (3, capacity) by patch its region's number and what its orders lack; by cell 1: steps near
+    out_final: I32Array2,  # (3, cells << bits) by draft its region's number and what its orders lack; by cell 1: steps
 ):
-    for i in range(count):
-        root = patches[ROOT, i]
-        out_final[0, i] = numbers[root]
-        out_final[1, i] = patches[OFFSET, i] - regions[_REGION_ORDER, root]
     # A cell has steps where a pixel lies between surfaces, a patch is too small a region, or a contact was overruled.
+    ti.loop_config(serialize=serial)
     for cell in range(cells):
         for k in range(firsts[0, cell + 1] - firsts[0, cell]):
-            if out_final[0, firsts[0, cell] + k] == 0:
+            draft, patch = (cell << draft_bits) + k, firsts[0, cell] + k
+            root = patches[ROOT, patch]
+            out_final[0, draft] = numbers[root]
+            out_final[1, draft] = patches[OFFSET, patch] - regions[_REGION_ORDER, root] - ORDER_ZERO
+            if numbers[root] == 0:
                 firsts[2, cell] = 1
         for k in range(firsts[1, cell + 1] - firsts[1, cell]):
             e = (cell << (draft_bits + 2)) + k
@@ -429,7 +423,7 @@ def finish_patches_kernel(
             if patches[OFFSET, b] != patches[OFFSET, a] + draft_contacts[SHIFT, e]:
                 firsts[2, draft_a >> draft_bits] = 1
                 firsts[2, draft_b >> draft_bits] = 1
-    columns = (labels.shape[1] + CELL_WIDTH - 1) // CELL_WIDTH
+    ti.loop_config(serialize=serial)
     for cell in range(cells):
         column = cell % columns
         steps = firsts[2, cell]
@@ -445,35 +439,26 @@ def finish_patches_kernel(
 
 
 @ti.func
-def beside_step(
-    phase: F32Array2,
-    rates: F32Array2,
-    labels: I32Array2,
-    firsts: I32Array2,
-    draft_bits: i32,
-    final: I32Array2,
-    y: i32,
-    x: i32,
-) -> i32:
+def beside_step(phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32) -> i32:
     """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
     height, width, last = labels.shape[0], labels.shape[1], rates.shape[0] - 1
     label = labels[y, x]
-    patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
+    draft = label >> ORDER_BITS
     beside = 0
     for side in ti.static(range(4)):
         dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
         y2 = ti.min(ti.max(y + dy, 0), height - 1)
         x2 = ti.min(ti.max(x + dx, 0), width - 1)
         label2 = labels[y2, x2]
-        if label2 >> ORDER_BITS != label >> ORDER_BITS:
+        draft2 = label2 >> ORDER_BITS
+        if draft2 != draft:
             if label2 == BETWEEN:
                 beside = 1
             elif label2 >= 0:
-                patch2 = patch_number(label2 >> ORDER_BITS, firsts, draft_bits)
-                if final[0, patch2] == 0:
+                if final[0, draft2] == 0:
                     beside = 1
-                elif final[0, patch2] == final[0, patch]:
-                    cycles = (label2 & ORDER_MASK) - (label & ORDER_MASK) + final[1, patch2] - final[1, patch]
+                elif final[0, draft2] == final[0, draft]:
+                    cycles = (label2 & ORDER_MASK) - (label & ORDER_MASK) + final[1, draft2] - final[1, draft]
                     change = phase[y2, x2] - phase[y, x] + 2.0 * PI * ti.cast(cycles, ti.f32)
                     if ti.abs(change - dx * rates[last, 0] - dy * rates[last, 1]) > 2.0 * MAX_DEPARTURE:
                         beside = 1
@@ -485,32 +470,39 @@ def write_unwrapped_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     labels: I32Array2,  # (H, W)
-    firsts: I32Array2,  # (3, cells + 1)
-    draft_bits: i32,
-    final: I32Array2,  # (3, capacity)
+    final: I32Array2,  # (3, cells << bits)
     out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
     out_mask: U8Array2,  # (H, W) 1 inside
     out_region: I32Array2,  # (H, W) region's number from 1; 0 outside
 ):
     height, width = phase.shape[0], phase.shape[1]
-    stretches = (width + STRETCH - 1) // STRETCH
-    for t in range(height * stretches):
-        y, start = t // stretches, (t % stretches) * STRETCH
-        for x in range(start, ti.min(start + STRETCH, width)):
-            label = labels[y, x]
-            unwrapped, region = ti.math.nan, 0
-            if label >= 0:
-                patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
-                region = final[0, patch]
-                if region > 0 and final[2, label >> (ORDER_BITS + draft_bits)] == 1:
-                    if beside_step(phase, rates, labels, firsts, draft_bits, final, y, x):
-                        region = 0
-                if region > 0:
-                    order = (label & ORDER_MASK) - ORDER_ZERO + final[1, patch]
-                    unwrapped = phase[y, x] + 2.0 * PI * ti.cast(order, ti.f32)
-            out_unwrapped[y, x] = unwrapped
-            out_mask[y, x] = ti.cast(region > 0, ti.u8)
-            out_region[y, x] = region
+    strips = (width + STRIP - 1) // STRIP
+    for t in range(height * strips):
+        y, first = t // strips, (t % strips) * STRIP
+        count = ti.min(STRIP, width - first)
+        label, region, unwrapped = strip_of_integers(0), strip_of_integers(0), strip_of_floats(0.0)
+        for k in range(count):
+            label[k] = labels[y, first + k]
+            unwrapped[k] = phase[y, first + k]
+        for k in range(count):
+            if label[k] >= 0:
+                draft = label[k] >> ORDER_BITS
+                region[k] = final[0, draft]
+                label[k] = (label[k] & ORDER_MASK) + final[1, draft]
+        cell = (y // CELL_HEIGHT) * ((width + CELL_WIDTH - 1) // CELL_WIDTH) + first // CELL_WIDTH
+        for c in range((count + CELL_WIDTH - 1) // CELL_WIDTH):
+            if final[2, cell + c] == 1:
+                for k in range(c * CELL_WIDTH, ti.min((c + 1) * CELL_WIDTH, count)):
+                    if region[k] > 0:
+                        if beside_step(phase, rates, labels, final, y, first + k):
+                            region[k] = 0
+        for k in range(STRIP):
+            value = unwrapped[k] + 2.0 * PI * ti.cast(label[k], ti.f32)
+            unwrapped[k] = ti.select(region[k] > 0, value, ti.math.nan)
+        for k in range(count):
+            out_unwrapped[y, first + k] = unwrapped[k]
+            out_mask[y, first + k] = ti.cast(region[k] > 0, ti.u8)
+            out_region[y, first + k] = region[k]
 
 
 def unwrap_phase(
