@@ -54,7 +54,8 @@ class Lens(Model):
         if shift_px is not None:
             grid -= shift_px
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-        rays = cv2.undistortPoints(grid, self.matrix, self.distortion, criteria=criteria)
+        distortion = self.distortion if self.distortion.any() else None  # without one nothing is iterated
+        rays = cv2.undistortPoints(grid, self.matrix, distortion, criteria=criteria)
         return np.asarray(rays, np.float32).reshape(height, width, 2)
 
 

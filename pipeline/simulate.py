@@ -154,7 +154,7 @@ def simulate_frame(
     runtime.started()
     if codes is None:
         codes = make_pattern(rig.projector.size_px, rig.pattern)
-    light = _blur(np.power(codes, settings.gamma, dtype=np.float32), settings.projector_blur_px)
+    light = _blur(cv2.pow(codes, settings.gamma), settings.projector_blur_px)
     rendered = projection.render_scene(
         settings.scene,
         np.stack([rig.camera.rays(shift) for shift in _distinct(settings.camera_shift_px)]),
@@ -191,6 +191,8 @@ def _distinct(shift_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 def _blur(image: npt.NDArray[np.float32], sigma_px: Triple) -> npt.NDArray[np.float32]:
+    if not any(sigma_px):
+        return image
     channels = [
         cv2.GaussianBlur(np.ascontiguousarray(image[..., i]), (0, 0), sigma) if sigma > 0 else image[..., i]
         for i, sigma in enumerate(sigma_px)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, F32Array4, U8Array2, f32, i32, mat3, ti, vec3
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, F32Array4, U8Array2, f32, i32, mat3, ti, vec3, vec8
 
 SCENES = ("bust", "plane", "waves", "objects", "ball")
 
@@ -102,17 +102,18 @@ def wall(p: vec3, depth_mm: f32) -> f32:
 
 
 @ti.func
-def interpolation_weight(tap: i32, fraction: f32) -> f32:
-    """Weight of one of eight Lagrange taps, -3..4 around the sample.
+def interpolation_weights(fraction: f32) -> vec8:
+    """Weights of eight Lagrange taps, -3..4 around the sample.
 
     Exact on polynomials of degree 7: on a sinusoid of 17 px a cycle the error is 3e-7, where cubic convolution leaves
     0.012 rad of phase.
     """
-    weight = 1.0
-    for other in range(-3, 5):
-        if other != tap:
-            weight *= (fraction - other) / ti.cast(tap - other, ti.f32)
-    return weight
+    weights = vec8(1.0)
+    for tap in range(8):
+        for other in ti.static(range(8)):
+            if other != tap:
+                weights[tap] *= (fraction - (other - 3.0)) / ti.cast(tap - other, ti.f32)
+    return weights
 
 
 @ti.func
@@ -122,13 +123,14 @@ def sample(light: F32Array3, column: f32, row: f32, channel: i32) -> f32:
     value = 0.0
     if column >= -0.5 and column <= width - 0.5 and row >= -0.5 and row <= height - 0.5:
         left, top = ti.floor(column), ti.floor(row)
-        for i in range(-3, 5):
-            y = ti.min(ti.max(ti.cast(top, ti.i32) + i, 0), height - 1)
+        across, down = interpolation_weights(column - left), interpolation_weights(row - top)
+        for i in range(8):
+            y = ti.min(ti.max(ti.cast(top, ti.i32) + (i - 3), 0), height - 1)
             line = 0.0
-            for j in range(-3, 5):
-                x = ti.min(ti.max(ti.cast(left, ti.i32) + j, 0), width - 1)
-                line += interpolation_weight(j, column - left) * light[y, x, channel]
-            value += interpolation_weight(i, row - top) * line
+            for j in ti.static(range(8)):
+                x = ti.min(ti.max(ti.cast(left, ti.i32) + (j - 3), 0), width - 1)
+                line += across[j] * light[y, x, channel]
+            value += down[i] * line
     return ti.min(ti.max(value, 0.0), 1.0)
 
 
