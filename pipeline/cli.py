@@ -14,6 +14,7 @@ from rich.table import Table
 
 from hardware.link import list_serial_ports
 from pipeline.calibration import Calibration, Pattern
+from pipeline.calibration.commands import calibrate, size_of
 from pipeline.decoder import Decoder, DecodeWarning
 from pipeline.errors import (
     CalibrationError,
@@ -71,14 +72,18 @@ def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: boo
     _out.print(f"look at {summary.picture}", highlight=False, soft_wrap=True)
 
 
+app.command(calibrate)
+
+
 @app.command
 def pattern(
     file: Path,
     /,
     *,
-    size: str = "1024x768",
-    period: float = 768 / 44,
-    stripes: Literal["horizontal", "vertical"] = "horizontal",
+    size: str | None = None,
+    period: float | None = None,
+    stripes: Literal["horizontal", "vertical"] | None = None,
+    calibration: Path | None = None,
 ) -> None:
     """Write the picture that the projector shows, and its description beside it as JSON.
 
@@ -89,19 +94,24 @@ def pattern(
     file
         The PNG to write.
     size
-        The projector's width and height in px.
+        The projector's width and height in px; left out, the calibration's, else 1024x768.
     period
-        Projector px a cycle.
+        Projector px a cycle; left out, the calibration's, else 17.4545.
     stripes
-        Which way they run.
+        Which way they run; left out, the calibration's, else horizontal.
+    calibration
+        The rig's calibration.json; the projector's response is then undone in the pattern.
     """
     from pipeline.pattern import write_pattern
 
-    width, separator, height = size.lower().partition("x")
-    if not (separator and width.isdigit() and height.isdigit()):
-        raise SettingsError(f"--size is {size!r}: give width and height in px, as in 1024x768")
-    chosen = build(Pattern, {"period_px": period, "stripes": stripes}, SettingsError, "pattern")
-    write_pattern(file, (int(width), int(height)), chosen)
+    rig = None if calibration is None else Calibration.read(calibration)
+    if rig is not None and rig.response is None:
+        raise CalibrationError(f"{calibration} holds no response: run colorphase calibrate radiometry")
+    known = rig.pattern if rig is not None and rig.pattern is not None else Pattern(period_px=768 / 44)
+    values = {"period_px": period or known.period_px, "stripes": stripes or known.stripes}
+    size_px = rig.projector.size_px if rig is not None and rig.projector is not None else (1024, 768)
+    chosen = build(Pattern, values, SettingsError, "pattern")
+    write_pattern(file, size_px if size is None else size_of(size), chosen, None if rig is None else rig.response)
 
 
 @app.command

@@ -5,18 +5,27 @@ import warnings
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from pipeline.calibration import Calibration
+from pipeline.calibration import Calibration, Capture, Geometry
 from pipeline.errors import CalibrationError, FootageError, SettingsError
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.balance import Gains
 from tikernels.crosstalk import invert_crosstalk
-from tikernels.equalization import SLOTS, correction_table, count_phases_kernel
+from tikernels.equalization import (
+    SLOTS,
+    correction_table,
+    count_phases_kernel,
+    pattern_light,
+    prefers_response,
+    response_table,
+)
 from tikernels.errors import ShapeError
 from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
-from tikernels.linearization import WHITE_LEVELS, linearize
+from tikernels.linearization import WHITE_LEVELS, Transfer, linearize
+from tikernels.registration import align_channels
 from tikernels.statistics import count_out_of_range, measure_frame
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
@@ -88,26 +97,40 @@ class Decoder:
         self.calibration = calibration
         self._reference = None if reference is None else reference.unwrapped_phase
         self._stripes = self.settings.stripes
-        matrix = self.settings.crosstalk_matrix
+        self._transfer: Transfer = self.settings.transfer
+        self._shift: Any = None
+        self._rays: Any = None
+        self._geometry: Geometry | None = None
+        matrix, lag, light = self.settings.crosstalk_matrix, None, np.ones(3)
+        self._response: Any = None  # of a pattern in which it has not been undone, or may not have been
+        self._compensated = calibration.pattern.compensated if calibration and calibration.pattern else None
         if calibration is not None:
-            if calibration.pattern.stripes != self._stripes:
+            if calibration.pattern is not None and calibration.pattern.stripes != self._stripes:
                 raise SettingsError(
                     f"settings say {self._stripes} stripes but the calibration's pattern has "
                     f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
                 )
-            for name in ("response", "color_shift_px"):
-                if getattr(calibration, name) is not None:
-                    message = f"the calibration's {name} is not used by this version: decoding goes on without it"
-                    warnings.warn(message, DecodeWarning, stacklevel=2)
+            self._transfer = _transfer(self.settings, calibration)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
-            self._depth_mm = _expected_depth(calibration)
-            self._projector = calibration.projector_geometry()
-            self._rays: Any = None
+            if calibration.response is not None and self._compensated is not True:
+                self._response = calibration.response
+                if self._compensated is False:
+                    light = pattern_light(calibration.response)
+            if calibration.has_geometry:
+                self._geometry = calibration.geometry()
+                self._depth_mm = _expected_depth(self._geometry, calibration.depth_range_mm)
+                self._projector = self._geometry.for_triangulation()
+            if calibration.color_shift_px is not None:
+                self._shift = calibration.color_shift_px.camera
+                if self._geometry is not None:
+                    axis, period = self._geometry.phase_axis, self._geometry.pattern.period_px
+                    lag = 2 * np.pi / period * calibration.color_shift_px.projector[:, axis]
         self._balance_first = self.settings.reflectance_bands == "broad"
         # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
-        inverse = invert_crosstalk(np.eye(3) if matrix is None else matrix, normalize_rows=self._balance_first)
+        matrix = np.eye(3) if matrix is None else matrix @ np.diag(light)
+        inverse = invert_crosstalk(matrix, normalize_rows=self._balance_first)
         self._inverse, self._matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
-        self._weights = phase_weights(inverse if self._balance_first else np.eye(3)).astype(np.float32)
+        self._weights = phase_weights(inverse if self._balance_first else np.eye(3), lag).astype(np.float32)
         # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
         self._noise_gain = float(np.sqrt((phase_weights(inverse) ** 2).sum() / 2))
         self._workspace: _Workspace | None = None
@@ -139,6 +162,8 @@ class Decoder:
             The image holds NaN, or values outside 0..white level.
         """
         image, scale = self._read_image(image)
+        if self._shift is not None:
+            image = align_channels(image, self._shift)
         vertical = self._stripes == "vertical"
         if vertical:
             image = transpose(image)
@@ -189,20 +214,29 @@ class Decoder:
             work.raw_phase,
             buffers["modulation"],
         )
-        table = np.zeros(2, np.float32)
-        if self.settings.equalize:
-            work.histogram.fill(0)
-            count_phases_kernel(work.raw_phase, work.histogram_step, work.histogram)
-            table = correction_table(work.histogram.sum(axis=0), max(3, int(_HARMONICS_A_PIXEL * period)))
+        table = self._correction(work, period)
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
         smooth_phase_kernel(self.settings.smoothing_px // 2)(work.raw_phase, table, work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
-        if self.calibration is not None:
+        if self._geometry is not None:
             work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
         outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
         work.unwrapper.write(buffers["phase"], work.rates, *outputs)
-        if self.calibration is not None:
+        if self._geometry is not None:
             triangulate_kernel(buffers["unwrapped"], self._rays, *self._projector.arguments(), buffers["points"])
+
+    def _correction(self, work: _Workspace, period: float) -> npt.NDArray[np.float32]:
+        """Return what undoes the projector's response, as a table over the cycle."""
+        histogram = np.zeros(_BINS, np.int32)
+        if self.settings.equalize or (self._response is not None and self._compensated is None):
+            work.histogram.fill(0)
+            count_phases_kernel(work.raw_phase, work.histogram_step, work.histogram)
+            histogram = work.histogram.sum(axis=0)
+        if self.settings.equalize:
+            return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period)))
+        if self._response is None or (self._compensated is None and not prefers_response(histogram, self._response)):
+            return np.zeros(2, np.float32)
+        return response_table(self._response)
 
     def _read_image(self, image: Any) -> tuple[Any, float]:
         """Return linear light in levels, and the factor that takes them to 0..1."""
@@ -217,8 +251,8 @@ class Decoder:
             raise ShapeError(f"image has shape {shape}: pass (H, W, 3) RGB")
         if min(shape[:2]) < _MIN_SIZE_PX:
             raise ShapeError(f"image is {_size(shape)}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
-        if self.calibration is not None and self.calibration.camera.size_px != (shape[1], shape[0]):
-            width, height = self.calibration.camera.size_px
+        if self._geometry is not None and self._geometry.camera.size_px != (shape[1], shape[0]):
+            width, height = self._geometry.camera.size_px
             raise CalibrationError(
                 f"frame is {_size(shape)} but the calibration is for {height}x{width}: recalibrate or crop"
             )
@@ -238,23 +272,23 @@ class Decoder:
                 raise FootageError(
                     f"image has {outside} values outside 0..{white:g}: scale it, or set white_level to its full scale"
                 )
-        if self.settings.transfer != "linear":
-            return linearize(image, self.settings.transfer, white), 1.0
+        if not isinstance(self._transfer, str) or self._transfer != "linear":
+            return linearize(image, self._transfer, white), 1.0
         return image, 1.0 / white
 
     def _frame(self, height: int, width: int, vertical: bool, out: DecodedFrame | None) -> DecodedFrame:
-        if self.calibration is not None and self._rays is None:
-            rays = self.calibration.camera.rays()
+        if self._geometry is not None and self._rays is None:
+            rays = self._geometry.camera.rays()
             self._rays = runtime.to_device(np.ascontiguousarray(rays.transpose(1, 0, 2)) if vertical else rays)
         if self._reference is not None and self._reference.shape != ((width, height) if vertical else (height, width)):
             raise ShapeError(f"frame is {height}x{width} but the reference is {_size(self._reference.shape)}")
         if out is not None:
-            if tuple(out._buffers["mask"].shape) != (height, width) or out.calibrated != (self.calibration is not None):
+            if tuple(out._buffers["mask"].shape) != (height, width) or out.calibrated != (self._geometry is not None):
                 raise ShapeError("out is a result of another size or calibration: leave it away for this frame")
             out._forget()
             return out
         buffers = self._unused_buffers(height, width)
-        return DecodedFrame(None, 0.0, (), self.calibration is not None, vertical, buffers, self._reference)
+        return DecodedFrame(None, 0.0, (), self._geometry is not None, vertical, buffers, self._reference)
 
     def _unused_buffers(self, height: int, width: int) -> dict[str, Any]:
         """Return the buffers of the frame before if nobody holds it or its arrays any more, else new ones."""
@@ -265,7 +299,7 @@ class Decoder:
             types = {"phase": np.float32, "modulation": np.float32, "unwrapped": np.float32, "mask": np.uint8}
             buffers = {name: runtime.empty((height, width), dtype) for name, dtype in types.items()}
             buffers["region"] = runtime.empty((height, width), np.int32)
-            if self.calibration is not None:
+            if self._geometry is not None:
                 buffers["points"] = runtime.empty((height, width, 3), np.float32)
         self._last_buffers = buffers
         return buffers
@@ -283,10 +317,30 @@ class Decoder:
         warnings.warn(message, DecodeWarning, stacklevel=4)
 
 
-def _expected_depth(calibration: Calibration) -> float:
-    if calibration.depth_range_mm is not None:
-        return float(np.mean(calibration.depth_range_mm))
-    depth = calibration.working_distance_mm()
+def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
+    """Return how the camera encodes light, and warn where it stands otherwise than at calibration."""
+    before, now = calibration.capture or Capture(), settings.capture or Capture()
+    chosen: Transfer = settings.transfer
+    if before.transfer is not None and "transfer" not in settings.model_fields_set:
+        chosen = before.transfer
+    differ = [
+        (name, getattr(before, name), getattr(now, name))
+        for name in ("exposure_s", "gain", "white_balance")
+        if getattr(before, name) is not None and getattr(now, name) is not None
+        if not np.allclose(getattr(before, name), getattr(now, name), rtol=1e-3)
+    ]
+    if before.transfer is not None and not np.array_equal(chosen, before.transfer):
+        differ.append(("transfer", before.transfer, chosen))
+    for name, was, is_now in differ:
+        message = f"{name} is {is_now} but was {was} at calibration: set the camera as it was, or calibrate again"
+        warnings.warn(message, DecodeWarning, stacklevel=3)
+    return chosen
+
+
+def _expected_depth(geometry: Geometry, depth_range_mm: tuple[float, float] | None) -> float:
+    if depth_range_mm is not None:
+        return float(np.mean(depth_range_mm))
+    depth = geometry.working_distance_mm()
     if depth is None:
         raise CalibrationError(
             "camera and projector look in parallel, so nothing tells how far the object is: give depth_range_mm"

@@ -15,7 +15,9 @@ from pipeline.files import write_atomically
 CHANNEL_PHASES = (-2 * np.pi / 3, 0.0, 2 * np.pi / 3)
 
 
-def make_pattern(size_px: tuple[int, int], pattern: Pattern) -> npt.NDArray[np.float32]:
+def make_pattern(
+    size_px: tuple[int, int], pattern: Pattern, response: npt.NDArray[np.float64] | None = None
+) -> npt.NDArray[np.float32]:
     """Return the pattern's projector codes.
 
     Parameters
@@ -24,6 +26,8 @@ def make_pattern(size_px: tuple[int, int], pattern: Pattern) -> npt.NDArray[np.f
         The projector's size in px.
     pattern : Pattern
         Its period and the direction of its stripes.
+    response : (3, N) float64, optional
+        Light of N evenly spaced codes of R, G, B, rising from 0 to 1. With it the light, not the codes, is sinusoidal.
 
     Returns
     -------
@@ -40,13 +44,36 @@ def make_pattern(size_px: tuple[int, int], pattern: Pattern) -> npt.NDArray[np.f
     if width < 1 or height < 1 or pattern.period_px > length:
         raise SettingsError(f"a pattern of {width}x{height} px cannot hold a cycle of {pattern.period_px} px")
     phase = 2 * np.pi / pattern.period_px * np.arange(length)
-    codes = (0.5 + 0.5 * np.cos(phase[:, None] + np.array(CHANNEL_PHASES))).astype(np.float32)
+    codes = 0.5 + 0.5 * np.cos(phase[:, None] + np.array(CHANNEL_PHASES))
+    if response is not None:
+        # Every response rises from 0 to 1, so the whole range of light is there to be used.
+        codes = np.stack([codes_for_light(codes[:, j], response[j]) for j in range(3)], axis=-1)
+    codes = codes.astype(np.float32)
     line = codes[:, None] if pattern.stripes == "horizontal" else codes[None]
     return np.ascontiguousarray(np.broadcast_to(line, (height, width, 3)))
 
 
-def write_pattern(path: str | Path, size_px: tuple[int, int], pattern: Pattern) -> None:
+def codes_for_light(light: npt.NDArray[np.float64], response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the codes, 0..1, that make so much light, 0..1, with this response."""
+    codes = np.linspace(0, 1, len(response))
+    rising = np.concatenate([[True], np.diff(response) > 0])  # where it is flat, the smallest code does
+    return np.asarray(np.interp(light, response[rising], codes[rising]))
+
+
+def write_pattern(
+    path: str | Path,
+    size_px: tuple[int, int],
+    pattern: Pattern,
+    response: npt.NDArray[np.float64] | None = None,
+) -> None:
     """Write the pattern as an 8-bit PNG, and beside it, as JSON, what a calibration stores of it.
+
+    Parameters
+    ----------
+    path : str or Path
+        The PNG; the JSON has the same name.
+    size_px, pattern, response
+        See `make_pattern`.
 
     Raises
     ------
@@ -58,6 +85,9 @@ def write_pattern(path: str | Path, size_px: tuple[int, int], pattern: Pattern) 
     path = Path(path)
     if path.suffix.lower() != ".png":
         raise OutputError(f"a pattern is written as PNG, not as {path.suffix or 'a name without suffix'}: name it .png")
-    codes = np.rint(make_pattern(size_px, pattern) * 255).astype(np.uint8)
+    codes = np.rint(make_pattern(size_px, pattern, response) * 255).astype(np.uint8)
     write_atomically(path, cv2.imencode(".png", codes[..., ::-1])[1].tobytes())
-    write_atomically(path.with_suffix(".json"), (json.dumps(pattern.model_dump()) + "\n").encode())
+    described = pattern.model_dump(exclude={"compensated"})
+    if response is not None:
+        described["compensated"] = True
+    write_atomically(path.with_suffix(".json"), (json.dumps(described) + "\n").encode())

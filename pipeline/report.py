@@ -88,8 +88,9 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
             wrong += int(here.sum() - counts.max())
     measured["wrong_orders"] = wrong
     if frame.calibrated:
+        geometry = truth.rig.geometry()
         placed = (frame.unwrapped_phase - 2 * np.pi * commonest).astype(np.float32)
-        points = triangulate(placed, truth.rig.camera.rays(), truth.rig.projector_geometry())
+        points = triangulate(placed, geometry.camera.rays(), geometry.for_triangulation())
         depth_error = (points - truth.points)[valid][:, 2]
         measured["depth_rms_mm"] = float(np.sqrt(np.nanmean(depth_error.astype(np.float64) ** 2)))
     return measured

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pipeline.calibration import Matrix3
+from pipeline.calibration.model import Capture, Matrix3
 from pipeline.errors import SettingsError
 from pipeline.models import Model, build, read_file
 from tikernels.balance import MIN_PERIOD_PX
@@ -39,7 +39,9 @@ class DecodeSettings(Model):
     """Whether a surface's colour acts on the camera's channels (balance, then undo the crosstalk) or on the projector's
     primaries (the other way round). Broad suits surfaces whose reflectance changes slowly with wavelength, as skin."""
     transfer: Literal["linear", "srgb", "bt709"] = "linear"
-    """How the camera encoded light; undone before anything else."""
+    """How the camera encoded light; undone before anything else. Left out, a calibration's is used."""
+    capture: Capture | None = None
+    """How the camera stood for this footage; compared with the calibration's."""
     equalize: bool = True
     """Whether the phase's distribution is made uniform, which undoes the projector's response."""
     unwrap_method: Literal["directional"] = "directional"

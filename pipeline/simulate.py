@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field
 
-from pipeline.calibration import Calibration, Lens, Matrix3, Pattern, Shift
+from pipeline.calibration import Calibration, Lens, Pattern
+from pipeline.calibration.model import Matrix3, Shift
 from pipeline.models import Model
 from pipeline.pattern import make_pattern
 from tikernels import projection, runtime
@@ -152,18 +153,19 @@ def simulate_frame(
     """
     settings = settings or SimulationSettings()
     runtime.started()
+    geometry = rig.geometry()
     if codes is None:
-        codes = make_pattern(rig.projector.size_px, rig.pattern)
+        codes = make_pattern(geometry.projector.size_px, geometry.pattern)
     light = _blur(cv2.pow(codes, settings.gamma), settings.projector_blur_px)
     rendered = projection.render_scene(
         settings.scene,
-        np.stack([rig.camera.rays(shift) for shift in _distinct(settings.camera_shift_px)]),
+        np.stack([geometry.camera.rays(shift) for shift in _distinct(settings.camera_shift_px)]),
         light,
         crosstalk_matrix=settings.crosstalk_matrix,
-        rotation=rig.rotation,
-        translation_mm=rig.translation_mm,
-        projector_matrix=rig.projector.matrix,
-        projector_distortion=rig.projector.distortion,
+        rotation=geometry.rotation,
+        translation_mm=geometry.translation_mm,
+        projector_matrix=geometry.projector.matrix,
+        projector_distortion=geometry.projector.distortion,
         projector_shift_px=settings.projector_shift_px,
         color=settings.reflectance,
         texture=settings.texture,
@@ -173,12 +175,12 @@ def simulate_frame(
         narrow_band=settings.reflectance_bands == "narrow",
     )
     image, white_level = _expose(_blur(rendered.light, settings.camera_blur_px), settings)
-    across = rendered.projector_px[..., rig.phase_axis].astype(np.float64)
+    across = rendered.projector_px[..., geometry.phase_axis].astype(np.float64)
     return SimulatedFrame(
         rig=rig,
         image=image,
         white_level=white_level,
-        phase=2 * np.pi / rig.pattern.period_px * across,
+        phase=2 * np.pi / geometry.pattern.period_px * across,
         mask=rendered.lit != 0,
         points=rendered.points,
         reflectance=rendered.reflectance,

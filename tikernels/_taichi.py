@@ -46,6 +46,7 @@ if TYPE_CHECKING:
     AnyArray3: TypeAlias = Any
     vec2: TypeAlias = Any
     vec3: TypeAlias = Any
+    vec4: TypeAlias = Any
     vec5: TypeAlias = Any
     vec8: TypeAlias = Any
     ivec2: TypeAlias = Any
@@ -59,7 +60,7 @@ else:
     I32Array1, I32Array2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     U8Array2 = ti.types.ndarray(dtype=ti.u8, ndim=2)
     AnyArray2, AnyArray3 = (ti.types.ndarray(ndim=n) for n in (2, 3))
-    vec2, vec3, vec5, vec8 = (ti.types.vector(n, ti.f32) for n in (2, 3, 5, 8))
+    vec2, vec3, vec4, vec5, vec8 = (ti.types.vector(n, ti.f32) for n in (2, 3, 4, 5, 8))
     ivec2 = ti.types.vector(2, ti.i32)
     mat3 = ti.types.matrix(3, 3, ti.f32)
     f32, i32, u1 = ti.f32, ti.i32, ti.u1

@@ -53,6 +53,62 @@ def correction_table(histogram: npt.NDArray[np.integer[Any]], harmonics: int | N
     return (correction - mean).astype(np.float32)
 
 
+def pattern_light(response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the (3,) mean light of the sinusoids when their codes go through this response, (3, N)."""
+    codes = 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, 4096, endpoint=False))
+    return np.array([np.interp(codes, np.linspace(0, 1, response.shape[1]), row).mean() for row in response])
+
+
+def response_map(response: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return phases all around the cycle, and what the arctangent makes of them with this response of the projector.
+
+    Parameters
+    ----------
+    response : (3, N)
+        Light of N evenly spaced codes of R, G, B.
+
+    Returns
+    -------
+    (4097,), (4097,) float64
+        rad; both rise by a whole cycle from the first to the last.
+    """
+    phase = np.linspace(-np.pi, np.pi, 4097)
+    codes = 0.5 + 0.5 * np.cos(phase[:, None] + np.array([-1, 0, 1]) * 2 * np.pi / 3)
+    light = np.stack([np.interp(codes[:, j], np.linspace(0, 1, response.shape[1]), response[j]) for j in range(3)], 1)
+    light /= light[:-1].mean(axis=0)  # the colours are balanced
+    bare = np.unwrap(np.arctan2(np.sqrt(3) * (light[:, 0] - light[:, 2]), 2 * light[:, 1] - light[:, 0] - light[:, 2]))
+    return phase, bare - 2 * np.pi * np.round((bare - phase).mean() / (2 * np.pi))
+
+
+def response_table(response: npt.NDArray[np.float64], bins: int = 256) -> npt.NDArray[np.float32]:
+    """Return what to add to a phase, at the edges of so many bins, to undo a known response; see `response_map`.
+
+    Returns
+    -------
+    (bins + 1,) float32
+        rad.
+    """
+    phase, bare = response_map(response)
+    edges = np.linspace(-np.pi, np.pi, bins + 1)
+    turns = 2 * np.pi * np.array([[-1], [0], [1]])
+    around = np.interp(edges, (bare[:-1] + turns).ravel(), (phase[:-1] + turns).ravel())
+    return np.asarray(around - edges, np.float32)
+
+
+def prefers_response(histogram: npt.NDArray[np.integer[Any]], response: npt.NDArray[np.float64]) -> bool:
+    """Whether the phases look as if the response bent them, rather than as if it had been compensated.
+
+    Surfaces show every phase equally often; with the response the density is the slope of `response_map`'s inverse. The
+    likelier of the two wins.
+    """
+    phase, bare = response_map(response)
+    bins = len(histogram)
+    centres = -np.pi + (np.arange(bins) + 0.5) * 2 * np.pi / bins
+    turns = 2 * np.pi * np.array([[-1], [0], [1]])
+    slope = np.interp(centres, ((bare[1:] + bare[:-1]) / 2 + turns).ravel(), np.tile(np.diff(phase) / np.diff(bare), 3))
+    return bool(histogram @ np.log(np.maximum(slope, 1e-3)) > 0)
+
+
 @ti.func
 def equalized(phase: f32, table: F32Array1) -> f32:
     """Add the interpolated correction to a phase in [-pi, pi]; the sum may lie a little beyond."""

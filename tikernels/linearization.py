@@ -8,12 +8,16 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import AnyArray3, F32Array3, f32, ti
+from tikernels._taichi import AnyArray3, F32Array1, F32Array3, f32, ti
 from tikernels.errors import ShapeError
 
 TRANSFERS = ("linear", "srgb", "bt709")
+
+#: A name, or the linear light of evenly spaced levels from 0 to full scale.
+Transfer = str | npt.NDArray[np.floating[Any]]
 
 #: Full scale of each input type.
 WHITE_LEVELS = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
@@ -62,15 +66,53 @@ def _linearize_kernel(transfer: str) -> Any:
     return linearize_kernel
 
 
-def linearize(image: Any, transfer: str = "linear", white_level: float | None = None, out: Any | None = None) -> Any:
+@ti.kernel
+def _linearize_by_table_kernel(
+    image: AnyArray3,  # (H, W, 3) encoded, 0..white_level
+    scale: f32,  # 1 / white_level
+    table: F32Array1,  # linear light of evenly spaced levels, 0..1
+    out: F32Array3,  # (H, W, 3) linear light, 0..1
+):
+    steps = ti.cast(table.shape[0] - 1, ti.f32)
+    for y, x in ti.ndrange(image.shape[0], image.shape[1]):
+        for i in ti.static(range(3)):
+            place = ti.cast(image[y, x, i], ti.f32) * scale * steps
+            low = ti.min(ti.max(ti.cast(place, ti.i32), 0), table.shape[0] - 2)
+            value = table[low] + (place - low) * (table[low + 1] - table[low])
+            out[y, x, i] = ti.select(ti.math.isnan(place), ti.math.nan, value)
+
+
+def linear_values(encoded: npt.ArrayLike, transfer: Transfer) -> npt.NDArray[np.float64]:
+    """Turn encoded values in 0..1 into linear light in 0..1; few of them, in NumPy.
+
+    Raises
+    ------
+    ShapeError
+        The transfer is unknown.
+    """
+    values: npt.NDArray[np.float64] = np.array(encoded, np.float64)
+    if not isinstance(transfer, str):
+        return np.asarray(np.interp(values, np.linspace(0, 1, len(transfer)), transfer))
+    if transfer == "srgb":
+        return np.where(values <= 0.04045, values / 12.92, ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4)
+    if transfer == "bt709":
+        return np.where(values < 0.081, values / 4.5, ((np.maximum(values, 0) + 0.099) / 1.099) ** (1 / 0.45))
+    if transfer != "linear":
+        raise ShapeError(f"transfer is {transfer!r}: choose {', '.join(TRANSFERS)}")
+    return values
+
+
+def linearize(
+    image: Any, transfer: Transfer = "linear", white_level: float | None = None, out: Any | None = None
+) -> Any:
     """Turn grey levels into linear light.
 
     Parameters
     ----------
     image : (H, W, 3) uint8, uint16 or float32
         Encoded levels from 0 to the white level.
-    transfer : {"linear", "srgb", "bt709"}
-        How the camera encoded light.
+    transfer : {"linear", "srgb", "bt709"} or (N,) floats
+        How the camera encoded light; or the linear light of N evenly spaced levels.
     white_level : float, optional
         Full scale; None: the type's (255, 65535, 1.0).
     out : (H, W, 3) float32, optional
@@ -94,9 +136,13 @@ def linearize(image: Any, transfer: str = "linear", white_level: float | None = 
     >>> round(float(linearize(grey, "srgb")[0, 0, 0]), 3)
     0.503
     """
-    if transfer not in TRANSFERS:
+    if isinstance(transfer, str) and transfer not in TRANSFERS:
         raise ShapeError(f"transfer is {transfer!r}: choose {', '.join(TRANSFERS)}")
     image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
     out = _checks.out_array("out", out, tuple(image.shape), np.float32)
-    _linearize_kernel(transfer)(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), out)
+    scale = 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)])
+    if isinstance(transfer, str):
+        _linearize_kernel(transfer)(image, scale, out)
+    else:
+        _linearize_by_table_kernel(image, scale, np.ascontiguousarray(transfer, np.float32), out)
     return out

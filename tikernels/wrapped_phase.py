@@ -29,9 +29,23 @@ _LANES = 8
 _CLIPPED = 0.998
 
 
-def phase_weights(inverse: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the (3, 3) weights that take balanced camera channels to b (cos phi, sin phi) and 0."""
-    weights: npt.NDArray[np.float64] = np.array([[-1, 2, -1], [np.sqrt(3), 0, -np.sqrt(3)], [0, 0, 0]]) / 3 @ inverse
+def phase_weights(
+    inverse: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
+) -> npt.NDArray[np.float64]:
+    """Return the (3, 3) weights that take balanced camera channels to b (cos phi, sin phi) and 0.
+
+    Parameters
+    ----------
+    inverse : (3, 3)
+        Undoes the crosstalk.
+    lag : (3,), optional
+        How far the fringe of R, G, B lags behind its place, rad: the projector's lateral colour.
+    """
+    angles = np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag)
+    # Columns: what a, b cos phi and b sin phi give each channel.
+    channels = np.stack([np.ones(3), np.cos(angles), -np.sin(angles)], axis=1)
+    weights: npt.NDArray[np.float64] = np.linalg.inv(channels)[[1, 2, 0]] @ inverse
+    weights[2] = 0
     return weights
 
 

@@ -279,13 +279,6 @@ def test_device_arrays_are_taken(arch):
     np.testing.assert_array_equal(frame.unwrapped_phase, expected.unwrapped_phase)
 
 
-def test_what_a_calibration_holds_in_vain_is_said():
-    _, calibration = simulated("plane")
-    curve = np.tile(np.linspace(0, 1, 256) ** 2, (3, 1))
-    with pytest.warns(DecodeWarning, match="response is not used"):
-        Decoder(DecodeSettings(), calibration.model_copy(update={"response": curve}), arch="cpu")
-
-
 def test_exported_names():
     """The names of the contract."""
     assert {"Calibration", "DecodeSettings", "Decoder"} <= set(pipeline.__all__)

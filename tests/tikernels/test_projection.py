@@ -62,10 +62,15 @@ def test_points_project_to_the_phase(arch, scene, stripes):
     )  # fmt: skip
     frame = simulate_frame(made, SimulationSettings(**{**IDEAL, "scene": scene}))
     seen = ~np.isnan(frame.points[..., 2])
-    expected = 2 * np.pi / made.pattern.period_px * reference.projector_px(frame.points, made.projector_geometry())
+    expected = (
+        2
+        * np.pi
+        / made.geometry().pattern.period_px
+        * reference.projector_px(frame.points, made.geometry().for_triangulation())
+    )
     np.testing.assert_allclose(frame.phase[seen], expected[seen], atol=1e-3)
     rays = frame.points[seen][:, :2] / frame.points[seen][:, 2:]
-    np.testing.assert_allclose(rays, made.camera.rays()[seen], atol=1e-6)
+    np.testing.assert_allclose(rays, made.geometry().camera.rays()[seen], atol=1e-6)
     assert not frame.mask[~seen].any()
 
 

@@ -16,7 +16,7 @@ def rig(stripes="horizontal", distorted=False):
         (73, 51), stripes=stripes, tilt_deg=3, camera_distortion=(0.05, -0.1, 0, 0, 0),
         projector_distortion=LENS if distorted else (0.0,) * 5,
     )  # fmt: skip
-    return made.camera.rays(), made.projector_geometry()
+    return made.geometry().camera.rays(), made.geometry().for_triangulation()
 
 
 def bumpy_points(rays: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ def test_there_and_back(arch, distorted):
 
 def test_one_millimetre_is_a_seventh_of_a_radian(arch):
     """The rig's sensitivity, 0.138 rad a mm, which every bound in millimetres rests on."""
-    projector = simulated_rig((65, 49)).projector_geometry()
+    projector = simulated_rig((65, 49)).geometry().for_triangulation()
     rays = np.zeros((1, 2, 2), np.float32)
     near = np.array([[[0, 0, 900.0], [0, 0, 901.0]]])
     phase = phase_of(near, projector)

@@ -1,0 +1,239 @@
+"""What is known of a rig: both lenses, where they stand, and how light turns into grey levels."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from pipeline.errors import CalibrationError, OutputError
+from pipeline.files import write_atomically
+from pipeline.models import ArrayOf, FloatArray, Model, read_file
+from tikernels.triangulation import ProjectorGeometry
+
+Vector9 = Annotated[FloatArray, ArrayOf((9,))]
+Vector3 = Annotated[FloatArray, ArrayOf((3,))]
+Matrix3 = Annotated[FloatArray, ArrayOf((3, 3))]
+Distortion = Annotated[FloatArray, ArrayOf((5,))]
+Shift = Annotated[FloatArray, ArrayOf((3, 2))]
+Response = Annotated[FloatArray, ArrayOf((3, 256))]
+
+
+_GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
+
+
+class Lens(Model):
+    """A pinhole with distortion, for the camera as for the projector (OpenCV's model)."""
+
+    size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]  # width, height
+    matrix: Matrix3  # px
+    distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # k1 k2 p1 p2 k3
+
+    @model_validator(mode="after")
+    def _check(self) -> "Lens":
+        m = self.matrix
+        if m[0, 0] <= 0 or m[1, 1] <= 0 or np.any(m[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or m[2, 2] != 1:
+            raise ValueError("matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
+        return self
+
+    def rays(self, shift_px: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float32]:
+        """Return where every pixel looks, lens distortion taken out.
+
+        Parameters
+        ----------
+        shift_px : (2,), optional
+            Lateral colour: x, y by which a channel lands beside its place.
+
+        Returns
+        -------
+        (H, W, 2) float32
+            x and y of each ray at unit depth.
+        """
+        width, height = self.size_px
+        grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
+        if shift_px is not None:
+            grid -= shift_px
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+        distortion = self.distortion if self.distortion.any() else None  # without one nothing is iterated
+        rays = cv2.undistortPoints(grid, self.matrix, distortion, criteria=criteria)
+        return np.asarray(rays, np.float32).reshape(height, width, 2)
+
+
+class Pattern(Model):
+    """What the projector shows."""
+
+    period_px: Annotated[float, Field(ge=4)]  # projector px a cycle
+    stripes: Literal["horizontal", "vertical"] = "horizontal"
+    code: None = None
+    compensated: bool | None = None  # whether the projector's response is undone in it; None: unknown
+
+
+class ColorShift(Model):
+    """Lateral colour: where R, G and B land, each (x, y) in px from where the lens matrix says."""
+
+    camera: Shift
+    projector: Shift
+
+
+class Capture(Model):
+    """How the camera stood when the rig was calibrated."""
+
+    exposure_s: float | None = None
+    gain: float | None = None
+    white_balance: Vector3 | None = None
+    transfer: Literal["linear", "srgb", "bt709"] | Annotated[FloatArray, ArrayOf((256,))] | None = None
+    """How the camera encodes light; or, measured, the linear light of 256 levels, from 0 to 1."""
+
+
+class Uncertainty(Model):
+    """Standard deviations of what a calibration holds, under the same names."""
+
+    crosstalk_matrix: Matrix3 | None = None
+    response: Response | None = None
+    camera: Vector9 | None = None  # fx, fy, cx, cy (px), k1 k2 p1 p2 k3
+    projector: Vector9 | None = None
+    rotation_deg: Vector3 | None = None
+    translation_mm: Vector3 | None = None
+    depth_bias_mm: Annotated[float, Field(ge=0)] | None = None  # to be expected at the middle of the board's places
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """The lenses, and where they stand: X_projector = rotation @ X_camera + translation_mm."""
+
+    camera: Lens
+    projector: Lens
+    rotation: FloatArray  # (3, 3)
+    translation_mm: FloatArray  # (3,)
+    pattern: Pattern
+
+    @property
+    def phase_axis(self) -> int:
+        """The projector axis along which the phase changes: 1 (rows) for horizontal stripes, 0 for vertical."""
+        return 1 if self.pattern.stripes == "horizontal" else 0
+
+    def for_triangulation(self) -> ProjectorGeometry:
+        """Return what triangulation needs to know of the projector."""
+        axis = self.phase_axis
+        return ProjectorGeometry(
+            rotation=self.rotation,
+            translation_mm=self.translation_mm,
+            focal_px=float(self.projector.matrix[axis, axis]),
+            center_px=float(self.projector.matrix[axis, 2]),
+            distortion=self.projector.distortion,
+            period_px=self.pattern.period_px,
+            axis=axis,
+        )
+
+    def working_distance_mm(self) -> float | None:
+        """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.
+
+        A projector turned towards the object meets the camera's axis there, which makes it the best guess of where the
+        object is when no depth range is given.
+        """
+        # Closest point on the camera's axis (0, 0, s) to the projector's axis centre + k * direction.
+        centre = -self.rotation.T @ self.translation_mm
+        direction = self.rotation[2]
+        sine_squared = 1 - direction[2] ** 2
+        if sine_squared < 1e-6:
+            return None
+        depth = (centre[2] - direction[2] * (direction @ centre)) / sine_squared
+        return float(depth) if depth > 0 else None
+
+
+class Calibration(Model):
+    """A calibrated rig, as ``calibration.json`` holds it: its light, its geometry, or both.
+
+    X_projector = rotation @ X_camera + translation_mm, both frames OpenCV's (x right, y down, z forward). Without a
+    geometry, which is those five together, there are phases but no millimetres.
+    """
+
+    camera: Lens | None = None
+    projector: Lens | None = None
+    rotation: Matrix3 | None = None
+    translation_mm: Vector3 | None = None
+    pattern: Pattern | None = None
+    crosstalk_matrix: Matrix3 | None = None  # camera = matrix @ projector, in linear light
+    response: Response | None = None  # linear light for each projector code
+    color_shift_px: ColorShift | None = None
+    depth_range_mm: tuple[Annotated[float, Field(gt=0)], float] | None = None
+    capture: Capture | None = None
+    uncertainty: Uncertainty | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> "Calibration":
+        lacking = [name for name in _GEOMETRY if getattr(self, name) is None]
+        if "crosstalk_matrix" not in self.model_fields_set and len(lacking) == len(_GEOMETRY):
+            raise ValueError("it holds neither a geometry (camera, projector ...) nor a crosstalk_matrix")
+        if any(name not in ("pattern", *lacking) for name in _GEOMETRY):
+            if lacking:
+                raise ValueError(f"{lacking[0]}: is missing")
+            self._check_geometry(self.geometry())
+        if self.crosstalk_matrix is not None and np.linalg.cond(self.crosstalk_matrix) > 100:
+            raise ValueError("crosstalk_matrix cannot be inverted")
+        if self.response is not None and (
+            np.any(np.diff(self.response) < 0) or np.any(np.abs(self.response[:, [0, -1]] - [0, 1]) > 1e-6)
+        ):
+            raise ValueError("response must rise from 0 to 1 in every row")
+        if self.depth_range_mm is not None and self.depth_range_mm[1] <= self.depth_range_mm[0]:
+            raise ValueError("depth_range_mm must be [nearest, farthest]")
+        return self
+
+    def _check_geometry(self, geometry: Geometry) -> None:
+        rotation, size = geometry.rotation, geometry.projector.size_px[geometry.phase_axis]
+        if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
+            raise ValueError("rotation must be a rotation matrix")
+        if np.linalg.norm(geometry.translation_mm) == 0:
+            raise ValueError("translation_mm must not be zero: without a baseline there is no depth")
+        if geometry.pattern.period_px > size:
+            raise ValueError(f"pattern.period_px is larger than the projector's {size} px")
+
+    @property
+    def has_geometry(self) -> bool:
+        """Whether it says where camera and projector stand."""
+        return self.camera is not None
+
+    def geometry(self) -> Geometry:
+        """Return where camera and projector stand.
+
+        Raises
+        ------
+        CalibrationError
+            The calibration holds light only.
+        """
+        camera, projector, rotation, translation = self.camera, self.projector, self.rotation, self.translation_mm
+        if camera is None or projector is None or rotation is None or translation is None or self.pattern is None:
+            raise CalibrationError("the calibration holds no geometry: run colorphase calibrate geometry")
+        return Geometry(camera, projector, rotation, translation, self.pattern)
+
+    @classmethod
+    def read(cls, path: str | Path) -> "Calibration":
+        """Read ``calibration.json``.
+
+        Raises
+        ------
+        CalibrationError
+            The file cannot be read, or a key is missing, unknown or wrong; the message names it.
+        """
+        return read_file(path, cls, json.loads, CalibrationError)
+
+    def write(self, path: str | Path, *, force: bool = True) -> None:
+        """Write ``calibration.json``, whole or not at all.
+
+        Raises
+        ------
+        OutputError
+            The place cannot be written, or without `force` there is a file already.
+        """
+        if not force and Path(path).exists():
+            raise OutputError(f"{path} exists already: choose another name, or add --force")
+        write_atomically(Path(path), (json.dumps(self.model_dump(mode="json"), indent=1) + "\n").encode())
+
+    def digest(self) -> str:
+        """Return a SHA-256 of the contents, by which results name the calibration they were made with."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
