@@ -13,8 +13,8 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from hardware.link import list_serial_ports
-from pipeline.calibration import Calibration, Pattern
-from pipeline.calibration.commands import calibrate, size_of
+from pipeline.calibration import Calibration
+from pipeline.calibration.commands import calibrate, chosen_board, chosen_pattern, size_of
 from pipeline.decoder import Decoder, DecodeWarning
 from pipeline.errors import (
     CalibrationError,
@@ -23,7 +23,6 @@ from pipeline.errors import (
     RenderError,
     SettingsError,
 )
-from pipeline.models import build
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.errors import DeviceNotReady, ShapeError
@@ -84,15 +83,21 @@ def pattern(
     period: float | None = None,
     stripes: Literal["horizontal", "vertical"] | None = None,
     calibration: Path | None = None,
+    board: Literal["charuco", "chessboard"] | None = None,
+    squares: str = "11x8",
+    square_mm: float = 20.0,
+    marker_mm: float | None = None,
+    dictionary: str = "DICT_5X5_250",
 ) -> None:
-    """Write the picture that the projector shows, and its description beside it as JSON.
+    """Write the picture that the projector shows, and its description beside it as JSON; or a board to be printed.
 
-    Example: colorphase pattern pattern.png --size 1024x768 --period 17.4545 --stripes horizontal
+    Example: colorphase pattern pattern.png --size 1024x768 --period 17.4545 --stripes horizontal, or
+    colorphase pattern board.pdf --board charuco --squares 11x8 --square-mm 20
 
     Parameters
     ----------
     file
-        The PNG to write.
+        The PNG to write; a board may be a PDF or SVG.
     size
         The projector's width and height in px; left out, the calibration's, else 1024x768.
     period
@@ -101,16 +106,27 @@ def pattern(
         Which way they run; left out, the calibration's, else horizontal.
     calibration
         The rig's calibration.json; the projector's response is then undone in the pattern.
+    board
+        Write this kind of calibration board instead, in its true size, as PDF, SVG or PNG.
+    squares
+        The board's squares, columns and rows.
+    square_mm
+        The side of a square.
+    marker_mm
+        The side of a ChArUco marker; left out, three quarters of a square.
+    dictionary
+        The markers' dictionary, as OpenCV names it.
     """
+    if board is not None:
+        chosen_board(board, squares, square_mm, marker_mm, dictionary).write(file)
+        return
     from pipeline.pattern import write_pattern
 
     rig = None if calibration is None else Calibration.read(calibration)
     if rig is not None and rig.response is None:
         raise CalibrationError(f"{calibration} holds no response: run colorphase calibrate radiometry")
-    known = rig.pattern if rig is not None and rig.pattern is not None else Pattern(period_px=768 / 44)
-    values = {"period_px": period or known.period_px, "stripes": stripes or known.stripes}
     size_px = rig.projector.size_px if rig is not None and rig.projector is not None else (1024, 768)
-    chosen = build(Pattern, values, SettingsError, "pattern")
+    chosen = chosen_pattern(rig, period, stripes)
     write_pattern(file, size_px if size is None else size_of(size), chosen, None if rig is None else rig.response)
 
 

@@ -8,15 +8,19 @@ from cyclopts import App, Parameter
 from rich.console import Console
 from rich.table import Table
 
+from pipeline.calibration.board import Board
 from pipeline.calibration.captures import CapturedFolder, write_sequence
-from pipeline.calibration.model import Calibration, Capture
+from pipeline.calibration.geometry import MIN_POSES, GeometryFit, measure_pose, solve_geometry
+from pipeline.calibration.model import Calibration, Capture, Pattern, Uncertainty
+from pipeline.calibration.multishot import multishot_codes, multishot_sequence
 from pipeline.calibration.radiometry import (
     measure_radiometry,
     plot_radiometry,
     radiometry_codes,
     radiometry_sequence,
 )
-from pipeline.errors import OutputError, SettingsError
+from pipeline.errors import CalibrationError, OutputError, SettingsError
+from pipeline.models import build
 
 _out = Console()
 
@@ -107,6 +111,148 @@ def radiometry(
     name = found.transfer if isinstance(found.transfer, str) else "a curve of its own, measured"
     _say(f"the camera's transfer: {name}; grey is red + green + blue to {found.additivity:.2%} of white")
     _say(f"wrote {target} and {plot}")
+
+
+@calibrate.command
+def geometry(
+    captures: Path | None = None,
+    /,
+    *,
+    make: Path | None = None,
+    out: Path | None = None,
+    size: str = "1024x768",
+    board: Literal["charuco", "chessboard"] = "charuco",
+    squares: str = "11x8",
+    square_mm: float = 20.0,
+    marker_mm: float | None = None,
+    dictionary: str = "DICT_5X5_250",
+    period: float | None = None,
+    stripes: Literal["horizontal", "vertical"] | None = None,
+    baseline_mm: float | None = None,
+    calibration: Path | None = None,
+    force: bool = False,
+) -> None:
+    """Measure both lenses and where camera and projector stand, from a board in eight poses or more.
+
+    Example: colorphase calibrate geometry --make fringes, project and capture all of them in each pose of the board, a
+    folder a pose, then colorphase calibrate geometry poses --board chessboard --squares 10x7 --square-mm 24 --out
+    calibration.json
+
+    Parameters
+    ----------
+    captures
+        Folder with a folder a pose, each with the captures under the names that the pictures have.
+    make
+        Write the pictures to project into this new folder instead.
+    out
+        The calibration to write.
+    size
+        The projector's width and height in px.
+    board
+        What the board is.
+    squares
+        Its squares, columns and rows.
+    square_mm
+        The side of a square.
+    marker_mm
+        The side of a ChArUco marker; left out, three quarters of a square.
+    dictionary
+        The markers' dictionary, as OpenCV names it.
+    period
+        Period of the pattern that frames will be taken with, projector px; left out, the earlier calibration's, else
+        17.4545.
+    stripes
+        Its direction; left out, the earlier calibration's, else horizontal.
+    baseline_mm
+        The distance between camera and projector where it is known; a wrong square size shows in it.
+    calibration
+        An earlier calibration, whose light is kept.
+    force
+        Replace an existing calibration.
+    """
+    size_px = size_of(size)
+    if make is not None and captures is None and out is None:
+        sequence = multishot_sequence(size_px)
+        write_sequence(make, sequence, lambda name: multishot_codes(name, size_px))
+        _say(f"{len(sequence.names)} pictures in {make}: project and capture all of them in each pose, a folder a pose")
+        return
+    folder, target = _both(captures, out)
+    _check_target(target, force)
+    known = None if calibration is None else Calibration.read(calibration)
+    described = chosen_board(board, squares, square_mm, marker_mm, dictionary)
+    pattern = chosen_pattern(known, period, stripes)
+    names = multishot_sequence(size_px).names
+    if not folder.is_dir():
+        raise CalibrationError(f"{folder} is no folder: give the one with a folder a pose")
+    poses, refused, camera_px = [], [], None
+    for place in sorted(entry for entry in folder.iterdir() if entry.is_dir()):
+        pose_captures = CapturedFolder(place, names)
+        height, width = pose_captures[names[0]].shape[:2]
+        if camera_px is not None and camera_px != (width, height):
+            raise CalibrationError(f"{place} is {width}x{height}, the poses before are {camera_px[0]}x{camera_px[1]}")
+        camera_px = (width, height)
+        try:
+            poses.append(measure_pose(place.name, pose_captures, described, size_px))
+        except CalibrationError as error:
+            refused.append(str(error))
+    if camera_px is None or len(poses) < MIN_POSES:
+        reason = refused[0] if refused else f"{folder} holds {len(poses)} folders of captures"
+        raise CalibrationError(f"{len(poses)} usable poses, at least {MIN_POSES} are needed: {reason}")
+    found = solve_geometry(poses, camera_px, size_px, pattern, known, baseline_mm)
+    found.calibration.write(target, force=force)
+    _say_geometry(found)
+    for line in (*refused, *(f"{name} left out: {reason}" for name, reason in found.left_out)):
+        _say(f"note: {line}")
+    _say(f"wrote {target}")
+
+
+def chosen_board(kind: str, squares: str, square_mm: float, marker_mm: float | None, dictionary: str) -> Board:
+    """Return the board that the options describe.
+
+    Raises
+    ------
+    SettingsError
+        There is no such board.
+    """
+    sides = {"squares": size_of(squares, "--squares"), "square_mm": square_mm, "marker_mm": marker_mm}
+    return build(Board, {"kind": kind, "dictionary": dictionary, **sides}, SettingsError, "board")
+
+
+def chosen_pattern(
+    known: Calibration | None, period: float | None, stripes: Literal["horizontal", "vertical"] | None
+) -> Pattern:
+    """Return the pattern that frames are taken with: what was named, else the calibration's.
+
+    Raises
+    ------
+    SettingsError
+        There is no such pattern.
+    """
+    before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=768 / 44)
+    values = {**before.model_dump(), "period_px": period or before.period_px, "stripes": stripes or before.stripes}
+    return build(Pattern, values, SettingsError, "pattern")
+
+
+def _say_geometry(found: GeometryFit) -> None:
+    place, deviations = found.calibration.geometry(), found.calibration.uncertainty or Uncertainty()
+    table = Table(title=f"geometry from {len(found.poses)} poses", show_header=True)
+    for heading in ("", "value", "standard deviation"):
+        table.add_column(heading)
+    for name, lens, sigma, rms in (
+        ("camera", place.camera, deviations.camera, found.camera_rms_px),
+        ("projector", place.projector, deviations.projector, found.projector_rms_px),
+    ):
+        if sigma is not None:
+            focal = f"{lens.matrix[0, 0]:.2f}, {lens.matrix[1, 1]:.2f} px"
+            table.add_row(f"{name}'s focal lengths", focal, f"{sigma[0]:.2f}, {sigma[1]:.2f} px")
+        table.add_row(f"{name}'s corners off by", f"{rms:.3f} px RMS", "")
+    baseline = float(np.linalg.norm(place.translation_mm))
+    if deviations.translation_mm is not None:
+        along = place.translation_mm / baseline
+        table.add_row("baseline", f"{baseline:.2f} mm", f"{np.linalg.norm(along * deviations.translation_mm):.2f} mm")
+    if deviations.depth_bias_mm is not None:
+        table.add_row("depth bias to be expected", "", f"{deviations.depth_bias_mm:.2f} mm")
+    _out.print(table)
 
 
 def _say(line: str) -> None:

@@ -1,0 +1,119 @@
+"""The boards that a rig is calibrated with: a plain chessboard, or a ChArUco board, which may be partly hidden."""
+
+import io
+from pathlib import Path
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field, model_validator
+
+from pipeline.errors import OutputError
+from pipeline.files import write_atomically
+from pipeline.models import Model
+
+_Floats = npt.NDArray[np.float64]
+
+_MM_PER_INCH = 25.4
+
+
+class Board(Model):
+    """A printed board."""
+
+    kind: Literal["charuco", "chessboard"] = "charuco"
+    squares: tuple[Annotated[int, Field(ge=4, le=40)], Annotated[int, Field(ge=4, le=40)]] = (11, 8)  # columns, rows
+    square_mm: Annotated[float, Field(gt=0)] = 20.0
+    marker_mm: Annotated[float, Field(gt=0)] | None = None
+    """Side of a ChArUco marker; None: three quarters of a square."""
+    dictionary: str = "DICT_5X5_250"
+    """The markers' dictionary, as OpenCV names it."""
+
+    @model_validator(mode="after")
+    def _check(self) -> "Board":
+        if self.marker_mm is not None and self.marker_mm >= self.square_mm:
+            raise ValueError("marker_mm must be less than square_mm")
+        if not self.dictionary.startswith("DICT_") or not hasattr(cv2.aruco, self.dictionary):
+            raise ValueError(f"dictionary is {self.dictionary!r}: name one of OpenCV's, as DICT_5X5_250")
+        return self
+
+    def corners_mm(self) -> _Floats:
+        """Return the inner corners, (N, 3) mm, row by row; x right, y down, z into the board."""
+        columns, rows = self.squares[0] - 1, self.squares[1] - 1
+        x, y = np.meshgrid(np.arange(1, columns + 1), np.arange(1, rows + 1))
+        return np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
+
+    def find(self, picture: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.intp], _Floats] | None:
+        """Find the inner corners in a picture.
+
+        Parameters
+        ----------
+        picture : (H, W) float
+            Grey, 0..1.
+
+        Returns
+        -------
+        (N,) int, (N, 2) float64
+            Which of `corners_mm`, and where, px; None if the board is not there.
+        """
+        # Fringes and shading go: corners are black and white wherever they lie.
+        grey = np.clip(255 * picture / max(float(np.percentile(picture, 99.5)), 1e-6), 0, 255).astype(np.uint8)
+        if self.kind == "chessboard":
+            size = (self.squares[0] - 1, self.squares[1] - 1)
+            flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
+            found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
+            if not found:
+                return None
+            places = np.asarray(corners, np.float64).reshape(-1, 2)
+            return self._front_side(places), places
+        corners, ids, _, _ = cv2.aruco.CharucoDetector(self._charuco()).detectBoard(grey)
+        if ids is None or len(ids) < 4:
+            return None
+        return np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, np.float64).reshape(-1, 2)
+
+    def _front_side(self, places: _Floats) -> npt.NDArray[np.intp]:
+        """Return the numbers of a chessboard's corners, so that x right, y down turns as it does in the picture."""
+        columns, rows = self.squares[0] - 1, self.squares[1] - 1
+        grid = places.reshape(rows, columns, 2)
+        right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
+        numbers = np.arange(rows * columns).reshape(rows, columns)
+        return (numbers if right[0] * down[1] - right[1] * down[0] > 0 else numbers[:, ::-1]).ravel()
+
+    def _charuco(self) -> cv2.aruco.CharucoBoard:
+        marker = self.marker_mm or 0.75 * self.square_mm
+        dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary))
+        return cv2.aruco.CharucoBoard(self.squares, self.square_mm, marker, dictionary)
+
+    def draw(self, pixels_per_square: int = 40) -> npt.NDArray[np.uint8]:
+        """Return the board as a picture, (rows, columns) squares of so many pixels, without a margin."""
+        columns, rows = self.squares
+        size = (columns * pixels_per_square, rows * pixels_per_square)
+        if self.kind == "charuco":
+            return np.asarray(self._charuco().generateImage(size, marginSize=0), np.uint8)
+        y, x = np.mgrid[: size[1], : size[0]] // pixels_per_square
+        return np.where((x + y) % 2 == 0, 0, 255).astype(np.uint8)
+
+    def write(self, path: Path) -> None:
+        """Write the board to be printed, as PDF, SVG or PNG, in its true size with a white margin of one square.
+
+        Raises
+        ------
+        OutputError
+            The name has another suffix, or the place cannot be written.
+        """
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+
+        kind = path.suffix.lower().lstrip(".")
+        if kind not in ("pdf", "svg", "png"):
+            raise OutputError(f"a board is written as PDF, SVG or PNG: name it {path.stem}.pdf")
+        picture = np.pad(self.draw(64), 64, constant_values=255)
+        height, width = np.array(picture.shape) / 64 * self.square_mm / _MM_PER_INCH
+        figure = Figure(figsize=(width, height))
+        FigureCanvasAgg(figure)
+        axes = figure.add_axes((0, 0, 1, 1))
+        axes.imshow(picture, cmap="gray", interpolation="nearest", aspect="auto", vmin=0, vmax=255)
+        axes.set_axis_off()
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format=kind, dpi=300)
+        write_atomically(path, buffer.getvalue())

@@ -1,0 +1,154 @@
+"""Projector coordinates of every camera pixel of a scene that holds still, from many pictures.
+
+Sinusoids along columns and rows, each at three periods: the coarsest spans the projector, and every finer one is
+unwrapped by the one before. Six steps at the finest cancel the harmonics of the projector's response up to the fourth,
+and four elsewhere are enough to choose the right cycle.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration.captures import Picture, Sequence
+from pipeline.errors import CalibrationError
+
+_Floats = npt.NDArray[np.float64]
+
+WHITE, BLACK = "00-white", "01-black"
+FINE_PX = 16.0
+_RATIO = 8  # between a period and the next finer one
+_STEPS = {"coarse": 4, "middle": 4, "fine": 6}
+_AXES = ("column", "row")
+# A pixel counts where the fine fringe's amplitude is this part of the best, and stands out of rounding.
+_MIN_AMPLITUDE, _MIN_LEVELS = 0.25, 4.0
+# Between two periods the phases may disagree by this part of a cycle before the choice of the cycle becomes unsafe.
+_UNSURE = 0.3
+# Of captures in order, of what stands still, noise and steps make but a few per cent of the pixels unsure.
+_MAX_UNSURE, _MAX_THIRD = 0.1, 0.12
+
+
+@dataclass(frozen=True)
+class ProjectorMap:
+    """Where in the projector every camera pixel's light comes from."""
+
+    position_px: _Floats  # (H, W, 2) column, row; NaN where unknown
+    channel_shift_px: _Floats  # (3, H, W, 2) what R, G and B alone say more than their sum
+    white: _Floats  # (H, W, 3) the fully lit picture, 0..1
+
+
+def multishot_sequence(size_px: tuple[int, int]) -> Sequence:
+    """Return the pictures that tell every pixel's projector column and row."""
+    names = [WHITE, BLACK]
+    for axis in _AXES:
+        for level, steps in _STEPS.items():
+            names += [f"{len(names) + step:02d}-{axis}-{level}-{step}" for step in range(steps)]
+    return Sequence(kind="geometry", size_px=size_px, names=tuple(names))
+
+
+def multishot_codes(name: str, size_px: tuple[int, int]) -> _Floats:
+    """Return the (height, width, 3) projector codes, 0..1, of a picture of the sequence."""
+    width, height = size_px
+    if name in (WHITE, BLACK):
+        return np.full((height, width, 3), float(name == WHITE))
+    _, axis, level, step = name.split("-")
+    pixels = np.arange(width)[None] if axis == "column" else np.arange(height)[:, None]
+    angle = 2 * np.pi * (pixels / _period(level, axis, size_px) - int(step) / _STEPS[level])
+    return np.asarray(np.broadcast_to((0.5 + 0.5 * np.cos(angle))[..., None], (height, width, 3)))
+
+
+def decode_multishot(
+    captures: Mapping[str, Picture], size_px: tuple[int, int], where: str = "captures"
+) -> ProjectorMap:
+    """Find every pixel's projector column and row.
+
+    Parameters
+    ----------
+    captures : mapping from name to (H, W, 3) uint8, uint16 or float32
+        The captures of `multishot_sequence`, of a scene that held still, in linear light or nearly so.
+    size_px : (width, height)
+        The projector's.
+    where : str
+        What errors call these captures.
+
+    Raises
+    ------
+    CalibrationError
+        The captures are out of order, saturated, or show no fringes.
+    """
+    white, black = captures[WHITE], captures[BLACK]
+    full = {"uint8": 255.0, "uint16": 65535.0}.get(white.dtype.name, 1.0)
+    lit = (white.astype(np.float64) - black) / full
+    if np.median(lit) < -0.01 or np.percentile(lit, 99) < 0.04:
+        raise CalibrationError(
+            f"{where}: {WHITE} is hardly brighter than {BLACK}: keep the order of the sequence, and expose longer"
+        )
+    if (white >= 0.99 * full).any(axis=-1).mean() > 0.02:
+        raise CalibrationError(f"{where}: {WHITE} is over-exposed: expose shorter")
+    position = np.full((*white.shape[:2], 2), np.nan)
+    shift = np.full((3, *white.shape[:2], 2), np.nan)
+    for k, axis in enumerate(_AXES):
+        position[..., k], shift[..., k] = _decode_axis(captures, axis, size_px, full, where)
+    known = ~np.isnan(position).any(axis=-1)
+    if np.count_nonzero(known) < 1000:
+        raise CalibrationError(f"{where}: hardly a pixel sees the fringes: focus, and point the projector at the board")
+    position[~known], shift[:, ~known] = np.nan, np.nan
+    return ProjectorMap(position, shift, white.astype(np.float64) / full)
+
+
+def _period(level: str, axis: str, size_px: tuple[int, int]) -> float:
+    """Return a level's period in px; the coarsest spans the projector, so every place has a phase of its own."""
+    length = size_px[0 if axis == "column" else 1]
+    if level == "fine":
+        return FINE_PX
+    if level == "middle":
+        return FINE_PX * _RATIO
+    return max(FINE_PX * _RATIO**2, 1.02 * length)
+
+
+def _decode_axis(
+    captures: Mapping[str, Picture], axis: str, size_px: tuple[int, int], full: float, where: str
+) -> tuple[_Floats, _Floats]:
+    """Return the coordinate along one axis, (H, W) px, and what each channel adds to it, (3, H, W)."""
+    length = size_px[0 if axis == "column" else 1]
+    vectors = {level: _phase_vector(captures, axis, level, full) for level in _STEPS}
+    fine = vectors["fine"].sum(axis=-1)
+    amplitude = np.abs(fine)
+    valid = amplitude > max(_MIN_AMPLITUDE * float(np.percentile(amplitude, 99)), 3 * _MIN_LEVELS / 255)
+    coarse = np.abs(vectors["coarse"].sum(axis=-1))
+    if np.percentile(amplitude, 99) < 0.2 * np.percentile(coarse, 99):
+        raise CalibrationError(f"{where}: the fine fringes are washed out: focus camera and projector on the board")
+    # Half a period of room before the first pixel, so that noise there does not turn the coarse phase round.
+    period = _period("coarse", axis, size_px)
+    place = np.mod(np.angle(vectors["coarse"].sum(axis=-1)) / (2 * np.pi), 1.0) * period
+    place = np.where(place > length + 0.25 * (period - length), place - period, place)
+    unsure = np.zeros(place.shape, np.bool_)
+    for level in ("middle", "fine"):
+        period = _period(level, axis, size_px)
+        part = np.angle(vectors[level].sum(axis=-1)) / (2 * np.pi)
+        cycles = np.rint(place / period - part)
+        unsure |= np.abs(place / period - part - cycles) > _UNSURE
+        place = (cycles + part) * period
+    # The third harmonic of six steps in order is nothing: even a strong response makes but a thirtieth of the first.
+    third = np.abs(_phase_vector(captures, axis, "fine", full, harmonic=3).sum(axis=-1)) / 2
+    uneven = np.median((third / np.maximum(amplitude, 1e-9))[valid]) if valid.any() else 0.0
+    if uneven > _MAX_THIRD or np.count_nonzero(unsure & valid) > _MAX_UNSURE * np.count_nonzero(valid):
+        raise CalibrationError(
+            f"{where}: the {axis} fringes contradict each other: captures are in the wrong order, something moved, or "
+            "the projector does not have the size that was given"
+        )
+    place[~valid | unsure | (place < -1) | (place > length)] = np.nan
+    with np.errstate(invalid="ignore", divide="ignore"):
+        alone = np.angle(vectors["fine"] * np.conj(fine / amplitude)[..., None]) * FINE_PX / (2 * np.pi)
+    return place, np.moveaxis(alone, -1, 0)
+
+
+def _phase_vector(
+    captures: Mapping[str, Picture], axis: str, level: str, full: float, harmonic: int = 1
+) -> npt.NDArray[np.complex128]:
+    """Return amplitude times exp(i phase) of each channel, (H, W, 3); or of a harmonic."""
+    steps = _STEPS[level]
+    names = [name for name in multishot_sequence((1, 1)).names if f"-{axis}-{level}-" in name]
+    total = sum(captures[name] * np.exp(2j * np.pi * harmonic * step / steps) for step, name in enumerate(names))
+    return np.asarray(total, np.complex128) * (2 / steps / full)
