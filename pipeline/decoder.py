@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration, Capture, Geometry
+from pipeline.calibration.board_free import LightEstimate, estimate_light
 from pipeline.errors import CalibrationError, FootageError, SettingsError
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
@@ -78,6 +79,12 @@ class Decoder:
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         Where to compute; a named one never falls back.
 
+    Attributes
+    ----------
+    light : LightEstimate or None
+        What the first frame with fringes told of crosstalk and response, where neither settings nor calibration say
+        anything of the crosstalk. It is used for that frame and all after it if it is `reliable`.
+
     Raises
     ------
     DeviceNotReady
@@ -85,6 +92,8 @@ class Decoder:
     SettingsError, CalibrationError
         Settings and calibration contradict each other.
     """
+
+    light: LightEstimate | None = None
 
     def __init__(
         self,
@@ -126,16 +135,24 @@ class Decoder:
                     axis, period = self._geometry.phase_axis, self._geometry.pattern.period_px
                     lag = 2 * np.pi / period * calibration.color_shift_px.projector[:, axis]
         self._balance_first = self.settings.reflectance_bands == "broad"
-        # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
-        matrix = np.eye(3) if matrix is None else matrix @ np.diag(light)
-        inverse = invert_crosstalk(matrix, normalize_rows=self._balance_first)
-        self._inverse, self._matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
-        self._weights = phase_weights(inverse if self._balance_first else np.eye(3), lag).astype(np.float32)
-        # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
-        self._noise_gain = float(np.sqrt((phase_weights(inverse) ** 2).sum() / 2))
+        # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
+        # channels are to each other, which matters where the crosstalk is undone before the balance.
+        self._light_unknown = matrix is None and self._balance_first
+        self._lag = lag
+        self._own_correction: npt.NDArray[np.float32] | None = None
+        self._constant_known = matrix is not None
+        self._use_matrix(np.eye(3) if matrix is None else matrix @ np.diag(light))
         self._workspace: _Workspace | None = None
         self._last_buffers: dict[str, Any] = {}
         self.arch = runtime.init(arch)
+
+    def _use_matrix(self, matrix: npt.NDArray[np.float64]) -> None:
+        # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
+        inverse = invert_crosstalk(matrix, normalize_rows=self._balance_first)
+        self._inverse, self._matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
+        self._weights = phase_weights(inverse if self._balance_first else np.eye(3), self._lag).astype(np.float32)
+        # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
+        self._noise_gain = float(np.sqrt((phase_weights(inverse) ** 2).sum() / 2))
 
     def decode(self, image: Any, out: DecodedFrame | None = None) -> DecodedFrame:
         """Decode one frame.
@@ -188,7 +205,27 @@ class Decoder:
         if self.settings.min_modulation is None:
             modulation = max(modulation, _MODULATION_FRACTION * statistics.brightness)
         self._run(image, scale, period, intensity, modulation, frame)
+        if self._light_unknown:
+            self._light_unknown = False
+            if self._learn_light(image, scale, period, frame):
+                self._run(image, scale, period, intensity, modulation, frame)
+        frame.constant_known = self._constant_known
         return frame
+
+    def _learn_light(self, image: Any, scale: float, period: float, frame: DecodedFrame) -> bool:
+        """Learn crosstalk and response from a frame that was decoded without; return whether it told them."""
+        unwrapped = runtime.to_host(frame._buffers["unwrapped"])  # synchronises
+        mask = runtime.to_host(frame._buffers["mask"]) != 0
+        try:
+            light = estimate_light([runtime.to_host(image)], 1.0 / scale, [unwrapped], [mask], period)
+        except CalibrationError:
+            return False
+        if light.reliable:
+            self._use_matrix(light.crosstalk_matrix)
+            self._own_correction = light.correction
+            self._constant_known = light.constant_known
+        self.light = light
+        return light.reliable
 
     def _run(
         self, image: Any, scale: float, period: float, intensity: float, modulation: float, frame: DecodedFrame
@@ -226,17 +263,25 @@ class Decoder:
             triangulate_kernel(buffers["unwrapped"], self._rays, *self._projector.arguments(), buffers["points"])
 
     def _correction(self, work: _Workspace, period: float) -> npt.NDArray[np.float32]:
-        """Return what undoes the projector's response, as a table over the cycle."""
-        histogram = np.zeros(_BINS, np.int32)
-        if self.settings.equalize or (self._response is not None and self._compensated is None):
-            work.histogram.fill(0)
-            count_phases_kernel(work.raw_phase, work.histogram_step, work.histogram)
-            histogram = work.histogram.sum(axis=0)
-        if self.settings.equalize:
-            return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period)))
-        if self._response is None or (self._compensated is None and not prefers_response(histogram, self._response)):
+        """Return what undoes the projector's response, as a table over the cycle.
+
+        What is known of the response is better than the assumption that a surface shows every phase equally often.
+        """
+        if self._own_correction is not None:
+            return self._own_correction
+        if self._compensated:
             return np.zeros(2, np.float32)
-        return response_table(self._response)
+        if self._response is not None and self._compensated is False:
+            return response_table(self._response)
+        if self._response is None and not self.settings.equalize:
+            return np.zeros(2, np.float32)
+        work.histogram.fill(0)
+        count_phases_kernel(work.raw_phase, work.histogram_step, work.histogram)
+        histogram = work.histogram.sum(axis=0)
+        if self._response is None:
+            return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period)))
+        known = prefers_response(histogram, self._response)
+        return response_table(self._response) if known else np.zeros(2, np.float32)
 
     def _read_image(self, image: Any) -> tuple[Any, float]:
         """Return linear light in levels, and the factor that takes them to 0..1."""
@@ -288,7 +333,7 @@ class Decoder:
             out._forget()
             return out
         buffers = self._unused_buffers(height, width)
-        return DecodedFrame(None, 0.0, (), self._geometry is not None, vertical, buffers, self._reference)
+        return DecodedFrame(None, 0.0, (), self._geometry is not None, False, vertical, buffers, self._reference)
 
     def _unused_buffers(self, height: int, width: int) -> dict[str, Any]:
         """Return the buffers of the frame before if nobody holds it or its arrays any more, else new ones."""

@@ -42,6 +42,7 @@ def frame_report(
         "orders_are_absolute": bool(frame.absolute[frame.mask].all()) if frame.mask.any() else False,
         "range_unit": "mm" if frame.calibrated else "rad",
         "range_percentiles_1_50_99": np.percentile(values, (1, 50, 99)).tolist() if len(values) else None,
+        "phase_constant_known": frame.constant_known,
         "warnings": list(frame.warnings),
     }
 

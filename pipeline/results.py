@@ -26,6 +26,8 @@ class DecodedFrame:
     """What the user should know about this frame."""
     calibrated: bool
     """Whether `range_image` is a depth in mm."""
+    constant_known: bool
+    """Whether the phase is known, not only but for one constant: crosstalk that is not known turns it about grey."""
     _vertical: bool
     _buffers: dict[str, Any] = field(repr=False)  # stripes along the rows, on the device
     _reference: npt.NDArray[np.float32] | None = field(default=None, repr=False)

@@ -43,7 +43,9 @@ class DecodeSettings(Model):
     capture: Capture | None = None
     """How the camera stood for this footage; compared with the calibration's."""
     equalize: bool = True
-    """Whether the phase's distribution is made uniform, which undoes the projector's response."""
+    """Whether, where nothing tells the projector's response, the phase's distribution is made uniform to undo it. A
+    calibration's response is used whatever this says; so is what the first frame tells where nothing is known of the
+    light (see `Decoder`)."""
     unwrap_method: Literal["directional"] = "directional"
     smoothing_px: Annotated[int, Field(ge=0, le=33), AfterValidator(_odd_or_zero)] = 5
     """Window along the stripes; 0: none."""
