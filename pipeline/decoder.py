@@ -10,7 +10,7 @@ import numpy.typing as npt
 from pipeline.calibration import Calibration, Capture, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
 from pipeline.errors import CalibrationError, FootageError, SettingsError
-from pipeline.results import DecodedFrame
+from pipeline.results import DecodedFrame, PhaseNoise
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.balance import Gains
@@ -252,8 +252,13 @@ class Decoder:
             buffers["modulation"],
         )
         table = self._correction(work, period)
+        slope = np.gradient(table, 2 * np.pi / (len(table) - 1))
+        pairs = self.settings.smoothing_px // 2
+        frame._noise = PhaseNoise(self._noise_gain * frame.noise_levels, pairs, (1 + slope).astype(np.float32))
+        if self._geometry is not None:
+            frame._rig = (self._rays, self._projector)
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
-        smooth_phase_kernel(self.settings.smoothing_px // 2)(work.raw_phase, table, work.rates, buffers["phase"])
+        smooth_phase_kernel(pairs)(work.raw_phase, table, work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
         if self._geometry is not None:
             work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
@@ -333,7 +338,9 @@ class Decoder:
             out._forget()
             return out
         buffers = self._unused_buffers(height, width)
-        return DecodedFrame(None, 0.0, (), self._geometry is not None, False, vertical, buffers, self._reference)
+        return DecodedFrame(
+            None, 0.0, (), self._geometry is not None, False, vertical, buffers, _reference=self._reference
+        )
 
     def _unused_buffers(self, height: int, width: int) -> dict[str, Any]:
         """Return the buffers of the frame before if nobody holds it or its arrays any more, else new ones."""

@@ -4,11 +4,22 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
 from tikernels.transposing import transpose
+from tikernels.triangulation import ProjectorGeometry, triangulate
+
+
+@dataclass(frozen=True)
+class PhaseNoise:
+    """What the camera's noise does to a frame's phase."""
+
+    levels: float  # standard deviation of the phase vector across its direction, grey levels of the input
+    pairs: int  # neighbours on either side that the smoothing averages over
+    stretch: npt.NDArray[np.float32]  # by how much the response's correction stretches the phase, from -pi to pi
 
 
 @dataclass(eq=False)
@@ -30,6 +41,8 @@ class DecodedFrame:
     """Whether the phase is known, not only but for one constant: crosstalk that is not known turns it about grey."""
     _vertical: bool
     _buffers: dict[str, Any] = field(repr=False)  # stripes along the rows, on the device
+    _noise: "PhaseNoise | None" = field(default=None, repr=False)
+    _rig: tuple[Any, ProjectorGeometry] | None = field(default=None, repr=False)  # rays as the buffers lie, projector
     _reference: npt.NDArray[np.float32] | None = field(default=None, repr=False)
 
     @cached_property
@@ -72,6 +85,55 @@ class DecodedFrame:
         A single frame of a plain pattern never tells, so nothing is.
         """
         return np.zeros(self.mask.shape, np.bool_)
+
+    @cached_property
+    def phase_sigma(self) -> npt.NDArray[np.float32]:
+        """(H, W) float32: rad, one standard deviation of `wrapped_phase`; NaN outside the mask.
+
+        The camera's noise through the chain, scaled to what neighbouring rows really differ by, which also sees the
+        ripple that balance and crosstalk leave; what is the same over a whole cycle and more, as near an edge, is not
+        in it.
+        """
+        sigma = np.full(self.mask.shape, np.nan, np.float32)
+        noise = self._noise
+        if noise is not None:
+            mask = self.mask
+            reach = (1, 2 * noise.pairs + 1)
+            window = np.ones(reach[::-1] if self._vertical else reach, np.uint8)
+            # Only where all the neighbours are there does the smoothing average over all of them.
+            whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
+            averaged = np.where(whole, np.float32(1 / np.sqrt(2 * noise.pairs + 1)), np.float32(1))
+            phases = np.linspace(-np.pi, np.pi, len(noise.stretch))
+            stretch = np.interp(self.wrapped_phase[mask], phases, noise.stretch)
+            sigma[mask] = noise.levels * averaged * stretch / np.maximum(self.modulation[mask], 1e-6)
+            sigma *= max(1.0, self._scatter(sigma))
+        return sigma
+
+    def _scatter(self, sigma: npt.NDArray[np.float32]) -> float:
+        """Return by how much more than sigma rows a quarter of a cycle apart differ from a smooth surface."""
+        phase, expected = self.unwrapped_phase, sigma
+        if self._vertical:
+            phase, expected = phase.T, expected.T
+        step = max(2, round((self.period_px or 8) / 4))
+        if phase.shape[0] <= 2 * step:
+            return 1.0
+        bend = np.abs(phase[2 * step :] - 2 * phase[step:-step] + phase[: -2 * step])
+        ratio = bend / (np.sqrt(6) * expected[step:-step])
+        ratio = ratio[np.isfinite(ratio)]
+        return float(np.median(ratio) / 0.6745) if len(ratio) else 1.0
+
+    @cached_property
+    def point_sigma(self) -> npt.NDArray[np.float32] | None:
+        """(H, W) float32: mm along the pixel's ray, one standard deviation by `phase_sigma`.
+
+        None without a calibration.
+        """
+        if self.points is None or self._rig is None:
+            return None
+        step = np.float32(0.02)
+        beside = triangulate(runtime.to_host(self._buffers["unwrapped"]) + step, *self._rig)
+        beside = runtime.to_host(transpose(beside) if self._vertical else beside)
+        return np.asarray(np.linalg.norm(beside - self.points, axis=-1) / step * self.phase_sigma, np.float32)
 
     @cached_property
     def points(self) -> npt.NDArray[np.float32] | None:

@@ -20,7 +20,9 @@ FIELDS = (
     "modulation",
     "region",
     "absolute",
+    "phase_sigma",
     "points",
+    "point_sigma",
     "range_image",
 )
 

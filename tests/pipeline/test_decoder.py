@@ -283,3 +283,22 @@ def test_exported_names():
     """The names of the contract."""
     assert {"Calibration", "DecodeSettings", "Decoder"} <= set(pipeline.__all__)
     assert Calibration.model_fields.keys() >= {"camera", "projector", "rotation", "translation_mm", "pattern"}
+
+
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+def test_sigma_is_what_the_errors_are(stripes):
+    """Of the errors 68 % lie within one sigma and 95 % within two, to a few per cent; in mm as in rad."""
+    truth, calibration = simulated("plane", stripes)
+    for smoothing in (0, 5):
+        settings = DecodeSettings(
+            stripes=stripes, smoothing_px=smoothing, crosstalk_matrix=SimulationSettings().crosstalk_matrix
+        )
+        frame = Decoder(settings, calibration, arch="cpu").decode(truth.image)
+        error = np.angle(np.exp(1j * (frame.wrapped_phase - truth.phase)))[frame.mask]
+        pull = np.abs(error - np.median(error)) / frame.phase_sigma[frame.mask]
+        assert 0.60 < (pull < 1).mean() < 0.78
+        assert 0.89 < (pull < 2).mean() < 0.98
+        along = np.linalg.norm(frame.points - truth.points, axis=-1)[frame.mask]
+        if np.median(along) < 5:  # the order is right
+            assert 0.5 < np.median(along / frame.point_sigma[frame.mask]) / 0.6745 < 2
+    assert np.isnan(frame.phase_sigma[~frame.mask]).all()
