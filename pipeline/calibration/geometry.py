@@ -472,6 +472,7 @@ def _calibration(
             "projector": sigma[9:18],
             "rotation_deg": np.degrees(sigma[18:21]),
             "translation_mm": sigma[21:24],
+            "reprojection_px": (fit.camera_rms_px, fit.projector_rms_px),
             "depth_bias_mm": depth_bias_mm(p[:24], covariance, camera_size_px, axis, float(np.median(depths))),
         }
     )

@@ -99,6 +99,7 @@ class Uncertainty(Model):
     projector: Vector9 | None = None
     rotation_deg: Vector3 | None = None
     translation_mm: Vector3 | None = None
+    reprojection_px: tuple[float, float] | None = None  # RMS distance of corners from the model: camera, projector
     depth_bias_mm: Annotated[float, Field(ge=0)] | None = None  # to be expected at the middle of the board's places
 
 
