@@ -265,7 +265,8 @@ class Decoder:
         outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
         work.unwrapper.write(buffers["phase"], work.rates, *outputs)
         if self._geometry is not None:
-            triangulate_kernel(buffers["unwrapped"], self._rays, *self._projector.arguments(), buffers["points"])
+            projector = (*self._projector.arguments(), self._projector.is_distorted)
+            triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
 
     def _correction(self, work: _Workspace, period: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, as a table over the cycle.

@@ -12,7 +12,7 @@ from tikernels import _checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, f32, ti, u1
 from tikernels.equalization import equalized
 from tikernels.errors import ShapeError
-from tikernels.phase_vector import PI, wrap
+from tikernels.phase_vector import PI, STRIP, wrap
 from tikernels.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
 
 # A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends by less
@@ -28,9 +28,6 @@ NO_NEIGHBOUR = 0.5 * NO_PHASE
 _SAME_SURFACE = 0.3
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
-# Pixels of a row that one thread works on: enough threads for a GPU. A CPU does eight or sixteen at once, if the
-# thread copies them to arrays of its own first: of those alone the compiler knows that they do not overlap.
-STRIP = 32
 
 
 @cache

@@ -7,6 +7,10 @@ from tikernels._taichi import F32Array2, f32, mat3, ti, vec2, vec3
 
 PI = 3.141592653589793
 
+# Pixels of a row that one thread works on: enough threads for a GPU. A CPU does eight or sixteen at once, if the
+# thread copies them to arrays of its own first: of those alone the compiler knows that they do not overlap.
+STRIP = 32
+
 # Odd minimax polynomial for the arctangent on [-1, 1]; its error is 1.7e-6 rad, where ti.atan2 is exact but costs ten
 # times as much on the CPU.
 _ATAN = (0.999977219, -0.332622823, 0.193540349, -0.116426418, 0.0526472864, -0.0117191117)

@@ -2,7 +2,7 @@
 
 Without lens distortion that surface is a plane through the projector's centre and the meeting point is closed-form;
 with it, the row where the ray's point really lands is compared with the row that the phase names, and the plane is
-moved by the difference, five times: each turn leaves a few per cent of the error.
+moved by the difference over the distortion's slope, twice: that leaves 5 um at most, of 900 mm, for k1 up to 0.3.
 """
 
 from typing import Any, NamedTuple
@@ -11,8 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array2, F32Array3, f32, i32, mat3, ti, vec3, vec5
-from tikernels.phase_vector import PI
+from tikernels._taichi import F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
+from tikernels.phase_vector import PI, STRIP
+
+strip_of = ti.types.vector(STRIP, ti.f32)
 
 
 class ProjectorGeometry(NamedTuple):
@@ -25,6 +27,11 @@ class ProjectorGeometry(NamedTuple):
     distortion: npt.NDArray[np.float64]  # 5, OpenCV's
     period_px: float  # projector px a cycle
     axis: int  # 0: the phase changes with the column, 1: with the row
+
+    @property
+    def is_distorted(self) -> bool:
+        """Whether its lens bends the surfaces of equal phase."""
+        return bool(np.any(self.distortion))
 
     def arguments(self) -> tuple[Any, ...]:
         """Return the kernel arguments, in order."""
@@ -52,19 +59,34 @@ def projected(q: vec3, focal: f32, center: f32, lens: vec5, axis: i32) -> f32:
 
 @ti.func
 def ray_depth(
-    ray: vec3, row: f32, rotation: mat3, translation: vec3, focal: f32, center: f32, lens: vec5, axis: i32
+    ray: vec3,
+    row: f32,
+    rotation: mat3,
+    translation: vec3,
+    focal: f32,
+    center: f32,
+    lens: vec5,
+    axis: Static,
+    distorted: Static,
 ) -> f32:
     """Depth (mm) at which a ray of unit depth meets a projector row; not positive where it does not."""
     direction = rotation @ ray
-    along, offset = direction.y, translation.y
-    if axis == 0:
-        along, offset = direction.x, translation.x
-    slope = (row - center) / focal
+    along, offset = direction[axis], translation[axis]
+    named = (row - center) / focal
+    slope = named
     depth = (slope * translation.z - offset) / (along - slope * direction.z)
-    if ti.abs(lens[0]) + ti.abs(lens[1]) + ti.abs(lens[2]) + ti.abs(lens[3]) + ti.abs(lens[4]) > 0.0:
-        for _ in range(5):
-            landed = projected(depth * direction + translation, focal, center, lens, axis)
-            slope += (row - landed) / focal
+    if ti.static(distorted):
+        for _ in ti.static(range(2)):
+            q = depth * direction + translation
+            inverse = 1.0 / q.z
+            a, b = q[1 - axis] * inverse, q[axis] * inverse
+            r2 = a * a + b * b
+            radial = r2 * (lens[0] + r2 * (lens[1] + r2 * lens[4]))
+            across, along_axis = lens[2 + axis], lens[3 - axis]
+            landed = b * (1.0 + radial) + 2.0 * across * a * b + along_axis * (r2 + 2.0 * b * b)
+            # By how much less the plane must move: one over the distortion's slope along the axis, to second order.
+            steeper = radial + 2.0 * b * b * (lens[0] + r2 * (2.0 * lens[1] + 3.0 * r2 * lens[4]))
+            slope += (named - landed) * (1.0 - steeper + steeper * steeper)
             depth = (slope * translation.z - offset) / (along - slope * direction.z)
     return depth
 
@@ -79,22 +101,28 @@ def triangulate_kernel(
     center: f32,
     lens: vec5,
     period: f32,
-    axis: i32,
+    axis: Static,
+    distorted: Static,
     out_points: F32Array3,  # (H, W, 3) mm
 ):
     height, width = unwrapped_phase.shape[0], unwrapped_phase.shape[1]
-    for pixel in range(height * width):
-        y, x = pixel // width, pixel % width
-        phase = unwrapped_phase[y, x]
-        point = vec3(ti.math.nan)
-        if not ti.math.isnan(phase):
-            ray = vec3(rays[y, x, 0], rays[y, x, 1], 1.0)
-            row = phase * (period / (2.0 * PI))
-            depth = ray_depth(ray, row, rotation, translation, focal, center, lens, axis)
-            if depth > 0.0:
-                point = depth * ray
-        for k in ti.static(range(3)):
-            out_points[y, x, k] = point[k]
+    strips = (width + STRIP - 1) // STRIP
+    for t in range(height * strips):
+        y, first = t // strips, (t % strips) * STRIP
+        count = ti.min(STRIP, width - first)
+        row, right, down, depths = strip_of(0.0), strip_of(0.0), strip_of(0.0), strip_of(0.0)
+        for k in range(count):
+            row[k] = unwrapped_phase[y, first + k] * (period / (2.0 * PI))
+            right[k], down[k] = rays[y, first + k, 0], rays[y, first + k, 1]
+        for k in range(STRIP):
+            ray = vec3(right[k], down[k], 1.0)
+            depth = ray_depth(ray, row[k], rotation, translation, focal, center, lens, axis, distorted)
+            # Neither without a phase, which makes it NaN, nor behind the camera.
+            depths[k] = ti.select(depth > 0.0, depth, ti.math.nan)
+        for k in range(count):
+            out_points[y, first + k, 0] = depths[k] * right[k]
+            out_points[y, first + k, 1] = depths[k] * down[k]
+            out_points[y, first + k, 2] = depths[k]
 
 
 def triangulate(unwrapped_phase: Any, rays: Any, projector: ProjectorGeometry, out: Any | None = None) -> Any:
@@ -126,5 +154,5 @@ def triangulate(unwrapped_phase: Any, rays: Any, projector: ProjectorGeometry, o
     shape = (int(unwrapped_phase.shape[0]), int(unwrapped_phase.shape[1]))
     rays = _checks.read_array("rays", rays, (*shape, 2), np.float32)
     out = _checks.out_array("out", out, (*shape, 3), np.float32)
-    triangulate_kernel(unwrapped_phase, rays, *projector.arguments(), out)
+    triangulate_kernel(unwrapped_phase, rays, *projector.arguments(), projector.is_distorted, out)
     return out

@@ -29,7 +29,7 @@ from tikernels._taichi import (
     vec5,
 )
 from tikernels.errors import ShapeError
-from tikernels.filtering import MAX_DEPARTURE, STRIP, measure_rates_kernel, rates_buffer
+from tikernels.filtering import MAX_DEPARTURE, measure_rates_kernel, rates_buffer
 from tikernels.patches import (
     BETWEEN,
     CELL_HEIGHT,
@@ -63,7 +63,7 @@ from tikernels.patches import (
     number_patches_kernel,
     patch_number,
 )
-from tikernels.phase_vector import PI
+from tikernels.phase_vector import PI, STRIP
 from tikernels.transposing import transpose
 from tikernels.triangulation import ProjectorGeometry, projected
 from tikernels.wrapped_phase import mark_no_phase_kernel

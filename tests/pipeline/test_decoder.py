@@ -6,6 +6,7 @@ import pytest
 import pipeline
 import tikernels
 from pipeline import Calibration, Decoder, DecodeSettings, DecodeWarning
+from pipeline.calibration import ColorShift
 from pipeline.errors import CalibrationError, FootageError, SettingsError
 from pipeline.report import measure_against_truth
 from pipeline.simulate import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
@@ -302,3 +303,23 @@ def test_sigma_is_what_the_errors_are(stripes):
         if np.median(along) < 5:  # the order is right
             assert 0.5 < np.median(along / frame.point_sigma[frame.mask]) / 0.6745 < 2
     assert np.isnan(frame.phase_sigma[~frame.mask]).all()
+
+
+def test_lateral_colour_is_undone():
+    """Half a pixel in the camera and one in the projector bend the phase by 0.2 rad; known, they do not."""
+    tikernels.init("cpu")
+    camera = np.array([[0.1, -0.5], [0.0, 0.0], [-0.1, 0.5]])
+    projector = np.array([[0.3, -0.6], [0.0, 0.0], [-0.3, 0.6]])
+    rig = simulated_rig()
+    settings = SimulationSettings(scene="plane", gamma=1.0, camera_shift_px=camera, projector_shift_px=-projector)
+    truth = simulate_frame(rig, settings)
+    errors = []
+    for shift in (None, ColorShift(camera=camera, projector=-projector)):
+        known = rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix, "color_shift_px": shift})
+        # Equalisation would hide it.
+        frame = Decoder(DecodeSettings(equalize=False), known, arch="cpu").decode(truth.image)
+        inside = (slice(8, -8), slice(8, -8))
+        error = np.exp(1j * (frame.wrapped_phase - truth.phase)[inside][frame.mask[inside]])
+        errors.append(np.sqrt((np.angle(error / error.mean()) ** 2).mean()))
+    assert errors[0] > 0.1
+    assert errors[1] < 0.03

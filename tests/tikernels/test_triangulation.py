@@ -35,7 +35,7 @@ def test_as_the_twin(arch, stripes, distorted):
     rays, projector = rig(stripes, distorted)
     phase = phase_of(bumpy_points(rays), projector).astype(np.float32)
     found = tikernels.triangulate(phase, rays, projector)
-    # A micrometre is what float32 leaves of 900 mm; a hundredth of what the best phase gives.
+    # A micrometre is what float32 and two turns leave of 900 mm; a hundredth of what the best phase gives.
     np.testing.assert_allclose(found, reference.triangulate(phase, rays, projector), atol=2e-3)
 
 
