@@ -236,9 +236,8 @@ class Decoder:
         if self._workspace is None or self._workspace.key != key:
             self._workspace = _Workspace(*key)
         work, buffers = self._workspace, frame._buffers
-        gains = work.gains.measure(
-            image, scale, self._inverse, self._matrix, intensity, modulation, balance_first=self._balance_first
-        )
+        light = (image, scale, self._inverse, self._matrix, intensity, modulation)
+        gains = work.gains.measure(*light, balance_first=self._balance_first, lag=self._lag)
         recover_phase_kernel(self._balance_first)(
             image,
             1.0 / scale,

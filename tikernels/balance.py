@@ -17,7 +17,7 @@ from tikernels import _checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, i32, mat3, ti, vec3
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.errors import ShapeError
-from tikernels.phase_vector import matrix_of, phase_vector
+from tikernels.phase_vector import channel_waves, matrix_of
 
 # Window across and along the stripes, as a standard deviation in cycles: at 0.85 cycles a Gaussian passes 1e-6 of the
 # fringe; wider ones blur the reflectance without gaining anything.
@@ -67,19 +67,23 @@ class Gains:
         *,
         balance_first: bool,
         phase_aware: bool = True,
+        lag: npt.NDArray[np.float64] | None = None,
     ) -> Any:
         """Measure the gains of one frame; see `balance_color`.
 
         `inverse` undoes the crosstalk `matrix`; with `balance_first` the gains belong to the camera's channels, before
-        it, otherwise to the projector's, after it. The thresholds are in linear light.
+        it, otherwise to the projector's, after it. The thresholds are in linear light. `lag` is how far the fringe of
+        each colour lags behind its place, rad.
         """
         inverse, matrix = inverse.astype(np.float32), matrix.astype(np.float32)
         sum_blocks, predict_blocks = _block_kernels(balance_first)
         sum_blocks(image, scale, inverse, min_intensity, self.rows, self.sums)
         smooth_blocks_kernel(self.sums, self.taps_across, self.taps_along, 3, self.half, self.gains)
         if phase_aware:
-            args = (image, scale, inverse, matrix, self.gains, self.rows, min_intensity, min_modulation)
-            predict_blocks(*args, self.visibility, self.sums)
+            waves = channel_waves(lag)
+            of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
+            args = (image, scale, inverse, matrix, of_phase, to_phase, self.gains, self.rows)
+            predict_blocks(*args, min_intensity, min_modulation, self.visibility, self.sums)
             smooth_blocks_kernel(self.sums, self.taps_across, self.taps_along, 6, self.half, self.gains)
         return self.gains
 
@@ -163,6 +167,8 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
         scale: f32,
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
         crosstalk_matrix: F32Array2,  # (3, 3)
+        channel_matrix: F32Array2,  # (3, 3) `channel_waves`
+        phase_matrix: F32Array2,  # (3, 3) its inverse
         gains: F32Array3,  # (Hg, Wg, 3) of the first look
         rows: i32,
         min_intensity: f32,
@@ -173,16 +179,16 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
         height, width, columns = image.shape[0], image.shape[1], 2 * rows
         sparse_rows = visibility.shape[0] - 1
         for i in range(sparse_rows):
-            inverse = matrix_of(inverse_matrix)
+            inverse, to_phase = matrix_of(inverse_matrix), matrix_of(phase_matrix)
             modulation_sum, background_sum = 0.0, 0.0
             for j in range(width // _SPARSE):
                 y, x = i * _SPARSE, j * _SPARSE
                 light = light_at(image, scale, y, x)
-                vector, background = phase_vector(balanced(light, gain_at(gains, columns, y, x), inverse))
-                modulation = vector.norm()
+                wave = to_phase @ balanced(light, gain_at(gains, columns, y, x), inverse)
+                modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
                 if light.sum() > 3.0 * min_intensity and modulation > min_modulation:
                     modulation_sum += modulation
-                    background_sum += background
+                    background_sum += wave.x
             visibility[i, 0] = modulation_sum
             visibility[i, 1] = background_sum
         # One thread adds the rows up in order, so that the sum is the same every time.
@@ -196,6 +202,7 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
         for block in range(out_sums.shape[0] * out_sums.shape[1]):
             i, j = block // out_sums.shape[1], block % out_sums.shape[1]
             inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
+            of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
             seen, predicted = vec3(0.0), vec3(0.0)
             contrast = visibility[sparse_rows, 0]
             # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
@@ -206,13 +213,12 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
                 x = j * columns + (y & 1) * rows
                 if x < width:
                     light = light_at(image, scale, y, x)
-                    vector, background = phase_vector(balanced(light, gain, inverse))
-                    modulation = vector.norm()
+                    wave = to_phase @ balanced(light, gain, inverse)
+                    modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
                     if light.sum() > 3.0 * min_intensity and modulation > min_modulation:
-                        # cos(phase + d) of the three channels, from the phase vector itself: no arctangent needed.
-                        c, s = vector.x / modulation, vector.y / modulation
-                        third = 0.8660254 * s
-                        model = background * (1.0 + contrast * vec3(-0.5 * c + third, c, -0.5 * c - third))
+                        # Cosine and sine of the phase come from the phase vector itself: no arctangent needed.
+                        share = contrast / modulation
+                        model = wave.x * (of_phase @ vec3(1.0, share * wave.y, share * wave.z))
                         if ti.static(balance_first):
                             model = matrix @ model
                         seen += unbalanced(light, inverse)

@@ -3,6 +3,9 @@
 Shared by every stage that looks at the phase of a pixel.
 """
 
+import numpy as np
+import numpy.typing as npt
+
 from tikernels._taichi import F32Array2, f32, mat3, ti, vec2, vec3
 
 PI = 3.141592653589793
@@ -38,6 +41,18 @@ def arctangent(y: f32, x: f32) -> f32:
     s = ratio * ratio
     angle = ratio * (_ATAN[0] + s * (_ATAN[1] + s * (_ATAN[2] + s * (_ATAN[3] + s * (_ATAN[4] + s * _ATAN[5])))))
     return with_sign_of(ti.max(0.5 * PI - with_sign_of(0.25 * PI, x) - angle, 0.0), y)
+
+
+def channel_waves(lag: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float64]:
+    """Return the (3, 3) matrix that makes R, G, B of a, b cos phi and b sin phi.
+
+    Parameters
+    ----------
+    lag : (3,), optional
+        How far the fringe of R, G, B lags behind its place, rad: the projector's lateral colour.
+    """
+    angles = np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag)
+    return np.stack([np.ones(3), np.cos(angles), -np.sin(angles)], axis=1)
 
 
 @ti.func

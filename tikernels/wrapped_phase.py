@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, U8Array2, f32, i32, ti, vec3
-from tikernels.phase_vector import arctangent, matrix_of, phase_vector
+from tikernels.phase_vector import arctangent, channel_waves, matrix_of, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
@@ -39,12 +39,9 @@ def phase_weights(
     inverse : (3, 3)
         Undoes the crosstalk.
     lag : (3,), optional
-        How far the fringe of R, G, B lags behind its place, rad: the projector's lateral colour.
+        See `channel_waves`.
     """
-    angles = np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag)
-    # Columns: what a, b cos phi and b sin phi give each channel.
-    channels = np.stack([np.ones(3), np.cos(angles), -np.sin(angles)], axis=1)
-    weights: npt.NDArray[np.float64] = np.linalg.inv(channels)[[1, 2, 0]] @ inverse
+    weights: npt.NDArray[np.float64] = np.linalg.inv(channel_waves(lag))[[1, 2, 0]] @ inverse
     weights[2] = 0
     return weights
 

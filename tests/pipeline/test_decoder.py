@@ -311,10 +311,10 @@ def test_lateral_colour_is_undone():
     camera = np.array([[0.1, -0.5], [0.0, 0.0], [-0.1, 0.5]])
     projector = np.array([[0.3, -0.6], [0.0, 0.0], [-0.3, 0.6]])
     rig = simulated_rig()
-    settings = SimulationSettings(scene="plane", gamma=1.0, camera_shift_px=camera, projector_shift_px=-projector)
+    settings = SimulationSettings(scene="plane", gamma=1.0, camera_shift_px=camera, projector_shift_px=projector)
     truth = simulate_frame(rig, settings)
     errors = []
-    for shift in (None, ColorShift(camera=camera, projector=-projector)):
+    for shift in (None, ColorShift(camera=camera, projector=projector)):
         known = rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix, "color_shift_px": shift})
         # Equalisation would hide it.
         frame = Decoder(DecodeSettings(equalize=False), known, arch="cpu").decode(truth.image)
