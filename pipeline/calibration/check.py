@@ -2,14 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.calibration.board_free import estimate_light
 from pipeline.calibration.captures import Picture
-from pipeline.calibration.model import Calibration, Geometry
+from pipeline.calibration.doctor import Diagnosis
+from pipeline.calibration.model import Calibration, Capture, Geometry
 from pipeline.calibration.multishot import decode_multishot
 from pipeline.errors import CalibrationError
 from pipeline.results import DecodedFrame
@@ -244,3 +246,50 @@ def _predicted_bias(calibration: Calibration) -> float:
     if calibration.uncertainty is None or calibration.uncertainty.depth_bias_mm is None:
         return 0.0
     return calibration.uncertainty.depth_bias_mm
+
+
+def corrected_light(
+    calibration: Calibration, diagnosis: Diagnosis, image: Picture, white_level: float, frame: DecodedFrame
+) -> Calibration:
+    """Return the calibration with what a frame tells of the light in place of what it held.
+
+    Crosstalk and response are estimated anew from the frame, where they or what passes for them were found at fault. A
+    transfer is set. What needs more than a frame (lateral colour, motion, a black level) stays, as the advice says.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The one at fault.
+    diagnosis : Diagnosis
+        What was found.
+    image : (H, W, 3)
+        The frame's picture, levels.
+    white_level : float
+        Full scale.
+    frame : DecodedFrame
+        The frame, decoded.
+
+    Raises
+    ------
+    CalibrationError
+        Nothing is at fault that a frame could correct, or the frame tells too little.
+    """
+    causes = {cause for finding in diagnosis.findings for cause in finding.causes}
+    if "transfer" in causes:
+        stood = calibration.capture or Capture()
+        was_srgb = isinstance(stood.transfer, str) and stood.transfer == "srgb"
+        changed = stood.model_copy(update={"transfer": "linear" if was_srgb else "srgb"})
+        return calibration.model_copy(update={"capture": changed})
+    if not causes & {"response", "crosstalk", "even crosstalk"}:
+        raise CalibrationError("no fault was found that one frame can correct: do what the check advises")
+    light = estimate_light([image], white_level, [frame.unwrapped_phase], [frame.mask], frame.period_px or 0.0)
+    if not light.reliable:
+        raise CalibrationError("the frame tells too little of the light to correct it: capture a larger smooth surface")
+    update: dict[str, Any] = {
+        "crosstalk_matrix": light.crosstalk_matrix,
+        "response": np.tile(light.response, (3, 1)),
+    }
+    if calibration.pattern is not None:
+        # The response that a frame shows is what the pattern has not undone.
+        update["pattern"] = calibration.pattern.model_copy(update={"compensated": False})
+    return calibration.model_copy(update=update)

@@ -1,7 +1,8 @@
 """`colorphase calibrate ...`: parse, call, say what was found."""
 
+import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import App, Parameter
@@ -21,6 +22,9 @@ from pipeline.calibration.radiometry import (
 )
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.models import build
+
+if TYPE_CHECKING:
+    from pipeline.calibration.check import Measure
 
 _out = Console()
 
@@ -204,6 +208,96 @@ def geometry(
     for line in (*refused, *(f"{name} left out: {reason}" for name, reason in found.left_out)):
         _say(f"note: {line}")
     _say(f"wrote {target}")
+
+
+@calibrate.command
+def check(
+    capture: Path,
+    /,
+    *,
+    calibration: Path,
+    shape: Literal["plane", "ball"] | None = None,
+    radius_mm: float | None = None,
+    settings: Path | None = None,
+    fix: Path | None = None,
+    arch: Literal["auto", "cpu", "vulkan", "cuda", "metal"] = "auto",
+    force: bool = False,
+) -> None:
+    """Ask whether a calibration still holds, and why a surface is wavy.
+
+    Example: colorphase calibrate check ball.png --calibration calibration.json --shape ball --radius-mm 40
+
+    Parameters
+    ----------
+    capture
+        A picture of a smooth surface under the pattern; or a folder with the captures that geometry is measured from,
+        of anything, for the epipolar error.
+    calibration
+        The calibration in doubt.
+    shape
+        What was captured, to be compared with a perfect one.
+    radius_mm
+        The ball's true radius.
+    settings
+        TOML file of decoding settings.
+    fix
+        Write a calibration with what the picture tells of the light corrected.
+    arch
+        Where to compute.
+    force
+        Replace an existing calibration.
+    """
+    from pipeline.calibration.check import check_epipolar, check_surface, corrected_light
+    from pipeline.calibration.doctor import diagnose
+    from pipeline.decoder import Decoder
+    from pipeline.picture import read_picture
+    from pipeline.settings import DecodeSettings
+    from tikernels.linearization import WHITE_LEVELS
+
+    known = Calibration.read(calibration)
+    if capture.is_dir():
+        names = multishot_sequence(known.geometry().projector.size_px).names
+        _say_measures((check_epipolar(CapturedFolder(capture, names), known, str(capture)),))
+        return
+    if fix is not None:
+        _check_target(fix, force)
+    chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
+    if chosen.stripes != (known.pattern or chosen).stripes and "stripes" not in chosen.model_fields_set:
+        chosen = chosen.model_copy(update={"stripes": (known.pattern or chosen).stripes})
+    image = read_picture(capture)
+    frame = Decoder(chosen, known, arch=arch).decode(image)
+    if not frame.mask.any():  # the warning has said why
+        sys.exit(1)
+    if shape is not None:
+        _say_measures(check_surface(frame, known, shape, radius_mm).measures)
+    white = chosen.white_level or WHITE_LEVELS[image.dtype.name]
+    transfer: Literal["linear", "srgb"] = "linear"
+    if known.capture is not None and isinstance(known.capture.transfer, str) and known.capture.transfer == "srgb":
+        transfer = "srgb"
+    matrix = known.crosstalk_matrix if chosen.crosstalk_matrix is None else chosen.crosstalk_matrix
+    found = diagnose(image, white, frame.unwrapped_phase, frame.mask, matrix, transfer)
+    if not found.findings:
+        _say("ripple: " + (found.notes[0] if np.isnan(found.limit_rad) else "fine"))
+    for finding in found.findings:
+        worst = max(finding.ripple_rad, key=lambda harmonic: finding.ripple_rad[harmonic])
+        _say(
+            f"ripple: {' or '.join(finding.causes)} ({finding.size}; {finding.ripple_rad[worst]:.3f} rad in harmonic "
+            f"{worst}, confidence {finding.confidence:.0%}): {finding.advice}"
+        )
+    if fix is not None:
+        corrected = corrected_light(known, found, image, white, frame)
+        corrected.write(fix, force=force)
+        _say(f"wrote {fix}")
+
+
+def _say_measures(measures: "tuple[Measure, ...]") -> None:
+    table = Table("figure", "measured", "predicted", "")
+    for measure in measures:
+        verdict = "fine" if measure.fine else "re-calibrate"
+        table.add_row(
+            measure.name, f"{measure.measured:.3f} {measure.unit}", f"{measure.predicted:.3f} {measure.unit}", verdict
+        )
+    _out.print(table)
 
 
 def chosen_board(kind: str, squares: str, square_mm: float, marker_mm: float | None, dictionary: str) -> Board:

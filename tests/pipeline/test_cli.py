@@ -153,3 +153,42 @@ def test_help_has_an_example(folder, command):
     done = colorphase(command, "--help", cwd=folder)
     assert done.returncode == 0
     assert f"Example: colorphase {command}" in done.stdout
+
+
+def test_check_and_fix(folder):
+    """A flat plane is fine; a calibration without its crosstalk is named and mended; nothing is overwritten."""
+    runtime.init("cpu")
+    truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
+    write_png(folder / "plane.png", truth.image)
+    truth.rig.model_copy(update={"crosstalk_matrix": np.eye(3)}).write(folder / "old.json")
+    arguments = ("calibrate", "check", "plane.png", "--calibration", "old.json", "--arch", "cpu")
+    done = colorphase(*arguments, "--shape", "plane", "--fix", "new.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "flatness" in done.stdout and "crosstalk" in done.stdout and "response" in done.stdout
+    matrix = np.array(json.loads((folder / "new.json").read_text())["crosstalk_matrix"])
+    np.testing.assert_allclose(matrix.sum(axis=1), 1, atol=1e-6)
+    assert 0.05 < matrix[1, 0] < 0.15
+    done = colorphase(*arguments, "--fix", "new.json", cwd=folder)
+    assert done.returncode == 1 and "exists already" in done.stderr and "Traceback" not in done.stderr
+    done = colorphase(*arguments[:2], "nothing.png", *arguments[3:], cwd=folder)
+    assert done.returncode == 1 and "cannot read nothing.png" in done.stderr
+
+
+def test_radiometry_command(folder):
+    """Pictures out, captures in: here of a perfect camera that sees a third of the light."""
+    done = colorphase("calibrate", "radiometry", "--make", "ramps", "--size", "64x48", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    for path in sorted((folder / "ramps").glob("*.png")):
+        write_png(path, (0.3 * read_picture(path) + 20).astype(np.uint8))
+    done = colorphase("calibrate", "radiometry", "ramps", "--out", "light.json", "--exposure-s", "0.01", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "camera's transfer: linear" in done.stdout and (folder / "light-radiometry.png").exists()
+    done = colorphase("pattern", "bright.png", "--calibration", "light.json", cwd=folder)
+    assert done.returncode == 0 and json.loads((folder / "bright.json").read_text())["compensated"] is True
+    done = colorphase("calibrate", "radiometry", "ramps", "--out", "light.json", cwd=folder)
+    assert done.returncode == 1 and "exists already" in done.stderr
+    (folder / "ramps" / "07-red-112.png").unlink()
+    done = colorphase("calibrate", "radiometry", "ramps", "--out", "other.json", cwd=folder)
+    assert done.returncode == 1 and "07-red-112.png" in done.stderr and not (folder / "other.json").exists()
+    done = colorphase("pattern", "board.pdf", "--board", "charuco", "--squares", "9x6", cwd=folder)
+    assert done.returncode == 0 and (folder / "board.pdf").read_bytes().startswith(b"%PDF")
