@@ -13,7 +13,7 @@ from pipeline.calibration.board import Board
 from pipeline.calibration.captures import CapturedFolder, write_sequence
 from pipeline.calibration.geometry import MIN_POSES, GeometryFit, measure_pose, solve_geometry
 from pipeline.calibration.model import Calibration, Capture, Pattern, Uncertainty
-from pipeline.calibration.multishot import multishot_codes, multishot_sequence
+from pipeline.calibration.multishot import WHITE, multishot_codes, multishot_sequence
 from pipeline.calibration.radiometry import (
     measure_radiometry,
     plot_radiometry,
@@ -25,6 +25,7 @@ from pipeline.models import build
 
 if TYPE_CHECKING:
     from pipeline.calibration.check import Measure
+    from pipeline.calibration.doctor import Finding
 
 _out = Console()
 
@@ -230,8 +231,8 @@ def check(
     Parameters
     ----------
     capture
-        A picture of a smooth surface under the pattern; or a folder with the captures that geometry is measured from,
-        of anything, for the epipolar error.
+        A picture of a smooth surface under the pattern; a folder of frames, one after another, for beat and motion; or
+        a folder with the captures that geometry is measured from, of anything, for the epipolar error.
     calibration
         The calibration in doubt.
     shape
@@ -249,45 +250,65 @@ def check(
     """
     from pipeline.calibration.check import check_epipolar, check_surface, corrected_light
     from pipeline.calibration.doctor import diagnose
+    from pipeline.calibration.sequence_doctor import diagnose_sequence
     from pipeline.decoder import Decoder
     from pipeline.picture import read_picture
     from pipeline.settings import DecodeSettings
-    from tikernels.linearization import WHITE_LEVELS
+    from tikernels.linearization import WHITE_LEVELS, linearize
 
     known = Calibration.read(calibration)
-    if capture.is_dir():
+    if (capture / f"{WHITE}.png").exists():
         names = multishot_sequence(known.geometry().projector.size_px).names
         _say_measures((check_epipolar(CapturedFolder(capture, names), known, str(capture)),))
         return
     if fix is not None:
         _check_target(fix, force)
     chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
-    if chosen.stripes != (known.pattern or chosen).stripes and "stripes" not in chosen.model_fields_set:
-        chosen = chosen.model_copy(update={"stripes": (known.pattern or chosen).stripes})
+    if known.pattern is not None and "stripes" not in chosen.model_fields_set:
+        chosen = chosen.model_copy(update={"stripes": known.pattern.stripes})
+    decoder = Decoder(chosen, known, arch=arch)
+    stood = known.capture.transfer if known.capture is not None else None
+    transfer = chosen.transfer if "transfer" in chosen.model_fields_set or stood is None else stood
+    if capture.is_dir():
+        paths = sorted(path for path in capture.iterdir() if path.suffix.lower() in (".png", ".tif", ".tiff", ".jpg"))
+        pictures = [read_picture(path) for path in paths]
+        frames = [decoder.decode(picture) for picture in pictures]
+        light = [linearize(picture, transfer, chosen.white_level) for picture in pictures]
+        place = known.geometry() if known.has_geometry else None
+        phases, masks = [frame.unwrapped_phase for frame in frames], [frame.mask for frame in frames]
+        findings = diagnose_sequence(light, 1.0, phases, masks, place)
+        _say_findings(findings, f"{len(pictures)} frames: fine, or too few to tell (at least 12)")
+        return
     image = read_picture(capture)
-    frame = Decoder(chosen, known, arch=arch).decode(image)
+    frame = decoder.decode(image)
     if not frame.mask.any():  # the warning has said why
         sys.exit(1)
     if shape is not None:
         _say_measures(check_surface(frame, known, shape, radius_mm).measures)
     white = chosen.white_level or WHITE_LEVELS[image.dtype.name]
-    transfer: Literal["linear", "srgb"] = "linear"
-    if known.capture is not None and isinstance(known.capture.transfer, str) and known.capture.transfer == "srgb":
-        transfer = "srgb"
+    named: Literal["linear", "srgb"] = "linear"
+    if isinstance(transfer, str) and transfer == "srgb":
+        named = "srgb"
+    elif not isinstance(transfer, str) or transfer != "linear":
+        image, white = linearize(image, transfer, white), 1.0
     matrix = known.crosstalk_matrix if chosen.crosstalk_matrix is None else chosen.crosstalk_matrix
-    found = diagnose(image, white, frame.unwrapped_phase, frame.mask, matrix, transfer)
-    if not found.findings:
-        _say("ripple: " + (found.notes[0] if np.isnan(found.limit_rad) else "fine"))
-    for finding in found.findings:
+    found = diagnose(image, white, frame.unwrapped_phase, frame.mask, matrix, named)
+    _say_findings(found.findings, found.notes[0] if np.isnan(found.limit_rad) else "fine")
+    if fix is not None:
+        straight, full = (linearize(image, "srgb", white), 1.0) if named == "srgb" else (image, white)
+        corrected_light(known, found, straight, full, frame).write(fix, force=force)
+        _say(f"wrote {fix}")
+
+
+def _say_findings(findings: "tuple[Finding, ...]", otherwise: str) -> None:
+    if not findings:
+        _say(f"ripple: {otherwise}")
+    for finding in findings:
         worst = max(finding.ripple_rad, key=lambda harmonic: finding.ripple_rad[harmonic])
         _say(
             f"ripple: {' or '.join(finding.causes)} ({finding.size}; {finding.ripple_rad[worst]:.3f} rad in harmonic "
             f"{worst}, confidence {finding.confidence:.0%}): {finding.advice}"
         )
-    if fix is not None:
-        corrected = corrected_light(known, found, image, white, frame)
-        corrected.write(fix, force=force)
-        _say(f"wrote {fix}")
 
 
 def _say_measures(measures: "tuple[Measure, ...]") -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 
@@ -170,6 +171,11 @@ def test_check_and_fix(folder):
     assert 0.05 < matrix[1, 0] < 0.15
     done = colorphase(*arguments, "--fix", "new.json", cwd=folder)
     assert done.returncode == 1 and "exists already" in done.stderr and "Traceback" not in done.stderr
+    (folder / "many").mkdir()
+    for k in range(12):
+        shutil.copy(folder / "frame.png", folder / "many" / f"{k:02d}.png")
+    done = colorphase(*arguments[:2], "many", "--calibration", "calibration.json", cwd=folder)
+    assert done.returncode == 0 and "12 frames: fine" in done.stdout, done.stderr
     done = colorphase(*arguments[:2], "nothing.png", *arguments[3:], cwd=folder)
     assert done.returncode == 1 and "cannot read nothing.png" in done.stderr
 
