@@ -47,6 +47,7 @@ _SIGMA_CYCLES = 0.6
 _FLOOR = 0.1
 _TRUE = np.linspace(-np.pi, np.pi, 720, endpoint=False)
 _MIN_PIXELS, _MIN_CYCLES = 300, 4.0
+_SAMPLES = 50000
 # What is usual: a turn of the phase, rad, and how far a_3, a_4, a_5 over a_1 depart from a power law's.
 _TURN_PRIOR, _RESPONSE_PRIOR = 0.1, 0.03
 # A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown.
@@ -127,8 +128,11 @@ class _Frame:
     ) -> None:
         valid = mask.astype(bool) & np.isfinite(phase)
         change = [np.nanmedian(np.abs(np.diff(np.where(valid, phase, np.nan), axis=axis))) for axis in (0, 1)]
-        # Skip pixels, mostly along the stripes: averaging them would dampen the harmonics.
-        steps = [max(1, int(period_px / (16 if c == max(change) else 4))) for c in change]
+        # Skip pixels, mostly along the stripes: averaging them would dampen the harmonics. Beyond so many samples more
+        # of them only cost time.
+        across = max(1, int(period_px / 16))
+        along = max(1, int(period_px / 4), min(int(period_px / 2), mask.size // (across * _SAMPLES)))
+        steps = [across if c == max(change) else along for c in change]
         part = np.s_[:: steps[0], :: steps[1]]
         self.light = image[part].astype(np.float32) / np.float32(white_level)
         self.mask = valid[part] & (self.light.max(-1) < 0.995)

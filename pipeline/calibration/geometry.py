@@ -232,12 +232,17 @@ def solve_geometry(
     kept = _without_repeats(poses, camera_size_px, left_out)
     while True:
         _need(kept, left_out)
-        fit = _Bundle(kept, camera_size_px, projector_size_px)
-        fit.refine()
+        try:
+            fit = _Bundle(kept, camera_size_px, projector_size_px)
+            fit.refine()
+        except (cv2.error, np.linalg.LinAlgError):
+            raise CalibrationError(
+                "no lens fits these poses: tilt the board by 15-35 deg, a different way in each pose, and fill the view"
+            ) from None
         errors = fit.pose_errors_px()
         worst = int(np.argmax(errors))
         limit = max(_OUTLIER * float(np.median(errors)), _OUTLIER_PX)
-        if errors[worst] <= limit or len(kept) <= MIN_POSES // 2:
+        if errors[worst] <= limit:
             break
         left_out.append(
             (kept[worst].name, f"its corners lie {errors[worst]:.2f} px off, others {np.median(errors):.2f}")
@@ -347,7 +352,7 @@ class _Bundle:
             self.used = [np.asarray((np.abs(r) < limit).all(axis=(1, 2))) for r in residuals]
 
     def _descend(self) -> None:
-        damping, cost = 1e-3, np.inf
+        damping, cost, best = 1e-3, np.inf, self.parameters
         for _ in range(60):
             normal, gradient, now = self._normal_equations()
             if now < cost:
