@@ -264,7 +264,7 @@ class Decoder:
         outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
         work.unwrapper.write(buffers["phase"], work.rates, *outputs)
         if self._geometry is not None:
-            projector = (*self._projector.arguments(), self._projector.is_distorted)
+            projector = self._projector.arguments()
             triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
 
     def _correction(self, work: _Workspace, period: float) -> npt.NDArray[np.float32]:

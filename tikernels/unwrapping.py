@@ -15,6 +15,7 @@ import numpy as np
 
 from tikernels import _checks, runtime
 from tikernels._taichi import (
+    F32Array1,
     F32Array2,
     F32Array3,
     I32Array1,
@@ -23,10 +24,8 @@ from tikernels._taichi import (
     U8Array2,
     f32,
     i32,
-    mat3,
     ti,
     vec3,
-    vec5,
 )
 from tikernels.errors import ShapeError
 from tikernels.filtering import MAX_DEPARTURE, measure_rates_kernel, rates_buffer
@@ -65,7 +64,7 @@ from tikernels.patches import (
 )
 from tikernels.phase_vector import PI, STRIP
 from tikernels.transposing import transpose
-from tikernels.triangulation import ProjectorGeometry, projected
+from tikernels.triangulation import ProjectorGeometry, load_projector, projected
 from tikernels.wrapped_phase import mark_no_phase_kernel
 
 #: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
@@ -163,8 +162,9 @@ class Unwrapper:
         depth_mm : float
             Where the object is expected.
         """
-        arguments = (self.patch_count, phase, self.labels, rays, depth_mm, *projector.arguments())
-        place_regions_kernel(*arguments, self.patches, self.regions)
+        packed, axis, _ = projector.arguments()
+        arguments = (self.patch_count, phase, self.labels, rays, depth_mm, packed, axis)
+        place_regions_kernel(self._serial(self.patch_count), *arguments, self.patches, self.regions)
 
     def write(self, phase: Any, rates: Any, out_unwrapped: Any, out_mask: Any, out_region: Any) -> None:
         """Write the unwrapped phase (rad, NaN outside), the mask, and the region (from 1, the largest).
@@ -357,26 +357,25 @@ def choose_starts_kernel(
 
 @ti.kernel
 def place_regions_kernel(
+    serial: Static,
     count: i32,
     phase: F32Array2,  # (H, W) rad
     labels: I32Array2,  # (H, W)
     rays: F32Array3,  # (H, W, 2)
     depth: f32,  # mm
-    rotation: mat3,
-    translation: vec3,
-    focal: f32,
-    center: f32,
-    lens: vec5,
-    period: f32,
+    projector: F32Array1,
     axis: i32,
     patches: I32Array2,
     regions: I32Array2,  # the order that is taken off each region is written
 ):
     width = labels.shape[1]
+    ti.loop_config(serialize=serial)
     for i in range(count):
         patches[SUPPORT, i] = 0
         patches[KEY, i] = 0
+    ti.loop_config(serialize=serial)
     for i in range(count):
+        rotation, translation, lens, focal, center, period = load_projector(projector)
         # The cycles that a patch's first pixel lacks to lie at the depth; a region takes the mean over its patches, in
         # 64ths of a cycle, because sums of integers are the same in any order.
         first = patches[FIRST, i]
@@ -387,6 +386,7 @@ def place_regions_kernel(
         lacking = expected - phase[y, x] / (2.0 * PI) - ti.cast(order, ti.f32)
         ti.atomic_add(patches[SUPPORT, patches[ROOT, i]], ti.cast(ti.round(64.0 * lacking), ti.i32))
         ti.atomic_add(patches[KEY, patches[ROOT, i]], 1)
+    ti.loop_config(serialize=serial)
     for i in range(count):
         if patches[KEY, i] > 0:
             mean = ti.cast(patches[SUPPORT, i], ti.f32) / (64.0 * ti.cast(patches[KEY, i], ti.f32))
