@@ -37,6 +37,14 @@ side_of_integers = ti.types.vector(CELL_HEIGHT, ti.i32)
 
 
 @ti.func
+def cell_bounds(cell: i32, height: i32, width: i32):
+    """Return a cell's first row and column, and those past its last."""
+    columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
+    top, left = (cell // columns) * CELL_HEIGHT, (cell % columns) * CELL_WIDTH
+    return top, left, ti.min(top + CELL_HEIGHT, height), ti.min(left + CELL_WIDTH, width)
+
+
+@ti.func
 def cycles_between(difference: f32, rate: f32) -> i32:
     """Whole cycles to add to a difference of two wrapped phases to bring it nearest to the usual change."""
     excess = difference - rate
@@ -131,16 +139,14 @@ def grow_patches_kernel(
 ):
     """Grow the patches of each cell and note where two of them touch inside it."""
     height, width = phase.shape[0], phase.shape[1]
-    cell_columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
-    cells = cell_columns * ((height + CELL_HEIGHT - 1) // CELL_HEIGHT)
+    cells = ((width + CELL_WIDTH - 1) // CELL_WIDTH) * ((height + CELL_HEIGHT - 1) // CELL_HEIGHT)
     last = rates.shape[0] - 1
     room = 1 << draft_bits
     for cell in range(cells):
         rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
         patch_start, contact_start = cell << draft_bits, cell << (draft_bits + 2)
         patch_count, contact_count, steps = 0, 0, 0
-        top, left = (cell // cell_columns) * CELL_HEIGHT, (cell % cell_columns) * CELL_WIDTH
-        bottom, right = ti.min(top + CELL_HEIGHT, height), ti.min(left + CELL_WIDTH, width)
+        top, left, bottom, right = cell_bounds(cell, height, width)
         here_phase, above_phase = row_of_floats(0.0), row_of_floats(0.0)
         here_quality, above_quality = row_of_floats(0.0), row_of_floats(0.0)
         labels_here = row_of_integers(0)
@@ -318,15 +324,13 @@ def note_borders_kernel(
 ):
     """Note where patches touch across the cells' right and bottom borders."""
     height, width = phase.shape[0], phase.shape[1]
-    cell_columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
-    cells = cell_columns * ((height + CELL_HEIGHT - 1) // CELL_HEIGHT)
+    cells = ((width + CELL_WIDTH - 1) // CELL_WIDTH) * ((height + CELL_HEIGHT - 1) // CELL_HEIGHT)
     last = rates.shape[0] - 1
     room = 1 << draft_bits
     for cell in range(cells):
         rate_along, rate_across, mean_quality = rates[last, 0], rates[last, 1], rates[last, 2]
         contact_start, contact_count = cell << (draft_bits + 2), out_counts[1, cell]
-        top, left = (cell // cell_columns) * CELL_HEIGHT, (cell % cell_columns) * CELL_WIDTH
-        bottom, right = ti.min(top + CELL_HEIGHT, height), ti.min(left + CELL_WIDTH, width)
+        top, left, bottom, right = cell_bounds(cell, height, width)
         label, label2, shift, weight = (
             side_of_integers(0),
             side_of_integers(0),

@@ -11,9 +11,7 @@ from pydantic import Field, model_validator
 
 from pipeline.errors import OutputError
 from pipeline.files import write_atomically
-from pipeline.models import Model
-
-_Floats = npt.NDArray[np.float64]
+from pipeline.models import FloatArray, Model
 
 _MM_PER_INCH = 25.4
 
@@ -37,13 +35,13 @@ class Board(Model):
             raise ValueError(f"dictionary is {self.dictionary!r}: name one of OpenCV's, as DICT_5X5_250")
         return self
 
-    def corners_mm(self) -> _Floats:
+    def corners_mm(self) -> FloatArray:
         """Return the inner corners, (N, 3) mm, row by row; x right, y down, z into the board."""
         columns, rows = self.squares[0] - 1, self.squares[1] - 1
         x, y = np.meshgrid(np.arange(1, columns + 1), np.arange(1, rows + 1))
         return np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
 
-    def find(self, picture: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.intp], _Floats] | None:
+    def find(self, picture: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.intp], FloatArray] | None:
         """Find the inner corners in a picture.
 
         Parameters
@@ -71,7 +69,7 @@ class Board(Model):
             return None
         return np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, np.float64).reshape(-1, 2)
 
-    def _front_side(self, places: _Floats) -> npt.NDArray[np.intp]:
+    def _front_side(self, places: FloatArray) -> npt.NDArray[np.intp]:
         """Return the numbers of a chessboard's corners, so that x right, y down turns as it does in the picture."""
         columns, rows = self.squares[0] - 1, self.squares[1] - 1
         grid = places.reshape(rows, columns, 2)

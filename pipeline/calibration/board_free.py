@@ -31,9 +31,9 @@ import numpy.typing as npt
 
 from pipeline.calibration.captures import Picture
 from pipeline.errors import CalibrationError
+from pipeline.models import FloatArray
 from pipeline.pattern import CHANNEL_PHASES
 
-_Floats = npt.NDArray[np.float64]
 _Singles = npt.NDArray[np.float32]
 _Complexes = npt.NDArray[np.complex128]
 
@@ -60,9 +60,11 @@ _MAX_LEAK = 0.4
 class LightEstimate:
     """What frames say about their rig's light; standard deviations are those of leaving out parts of the frames."""
 
-    crosstalk_matrix: _Floats  # (3, 3) rows sum to one; of all that fit, the one with the smallest leaks, none negative
-    crosstalk_sigma: _Floats  # (3, 3)
-    response: _Floats  # (256,) light of codes 0..1, one for all channels, from 0 to 1
+    crosstalk_matrix: (
+        FloatArray  # (3, 3) rows sum to one; of all that fit, the one with the smallest leaks, none negative
+    )
+    crosstalk_sigma: FloatArray  # (3, 3)
+    response: FloatArray  # (256,) light of codes 0..1, one for all channels, from 0 to 1
     correction: _Singles  # (257,) rad to add to phases -pi..pi decoded with the matrix: the response, and what else
     # surely repeats with every cycle (channels that differ, lateral colour, a transfer left in)
     constant_sigma: float  # rad
@@ -77,21 +79,21 @@ def _wrap(phase: Any) -> Any:
     return phase - 2 * np.pi * np.round(phase / (2 * np.pi))
 
 
-def _shift(harmonics: _Floats, phase: _Floats) -> _Floats:
+def _shift(harmonics: FloatArray, phase: FloatArray) -> FloatArray:
     """Return how far the arctangent is off for light with these response harmonics, (N,)."""
     n = np.arange(1, np.shape(harmonics)[-1] + 1)
     light = (np.cos(n * (phase[:, None, None] + _DELAYS[:, None])) * harmonics).sum(-1)
     return np.asarray(np.angle(light @ _TURNS.conj() * np.exp(-1j * phase)))
 
 
-def _undo(shift: _Floats, seen: _Floats) -> _Floats:
+def _undo(shift: FloatArray, seen: FloatArray) -> FloatArray:
     """Return what to add to seen phases, given the shift of a whole turn of true ones from -pi on."""
     true = np.linspace(-np.pi, np.pi, len(shift), endpoint=False)
     steps = np.concatenate([true - 2 * np.pi, true, true + 2 * np.pi]) + np.tile(shift, 3)
     return np.asarray(-np.interp(_wrap(seen), steps, np.tile(shift, 3)))
 
 
-def _response_curve(harmonics: _Floats) -> _Floats:
+def _response_curve(harmonics: FloatArray) -> FloatArray:
     """Return the light of 256 codes, rising from 0 to 1."""
     angle = np.arccos(np.linspace(-1, 1, 256))
     light = np.cos(np.outer(angle, np.arange(1, len(harmonics) + 1))) @ harmonics
@@ -189,13 +191,13 @@ class _LeastSquares:
         self.gram = self.gram + np.stack([b.T @ b for b, _ in parts])
         self.right = self.right + np.stack([b.T @ v for b, v in parts])
 
-    def solve(self) -> _Floats:
+    def solve(self) -> FloatArray:
         """Return (_GROUPS + 1, columns, right sides): all together, then with each group left out."""
         gram, right = (np.concatenate([s.sum(0)[None], s.sum(0) - s]) for s in (self.gram, self.right))
         return np.linalg.solve(gram + 1e-6 * np.trace(gram[0]) / len(gram[0]) * np.eye(gram.shape[1]), right)
 
 
-def _deviation(samples: _Floats) -> _Floats:
+def _deviation(samples: FloatArray) -> FloatArray:
     """Return the standard deviation of samples[0] from the jackknife's samples[1:]."""
     return np.asarray(np.sqrt((_GROUPS - 1) * np.var(samples[1:], axis=0)))
 
@@ -235,20 +237,20 @@ def _turn(H: _Complexes, floor: float) -> tuple[float, float]:
     return float(least[0] + trust * np.angle(product[0]) / 3), float(deviation)
 
 
-def _matrix(h: _Complexes) -> _Floats:
+def _matrix(h: _Complexes) -> FloatArray:
     """Return the matrix of h_j = sum_k M_jk exp(i d_k), rows of sum one, scaled so that no leak is negative."""
     part = (h[:, None] * _TURNS.conj()).real
     return np.asarray(1 / 3 - part / (3 * min(part[~np.eye(3, dtype=bool)].min(), -1e-6)))
 
 
-def _ratios(h: _Complexes, H: _Complexes) -> _Floats:
+def _ratios(h: _Complexes, H: _Complexes) -> FloatArray:
     """Return the response's harmonics over the first, from H without its turn."""
     patterns = {1: h, 2: h.conj(), 0: np.full(3, np.sqrt((np.abs(h) ** 2).mean()))}
     expected = np.stack([patterns[n % 3] for n in range(1, _HARMONICS + 1)], axis=-1)
     return np.asarray((H * expected.conj()).real.sum(0) / (np.abs(h) ** 2).sum())
 
 
-def _rest(H: _Complexes, matrix: _Floats, shift: _Floats) -> _Complexes:
+def _rest(H: _Complexes, matrix: FloatArray, shift: FloatArray) -> _Complexes:
     """Return the harmonics (_RIPPLES,) of the phase's shift that H has beyond this one, its mean left out."""
     light = (np.exp(1j * np.outer(_TRUE, np.arange(1, _HARMONICS + 1))) @ H.T).real
     chroma = light @ np.linalg.inv(matrix).T @ _TURNS.conj()
@@ -256,7 +258,7 @@ def _rest(H: _Complexes, matrix: _Floats, shift: _Floats) -> _Complexes:
     return np.asarray(2 / len(_TRUE) * np.exp(-1j * np.outer(np.arange(1, _RIPPLES + 1), _TRUE)) @ left)
 
 
-def _regularise(ratios: _Floats, deviation: _Floats) -> _Floats:
+def _regularise(ratios: FloatArray, deviation: FloatArray) -> FloatArray:
     """Pull harmonics from the third on to those of the power law that has this second one, where they are unsure."""
     second = np.clip(ratios[1], -0.4, 0.45)
     gamma = (1 + 2 * second) / (1 - second)

@@ -1,6 +1,5 @@
 """Pictures to project, one after another, and the captures of them under the same names."""
 
-import json
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
@@ -13,7 +12,7 @@ import numpy.typing as npt
 
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
-from pipeline.models import Model, read_file
+from pipeline.models import Model
 from pipeline.picture import read_picture
 
 Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
@@ -29,17 +28,6 @@ class Sequence(Model):
     kind: Literal["radiometry", "geometry"]
     size_px: tuple[int, int]  # the projector's width and height
     names: tuple[str, ...]  # of the files, without suffix, in the order of projection
-
-    @classmethod
-    def read(cls, folder: Path) -> "Sequence":
-        """Read a folder's ``sequence.json``.
-
-        Raises
-        ------
-        CalibrationError
-            It is missing or not a sequence.
-        """
-        return read_file(folder / SEQUENCE_FILE, cls, json.loads, CalibrationError)
 
 
 def write_sequence(

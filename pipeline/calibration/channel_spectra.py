@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.models import FloatArray
 from pipeline.pattern import CHANNEL_PHASES
 
-_Floats = npt.NDArray[np.float64]
 _Bools = npt.NDArray[np.bool_]
 _Complexes = npt.NDArray[np.complex128]
 
@@ -43,7 +43,7 @@ class Fit(NamedTuple):
     squares: float  # sum of the squared residuals, outliers cut
 
 
-def smooth_phase(unwrapped_phase: npt.NDArray[np.float32], mask: _Bools) -> tuple[_Floats, _Bools, float]:
+def smooth_phase(unwrapped_phase: npt.NDArray[np.float32], mask: _Bools) -> tuple[FloatArray, _Bools, float]:
     """Return a phase without ripple (H, W), where it holds (H, W), and the period in px.
 
     A ripple repeats every cycle or faster: a Gaussian of 0.75 cycles leaves 2e-5 of it. What smoothing does to the
@@ -67,7 +67,7 @@ def smooth_phase(unwrapped_phase: npt.NDArray[np.float32], mask: _Bools) -> tupl
     return smooth, valid & (weight > 0.8), period
 
 
-def fit_tiles(light: _Floats, phase: _Floats, usable: _Bools, period: float, keep: _Bools | None = None) -> Tiles:
+def fit_tiles(light: FloatArray, phase: FloatArray, usable: _Bools, period: float, keep: _Bools | None = None) -> Tiles:
     """Regress every channel on the phase in tiles: mean and fundamental may change quadratically over a tile.
 
     light (H, W, 3) and phase (H, W) where usable (H, W), channel by channel only where keep (H, W, 3).
@@ -114,7 +114,7 @@ def fit_tiles(light: _Floats, phase: _Floats, usable: _Bools, period: float, kee
     return Tiles(*(values[good] for values in tiles))
 
 
-def _fit_channel(basis: _Floats, values: _Floats) -> tuple[float, _Complexes, float, float]:
+def _fit_channel(basis: FloatArray, values: FloatArray) -> tuple[float, _Complexes, float, float]:
     """Return mean, spectrum over the mean, residual's variance and the variance of the fundamental over the mean."""
     inverse = np.linalg.inv(basis.T @ basis + 1e-9 * len(basis) * np.eye(basis.shape[1]))
     solution = inverse @ (basis.T @ values)
@@ -126,7 +126,7 @@ def _fit_channel(basis: _Floats, values: _Floats) -> tuple[float, _Complexes, fl
     return float(mean), np.asarray(spectrum), float(square), float(variance)
 
 
-def robust_fit(values: Any, weight: _Floats, shapes: _Floats | None = None) -> Fit:
+def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None) -> Fit:
     """Fit values (T, ...), real or complex, by shapes (T, N), None: a constant; outliers are weighed down.
 
     The scatter of the tiles, not the noise of the pixels, gives the errors: it holds what no model knows.
@@ -159,19 +159,19 @@ def mean_spectrum(tiles: Tiles) -> _Complexes:
     return np.asarray(robust_fit(tiles.spectrum, tiles.weight).value[0])
 
 
-def neighbours_median(values: _Floats, place: _Floats) -> _Floats:
+def neighbours_median(values: FloatArray, place: FloatArray) -> FloatArray:
     """Return the (T, ...) medians over every tile and those around it."""
     near = np.abs(place[:, None] - place[None]).max(axis=-1) <= 1
     return np.array([np.median(values[row], axis=0) for row in near])
 
 
-def waves_of(spectrum: _Complexes) -> _Floats:
+def waves_of(spectrum: _Complexes) -> FloatArray:
     """Return (3, 256) one cycle of the channels, their means one."""
     turns = np.outer(np.arange(1, spectrum.shape[1] + 1), np.arange(256) * 2 * np.pi / 256)
     return np.asarray(1 + (spectrum @ np.exp(1j * turns)).real)
 
 
-def ripple(waves: _Floats, matrix: _Floats) -> dict[int, float]:
+def ripple(waves: FloatArray, matrix: FloatArray) -> dict[int, float]:
     """Return the phase error's amplitude by harmonic that a plain arctangent makes of balanced channels, rad."""
     phase = np.arange(waves.shape[1]) * 2 * np.pi / waves.shape[1]
     vector = np.exp(-1j * PHASES) @ np.linalg.solve(matrix, waves)  # proportional to exp(i phase)
@@ -180,7 +180,7 @@ def ripple(waves: _Floats, matrix: _Floats) -> dict[int, float]:
 
 
 def clipping_ripple(
-    too_bright: _Bools, too_dark: _Bools, usable: _Bools, period: float, spectrum: _Complexes, matrix: _Floats
+    too_bright: _Bools, too_dark: _Bools, usable: _Bools, period: float, spectrum: _Complexes, matrix: FloatArray
 ) -> dict[int, float]:
     """Return the ripple by harmonic from cutting the waves where so many pixels are clipped, in the worst twentieth."""
     size = (2 * round(period),) * 2
@@ -202,7 +202,7 @@ def clipping_ripple(
     return dict(zip(HARMONICS, np.quantile(ripples, 0.95, axis=0).tolist(), strict=True))
 
 
-def seen_ripple(unwrapped_phase: npt.NDArray[np.float32], phase: _Floats, usable: _Bools) -> dict[int, float]:
+def seen_ripple(unwrapped_phase: npt.NDArray[np.float32], phase: FloatArray, usable: _Bools) -> dict[int, float]:
     """Return the ripple's amplitude by harmonic in the phase that was handed in, rad."""
     rest, wave = (unwrapped_phase - phase)[usable], np.exp(-1j * phase[usable])
     return {k: float(2 * abs(np.mean((rest - rest.mean()) * wave**k))) for k in HARMONICS}

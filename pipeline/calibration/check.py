@@ -14,10 +14,10 @@ from pipeline.calibration.doctor import Diagnosis
 from pipeline.calibration.model import Calibration, Capture, Geometry
 from pipeline.calibration.multishot import decode_multishot
 from pipeline.errors import CalibrationError
+from pipeline.models import FloatArray
 from pipeline.results import DecodedFrame
 from tikernels.triangulation import triangulate
 
-_Floats = npt.NDArray[np.float64]
 _Singles = npt.NDArray[np.float32]
 
 Shape = Literal["plane", "ball"]
@@ -153,7 +153,7 @@ def check_epipolar(captures: Mapping[str, Picture], calibration: Calibration, wh
     )
 
 
-def epipolar_error_px(geometry: Geometry, camera_px: _Floats, projector_px: _Floats) -> _Floats:
+def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: FloatArray) -> FloatArray:
     """Return how far projector pixels lie beside the epipolar lines of camera pixels, (N,) projector px.
 
     Parameters
@@ -180,11 +180,11 @@ def epipolar_error_px(geometry: Geometry, camera_px: _Floats, projector_px: _Flo
 class _Fit:
     """A shape laid through a surface."""
 
-    position: _Floats  # (3,) mm
+    position: FloatArray  # (3,) mm
     radius: float | None
-    sigma: _Floats  # (N,) mm, predicted, across the surface
-    fine: _Floats  # (N,) mm, residuals without what is smooth
-    coarse: _Floats  # (B,) mm, their averages over blocks
+    sigma: FloatArray  # (N,) mm, predicted, across the surface
+    fine: FloatArray  # (N,) mm, residuals without what is smooth
+    coarse: FloatArray  # (B,) mm, their averages over blocks
     spread: float  # mm, RMS of all
 
 
@@ -225,7 +225,7 @@ def _fit(all_points: _Singles, point_sigma: _Singles, surface: npt.NDArray[np.bo
     )
 
 
-def _sphere(points: _Floats) -> tuple[_Floats, float]:
+def _sphere(points: FloatArray) -> tuple[FloatArray, float]:
     """Return centre and radius of the sphere nearest to points: algebraic first, then by distance."""
     origin = points.mean(axis=0)
     moved = points - origin

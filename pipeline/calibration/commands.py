@@ -111,7 +111,7 @@ def radiometry(
         table.add_column(heading)
     for i, channel in enumerate(("red", "green", "blue")):
         cells = zip(found.crosstalk_matrix[i], found.crosstalk_sigma[i], strict=True)
-        table.add_row(channel, *(f"{value:.4f} ± {sigma:.4f}" for value, sigma in cells))
+        table.add_row(channel, *(f"{value:.5f} ± {sigma:.5f}" for value, sigma in cells))
     _out.print(table)
     name = found.transfer if isinstance(found.transfer, str) else "a curve of its own, measured"
     _say(f"the camera's transfer: {name}; grey is red + green + blue to {found.additivity:.2%} of white")

@@ -33,9 +33,9 @@ from pipeline.calibration.channel_spectra import (
     smooth_phase,
     waves_of,
 )
+from pipeline.models import FloatArray
 from tikernels.linearization import linear_values
 
-_Floats = npt.NDArray[np.float64]
 _Complexes = npt.NDArray[np.complex128]
 _Bools = npt.NDArray[np.bool_]
 
@@ -77,7 +77,7 @@ def diagnose(
     white_level: float,
     unwrapped_phase: npt.NDArray[np.float32],
     mask: _Bools,
-    crosstalk_matrix: _Floats | None = None,
+    crosstalk_matrix: FloatArray | None = None,
     transfer: Literal["linear", "srgb"] = "linear",
 ) -> Diagnosis:
     """Say why a surface is wavy.
@@ -147,12 +147,12 @@ def diagnose(
     return Diagnosis(tuple(findings), everything, seen_ripple(unwrapped_phase, phase, usable), float(limit), (note,))
 
 
-def ideal(matrix: _Floats, contrast: Any = 1.0) -> _Complexes:
+def ideal(matrix: FloatArray, contrast: Any = 1.0) -> _Complexes:
     """Return the (3,) fundamentals that the camera sees of a pattern whose channels have this contrast."""
     return np.asarray(matrix @ (contrast * np.exp(1j * PHASES)))
 
 
-def own_harmonics(tiles: Tiles, matrix: _Floats) -> Fit:
+def own_harmonics(tiles: Tiles, matrix: FloatArray) -> Fit:
     """Fit the harmonics (3, K - 1) of the unmixed channels, over their own fundamental and in its phase.
 
     A response that knows nothing of the other channels makes them real: c_k of f(cos(phi)).
@@ -163,8 +163,8 @@ def own_harmonics(tiles: Tiles, matrix: _Floats) -> Fit:
 
 
 def explain_harmonics(
-    tiles: Tiles, matrix: _Floats, limit: float, other_transfer: str, read_otherwise: Callable[[], Tiles]
-) -> tuple[list[Finding], Tiles, _Floats]:
+    tiles: Tiles, matrix: FloatArray, limit: float, other_transfer: str, read_otherwise: Callable[[], Tiles]
+) -> tuple[list[Finding], Tiles, FloatArray]:
     """Tell the projector's response from the camera's transfer.
 
     Both put the same harmonics into every channel, the response before reflectance, ambient light and crosstalk, the
@@ -211,7 +211,7 @@ def explain_harmonics(
     return [finding], tiles, 2 * gamma / (gamma + 1)
 
 
-def explain_fundamental(tiles: Tiles, response_contrast: _Floats, matrix: _Floats, limit: float) -> list[Finding]:
+def explain_fundamental(tiles: Tiles, response_contrast: FloatArray, matrix: FloatArray, limit: float) -> list[Finding]:
     """Name what makes the channels' contrasts differ, or their phases, from what the matrix lets one expect."""
     expected = ideal(matrix, response_contrast / response_contrast.mean())
     relative = tiles.spectrum[..., 0] / expected
@@ -248,7 +248,9 @@ def explain_fundamental(tiles: Tiles, response_contrast: _Floats, matrix: _Float
     return findings + ([explain_lag(tiles, lag, local, by_lag)] if lagging else [])
 
 
-def explain_loss(tiles: Tiles, loss: _Floats, mean_loss: _Floats, size: dict[int, float], limit: float) -> Finding:
+def explain_loss(
+    tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float], limit: float
+) -> Finding:
     """Contrast alone: one channel's, by its way over the picture, or several channels'."""
     others = np.array([[1, 2], [0, 2], [0, 1]])
     disagreement = abs(mean_loss[others[:, 0]] - mean_loss[others[:, 1]])
@@ -289,7 +291,7 @@ def explain_loss(tiles: Tiles, loss: _Floats, mean_loss: _Floats, size: dict[int
     )
 
 
-def explain_losses(tiles: Tiles, loss: _Floats, mean_loss: _Floats, size: dict[int, float]) -> Finding:
+def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float]) -> Finding:
     """Contrast of more than one channel: a black level that all of them share, or several contrasts."""
     inverse = np.exp(loss)  # of the contrast: 1 + black / mean where that alone is wrong
     true_mean = tiles.mean / inverse
@@ -317,7 +319,7 @@ def explain_losses(tiles: Tiles, loss: _Floats, mean_loss: _Floats, size: dict[i
     )
 
 
-def explain_lag(tiles: Tiles, lag: _Floats, local: _Floats, size: dict[int, float]) -> Finding:
+def explain_lag(tiles: Tiles, lag: FloatArray, local: FloatArray, size: dict[int, float]) -> Finding:
     """Phase alone: by its way over the picture."""
     strength = np.hypot(*local.T)
     moving = strength > 0.5 * np.quantile(strength, 0.95)
@@ -365,8 +367,8 @@ def explain_lag(tiles: Tiles, lag: _Floats, local: _Floats, size: dict[int, floa
 def explain_both(
     contrast: float,
     expected: _Complexes,
-    loss: _Floats,
-    lag: _Floats,
+    loss: FloatArray,
+    lag: FloatArray,
     ripple_of: Callable[[Any], dict[int, float]],
 ) -> Finding | None:
     """Contrast and phase: crosstalk, if a matrix without negative entries can do it.

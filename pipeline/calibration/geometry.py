@@ -19,8 +19,7 @@ from pipeline.calibration.captures import Picture
 from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, Uncertainty
 from pipeline.calibration.multishot import ProjectorMap, decode_multishot
 from pipeline.errors import CalibrationError
-
-_Floats = npt.NDArray[np.float64]
+from pipeline.models import FloatArray
 
 MIN_POSES = 8
 _MIN_CORNERS = 12
@@ -45,12 +44,12 @@ class BoardPose:
     """The corners of one pose, as camera and projector see them."""
 
     name: str
-    corners_mm: _Floats  # (N, 3)
-    camera_px: _Floats  # (N, 2)
-    projector_px: _Floats  # (N, 2)
-    camera_shift_px: _Floats  # (3, 2) what R, G and B say more than their mean
-    projector_shift_px: _Floats  # (3, 2) the same in the projector, at the same camera pixel
-    jacobian: _Floats  # (2, 2) projector px a camera px, mean
+    corners_mm: FloatArray  # (N, 3)
+    camera_px: FloatArray  # (N, 2)
+    projector_px: FloatArray  # (N, 2)
+    camera_shift_px: FloatArray  # (3, 2) what R, G and B say more than their mean
+    projector_shift_px: FloatArray  # (3, 2) the same in the projector, at the same camera pixel
+    jacobian: FloatArray  # (2, 2) projector px a camera px, mean
 
 
 @dataclass(frozen=True)
@@ -141,7 +140,7 @@ def _half_window(side_px: float, board: Board) -> int:
     return int(np.clip(free * side_px - 1, 0, 8))
 
 
-def _refined(grey: _Floats, corners: _Floats, half: int) -> _Floats:
+def _refined(grey: FloatArray, corners: FloatArray, half: int) -> FloatArray:
     """Return corners to a few hundredths of a pixel, (N, 2); as they are where there is no room."""
     if half < _MIN_HALF_WINDOW_PX:
         return corners
@@ -151,7 +150,7 @@ def _refined(grey: _Floats, corners: _Floats, half: int) -> _Floats:
     return np.asarray(cv2.cornerSubPix(picture, start, (half, half), (-1, -1), _SUBPIX), np.float64)
 
 
-def _square_px(corners: _Floats, corners_mm: _Floats, square_mm: float) -> float:
+def _square_px(corners: FloatArray, corners_mm: FloatArray, square_mm: float) -> float:
     """Return how long a square's side is on the picture, roughly."""
     to_px, _ = cv2.findHomography(corners_mm[:, :2], corners)
     middle = corners_mm[:, :2].mean(axis=0)
@@ -160,7 +159,7 @@ def _square_px(corners: _Floats, corners_mm: _Floats, square_mm: float) -> float
     return float(min(np.linalg.norm(b - a), np.linalg.norm(c - a)))
 
 
-def _local_homography(seen: ProjectorMap, corner: _Floats, radius: float) -> _Floats | None:
+def _local_homography(seen: ProjectorMap, corner: FloatArray, radius: float) -> FloatArray | None:
     """Return the homography from camera px about a corner to projector px, from the pixels around it that are lit."""
     height, width = seen.position_px.shape[:2]
     left, right = int(max(corner[0] - radius, 0)), int(min(corner[0] + radius + 2, width))
@@ -185,13 +184,13 @@ def _local_homography(seen: ProjectorMap, corner: _Floats, radius: float) -> _Fl
     return np.asarray(matrix)
 
 
-def _channel_corners(white: _Floats, corners: _Floats, half: int) -> _Floats:
+def _channel_corners(white: FloatArray, corners: FloatArray, half: int) -> FloatArray:
     """Return by how much the corners of R, G and B alone lie beside those of their mean, (3, 2) px."""
     alone = [_refined(white[..., channel], corners, half) - corners for channel in range(3)]
     return np.asarray(np.median(alone, axis=1))
 
 
-def _projector_shift(seen: ProjectorMap, corners: _Floats) -> _Floats:
+def _projector_shift(seen: ProjectorMap, corners: FloatArray) -> FloatArray:
     """Return by how much R, G and B alone decode another projector pixel than their sum, (3, 2) px, on the board."""
     height, width = seen.position_px.shape[:2]
     board = np.zeros((height, width), np.uint8)
@@ -286,7 +285,7 @@ def _without_repeats(
     """Leave out poses that repeat an earlier one; a rough lens is good enough to see it."""
     width, height = camera_size_px
     matrix = np.array([[1.5 * width, 0, width / 2], [0, 1.5 * width, height / 2], [0, 0, 1]], np.float64)
-    kept: list[tuple[BoardPose, _Floats, _Floats]] = []
+    kept: list[tuple[BoardPose, FloatArray, FloatArray]] = []
     for pose in poses:
         _, turn, place = cv2.solvePnP(pose.corners_mm, pose.camera_px, matrix, None)
         rotation, place = cv2.Rodrigues(turn)[0], place.ravel()
@@ -334,7 +333,7 @@ class _Bundle:
         self.parameters = np.concatenate([*lenses, np.median(steps, axis=0), *boards[0]])
 
     @property
-    def stereo(self) -> _Floats:
+    def stereo(self) -> FloatArray:
         """Rotation vector and translation (mm) from camera to projector."""
         return self.parameters[18:24]
 
@@ -369,7 +368,7 @@ class _Bundle:
             self.parameters = self.parameters + step
         self.parameters = best
 
-    def _normal_equations(self) -> tuple[_Floats, _Floats, float]:
+    def _normal_equations(self) -> tuple[FloatArray, FloatArray, float]:
         size = len(self.parameters)
         normal, gradient, cost = np.zeros((size, size)), np.zeros(size), 0.0
         for k in range(len(self.poses)):
@@ -386,7 +385,7 @@ class _Bundle:
             cost += float(((self.parameters[terms] / _LENS_PRIOR) ** 2).sum())
         return normal, gradient, cost
 
-    def _residuals(self, k: int) -> tuple[_Floats, _Floats]:
+    def _residuals(self, k: int) -> tuple[FloatArray, FloatArray]:
         """Return a pose's errors, (N, 2 devices, 2) px, and their derivatives by every parameter."""
         pose, p = self.poses[k], self.parameters
         at = 24 + 6 * k
@@ -422,21 +421,21 @@ class _Bundle:
         """The same of the projector."""
         return self._rms_px(1)
 
-    def pose_errors_px(self) -> _Floats:
+    def pose_errors_px(self) -> FloatArray:
         """Return the median distance of each pose's corners, of camera or projector, whichever is worse."""
         errors = [np.linalg.norm(self._residuals(k)[0], axis=-1) for k in range(len(self.poses))]
         return np.array([np.median(e, axis=0).max() for e in errors])
 
-    def tilts_deg(self) -> _Floats:
+    def tilts_deg(self) -> FloatArray:
         """Return how far each pose's board is turned from facing the camera."""
         turns = self.parameters[24:].reshape(-1, 6)[:, :3]
         return np.array([np.degrees(np.arccos(min(abs(cv2.Rodrigues(turn)[0][2, 2]), 1.0))) for turn in turns])
 
-    def covariance(self) -> _Floats:
+    def covariance(self) -> FloatArray:
         """Return the covariance of the lenses' and the step's 24 parameters."""
         return np.asarray(np.linalg.inv(self._normal_equations()[0])[:24, :24])
 
-    def depths_mm(self) -> _Floats:
+    def depths_mm(self) -> FloatArray:
         """Return how far the corners are from the camera, all poses together."""
         depths = [
             (cv2.Rodrigues(turn[:3])[0] @ pose.corners_mm.T)[2] + turn[5]
@@ -445,14 +444,16 @@ class _Bundle:
         return np.concatenate(depths)
 
 
-def _project(points: _Floats, turn: _Floats, place: _Floats, lens: _Floats) -> tuple[_Floats, _Floats]:
+def _project(
+    points: FloatArray, turn: FloatArray, place: FloatArray, lens: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return pixels, and their derivatives by rotation, translation and the lens, (N, 2, 15)."""
     matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     pixels, slopes = cv2.projectPoints(points, turn, place, matrix, lens[4:])
     return pixels.reshape(-1, 2), slopes[:, :15].reshape(-1, 2, 15)
 
 
-def _lens(size_px: tuple[int, int], values: _Floats) -> Lens:
+def _lens(size_px: tuple[int, int], values: FloatArray) -> Lens:
     matrix = np.array([[values[0], 0, values[2]], [0, values[1], values[3]], [0, 0, 1]])
     return Lens(size_px=size_px, matrix=matrix, distortion=values[4:])
 
@@ -495,7 +496,7 @@ def _calibration(
 
 
 def depth_bias_mm(
-    parameters: _Floats, covariance: _Floats, camera_size_px: tuple[int, int], axis: int, depth_mm: float
+    parameters: FloatArray, covariance: FloatArray, camera_size_px: tuple[int, int], axis: int, depth_mm: float
 ) -> float:
     """Return the standard deviation of depth that the calibration's own uncertainty leaves, RMS over the picture.
 
@@ -517,7 +518,7 @@ def depth_bias_mm(
         -1, 1, 2
     )
 
-    def coordinate(p: _Floats, depth: _Floats) -> _Floats:
+    def coordinate(p: FloatArray, depth: FloatArray) -> FloatArray:
         matrix = np.array([[p[0], 0, p[2]], [0, p[1], p[3]], [0, 0, 1]])
         rays = cv2.undistortPoints(grid, matrix, p[4:9]).reshape(-1, 2)
         points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) * depth[:, None]
@@ -537,7 +538,7 @@ def depth_bias_mm(
     return float(np.sqrt(np.einsum("ik,ij,jk->k", slopes, covariance, slopes).mean()))
 
 
-def _color_shift(poses: list[BoardPose], crosstalk_matrix: _Floats | None) -> ColorShift | None:
+def _color_shift(poses: list[BoardPose], crosstalk_matrix: FloatArray | None) -> ColorShift | None:
     """Return the lateral colour of both lenses, from all poses; None where there is none worth undoing.
 
     A camera channel at a pixel sees the place less its own shift, and decodes the mix of the projector's channels that

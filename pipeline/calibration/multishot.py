@@ -13,8 +13,7 @@ import numpy.typing as npt
 
 from pipeline.calibration.captures import Picture, Sequence
 from pipeline.errors import CalibrationError
-
-_Floats = npt.NDArray[np.float64]
+from pipeline.models import FloatArray
 
 WHITE, BLACK = "00-white", "01-black"
 FINE_PX = 16.0
@@ -33,9 +32,9 @@ _MAX_UNSURE, _MAX_THIRD = 0.1, 0.12
 class ProjectorMap:
     """Where in the projector every camera pixel's light comes from."""
 
-    position_px: _Floats  # (H, W, 2) column, row; NaN where unknown
-    channel_shift_px: _Floats  # (3, H, W, 2) what R, G and B alone say more than their sum
-    white: _Floats  # (H, W, 3) the fully lit picture, 0..1
+    position_px: FloatArray  # (H, W, 2) column, row; NaN where unknown
+    channel_shift_px: FloatArray  # (3, H, W, 2) what R, G and B alone say more than their sum
+    white: FloatArray  # (H, W, 3) the fully lit picture, 0..1
 
 
 def multishot_sequence(size_px: tuple[int, int]) -> Sequence:
@@ -47,7 +46,7 @@ def multishot_sequence(size_px: tuple[int, int]) -> Sequence:
     return Sequence(kind="geometry", size_px=size_px, names=tuple(names))
 
 
-def multishot_codes(name: str, size_px: tuple[int, int]) -> _Floats:
+def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
     """Return the (height, width, 3) projector codes, 0..1, of a picture of the sequence."""
     width, height = size_px
     if name in (WHITE, BLACK):
@@ -109,7 +108,7 @@ def _period(level: str, axis: str, size_px: tuple[int, int]) -> float:
 
 def _decode_axis(
     captures: Mapping[str, Picture], axis: str, size_px: tuple[int, int], full: float, where: str
-) -> tuple[_Floats, _Floats]:
+) -> tuple[FloatArray, FloatArray]:
     """Return the coordinate along one axis, (H, W) px, and what each channel adds to it, (3, H, W)."""
     length = size_px[0 if axis == "column" else 1]
     vectors = {level: _phase_vector(captures, axis, level, full) for level in _STEPS}

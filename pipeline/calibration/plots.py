@@ -31,5 +31,5 @@ def draw_panels(path: str | Path, panels: int, draw: Callable[[Any], None]) -> N
     figure = Figure(figsize=(4.2 * panels, 3.6), layout="constrained")
     draw(figure.subplots(1, panels, squeeze=False)[0])
     buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer)  # type: ignore[no-untyped-call]
+    FigureCanvasAgg(figure).print_png(buffer)  # type: ignore[no-untyped-call]  # matplotlib has no annotation there
     write_atomically(path, buffer.getvalue())

@@ -17,9 +17,8 @@ import numpy.typing as npt
 from pipeline.calibration.captures import Picture, Sequence
 from pipeline.calibration.model import Calibration, Capture, Uncertainty
 from pipeline.errors import CalibrationError
+from pipeline.models import FloatArray
 from tikernels.linearization import TRANSFERS, WHITE_LEVELS, Transfer, linear_values
-
-_Floats = npt.NDArray[np.float64]
 
 #: Codes of the ramps, 0..255. Sixteen steps follow any smooth response to a thousandth.
 RAMP_CODES = (*range(16, 256, 16), 255)
@@ -44,14 +43,14 @@ _KNOTS = 24
 class Radiometry:
     """What the ramps say of the light."""
 
-    crosstalk_matrix: _Floats  # (3, 3) camera = matrix @ projector, of full scale
-    crosstalk_sigma: _Floats  # (3, 3) standard deviations
-    response: _Floats  # (3, 256) light of each projector code, 0..1
-    response_sigma: _Floats  # (3, 256)
+    crosstalk_matrix: FloatArray  # (3, 3) camera = matrix @ projector, of full scale
+    crosstalk_sigma: FloatArray  # (3, 3) standard deviations
+    response: FloatArray  # (3, 256) light of each projector code, 0..1
+    response_sigma: FloatArray  # (3, 256)
     transfer: Transfer  # the camera's: a name, or the linear light of 256 levels
     additivity: float  # largest difference of grey from red + green + blue, part of white
-    ambient: _Floats  # (3,) light of the black field, of full scale
-    ramps: _Floats  # (4, codes + 1, 3) mean linear light of red, green, blue, grey; black first, taken off
+    ambient: FloatArray  # (3,) light of the black field, of full scale
+    ramps: FloatArray  # (4, codes + 1, 3) mean linear light of red, green, blue, grey; black first, taken off
 
     def add_to(self, calibration: Calibration | None, capture: Capture | None = None) -> Calibration:
         """Return a calibration that holds this light, with what else was known of the rig."""
@@ -76,7 +75,7 @@ def radiometry_sequence(size_px: tuple[int, int]) -> Sequence:
     return Sequence(kind="radiometry", size_px=size_px, names=(_BLACK, *names))
 
 
-def radiometry_codes(name: str) -> _Floats:
+def radiometry_codes(name: str) -> FloatArray:
     """Return the (3,) projector codes, 0..1, of a full field of the sequence."""
     if name == _BLACK:
         return np.zeros(3)
@@ -142,12 +141,12 @@ def _all_names() -> list[str]:
 _LEVELS = 16 * 255 + 1
 
 
-def _light_of_levels(transfer: Transfer) -> _Floats:
+def _light_of_levels(transfer: Transfer) -> FloatArray:
     """Return the linear light of each of the histogram's levels."""
     return linear_values(np.arange(_LEVELS) / (_LEVELS - 1), transfer)
 
 
-def _histograms(name: str, picture: Picture, lit: npt.NDArray[np.bool_], full: float) -> _Floats:
+def _histograms(name: str, picture: Picture, lit: npt.NDArray[np.bool_], full: float) -> FloatArray:
     """Return how the lit pixels' levels are distributed, (3, _LEVELS), each row's sum one."""
     values = picture[lit].astype(np.float64) / full
     saturated = (values >= _SATURATED).mean(axis=0).max()
@@ -158,10 +157,10 @@ def _histograms(name: str, picture: Picture, lit: npt.NDArray[np.bool_], full: f
     return counts / len(values)
 
 
-def _linear_ramps(histograms: dict[str, _Floats], transfer: str | None) -> tuple[_Floats, Transfer]:
+def _linear_ramps(histograms: dict[str, FloatArray], transfer: str | None) -> tuple[FloatArray, Transfer]:
     """Return the ramps in linear light, and the transfer that was undone: the named one, or the most additive one."""
 
-    def ramps_with(light: _Floats) -> _Floats:
+    def ramps_with(light: FloatArray) -> FloatArray:
         black = histograms[_BLACK] @ light
         rising = [[histograms[_name(color, code)] @ light - black for code in RAMP_CODES] for color in _COLORS]
         return np.concatenate([np.zeros((4, 1, 3)), np.array(rising)], axis=1)
@@ -182,7 +181,7 @@ def _linear_ramps(histograms: dict[str, _Floats], transfer: str | None) -> tuple
     return by_name[best], best
 
 
-def _check_order(ramps: _Floats) -> None:
+def _check_order(ramps: FloatArray) -> None:
     """Refuse captures that were mixed up: every ramp rises, and its own camera channel sees it."""
     for k, color in enumerate(_COLORS):
         ramp = ramps[k].sum(axis=-1)
@@ -206,12 +205,12 @@ def _check_order(ramps: _Floats) -> None:
             )
 
 
-def _not_additive(ramps: _Floats) -> float:
+def _not_additive(ramps: FloatArray) -> float:
     """Return the largest difference between grey and the sum of the primaries, as a part of white."""
     return float((np.abs(ramps[3] - ramps[:3].sum(axis=0)) / ramps[3, -1]).max())
 
 
-def _additive_curve(histograms: dict[str, _Floats]) -> _Floats:
+def _additive_curve(histograms: dict[str, FloatArray]) -> FloatArray:
     """Return the linear light of 256 levels for which grey is the sum of the primaries, as nearly as may be.
 
     The curve is piecewise linear between knots, so a capture's mean light is linear in the knots' values, and
@@ -238,7 +237,7 @@ def _additive_curve(histograms: dict[str, _Floats]) -> _Floats:
     return np.clip(np.maximum.accumulate(curve), 0, 1)
 
 
-def _factorise(ramps: _Floats) -> tuple[_Floats, _Floats, _Floats, _Floats]:
+def _factorise(ramps: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Split each primary's ramp into a column of the crosstalk matrix and a response, each with its deviations."""
     codes = np.array([0, *RAMP_CODES]) / 255
     # What grey differs from the sum by is no noise, but tells how far the model can be trusted.
@@ -263,7 +262,7 @@ def _factorise(ramps: _Floats) -> tuple[_Floats, _Floats, _Floats, _Floats]:
     return matrix, matrix_sigma, response, response_sigma
 
 
-def monotone_curve(x: _Floats, y: _Floats, at: _Floats) -> _Floats:
+def monotone_curve(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
     """Interpolate rising values without overshoot (F. N. Fritsch and J. Butland 1984, doi:10.1137/0905021)."""
     step, slope = np.diff(x), np.diff(y) / np.diff(x)
     inner = np.zeros(len(x))

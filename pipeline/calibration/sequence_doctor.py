@@ -16,8 +16,7 @@ from pipeline.calibration.captures import Picture
 from pipeline.calibration.channel_spectra import PHASES, fit_tiles, smooth_phase
 from pipeline.calibration.doctor import Finding
 from pipeline.calibration.model import Geometry
-
-_Floats = npt.NDArray[np.float64]
+from pipeline.models import FloatArray
 
 _MIN_FRAMES, _MIN_TILES = 12, 8
 # A peak of a spectrum of noise exceeds its mean by this factor once in a thousand sequences.
@@ -65,7 +64,7 @@ def diagnose_sequence(
     return tuple(finding for finding in found if finding is not None)
 
 
-def _beat(means: _Floats) -> Finding | None:
+def _beat(means: FloatArray) -> Finding | None:
     """Find a line in the spectrum of the colours' ratios; brightness and the scene change all colours together."""
     ratios = np.log(np.maximum(means[:, ::2], 1e-6) / np.maximum(means[:, 1:2], 1e-6))
     frames = np.arange(len(ratios))

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline import Calibration, Decoder, DecodeSettings, DecodeWarning
 from pipeline.calibration import Capture
-from pipeline.calibration.captures import CapturedFolder, Sequence, write_sequence
+from pipeline.calibration.captures import SEQUENCE_FILE, CapturedFolder, Sequence, write_sequence
 from pipeline.calibration.radiometry import (
     RAMP_CODES,
     measure_radiometry,
@@ -143,7 +143,7 @@ def test_the_sequence_and_its_captures(tmp_path):
     folder = tmp_path / "make"
     small = radiometry_sequence((40, 30))
     write_sequence(folder, small, lambda name: np.broadcast_to(radiometry_codes(name), (30, 40, 3)))
-    assert Sequence.read(folder) == small
+    assert Sequence.model_validate_json((folder / SEQUENCE_FILE).read_text()) == small
     assert len(small.names) == 1 + 4 * len(RAMP_CODES)
     np.testing.assert_array_equal(read_picture(folder / "16-red-255.png")[0, 0], (255, 0, 0))
     with pytest.raises(OutputError, match="not an empty folder"):
