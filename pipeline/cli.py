@@ -14,7 +14,7 @@ from rich.table import Table
 
 from hardware.link import list_serial_ports
 from pipeline.calibration import Calibration
-from pipeline.calibration.commands import calibrate, chosen_board, chosen_pattern, size_of
+from pipeline.calibration.commands import BoardOptions, calibrate, chosen_pattern, size_of
 from pipeline.decoder import Decoder, DecodeWarning
 from pipeline.errors import (
     CalibrationError,
@@ -31,6 +31,8 @@ Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
 
 #: Every error that a user can cause; each message is one line.
 _USER_ERRORS = (CalibrationError, DeviceNotReady, FootageError, OutputError, RenderError, SettingsError, ShapeError)
+
+_BOARD = BoardOptions()
 
 _out = Console()
 _err = Console(stderr=True)
@@ -84,10 +86,7 @@ def pattern(
     stripes: Literal["horizontal", "vertical"] | None = None,
     calibration: Path | None = None,
     board: Literal["charuco", "chessboard"] | None = None,
-    squares: str = "11x8",
-    square_mm: float = 20.0,
-    marker_mm: float | None = None,
-    dictionary: str = "DICT_5X5_250",
+    options: BoardOptions = _BOARD,
 ) -> None:
     """Write the picture that the projector shows, and its description beside it as JSON; or a board to be printed.
 
@@ -108,17 +107,9 @@ def pattern(
         The rig's calibration.json; the projector's response is then undone in the pattern.
     board
         Write this kind of calibration board instead, in its true size, as PDF, SVG or PNG.
-    squares
-        The board's squares, columns and rows.
-    square_mm
-        The side of a square.
-    marker_mm
-        The side of a ChArUco marker; left out, three quarters of a square.
-    dictionary
-        The markers' dictionary, as OpenCV names it.
     """
     if board is not None:
-        chosen_board(board, squares, square_mm, marker_mm, dictionary).write(file)
+        options.board(board).write(file)
         return
     from pipeline.pattern import write_pattern
 

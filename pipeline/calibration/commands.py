@@ -1,6 +1,7 @@
 """`colorphase calibrate ...`: parse, call, say what was found."""
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -44,6 +45,39 @@ def size_of(text: str, option: str = "--size") -> tuple[int, int]:
     if not (separator and width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
         raise SettingsError(f"{option} is {text!r}: give width and height in px, as in 1024x768")
     return int(width), int(height)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BoardOptions:
+    """The options that describe a board."""
+
+    squares: str = "11x8"
+    """The board's squares, columns and rows."""
+    square_mm: float = 20.0
+    """The side of a square."""
+    marker_mm: float | None = None
+    """The side of a ChArUco marker; left out, three quarters of a square."""
+    dictionary: str = "DICT_5X5_250"
+    """The markers' dictionary, as OpenCV names it."""
+
+    def board(self, kind: str) -> Board:
+        """Return the board.
+
+        Raises
+        ------
+        SettingsError
+            There is no such board.
+        """
+        sides = {
+            "squares": size_of(self.squares, "--squares"),
+            "square_mm": self.square_mm,
+            "marker_mm": self.marker_mm,
+        }
+        return build(Board, {"kind": kind, "dictionary": self.dictionary, **sides}, SettingsError, "board")
+
+
+_BOARD = BoardOptions()
 
 
 @calibrate.command
@@ -127,10 +161,7 @@ def geometry(
     out: Path | None = None,
     size: str = "1024x768",
     board: Literal["charuco", "chessboard"] = "charuco",
-    squares: str = "11x8",
-    square_mm: float = 20.0,
-    marker_mm: float | None = None,
-    dictionary: str = "DICT_5X5_250",
+    options: BoardOptions = _BOARD,
     period: float | None = None,
     stripes: Literal["horizontal", "vertical"] | None = None,
     baseline_mm: float | None = None,
@@ -155,14 +186,6 @@ def geometry(
         The projector's width and height in px.
     board
         What the board is.
-    squares
-        Its squares, columns and rows.
-    square_mm
-        The side of a square.
-    marker_mm
-        The side of a ChArUco marker; left out, three quarters of a square.
-    dictionary
-        The markers' dictionary, as OpenCV names it.
     period
         Period of the pattern that frames will be taken with, projector px; left out, the earlier calibration's, else
         17.4545.
@@ -184,7 +207,7 @@ def geometry(
     folder, target = _both(captures, out)
     _check_target(target, force)
     known = None if calibration is None else Calibration.read(calibration)
-    described = chosen_board(board, squares, square_mm, marker_mm, dictionary)
+    described = options.board(board)
     pattern = chosen_pattern(known, period, stripes)
     names = multishot_sequence(size_px).names
     if not folder.is_dir():
@@ -319,18 +342,6 @@ def _say_measures(measures: "tuple[Measure, ...]") -> None:
             measure.name, f"{measure.measured:.3f} {measure.unit}", f"{measure.predicted:.3f} {measure.unit}", verdict
         )
     _out.print(table)
-
-
-def chosen_board(kind: str, squares: str, square_mm: float, marker_mm: float | None, dictionary: str) -> Board:
-    """Return the board that the options describe.
-
-    Raises
-    ------
-    SettingsError
-        There is no such board.
-    """
-    sides = {"squares": size_of(squares, "--squares"), "square_mm": square_mm, "marker_mm": marker_mm}
-    return build(Board, {"kind": kind, "dictionary": dictionary, **sides}, SettingsError, "board")
 
 
 def chosen_pattern(
