@@ -1,8 +1,9 @@
 """Turn phase into points: the camera's ray of a pixel meets the projector's surface of equal phase.
 
 Without lens distortion that surface is a plane through the projector's centre and the meeting point is closed-form;
-with it, the row where the ray's point really lands is compared with the row that the phase names, and the plane is
-moved by the difference over the distortion's slope, twice: that leaves 5 um at most, of 900 mm, for k1 up to 0.3.
+with it, the projector sees the camera's ray as a line, and the place on that line which lands in the row that the phase
+names is found by one step of Chebyshev's method: of 900 mm that leaves 0.1 um for the lens of an ordinary projector,
+7 um for k1 = 0.15 and 0.1 mm for k1 = 0.3.
 """
 
 from typing import Any, NamedTuple
@@ -75,20 +76,27 @@ def ray_depth(
     along, offset = direction[axis], translation[axis]
     named = (row - center) / focal
     slope = named
-    depth = (slope * translation.z - offset) / (along - slope * direction.z)
     if ti.static(distorted):
-        for _ in ti.static(range(2)):
-            q = depth * direction + translation
-            inverse = 1.0 / q.z
-            a, b = q[1 - axis] * inverse, q[axis] * inverse
-            r2 = a * a + b * b
-            radial = r2 * (lens[0] + r2 * (lens[1] + r2 * lens[4]))
-            across, along_axis = lens[2 + axis], lens[3 - axis]
-            landed = b * (1.0 + radial) + 2.0 * across * a * b + along_axis * (r2 + 2.0 * b * b)
-            # By how much less the plane must move: one over the distortion's slope along the axis, to second order.
-            steeper = radial + 2.0 * b * b * (lens[0] + r2 * (2.0 * lens[1] + 3.0 * r2 * lens[4]))
-            slope += (named - landed) * (1.0 - steeper + steeper * steeper)
-            depth = (slope * translation.z - offset) / (along - slope * direction.z)
+        # The epipolar line: a = at + b tilt, b along the axis on which the phase changes.
+        d, t = direction[1 - axis], translation[1 - axis]
+        scale = 1.0 / (along * translation.z - offset * direction.z)
+        tilt, at = (d * translation.z - t * direction.z) * scale, (along * t - offset * d) * scale
+        across, along_axis = lens[2 + axis], lens[3 - axis]
+        a, b = at + named * tilt, named
+        r2, half_rise = a * a + b * b, a * tilt + b
+        radial = r2 * (lens[0] + r2 * (lens[1] + r2 * lens[4]))
+        growth = lens[0] + r2 * (2.0 * lens[1] + 3.0 * r2 * lens[4])  # of radial with r2
+        moved = b * radial + 2.0 * across * a * b + along_axis * (r2 + 2.0 * b * b)
+        steeper = (
+            radial
+            + 2.0 * b * growth * half_rise
+            + 2.0 * across * (a + b * tilt)
+            + along_axis * (2.0 * half_rise + 4.0 * b)
+        )
+        curved = growth * (4.0 * half_rise + 2.0 * b * (1.0 + tilt * tilt))
+        step = moved * (1.0 - steeper + steeper * steeper)  # 1 / (1 + steeper)
+        slope -= step + 0.5 * curved * step * step
+    depth = (slope * translation.z - offset) / (along - slope * direction.z)
     return depth
 
 
