@@ -1,7 +1,8 @@
 """What a user does with the kernels: decode, export, render, simulate."""
 
 from pipeline.calibration import Calibration
-from pipeline.decoder import Decoder, DecodeWarning
+from pipeline.decoder import Decoder
+from pipeline.errors import DecodeWarning
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
 

@@ -15,7 +15,7 @@ from rich.table import Table
 from hardware.link import list_serial_ports
 from pipeline.calibration import Calibration
 from pipeline.calibration.commands import BoardOptions, calibrate, chosen_pattern, size_of
-from pipeline.decoder import Decoder, DecodeWarning
+from pipeline.decoder import Decoder
 from pipeline.errors import (
     CalibrationError,
     FootageError,

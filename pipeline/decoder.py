@@ -10,10 +10,11 @@ import numpy.typing as npt
 from pipeline.calibration import Calibration, Capture, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
 from pipeline.errors import CalibrationError, FootageError, SettingsError
-from pipeline.results import DecodedFrame, PhaseNoise
+from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.balance import Gains
+from tikernels.channel_model import ChannelModel
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.equalization import (
     SLOTS,
@@ -26,12 +27,13 @@ from tikernels.equalization import (
 from tikernels.errors import ShapeError
 from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
 from tikernels.linearization import WHITE_LEVELS, Transfer, linearize
+from tikernels.phase_recovery import CLIPPED, recover_phase_kernel
 from tikernels.registration import align_channels
 from tikernels.statistics import count_out_of_range, measure_frame
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
 from tikernels.unwrapping import Unwrapper
-from tikernels.wrapped_phase import phase_weights, recover_phase_kernel
+from tikernels.wrapped_phase import phase_weights
 
 # Smaller pictures hold no surface.
 _MIN_SIZE_PX = 16
@@ -42,13 +44,6 @@ _MODULATION_SIGMAS = 5.0
 _MODULATION_FRACTION = 0.03
 _INTENSITY_SIGMAS = 3.0
 _INTENSITY_FRACTION = 0.02
-# Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
-# one.
-_HARMONICS_A_PIXEL = 0.8
-
-
-class DecodeWarning(UserWarning):
-    """A frame decoded, but not as its user will have hoped."""
 
 
 class _Workspace:
@@ -57,10 +52,9 @@ class _Workspace:
     def __init__(self, height: int, width: int, period_px: float) -> None:
         self.key = (height, width, period_px)
         self.gains = Gains(height, width, period_px)
+        self.model = ChannelModel(self.gains)
         self.rates = rates_buffer(height)
         self.raw_phase = runtime.empty((height, width), np.float32)
-        # Some 60,000 samples pin the equalisation down to a milliradian: more only cost time.
-        self.histogram_step = max(1, height * width // 2**16)
         self.histogram = np.zeros((SLOTS, _BINS), np.int32)
         self.unwrapper = Unwrapper(height, width)
 
@@ -106,53 +100,16 @@ class Decoder:
         self.calibration = calibration
         self._reference = None if reference is None else reference.unwrapped_phase
         self._stripes = self.settings.stripes
-        self._transfer: Transfer = self.settings.transfer
-        self._shift: Any = None
-        self._rays: Any = None
+        self._path = LightPath(self.settings, calibration)
         self._geometry: Geometry | None = None
-        matrix, lag, light = self.settings.crosstalk_matrix, None, np.ones(3)
-        self._response: Any = None  # of a pattern in which it has not been undone, or may not have been
-        self._compensated = calibration.pattern.compensated if calibration and calibration.pattern else None
-        if calibration is not None:
-            if calibration.pattern is not None and calibration.pattern.stripes != self._stripes:
-                raise SettingsError(
-                    f"settings say {self._stripes} stripes but the calibration's pattern has "
-                    f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
-                )
-            self._transfer = _transfer(self.settings, calibration)
-            matrix = calibration.crosstalk_matrix if matrix is None else matrix
-            if calibration.response is not None and self._compensated is not True:
-                self._response = calibration.response
-                if self._compensated is False:
-                    light = pattern_light(calibration.response)
-            if calibration.has_geometry:
-                self._geometry = calibration.geometry()
-                self._depth_mm = _expected_depth(self._geometry, calibration.depth_range_mm)
-                self._projector = self._geometry.for_triangulation()
-            if calibration.color_shift_px is not None:
-                self._shift = calibration.color_shift_px.camera
-                if self._geometry is not None:
-                    axis, period = self._geometry.phase_axis, self._geometry.pattern.period_px
-                    lag = 2 * np.pi / period * calibration.color_shift_px.projector[:, axis]
-        self._balance_first = self.settings.reflectance_bands == "broad"
-        # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
-        # channels are to each other, which matters where the crosstalk is undone before the balance.
-        self._light_unknown = matrix is None and self._balance_first
-        self._lag = lag
-        self._own_correction: npt.NDArray[np.float32] | None = None
-        self._constant_known = matrix is not None
-        self._use_matrix(np.eye(3) if matrix is None else matrix @ np.diag(light))
+        self._rays: Any = None
+        if calibration is not None and calibration.has_geometry:
+            self._geometry = calibration.geometry()
+            self._depth_mm = _expected_depth(self._geometry, calibration.depth_range_mm)
+            self._projector = self._geometry.for_triangulation()
         self._workspace: _Workspace | None = None
         self._last_buffers: dict[str, Any] = {}
         self.arch = runtime.init(arch)
-
-    def _use_matrix(self, matrix: npt.NDArray[np.float64]) -> None:
-        # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
-        inverse = invert_crosstalk(matrix, normalize_rows=self._balance_first)
-        self._inverse, self._matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
-        self._weights = phase_weights(inverse if self._balance_first else np.eye(3), self._lag).astype(np.float32)
-        # The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
-        self._noise_gain = float(np.sqrt((phase_weights(inverse) ** 2).sum() / 2))
 
     def decode(self, image: Any, out: DecodedFrame | None = None) -> DecodedFrame:
         """Decode one frame.
@@ -179,8 +136,8 @@ class Decoder:
             The image holds NaN, or values outside 0..white level.
         """
         image, scale = self._read_image(image)
-        if self._shift is not None:
-            image = align_channels(image, self._shift)
+        if self._path.camera_shift_px is not None:
+            image = align_channels(image, self._path.camera_shift_px)
         vertical = self._stripes == "vertical"
         if vertical:
             image = transpose(image)
@@ -199,17 +156,17 @@ class Decoder:
             self._clear(frame)
             return frame
         intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
-        modulation = self._threshold(self.settings.min_modulation, scale, _MODULATION_SIGMAS * self._noise_gain * noise)
+        modulation = self._threshold(self.settings.min_modulation, scale, _MODULATION_SIGMAS * self._path.noise_gain * noise)
         if self.settings.min_intensity is None:
             intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
         if self.settings.min_modulation is None:
             modulation = max(modulation, _MODULATION_FRACTION * statistics.brightness)
         self._run(image, scale, period, intensity, modulation, frame)
-        if self._light_unknown:
-            self._light_unknown = False
+        if self._path.unknown:
+            self._path.unknown = False
             if self._learn_light(image, scale, period, frame):
                 self._run(image, scale, period, intensity, modulation, frame)
-        frame.constant_known = self._constant_known
+        frame.constant_known = self._path.constant_known
         return frame
 
     def _learn_light(self, image: Any, scale: float, period: float, frame: DecodedFrame) -> bool:
@@ -221,9 +178,7 @@ class Decoder:
         except CalibrationError:
             return False
         if light.reliable:
-            self._use_matrix(light.crosstalk_matrix)
-            self._own_correction = light.correction
-            self._constant_known = light.constant_known
+            self._path.learn(light)
         self.light = light
         return light.reliable
 
@@ -236,28 +191,34 @@ class Decoder:
         if self._workspace is None or self._workspace.key != key:
             self._workspace = _Workspace(*key)
         work, buffers = self._workspace, frame._buffers
-        light = (image, scale, self._inverse, self._matrix, intensity, modulation)
-        gains = work.gains.measure(*light, balance_first=self._balance_first, lag=self._lag)
-        recover_phase_kernel(self._balance_first)(
+        path, white = self._path, 1.0 / scale
+        levels = (intensity / scale, modulation / scale)
+        work.gains.measure(image, path.inverse, path.matrix, *levels, balance_first=path.balance_first, lag=path.lag)
+        work.model.recover_samples(path.weights, levels[1], CLIPPED * white)
+        work.histogram.fill(0)
+        count_phases_kernel(work.model.phases, 1, work.histogram)
+        correction = path.correction(work.histogram.sum(axis=0), period)
+        work.model.fit(correction, path.inverse if path.balance_first else np.eye(3, dtype=np.float32))
+        recover_phase_kernel(path.balance_first)(
             image,
-            1.0 / scale,
-            self._inverse,
-            self._weights,
-            gains,
+            white,
+            path.inverse,
+            path.matrix,
+            path.weights,
+            correction,
+            work.model.template,
+            work.model.nodes,
             work.gains.cell,
-            intensity / scale,
-            modulation / scale,
+            *levels,
             work.raw_phase,
-            buffers["modulation"],
+            *(buffers[name] for name in ("modulation", "slope", "misfit")),
         )
-        table = self._correction(work, period)
-        slope = np.gradient(table, 2 * np.pi / (len(table) - 1))
         pairs = self.settings.smoothing_px // 2
-        frame._noise = PhaseNoise(self._noise_gain * frame.noise_levels, pairs, (1 + slope).astype(np.float32))
+        frame._pairs = pairs
         if self._geometry is not None:
             frame._rig = (self._rays, self._projector)
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
-        smooth_phase_kernel(pairs)(work.raw_phase, table, work.rates, buffers["phase"])
+        smooth_phase_kernel(pairs)(work.raw_phase, work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
         if self._geometry is not None:
             work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
@@ -266,27 +227,6 @@ class Decoder:
         if self._geometry is not None:
             projector = self._projector.arguments()
             triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
-
-    def _correction(self, work: _Workspace, period: float) -> npt.NDArray[np.float32]:
-        """Return what undoes the projector's response, as a table over the cycle.
-
-        What is known of the response is better than the assumption that a surface shows every phase equally often.
-        """
-        if self._own_correction is not None:
-            return self._own_correction
-        if self._compensated:
-            return np.zeros(2, np.float32)
-        if self._response is not None and self._compensated is False:
-            return response_table(self._response)
-        if self._response is None and not self.settings.equalize:
-            return np.zeros(2, np.float32)
-        work.histogram.fill(0)
-        count_phases_kernel(work.raw_phase, work.histogram_step, work.histogram)
-        histogram = work.histogram.sum(axis=0)
-        if self._response is None:
-            return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period)))
-        known = prefers_response(histogram, self._response)
-        return response_table(self._response) if known else np.zeros(2, np.float32)
 
     def _read_image(self, image: Any) -> tuple[Any, float]:
         """Return linear light in levels, and the factor that takes them to 0..1."""
@@ -322,8 +262,9 @@ class Decoder:
                 raise FootageError(
                     f"image has {outside} values outside 0..{white:g}: scale it, or set white_level to its full scale"
                 )
-        if not isinstance(self._transfer, str) or self._transfer != "linear":
-            return linearize(image, self._transfer, white), 1.0
+        transfer = self._path.transfer
+        if not isinstance(transfer, str) or transfer != "linear":
+            return linearize(image, transfer, white), 1.0
         return image, 1.0 / white
 
     def _frame(self, height: int, width: int, vertical: bool, out: DecodedFrame | None) -> DecodedFrame:
@@ -348,8 +289,9 @@ class Decoder:
         # A buffer that only the dictionary and this expression know of is free; the dictionary goes with its frame.
         free = bool(buffers) and sys.getrefcount(buffers) == 2 and buffers["mask"].shape == (height, width)
         if not free or any(sys.getrefcount(buffers[name]) > 2 for name in buffers):
-            types = {"phase": np.float32, "modulation": np.float32, "unwrapped": np.float32, "mask": np.uint8}
-            buffers = {name: runtime.empty((height, width), dtype) for name, dtype in types.items()}
+            floats = ("phase", "modulation", "slope", "misfit", "unwrapped")
+            buffers = {name: runtime.empty((height, width), np.float32) for name in floats}
+            buffers["mask"] = runtime.empty((height, width), np.uint8)
             buffers["region"] = runtime.empty((height, width), np.int32)
             if self._geometry is not None:
                 buffers["points"] = runtime.empty((height, width, 3), np.float32)
@@ -367,26 +309,6 @@ class Decoder:
     def _warn(self, frame: DecodedFrame, message: str) -> None:
         frame.warnings = (*frame.warnings, message)
         warnings.warn(message, DecodeWarning, stacklevel=4)
-
-
-def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
-    """Return how the camera encodes light, and warn where it stands otherwise than at calibration."""
-    before, now = calibration.capture or Capture(), settings.capture or Capture()
-    chosen: Transfer = settings.transfer
-    if before.transfer is not None and "transfer" not in settings.model_fields_set:
-        chosen = before.transfer
-    differ = [
-        (name, getattr(before, name), getattr(now, name))
-        for name in ("exposure_s", "gain", "white_balance")
-        if getattr(before, name) is not None and getattr(now, name) is not None
-        if not np.allclose(getattr(before, name), getattr(now, name), rtol=1e-3)
-    ]
-    if before.transfer is not None and not np.array_equal(chosen, before.transfer):
-        differ.append(("transfer", before.transfer, chosen))
-    for name, was, is_now in differ:
-        message = f"{name} is {is_now} but was {was} at calibration: set the camera as it was, or calibrate again"
-        warnings.warn(message, DecodeWarning, stacklevel=3)
-    return chosen
 
 
 def _expected_depth(geometry: Geometry, depth_range_mm: tuple[float, float] | None) -> float:

@@ -19,3 +19,7 @@ class OutputError(OSError):
 
 class RenderError(RuntimeError):
     """The machine cannot draw: a graphics library is missing or broken."""
+
+
+class DecodeWarning(UserWarning):
+    """A frame decoded, but not as its user will have hoped."""

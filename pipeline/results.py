@@ -13,15 +13,6 @@ from tikernels.transposing import transpose
 from tikernels.triangulation import ProjectorGeometry, triangulate
 
 
-@dataclass(frozen=True)
-class PhaseNoise:
-    """What the camera's noise does to a frame's phase."""
-
-    levels: float  # standard deviation of the phase vector across its direction, grey levels of the input
-    pairs: int  # neighbours on either side that the smoothing averages over
-    stretch: npt.NDArray[np.float32]  # by how much the response's correction stretches the phase, from -pi to pi
-
-
 @dataclass(eq=False)
 class DecodedFrame:
     """A decoded frame: every pixel's phase, its order and, with a calibration, its place.
@@ -41,7 +32,7 @@ class DecodedFrame:
     """Whether the phase is known, not only but for one constant: crosstalk that is not known turns it about grey."""
     _vertical: bool
     _buffers: dict[str, Any] = field(repr=False)  # stripes along the rows, on the device
-    _noise: "PhaseNoise | None" = field(default=None, repr=False)
+    _pairs: int = field(default=0, repr=False)  # neighbours on either side that the smoothing averages over
     _rig: tuple[Any, ProjectorGeometry] | None = field(default=None, repr=False)  # rays as the buffers lie, projector
     _reference: npt.NDArray[np.float32] | None = field(default=None, repr=False)
 
@@ -94,19 +85,15 @@ class DecodedFrame:
         ripple that balance and crosstalk leave; what is the same over a whole cycle and more, as near an edge, is not
         in it.
         """
-        sigma = np.full(self.mask.shape, np.nan, np.float32)
-        noise = self._noise
-        if noise is not None:
-            mask = self.mask
-            reach = (1, 2 * noise.pairs + 1)
-            window = np.ones(reach[::-1] if self._vertical else reach, np.uint8)
-            # Only where all the neighbours are there does the smoothing average over all of them.
-            whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
-            averaged = np.where(whole, np.float32(1 / np.sqrt(2 * noise.pairs + 1)), np.float32(1))
-            phases = np.linspace(-np.pi, np.pi, len(noise.stretch))
-            stretch = np.interp(self.wrapped_phase[mask], phases, noise.stretch)
-            sigma[mask] = noise.levels * averaged * stretch / np.maximum(self.modulation[mask], 1e-6)
-            sigma *= max(1.0, self._scatter(sigma))
+        mask, slope = self.mask, self._read("slope")
+        sigma = np.full(mask.shape, np.nan, np.float32)
+        reach = (1, 2 * self._pairs + 1)
+        window = np.ones(reach[::-1] if self._vertical else reach, np.uint8)
+        # Only where all the neighbours are there does the smoothing average over all of them.
+        whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
+        averaged = np.where(whole, np.float32(1 / np.sqrt(2 * self._pairs + 1)), np.float32(1))
+        sigma[mask] = self.noise_levels * averaged / np.maximum(slope[mask], 1e-6)
+        sigma *= max(1.0, self._scatter(sigma))
         return sigma
 
     def _scatter(self, sigma: npt.NDArray[np.float32]) -> float:

@@ -24,7 +24,7 @@ from tikernels.phase_vector import channel_waves, matrix_of
 _SIGMA_ACROSS, _SIGMA_ALONG = 0.85, 1.0
 #: Three samples a cycle and a little more is what a camera must see.
 MIN_PERIOD_PX = 4.0
-# Sums below this (linear light a block) hold no colour worth measuring.
+# Sums below this hold no colour worth measuring.
 _DARK = 1e-6
 
 
@@ -39,8 +39,9 @@ def block_rows(period_px: float) -> int:
 class Gains:
     """Per-channel gains on a coarse grid, and the buffers to measure them for one image size and period.
 
-    A block is `rows` image rows by twice as many columns; the grid has a node in the middle of every two blocks, one
-    above the other, so its cells are squares of `cell` pixels.
+    Along the stripes neighbours say the same, so one pixel a row of each block stands for it. A block is `rows` image
+    rows by twice as many columns; the grid has a node in the middle of every two blocks, one above the other, so its
+    cells are squares of `cell` pixels.
     """
 
     def __init__(self, height: int, width: int, period_px: float) -> None:
@@ -48,8 +49,11 @@ class Gains:
         self.cell = 2 * self.rows
         blocks = (-(-height // self.rows), -(-width // self.cell))
         self.grid = (-(-blocks[0] // 2), blocks[1])
-        self.sums = runtime.empty((*blocks, 6), np.float32)
-        self.half = runtime.empty((self.grid[0], self.grid[1], 6), np.float32)
+        #: Of the channels that the gains belong to, in levels; zero where it is too dark.
+        self.samples = runtime.empty((height, blocks[1], 3), np.float32)
+        self.sums = runtime.empty((*blocks, 8), np.float32)
+        self.half = runtime.empty((*self.grid, 8), np.float32)
+        self.smooth = runtime.empty((*self.grid, 8), np.float32)
         self.gains = runtime.empty((*self.grid, 3), np.float32)
         self.visibility = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
         # Across, a node stands between two blocks, so the taps sit at half-integer distances.
@@ -59,33 +63,39 @@ class Gains:
     def measure(
         self,
         image: Any,
-        scale: float,
         inverse: npt.NDArray[np.floating[Any]],
         matrix: npt.NDArray[np.floating[Any]],
         min_intensity: float,
         min_modulation: float,
         *,
         balance_first: bool,
-        phase_aware: bool = True,
         lag: npt.NDArray[np.float64] | None = None,
     ) -> Any:
         """Measure the gains of one frame; see `balance_color`.
 
         `inverse` undoes the crosstalk `matrix`; with `balance_first` the gains belong to the camera's channels, before
-        it, otherwise to the projector's, after it. The thresholds are in linear light. `lag` is how far the fringe of
-        each colour lags behind its place, rad.
+        it, otherwise to the projector's, after it. The thresholds are in levels. `lag` is how far the fringe of each
+        colour lags behind its place, rad.
         """
         inverse, matrix = inverse.astype(np.float32), matrix.astype(np.float32)
-        sum_blocks, predict_blocks = _block_kernels(balance_first)
-        sum_blocks(image, scale, inverse, min_intensity, self.rows, self.sums)
-        smooth_blocks_kernel(self.sums, self.taps_across, self.taps_along, 3, self.half, self.gains)
-        if phase_aware:
-            waves = channel_waves(lag)
-            of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
-            args = (image, scale, inverse, matrix, of_phase, to_phase, self.gains, self.rows)
-            predict_blocks(*args, min_intensity, min_modulation, self.visibility, self.sums)
-            smooth_blocks_kernel(self.sums, self.taps_across, self.taps_along, 6, self.half, self.gains)
+        collect_samples, predict_blocks = _sample_kernels(balance_first)
+        collect_samples(image, inverse, min_intensity, self.rows, self.samples)
+        sum_blocks_kernel(self.samples, self.rows, self.sums)
+        self._find_gains(predicted=False)
+        waves = channel_waves(lag)
+        of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
+        args = (self.samples, inverse, matrix, of_phase, to_phase, self.gains, self.rows)
+        predict_blocks(*args, min_modulation, self.visibility, self.sums)
+        self._find_gains(predicted=True)
         return self.gains
+
+    def smooth_sums(self, sums: Any, half: Any, out: Any) -> None:
+        """Add up (Hb, Wb, N) sums of the blocks over a Gaussian window at every node, (Hg, Wg, N)."""
+        smooth_blocks_kernel(sums, self.taps_across, self.taps_along, half, out)
+
+    def _find_gains(self, predicted: bool) -> None:
+        self.smooth_sums(self.sums, self.half, self.smooth)
+        find_gains_kernel(self.smooth, predicted, self.gains)
 
 
 @ti.func
@@ -106,87 +116,70 @@ def gain_at(gains: F32Array3, cell: i32, y: i32, x: i32) -> vec3:
     return result
 
 
-# Along the stripes neighbours say the same: the first sums look at every second pixel, the phase-aware ones at one in
-# each row of a block. The visibility is averaged over every eighth pixel both ways.
+# The visibility is averaged over every eighth row.
 _SPARSE = 8
 
 
 @cache
-def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
-    @ti.func
-    def light_at(image: AnyArray3, scale: f32, y: i32, x: i32) -> vec3:
-        return scale * vec3(
-            ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
-        )
-
-    @ti.func
-    def unbalanced(light: vec3, inverse: mat3) -> vec3:
-        """Return the channels that the gains belong to."""
-        result = light
-        if ti.static(not balance_first):
-            result = inverse @ light
-        return result
-
-    @ti.func
-    def balanced(light: vec3, gain: vec3, inverse: mat3) -> vec3:
-        """Return the projector's channels as a neutral surface sends them back."""
-        result = vec3(0.0)
-        if ti.static(balance_first):
-            result = inverse @ (light * gain)
-        else:
-            result = (inverse @ light) * gain
-        return result
-
+def _sample_kernels(balance_first: bool) -> tuple[Any, Any]:
     @ti.kernel
-    def sum_blocks_kernel(
+    def collect_samples_kernel(
         image: AnyArray3,  # (H, W, 3) levels
-        scale: f32,  # levels to linear light
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
-        min_intensity: f32,  # linear light; darker pixels are left out
+        min_intensity: f32,  # levels; darker pixels are left out
         rows: i32,
-        out_sums: F32Array3,  # (Hb, Wb, >= 3)
+        out_samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to; 0 where left out
     ):
-        height, width, columns = image.shape[0], image.shape[1], 2 * rows
-        for block in range(out_sums.shape[0] * out_sums.shape[1]):
-            i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+        width, blocks = image.shape[1], out_samples.shape[1]
+        for sample in range(out_samples.shape[0] * blocks):
+            y, j = sample // blocks, sample % blocks
             inverse = matrix_of(inverse_matrix)
-            total = vec3(0.0)
-            for y in range(i * rows, ti.min((i + 1) * rows, height)):
-                x = j * columns
-                while x < ti.min((j + 1) * columns, width):
-                    light = light_at(image, scale, y, x)
-                    if light.sum() > 3.0 * min_intensity:
-                        total += unbalanced(light, inverse)
-                    x += 2
+            x = j * 2 * rows + (y & 1) * rows
+            light = vec3(0.0)
+            if x < width:
+                light = vec3(
+                    ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
+                )
+                if light.sum() <= 3.0 * min_intensity:
+                    light = vec3(0.0)
+                if ti.static(not balance_first):
+                    light = inverse @ light
             for k in ti.static(range(3)):
-                out_sums[i, j, k] = total[k]
+                out_samples[y, j, k] = light[k]
+
+    @ti.func
+    def projected_light(sample: vec3, gain: vec3, inverse: mat3) -> vec3:
+        """Return the projector's channels as a neutral surface sends them back."""
+        result = sample * gain
+        if ti.static(balance_first):
+            result = inverse @ result
+        return result
 
     @ti.kernel
     def predict_blocks_kernel(
-        image: AnyArray3,  # (H, W, 3) levels
-        scale: f32,
+        samples: F32Array3,  # (H, Wb, 3)
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
         crosstalk_matrix: F32Array2,  # (3, 3)
         channel_matrix: F32Array2,  # (3, 3) `channel_waves`
         phase_matrix: F32Array2,  # (3, 3) its inverse
         gains: F32Array3,  # (Hg, Wg, 3) of the first look
         rows: i32,
-        min_intensity: f32,
         min_modulation: f32,
         visibility: F32Array2,  # (H / 8 + 1, 2) scratch: sums of modulation and background a row; last: their totals
-        out_sums: F32Array3,  # (Hb, Wb, 6) what is there, and what the phase predicts
+        out_sums: F32Array3,  # (Hb, Wb, 8) what is there, what the phase predicts, the background, and the samples
     ):
-        height, width, columns = image.shape[0], image.shape[1], 2 * rows
+        height, columns = samples.shape[0], 2 * rows
         sparse_rows = visibility.shape[0] - 1
         for i in range(sparse_rows):
             inverse, to_phase = matrix_of(inverse_matrix), matrix_of(phase_matrix)
             modulation_sum, background_sum = 0.0, 0.0
-            for j in range(width // _SPARSE):
-                y, x = i * _SPARSE, j * _SPARSE
-                light = light_at(image, scale, y, x)
-                wave = to_phase @ balanced(light, gain_at(gains, columns, y, x), inverse)
+            y = i * _SPARSE
+            for j in range(samples.shape[1]):
+                sample = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
+                gain = gain_at(gains, columns, y, j * columns + rows)
+                wave = to_phase @ projected_light(sample, gain, inverse)
                 modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
-                if light.sum() > 3.0 * min_intensity and modulation > min_modulation:
+                if modulation > min_modulation:
                     modulation_sum += modulation
                     background_sum += wave.x
             visibility[i, 0] = modulation_sum
@@ -204,42 +197,58 @@ def _block_kernels(balance_first: bool) -> tuple[Any, Any]:
             inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
             of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
             seen, predicted = vec3(0.0), vec3(0.0)
+            background, count = 0.0, 0.0
             contrast = visibility[sparse_rows, 0]
             # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
-            gain = gain_at(
-                gains, columns, ti.min(i * rows + rows // 2, height - 1), ti.min(j * columns + rows, width - 1)
-            )
+            gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), j * columns + rows)
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
-                x = j * columns + (y & 1) * rows
-                if x < width:
-                    light = light_at(image, scale, y, x)
-                    wave = to_phase @ balanced(light, gain, inverse)
-                    modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
-                    if light.sum() > 3.0 * min_intensity and modulation > min_modulation:
-                        # Cosine and sine of the phase come from the phase vector itself: no arctangent needed.
-                        share = contrast / modulation
-                        model = wave.x * (of_phase @ vec3(1.0, share * wave.y, share * wave.z))
-                        if ti.static(balance_first):
-                            model = matrix @ model
-                        seen += unbalanced(light, inverse)
-                        predicted += model
+                sample = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
+                wave = to_phase @ projected_light(sample, gain, inverse)
+                modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
+                if modulation > min_modulation:
+                    # Cosine and sine of the phase come from the phase vector itself: no arctangent needed.
+                    share = contrast / modulation
+                    model = wave.x * (of_phase @ vec3(1.0, share * wave.y, share * wave.z))
+                    if ti.static(balance_first):
+                        model = matrix @ model
+                    seen += sample
+                    predicted += model
+                    background += (sample * gain).sum() / 3.0
+                    count += 1.0
             for k in ti.static(range(3)):
                 out_sums[i, j, k] = seen[k]
                 out_sums[i, j, 3 + k] = predicted[k]
+            out_sums[i, j, 6] = background
+            out_sums[i, j, 7] = count
 
-    return sum_blocks_kernel, predict_blocks_kernel
+    return collect_samples_kernel, predict_blocks_kernel
+
+
+@ti.kernel
+def sum_blocks_kernel(
+    samples: F32Array3,  # (H, Wb, 3)
+    rows: i32,
+    out_sums: F32Array3,  # (Hb, Wb, >= 3)
+):
+    height = samples.shape[0]
+    for block in range(out_sums.shape[0] * out_sums.shape[1]):
+        i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+        total = vec3(0.0)
+        for y in range(i * rows, ti.min((i + 1) * rows, height)):
+            total += vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
+        for k in ti.static(range(3)):
+            out_sums[i, j, k] = total[k]
 
 
 @ti.kernel
 def smooth_blocks_kernel(
-    sums: F32Array3,  # (Hb, Wb, >= channels) a block's sums
+    sums: F32Array3,  # (Hb, Wb, N) a block's sums
     taps_across: F32Array1,  # half a Gaussian, from its middle
     taps_along: F32Array1,
-    channels: i32,  # 3: seen; 6: seen and predicted
-    half: F32Array3,  # (Hg, Wg, >= channels) scratch: smoothed across the stripes
-    out_gains: F32Array3,  # (Hg, Wg, 3)
+    half: F32Array3,  # (Hg, Wg, N) scratch: smoothed across the stripes
+    out: F32Array3,  # (Hg, Wg, N)
 ):
-    blocks = sums.shape[0]
+    blocks, channels = sums.shape[0], sums.shape[2]
     for node in range(half.shape[0] * half.shape[1]):
         i, j = node // half.shape[1], node % half.shape[1]
         for k in range(channels):
@@ -253,30 +262,34 @@ def smooth_blocks_kernel(
             half[i, j, k] = total
     for node in range(half.shape[0] * half.shape[1]):
         i, j = node // half.shape[1], node % half.shape[1]
-        seen, predicted = vec3(0.0), vec3(1.0)
-        for k in ti.static(range(3)):
-            seen[k] = taps_along[0] * half[i, j, k]
-        for tap in range(1, taps_along.shape[0]):
-            left, right = j - tap, j + tap
-            for k in ti.static(range(3)):
-                if left >= 0:
-                    seen[k] += taps_along[tap] * half[i, left, k]
-                if right < half.shape[1]:
-                    seen[k] += taps_along[tap] * half[i, right, k]
-        if channels == 6:
-            for k in ti.static(range(3)):
-                predicted[k] = taps_along[0] * half[i, j, 3 + k]
+        for k in range(channels):
+            total = taps_along[0] * half[i, j, k]
             for tap in range(1, taps_along.shape[0]):
                 left, right = j - tap, j + tap
-                for k in ti.static(range(3)):
-                    if left >= 0:
-                        predicted[k] += taps_along[tap] * half[i, left, 3 + k]
-                    if right < half.shape[1]:
-                        predicted[k] += taps_along[tap] * half[i, right, 3 + k]
+                if left >= 0:
+                    total += taps_along[tap] * half[i, left, k]
+                if right < half.shape[1]:
+                    total += taps_along[tap] * half[i, right, k]
+            out[i, j, k] = total
+
+
+@ti.kernel
+def find_gains_kernel(
+    sums: F32Array3,  # (Hg, Wg, 8) what is there, and what the phase predicts
+    predicted: i32,  # 0: nothing is predicted yet, and the channels are to be equal
+    out_gains: F32Array3,  # (Hg, Wg, 3)
+):
+    for node in range(sums.shape[0] * sums.shape[1]):
+        i, j = node // sums.shape[1], node % sums.shape[1]
+        color = vec3(sums[i, j, 0], sums[i, j, 1], sums[i, j, 2])
+        least = color.min()
+        if predicted == 1:
+            model = vec3(sums[i, j, 3], sums[i, j, 4], sums[i, j, 5])
+            least = ti.min(least, model.min())
+            color = color / model
         # Where nothing is lit, the gains stay one.
         gain = vec3(1.0)
-        if ti.min(seen.min(), predicted.min()) > _DARK:
-            color = seen / predicted
+        if least > _DARK:
             gain = color.sum() / 3.0 / color
         for k in ti.static(range(3)):
             out_gains[i, j, k] = gain[k]
@@ -362,6 +375,6 @@ def balance_color(
     inverse = invert_crosstalk(matrix, normalize_rows=True)
     out = _checks.out_array("out", out, (height, width, 3), np.float32)
     gains = Gains(height, width, period_px)
-    gains.measure(counted, 1.0, inverse, np.linalg.inv(inverse), _DARK, _DARK, balance_first=True)
+    gains.measure(counted, inverse, np.linalg.inv(inverse), _DARK, _DARK, balance_first=True)
     apply_gains_kernel(image, gains.gains, gains.cell, out)
     return out

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from tikernels import _checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
 from tikernels.errors import ShapeError
-from tikernels.phase_vector import PI, wrap
+from tikernels.phase_vector import PI, channel_waves, wrap
 from tikernels.wrapped_phase import NO_PHASE, mark_no_phase_kernel
 
 #: Rows of a histogram that threads add to in parallel, so that they seldom wait for each other.
@@ -59,13 +59,17 @@ def pattern_light(response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.array([np.interp(codes, np.linspace(0, 1, response.shape[1]), row).mean() for row in response])
 
 
-def response_map(response: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def response_map(
+    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return phases all around the cycle, and what the arctangent makes of them with this response of the projector.
 
     Parameters
     ----------
     response : (3, N)
         Light of N evenly spaced codes of R, G, B.
+    lag : (3,), optional
+        How far the fringe of R, G, B lags behind its place, rad; see `channel_waves`.
 
     Returns
     -------
@@ -73,14 +77,18 @@ def response_map(response: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.floa
         rad; both rise by a whole cycle from the first to the last.
     """
     phase = np.linspace(-np.pi, np.pi, 4097)
-    codes = 0.5 + 0.5 * np.cos(phase[:, None] + np.array([-1, 0, 1]) * 2 * np.pi / 3)
+    delays = np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag)
+    codes = 0.5 + 0.5 * np.cos(phase[:, None] + delays)
     light = np.stack([np.interp(codes[:, j], np.linspace(0, 1, response.shape[1]), response[j]) for j in range(3)], 1)
     light /= light[:-1].mean(axis=0)  # the colours are balanced
-    bare = np.unwrap(np.arctan2(np.sqrt(3) * (light[:, 0] - light[:, 2]), 2 * light[:, 1] - light[:, 0] - light[:, 2]))
+    vector = np.linalg.inv(channel_waves(lag))[1:] @ light.T
+    bare = np.unwrap(np.arctan2(vector[1], vector[0]))
     return phase, bare - 2 * np.pi * np.round((bare - phase).mean() / (2 * np.pi))
 
 
-def response_table(response: npt.NDArray[np.float64], bins: int = 256) -> npt.NDArray[np.float32]:
+def response_table(
+    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, bins: int = 256
+) -> npt.NDArray[np.float32]:
     """Return what to add to a phase, at the edges of so many bins, to undo a known response; see `response_map`.
 
     Returns
@@ -88,20 +96,24 @@ def response_table(response: npt.NDArray[np.float64], bins: int = 256) -> npt.ND
     (bins + 1,) float32
         rad.
     """
-    phase, bare = response_map(response)
+    phase, bare = response_map(response, lag)
     edges = np.linspace(-np.pi, np.pi, bins + 1)
     turns = 2 * np.pi * np.array([[-1], [0], [1]])
     around = np.interp(edges, (bare[:-1] + turns).ravel(), (phase[:-1] + turns).ravel())
     return np.asarray(around - edges, np.float32)
 
 
-def prefers_response(histogram: npt.NDArray[np.integer[Any]], response: npt.NDArray[np.float64]) -> bool:
+def prefers_response(
+    histogram: npt.NDArray[np.integer[Any]],
+    response: npt.NDArray[np.float64],
+    lag: npt.NDArray[np.float64] | None = None,
+) -> bool:
     """Whether the phases look as if the response bent them, rather than as if it had been compensated.
 
     Surfaces show every phase equally often; with the response the density is the slope of `response_map`'s inverse. The
     likelier of the two wins.
     """
-    phase, bare = response_map(response)
+    phase, bare = response_map(response, lag)
     bins = len(histogram)
     centres = -np.pi + (np.arange(bins) + 0.5) * 2 * np.pi / bins
     turns = 2 * np.pi * np.array([[-1], [0], [1]])

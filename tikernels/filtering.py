@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, f32, ti, u1
-from tikernels.equalization import equalized
+from tikernels._taichi import F32Array2, f32, ti, u1
 from tikernels.errors import ShapeError
 from tikernels.phase_vector import PI, STRIP, wrap
 from tikernels.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
@@ -32,7 +31,7 @@ _SAMPLE = 8
 
 @cache
 def smooth_phase_kernel(pairs: int) -> Any:
-    """Return the kernel that equalises and smooths in one pass; `pairs` neighbours on either side."""
+    """Return the kernel that averages over `pairs` neighbours on either side."""
     reach = max(pairs, 1)
     window = 2 * reach + STRIP
     taps, lanes = ti.types.vector(window, ti.f32), ti.types.vector(STRIP, ti.f32)
@@ -52,8 +51,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
 
     @ti.kernel
     def smooth_phase(
-        phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
-        table: F32Array1,  # (bins + 1,) rad to add before smoothing
+        phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
         rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
         out: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask, STEP_PHASE between two surfaces
     ):
@@ -64,24 +62,21 @@ def smooth_phase_kernel(pairs: int) -> Any:
             y, first = t // strips, (t % strips) * STRIP
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, 0], rates[last, 1]
-            raw, values = taps(0.0), taps(0.0)
+            values = taps(0.0)
             upper, lower, result = lanes(0.0), lanes(0.0), lanes(0.0)
             for k in range(window):
-                raw[k] = NO_PHASE
+                values[k] = NO_PHASE
             for k in range(ti.max(0, reach - first), ti.min(window, width - first + reach)):
-                raw[k] = phase[y, first - reach + k]
-            for k in range(window):
-                values[k] = ti.select(raw[k] < 0.5 * NO_PHASE, equalized(raw[k], table), NO_PHASE)
-            # Up and down the phases before equalisation do as well: its correction is smaller than a step.
+                values[k] = phase[y, first - reach + k]
             for k in range(ti.min(STRIP, width - first)):
                 upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
             for k in range(STRIP):
-                centre, here = values[reach + k], raw[reach + k]
+                centre = values[reach + k]
                 # Without a neighbour the differences stay far beyond any phase.
                 left, right = wrap(values[reach + k - 1] - centre), wrap(values[reach + k + 1] - centre)
                 to_left, to_right = ti.abs(left + rate_along), ti.abs(right - rate_along)
-                to_upper = departure(here - upper[k] - rate_across)
-                to_lower = departure(lower[k] - here - rate_across)
+                to_upper = departure(centre - upper[k] - rate_across)
+                to_lower = departure(lower[k] - centre - rate_across)
                 to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
                 to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
                 total, count = 0.0, 1.0
@@ -201,6 +196,6 @@ def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *
     mark_no_phase_kernel(wrapped_phase, mask, marked)
     rates = rates_buffer(shape[0])
     measure_rates_kernel(marked, marked, rates)
-    smooth_phase_kernel(smoothing_px // 2)(marked, np.zeros(2, np.float32), rates, out)
+    smooth_phase_kernel(smoothing_px // 2)(marked, rates, out)
     restore_kernel(wrapped_phase, out)
     return out

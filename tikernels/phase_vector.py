@@ -43,6 +43,16 @@ def arctangent(y: f32, x: f32) -> f32:
     return with_sign_of(ti.max(0.5 * PI - with_sign_of(0.25 * PI, x) - angle, 0.0), y)
 
 
+@ti.func
+def cosine_and_sine(angle: f32):
+    """Return both, for angles within a tenth beyond [-pi, pi]; error 2e-6."""
+    half = 0.5 * angle
+    s = half * half
+    sine = half * (1.0 + s * (-1 / 6 + s * (1 / 120 + s * (-1 / 5040 + s * (1 / 362880 - s / 39916800)))))
+    cosine = 1.0 + s * (-1 / 2 + s * (1 / 24 + s * (-1 / 720 + s * (1 / 40320 + s * (-1 / 3628800 + s / 479001600)))))
+    return cosine * cosine - sine * sine, 2.0 * sine * cosine
+
+
 def channel_waves(lag: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float64]:
     """Return the (3, 3) matrix that makes R, G, B of a, b cos phi and b sin phi.
 

@@ -1,0 +1,152 @@
+"""From the camera's levels to the phase: the arctangent, and from there the phase that the channel model fits best.
+
+The arctangent weighs the channels as if all were equally bright, and takes the projector's light for a sinusoid. With
+`channel_model.py`'s C_i = s A_i t_i(phi) + B_i a step of Gauss and Newton weighs them by what they say: with
+M_i = A_i t_i and its derivative's part across M, D_i = M_i' - (M' M / M M) M_i, the least squares over s and phi are
+
+    step = D (C - B) / (s D D),    s = M (C - B) / M M,
+
+and noise of so many levels a channel makes noise / (s |D|) of phase. What is left lies along M x M'.
+"""
+
+from functools import cache
+from typing import Any
+
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
+from tikernels.channel_model import HARMONICS
+from tikernels.equalization import equalized
+from tikernels.phase_vector import arctangent, cosine_and_sine, matrix_of
+from tikernels.wrapped_phase import NO_PHASE
+
+# Gain cells that one thread walks along a row: enough threads for a GPU, and more than the 512 iterations below which
+# the CPU runtime uses a single core.
+_CELLS_A_THREAD = 8
+# Pixels that are worked on at once.
+_LANES = 8
+#: Share of full scale beyond which a channel is clipped. A pixel with two such channels has lost its phase; one alone
+#: bends it by 0.03 rad at the most.
+CLIPPED = 0.998
+# The arctangent is never further off than this; a model that says so is wrong there.
+_MAX_STEP = 0.3
+
+
+@cache
+def recover_phase_kernel(balance_first: bool) -> Any:
+    """Return the kernel from grey levels to phase: balance, crosstalk, arctangent, fit and masks in one pass."""
+    lanes = ti.types.vector(_LANES, ti.f32)
+
+    @ti.func
+    def node_model(nodes: F32Array3, i: i32, i1: i32, fraction: f32, j: i32):
+        """Return A and B at a column of nodes."""
+        column = ti.min(ti.max(j, 0), nodes.shape[1] - 1)
+        gain, ambient = vec3(0.0), vec3(0.0)
+        for k in ti.static(range(3)):
+            gain[k] = nodes[i, column, k] + fraction * (nodes[i1, column, k] - nodes[i, column, k])
+            ambient[k] = nodes[i, column, 3 + k] + fraction * (nodes[i1, column, 3 + k] - nodes[i, column, 3 + k])
+        return gain, ambient
+
+    @ti.kernel
+    def recover_phase(
+        image: AnyArray3,  # (H, W, 3) levels
+        white: f32,  # level of full scale
+        inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk; used where the model's channels come after it
+        crosstalk_matrix: F32Array2,  # (3, 3)
+        phase_weights: F32Array2,  # (3, 3) takes the model's balanced channels to b (cos phi, sin phi), 0
+        correction: F32Array1,  # (bins + 1,) rad to add to the arctangent
+        template: F32Array2,  # (3, 1 + 2 harmonics) one cycle of each channel
+        nodes: F32Array3,  # (Hg, Wg, 6) A and B
+        cell: i32,  # px between two nodes
+        min_intensity: f32,  # levels
+        min_modulation: f32,  # levels
+        out_phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
+        out_modulation: F32Array2,  # (H, W) levels
+        out_slope: F32Array2,  # (H, W) levels a rad: what noise is divided by
+        out_misfit: F32Array2,  # (H, W) levels: what neither phase nor brightness explain
+    ):
+        height, width = image.shape[0], image.shape[1]
+        half = cell // 2
+        stretches = (nodes.shape[1] + _CELLS_A_THREAD) // _CELLS_A_THREAD
+        for t in range(height * stretches):
+            y, stretch = t // stretches, t % stretches
+            inverse, weights = matrix_of(inverse_matrix), matrix_of(phase_weights)
+            matrix = matrix_of(crosstalk_matrix)
+            v = ti.min(ti.max((y + 0.5) / cell - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
+            i = ti.cast(v, ti.i32)
+            i1 = ti.min(i + 1, nodes.shape[0] - 1)
+            fraction = v - i
+            # Cell j lies between node j and the next one, whose pixels are half a cell further on.
+            first = stretch * _CELLS_A_THREAD - 1
+            right_gain, right_ambient = node_model(nodes, i, i1, fraction, first)
+            red, green, blue, bend = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            bare, phase, modulation, slope, misfit = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            for j in range(first, ti.min(first + _CELLS_A_THREAD, nodes.shape[1])):
+                left_gain, left_ambient = right_gain, right_ambient
+                right_gain, right_ambient = node_model(nodes, i, i1, fraction, j + 1)
+                gain_slope = (right_gain - left_gain) / ti.cast(cell, ti.f32)
+                ambient_slope = (right_ambient - left_ambient) / ti.cast(cell, ti.f32)
+                start = j * cell + half
+                x, stop = ti.max(start, 0), ti.min(start + cell, width)
+                while x < stop:
+                    count = ti.min(_LANES, stop - x)
+                    for k in range(count):
+                        red[k] = ti.cast(image[y, x + k, 0], ti.f32)
+                        green[k] = ti.cast(image[y, x + k, 1], ti.f32)
+                        blue[k] = ti.cast(image[y, x + k, 2], ti.f32)
+                    for k in range(_LANES):
+                        along = ti.cast(x + k - start, ti.f32) + 0.5
+                        gain, ambient = left_gain + gain_slope * along, left_ambient + ambient_slope * along
+                        channels = vec3(red[k], green[k], blue[k])
+                        if ti.static(not balance_first):
+                            channels = inverse @ channels
+                        # One division for three.
+                        others = vec3(gain.y * gain.z, gain.x * gain.z, gain.x * gain.y)
+                        vector = weights @ ((channels - ambient) * others) / (gain.x * others.x)
+                        modulation[k] = ti.sqrt(vector.x * vector.x + vector.y * vector.y)
+                        bare[k] = arctangent(vector.y, vector.x)
+                    for k in range(_LANES):
+                        bend[k] = equalized(bare[k], correction)
+                    for k in range(_LANES):
+                        along = ti.cast(x + k - start, ti.f32) + 0.5
+                        gain, ambient = left_gain + gain_slope * along, left_ambient + ambient_slope * along
+                        seen = vec3(red[k], green[k], blue[k])
+                        cosine, sine = cosine_and_sine(bend[k])
+                        cycle, change = vec3(1.0), vec3(0.0)
+                        real, imaginary = cosine, sine
+                        for n in ti.static(range(1, HARMONICS + 1)):
+                            for c in ti.static(range(3)):
+                                across, along_wave = template[c, n], template[c, HARMONICS + n]
+                                cycle[c] += across * real + along_wave * imaginary
+                                change[c] += n * (along_wave * real - across * imaginary)
+                            if ti.static(n < HARMONICS):
+                                real, imaginary = (
+                                    real * cosine - imaginary * sine,
+                                    real * sine + imaginary * cosine,
+                                )
+                        model, gradient, rest = gain * cycle, gain * change, ambient
+                        if ti.static(not balance_first):
+                            model, gradient, rest = matrix @ model, matrix @ gradient, matrix @ ambient
+                        # Least squares over the pixel's brightness and a step of its phase.
+                        light = seen - rest
+                        size = 1.0 / ti.max(model.dot(model), 1e-12)
+                        brightness = light.dot(model) * size
+                        free = gradient - gradient.dot(model) * size * model
+                        steepness = ti.max(free.dot(free), 1e-12)
+                        step = light.dot(free) / (steepness * ti.max(brightness, 1e-6))
+                        normal = model.cross(gradient)
+                        misfit[k] = light.dot(normal) / ti.sqrt(ti.max(normal.dot(normal), 1e-20))
+                        slope[k] = brightness * ti.sqrt(steepness)
+                        # The second brightest channel at full scale: two are.
+                        low, high = ti.min(seen.x, seen.y), ti.max(seen.x, seen.y)
+                        second = ti.max(low, ti.min(high, seen.z))
+                        bright = (seen.sum() > 3.0 * min_intensity) & (second < CLIPPED * white)
+                        valid = bright & (modulation[k] > min_modulation)
+                        value = bend[k] + ti.min(ti.max(step, -_MAX_STEP), _MAX_STEP)
+                        phase[k] = ti.select(valid, value, NO_PHASE)
+                    for k in range(count):
+                        out_phase[y, x + k] = phase[k]
+                        out_modulation[y, x + k] = modulation[k]
+                        out_slope[y, x + k] = slope[k]
+                        out_misfit[y, x + k] = misfit[k]
+                    x += _LANES
+
+    return recover_phase
