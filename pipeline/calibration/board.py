@@ -33,6 +33,10 @@ class Board(Model):
             raise ValueError("marker_mm must be less than square_mm")
         if not self.dictionary.startswith("DICT_") or not hasattr(cv2.aruco, self.dictionary):
             raise ValueError(f"dictionary is {self.dictionary!r}: name one of OpenCV's, as DICT_5X5_250")
+        markers = len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, self.dictionary)).bytesList)
+        needed = self.squares[0] * self.squares[1] // 2
+        if self.kind == "charuco" and needed > markers:
+            raise ValueError(f"{self.dictionary} has {markers} markers, the board needs {needed}: name a larger one")
         return self
 
     def corners_mm(self) -> FloatArray:
@@ -65,9 +69,14 @@ class Board(Model):
             places = np.asarray(corners, np.float64).reshape(-1, 2)
             return self._front_side(places), places
         corners, ids, _, _ = cv2.aruco.CharucoDetector(self._charuco()).detectBoard(grey)
-        if ids is None or len(ids) < 4:
+        if ids is None or not self.spans(np.asarray(ids).ravel()):
             return None
         return np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, np.float64).reshape(-1, 2)
+
+    def spans(self, numbers: npt.NDArray[np.integer]) -> bool:
+        """Return whether these corners tell how the board stands: two rows of it with two corners each, or more."""
+        rows = np.asarray(numbers) // (self.squares[0] - 1)
+        return int(np.count_nonzero(np.bincount(rows) >= 2)) >= 2
 
     def _front_side(self, places: FloatArray) -> npt.NDArray[np.intp]:
         """Return the numbers of a chessboard's corners, so that x right, y down turns as it does in the picture."""

@@ -14,12 +14,15 @@ from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
 from pipeline.models import Model
 from pipeline.picture import read_picture
+from tikernels.linearization import WHITE_LEVELS
 
 Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 
 #: What a sequence is called in its folder.
 SEQUENCE_FILE = "sequence.json"
 _SUFFIXES = (".png", ".tif", ".tiff")
+# Full scales of cameras whose 10, 12 or 14 bits come in 16-bit files.
+_PART_SCALES = (2**10 - 1, 2**12 - 1, 2**14 - 1)
 
 
 class Sequence(Model):
@@ -69,6 +72,38 @@ def write_sequence(
         raise OutputError(f"cannot write {folder}: {explain(error)}") from None
 
 
+def full_scale(white: Picture, white_level: float | None = None) -> float:
+    """Return the captures' full scale, levels.
+
+    Parameters
+    ----------
+    white : (H, W, 3) uint8, uint16 or float
+        The brightest capture.
+    white_level : float, optional
+        Full scale where it is known; None: the type's (1.0 for floats).
+
+    Raises
+    ------
+    CalibrationError
+        The white level is not positive, or 16-bit captures end where a camera of fewer bits does.
+    """
+    if white_level is not None:
+        if not white_level > 0:
+            raise CalibrationError(f"white_level is {white_level:g}: give the level at which the camera saturates")
+        return white_level
+    top = int(white.max())
+    if white.dtype == np.uint16 and top in _PART_SCALES:
+        raise CalibrationError(
+            f"the levels of these 16-bit captures end at {top}: the camera has fewer bits, give {top} as white level"
+        )
+    return WHITE_LEVELS.get(white.dtype.name, 1.0)
+
+
+def captured_files(folder: Path) -> dict[str, Path]:
+    """Return the pictures in a folder by their names without suffix."""
+    return {path.stem: path for path in sorted(folder.glob("*")) if path.suffix.lower() in _SUFFIXES}
+
+
 class CapturedFolder(Mapping[str, Picture]):
     """The captures in a folder by their names, each read when it is asked for."""
 
@@ -80,7 +115,7 @@ class CapturedFolder(Mapping[str, Picture]):
         CalibrationError
             A file is missing.
         """
-        found = {path.stem: path for path in sorted(folder.glob("*")) if path.suffix.lower() in _SUFFIXES}
+        found = captured_files(folder)
         missing = [name for name in names if name not in found]
         if missing:
             more = f" and {len(missing) - 1} more" if len(missing) > 1 else ""

@@ -67,18 +67,23 @@ def smooth_phase(unwrapped_phase: npt.NDArray[np.float32], mask: _Bools) -> tupl
     return smooth, valid & (weight > 0.8), period
 
 
+def tile_side(period: float) -> int:
+    """Return the side of a tile in px; tiles start every half a side, `place` counts those steps."""
+    return max(16, round(_TILE_CYCLES * period))
+
+
 def fit_tiles(light: FloatArray, phase: FloatArray, usable: _Bools, period: float, keep: _Bools | None = None) -> Tiles:
     """Regress every channel on the phase in tiles: mean and fundamental may change quadratically over a tile.
 
     light (H, W, 3) and phase (H, W) where usable (H, W), channel by channel only where keep (H, W, 3).
     """
-    side = max(16, round(_TILE_CYCLES * period))
+    side = tile_side(period)
     orders = np.arange(2, int(np.clip(period / 2 - 1, 2, 6)) + 1)  # short of half a cycle a pixel
     v, u = (np.indices((side, side)).reshape(2, -1) + 0.5) / side * 2 - 1
     slopes = np.stack([np.ones_like(u), u, v, u * v, u * u - 1 / 3, v * v - 1 / 3], axis=1)
     shape = np.array(usable.shape)
     results = []
-    for corner in np.ndindex(*(1 + (shape - side) // (side // OVERLAP))):
+    for corner in np.ndindex(*np.maximum(1 + (shape - side) // (side // OVERLAP), 0)):
         top, left = np.array(corner) * (side // OVERLAP)
         tile = np.s_[top : top + side, left : left + side]
         inside = usable[tile].ravel()

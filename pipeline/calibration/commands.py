@@ -1,6 +1,8 @@
 """`colorphase calibrate ...`: parse, call, say what was found."""
 
+import re
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -11,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.captures import CapturedFolder, write_sequence
+from pipeline.calibration.captures import CapturedFolder, Picture, captured_files, write_sequence
 from pipeline.calibration.geometry import MIN_POSES, GeometryFit, measure_pose, solve_geometry
 from pipeline.calibration.model import Calibration, Capture, Pattern, Uncertainty
 from pipeline.calibration.multishot import WHITE, multishot_codes, multishot_sequence
@@ -25,8 +27,10 @@ from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.models import build
 
 if TYPE_CHECKING:
-    from pipeline.calibration.check import Measure
+    from pipeline.calibration.check import CheckResult
     from pipeline.calibration.doctor import Finding
+    from pipeline.results import DecodedFrame
+    from tikernels.linearization import Transfer
 
 _out = Console()
 
@@ -135,8 +139,15 @@ def radiometry(
     folder, target = _both(captures, out)
     _check_target(target, force)
     known = None if calibration is None else Calibration.read(calibration)
-    found = measure_radiometry(CapturedFolder(folder, radiometry_sequence(size_of(size)).names), transfer, white_level)
-    stood = Capture.model_validate({"exposure_s": exposure_s, "gain": gain, "white_balance": white_balance})
+    values = {"exposure_s": exposure_s, "gain": gain, "white_balance": white_balance}
+    stood = build(Capture, values, SettingsError, "capture")
+    ramps = CapturedFolder(folder, radiometry_sequence(size_of(size)).names)
+    if known is not None:
+        from pipeline.calibration.check import refuse_other_camera
+
+        height, width = next(iter(ramps.values())).shape[:2]
+        refuse_other_camera(known, (width, height), str(folder))
+    found = measure_radiometry(ramps, transfer, white_level)
     found.add_to(known, stood).write(target, force=force)
     plot = target.with_name(f"{target.stem}-radiometry.png")
     plot_radiometry(found, plot)
@@ -165,6 +176,7 @@ def geometry(
     period: float | None = None,
     stripes: Literal["horizontal", "vertical"] | None = None,
     baseline_mm: float | None = None,
+    white_level: float | None = None,
     calibration: Path | None = None,
     force: bool = False,
 ) -> None:
@@ -193,6 +205,8 @@ def geometry(
         Its direction; left out, the earlier calibration's, else horizontal.
     baseline_mm
         The distance between camera and projector where it is known; a wrong square size shows in it.
+    white_level
+        Full scale of the captures; left out, their type's.
     calibration
         An earlier calibration, whose light is kept.
     force
@@ -220,7 +234,7 @@ def geometry(
             raise CalibrationError(f"{place} is {width}x{height}, the poses before are {camera_px[0]}x{camera_px[1]}")
         camera_px = (width, height)
         try:
-            poses.append(measure_pose(place.name, pose_captures, described, size_px))
+            poses.append(measure_pose(place.name, pose_captures, described, size_px, white_level))
         except CalibrationError as error:
             refused.append(str(error))
     if camera_px is None or len(poses) < MIN_POSES:
@@ -231,6 +245,8 @@ def geometry(
     _say_geometry(found)
     for line in (*refused, *(f"{name} left out: {reason}" for name, reason in found.left_out)):
         _say(f"note: {line}")
+    if found.calibration.color_shift_px is not None and found.calibration.crosstalk_matrix is None:
+        _say("note: crosstalk dampens the projector's lateral colour: measure radiometry first, and give --calibration")
     _say(f"wrote {target}")
 
 
@@ -271,56 +287,94 @@ def check(
     force
         Replace an existing calibration.
     """
-    from pipeline.calibration.check import check_epipolar, check_surface, corrected_light
+    from pipeline.calibration.check import check_epipolar, check_surface, corrected_light, refuse_other_camera
     from pipeline.calibration.doctor import diagnose
-    from pipeline.calibration.sequence_doctor import diagnose_sequence
     from pipeline.decoder import Decoder
     from pipeline.picture import read_picture
     from pipeline.settings import DecodeSettings
-    from tikernels.linearization import WHITE_LEVELS, linearize
+    from tikernels.linearization import WHITE_LEVELS
+    from tikernels.registration import align_channels
 
-    known = Calibration.read(calibration)
-    if (capture / f"{WHITE}.png").exists():
-        names = multishot_sequence(known.geometry().projector.size_px).names
-        _say_measures((check_epipolar(CapturedFolder(capture, names), known, str(capture)),))
-        return
+    if radius_mm is not None and shape != "ball":
+        raise SettingsError("--radius-mm is a ball's: add --shape ball")
+    if capture.is_dir() and (shape is not None or fix is not None):
+        raise SettingsError(f"{capture} is a folder: --shape and --fix take one picture")
     if fix is not None:
         _check_target(fix, force)
+    known = Calibration.read(calibration)
     chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
+    if WHITE in captured_files(capture):
+        names = multishot_sequence(known.geometry().projector.size_px).names
+        _say_check(check_epipolar(CapturedFolder(capture, names), known, str(capture), chosen.white_level))
+        return
     if known.pattern is not None and "stripes" not in chosen.model_fields_set:
         chosen = chosen.model_copy(update={"stripes": known.pattern.stripes})
     decoder = Decoder(chosen, known, arch=arch)
     stood = known.capture.transfer if known.capture is not None else None
     transfer = chosen.transfer if "transfer" in chosen.model_fields_set or stood is None else stood
+
+    def decoded(path: Path) -> "tuple[Picture, DecodedFrame]":
+        picture = read_picture(path)
+        refuse_other_camera(known, (picture.shape[1], picture.shape[0]), str(path))
+        return picture, decoder.decode(picture)
+
     if capture.is_dir():
-        paths = sorted(path for path in capture.iterdir() if path.suffix.lower() in (".png", ".tif", ".tiff", ".jpg"))
-        pictures = [read_picture(path) for path in paths]
-        frames = [decoder.decode(picture) for picture in pictures]
-        light = [linearize(picture, transfer, chosen.white_level) for picture in pictures]
-        place = known.geometry() if known.has_geometry else None
-        phases, masks = [frame.unwrapped_phase for frame in frames], [frame.mask for frame in frames]
-        findings = diagnose_sequence(light, 1.0, phases, masks, place)
-        _say_findings(findings, f"{len(pictures)} frames: fine, or too few to tell (at least 12)")
+        _check_sequence(capture, decoded, transfer, chosen.white_level, known)
         return
-    image = read_picture(capture)
-    frame = decoder.decode(image)
+    image, frame = decoded(capture)
     if not frame.mask.any():  # the warning has said why
         sys.exit(1)
     if shape is not None:
-        _say_measures(check_surface(frame, known, shape, radius_mm).measures)
+        _say_check(check_surface(frame, known, shape, radius_mm))
     white = chosen.white_level or WHITE_LEVELS[image.dtype.name]
-    named: Literal["linear", "srgb"] = "linear"
-    if isinstance(transfer, str) and transfer == "srgb":
-        named = "srgb"
-    elif not isinstance(transfer, str) or transfer != "linear":
-        image, white = linearize(image, transfer, white), 1.0
+    light = image if known.color_shift_px is None else align_channels(image, known.color_shift_px.camera)
     matrix = known.crosstalk_matrix if chosen.crosstalk_matrix is None else chosen.crosstalk_matrix
-    found = diagnose(image, white, frame.unwrapped_phase, frame.mask, matrix, named)
+    compensated = known.pattern is not None and known.pattern.compensated is True
+    response = None if compensated else known.response
+    lag = known.projector_lag_rad()
+    found = diagnose(light, white, frame.unwrapped_phase, frame.mask, matrix, transfer, response, lag)
     _say_findings(found.findings, found.notes[0] if np.isnan(found.limit_rad) else "fine")
+    if found.findings:
+        worst = max(found.seen_rad, key=lambda harmonic: found.seen_rad[harmonic])
+        _say(f"of it, decoding with this calibration leaves {found.seen_rad[worst]:.3f} rad, in harmonic {worst}")
     if fix is not None:
-        straight, full = (linearize(image, "srgb", white), 1.0) if named == "srgb" else (image, white)
-        corrected_light(known, found, straight, full, frame).write(fix, force=force)
-        _say(f"wrote {fix}")
+        corrected_light(known, found, light, white, frame, transfer).write(fix, force=force)
+        _say(f"wrote {fix}: it fits this pattern; measure the radiometry before you make a new one")
+
+
+def _check_sequence(
+    folder: Path,
+    decoded: "Callable[[Path], tuple[Picture, DecodedFrame]]",
+    transfer: "Transfer",
+    white_level: float | None,
+    known: Calibration,
+) -> None:
+    """Say what a folder of frames, one after another, shows."""
+    from pipeline.calibration.sequence_doctor import MIN_FRAMES, diagnose_sequence
+    from tikernels.linearization import linearize
+
+    suffixes = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
+    paths = [path for path in folder.iterdir() if path.suffix.lower() in suffixes]
+    # 2.png before 10.png.
+    paths.sort(key=lambda path: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)])
+    if len(paths) < MIN_FRAMES:
+        raise CalibrationError(
+            f"{folder} holds {len(paths)} pictures: at least {MIN_FRAMES} frames in a row tell anything"
+        )
+    light: list[Picture] = []
+    phases, masks = [], []
+    for path in paths:
+        picture, frame = decoded(path)
+        if light and picture.shape != light[0].shape:
+            raise CalibrationError(f"{path} has another size than the frames before it: give frames of one camera")
+        light.append(linearize(picture, transfer, white_level))
+        phases.append(frame.unwrapped_phase)
+        masks.append(frame.mask)
+    place = known.geometry() if known.has_geometry else None
+    found = diagnose_sequence(light, 1.0, phases, masks, place, known.crosstalk_matrix)
+    _say_findings(found.findings, f"{len(paths)} frames: " + ("nothing found" if found.notes else "fine"))
+    for note in found.notes:
+        _say(f"note: {note}")
 
 
 def _say_findings(findings: "tuple[Finding, ...]", otherwise: str) -> None:
@@ -328,20 +382,24 @@ def _say_findings(findings: "tuple[Finding, ...]", otherwise: str) -> None:
         _say(f"ripple: {otherwise}")
     for finding in findings:
         worst = max(finding.ripple_rad, key=lambda harmonic: finding.ripple_rad[harmonic])
+        ripple = f"; {finding.ripple_rad[worst]:.3f} rad in harmonic {worst}" if finding.ripple_rad[worst] > 0 else ""
         _say(
-            f"ripple: {' or '.join(finding.causes)} ({finding.size}; {finding.ripple_rad[worst]:.3f} rad in harmonic "
-            f"{worst}, confidence {finding.confidence:.0%}): {finding.advice}"
+            f"ripple: {' or '.join(finding.causes)} ({finding.size}{ripple}, confidence {finding.confidence:.0%}): "
+            f"{finding.advice}"
         )
 
 
-def _say_measures(measures: "tuple[Measure, ...]") -> None:
+def _say_check(found: "CheckResult") -> None:
     table = Table("figure", "measured", "predicted", "")
-    for measure in measures:
+    for measure in found.measures:
         verdict = "fine" if measure.fine else "re-calibrate"
         table.add_row(
             measure.name, f"{measure.measured:.3f} {measure.unit}", f"{measure.predicted:.3f} {measure.unit}", verdict
         )
     _out.print(table)
+    _say("fine" if found.fine else "re-calibrate")
+    if found.fine and found.blind_spot:
+        _say(f"note: {found.blind_spot}")
 
 
 def chosen_pattern(
@@ -355,7 +413,8 @@ def chosen_pattern(
         There is no such pattern.
     """
     before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=768 / 44)
-    values = {**before.model_dump(), "period_px": period or before.period_px, "stripes": stripes or before.stripes}
+    values = before.model_dump()
+    values |= {name: value for name, value in (("period_px", period), ("stripes", stripes)) if value is not None}
     return build(Pattern, values, SettingsError, "pattern")
 
 
@@ -392,6 +451,8 @@ def _both(captures: Path | None, out: Path | None) -> tuple[Path, Path]:
 
 
 def _check_target(target: Path, force: bool) -> None:
-    """Refuse a target that exists before minutes have gone into what would be written."""
+    """Refuse a target that cannot be written before minutes have gone into what would be."""
+    if not target.parent.is_dir():
+        raise OutputError(f"cannot write {target}: its folder does not exist: create the folder first")
     if target.exists() and not force:
         raise OutputError(f"{target} exists already: choose another name, or add --force")

@@ -11,7 +11,7 @@ weighs most where it is dark; motion moves the objects but not the wall; crossta
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -34,7 +34,7 @@ from pipeline.calibration.channel_spectra import (
     waves_of,
 )
 from pipeline.models import FloatArray
-from tikernels.linearization import linear_values
+from tikernels.linearization import Transfer, linear_values
 
 _Complexes = npt.NDArray[np.complex128]
 _Bools = npt.NDArray[np.bool_]
@@ -48,6 +48,8 @@ _NOISE_SHARE, _LEAST_RIPPLE_RAD, _SIGMAS = 0.25, 0.003, 5.0
 _DECISIVE = 9.0
 # Contrast and phase leak into each other a little (curvature, second order): up to this share is not a second fault.
 _LEAKAGE = 0.15
+# Where more of a channel's pixels are clipped, what is left of its wave tells nothing else.
+_MAX_CLIPPED = 0.1
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Diagnosis:
 
     findings: tuple[Finding, ...]
     ripple_rad: dict[int, float]  # of all faults together, from the channels
-    seen_rad: dict[int, float]  # in the phase that was handed in; if more, blame the decoder's window or the surface
+    seen_rad: dict[int, float]  # by harmonic, in the phase that was handed in: what decoding has left of it
     limit_rad: float  # below this nothing is called a fault
     notes: tuple[str, ...] = ()
 
@@ -78,7 +80,9 @@ def diagnose(
     unwrapped_phase: npt.NDArray[np.float32],
     mask: _Bools,
     crosstalk_matrix: FloatArray | None = None,
-    transfer: Literal["linear", "srgb"] = "linear",
+    transfer: Transfer = "linear",
+    response: FloatArray | None = None,
+    projector_lag_rad: FloatArray | None = None,
 ) -> Diagnosis:
     """Say why a surface is wavy.
 
@@ -94,8 +98,12 @@ def diagnose(
         Where it holds.
     crosstalk_matrix : (3, 3), optional
         What the decoder undoes; None: nothing.
-    transfer : {"linear", "srgb"}
+    transfer : {"linear", "srgb", "bt709"} or (N,) floats
         What the decoder takes the levels for.
+    response : (3, N), optional
+        Light of the projector's codes, 0..1, which the decoder undoes; None: nothing, or the pattern has undone it.
+    projector_lag_rad : (3,), optional
+        By how much the projector's lateral colour delays R, G and B, which the decoder undoes.
 
     Returns
     -------
@@ -105,7 +113,10 @@ def diagnose(
     signal = image.astype(np.float64) / white_level
     matrix = np.eye(3) if crosstalk_matrix is None else np.asarray(crosstalk_matrix, np.float64)
     matrix = matrix / matrix.sum(axis=1, keepdims=True)  # balanced channels are grey whatever the rows' sums
-    nothing = Diagnosis((), {}, {}, np.nan, ("too little smooth surface to say anything",))
+    clipped = (image >= white_level) | (image <= 0)
+    spoilt = mask.any() and clipped[mask].mean(axis=0).max() > _MAX_CLIPPED
+    why = "too much is clipped to say anything: expose less" if spoilt else "too little smooth surface to say anything"
+    nothing = Diagnosis((), {}, {}, np.nan, (why,))
     if np.count_nonzero(mask) < _MIN_PIXELS:
         return nothing
     phase, usable, period = smooth_phase(unwrapped_phase, mask)
@@ -118,7 +129,6 @@ def diagnose(
     limit = max(_LEAST_RIPPLE_RAD, _NOISE_SHARE * pixel_noise)
 
     findings, tiles, keep = [], seen, None
-    clipped = (image >= white_level) | (image <= 0)
     if clipped[usable].any():
         # The rest of the diagnosis does without what lost its shape. Neighbours go too: choosing pixels by their own
         # value alone would choose by their noise, and bend the fit.
@@ -131,20 +141,29 @@ def diagnose(
             )
             advice = "expose less, or dim the projector"
             findings.append(Finding(("clipping",), f"clipped pixels: {share}", lost, 0.99, advice))
+        if clipped[usable].mean(axis=0).max() > _MAX_CLIPPED or len(tiles.mean) < _MIN_TILES:
+            seen_rad = seen_ripple(unwrapped_phase, phase, usable)
+            return Diagnosis(tuple(findings), lost, seen_rad, float(limit), ("too much is clipped to say more",))
 
-    other = "linear" if transfer == "srgb" else "srgb"
+    other = other_transfer(transfer)
 
     def read_otherwise() -> Tiles:
         return fit_tiles(linear_values(signal, other), phase, usable, period, keep)
 
-    found, tiles, contrast = explain_harmonics(tiles, matrix, limit, other, read_otherwise)
-    findings += found + explain_fundamental(tiles, contrast, matrix, limit)
+    found, tiles, contrast = explain_harmonics(tiles, matrix, limit, other, read_otherwise, response)
+    lag = np.zeros(3) if projector_lag_rad is None else projector_lag_rad
+    findings += found + explain_fundamental(tiles, contrast, matrix, limit, lag)
     findings.sort(key=lambda finding: -max(finding.ripple_rad.values()))
     color = np.median(tiles.mean, axis=0)
     note = "channels' means R : G : B = " + " : ".join(f"{v / color[1]:.2f}" for v in color)
     note += ": surface colour, light or white balance; harmless, the balance undoes it"
     everything = ripple(waves_of(mean_spectrum(seen)), matrix)
     return Diagnosis(tuple(findings), everything, seen_ripple(unwrapped_phase, phase, usable), float(limit), (note,))
+
+
+def other_transfer(transfer: Transfer) -> str:
+    """Return what levels that were taken for this may be instead."""
+    return "srgb" if isinstance(transfer, str) and transfer == "linear" else "linear"
 
 
 def ideal(matrix: FloatArray, contrast: Any = 1.0) -> _Complexes:
@@ -162,8 +181,24 @@ def own_harmonics(tiles: Tiles, matrix: FloatArray) -> Fit:
     return robust_fit(unmixed[..., 1:] * np.exp(-1j * turns * np.angle(first)) / abs(first), tiles.weight)
 
 
+def response_harmonics(response: FloatArray, count: int) -> tuple[FloatArray, FloatArray]:
+    """Return what a response (3, N) makes of a cosine of codes.
+
+    The harmonics 2..count over the fundamental, (3, count - 1), and the contrast, (3,), one where it is linear.
+    """
+    codes = 0.5 + 0.5 * np.cos(2 * np.pi * np.arange(256) / 256)
+    light = [np.interp(codes, np.linspace(0, 1, len(row)), row) for row in response]
+    waves = np.fft.rfft(light, axis=1).real[:, : count + 1]
+    return waves[:, 2:] / waves[:, 1:2], 2 * waves[:, 1] / waves[:, 0]
+
+
 def explain_harmonics(
-    tiles: Tiles, matrix: FloatArray, limit: float, other_transfer: str, read_otherwise: Callable[[], Tiles]
+    tiles: Tiles,
+    matrix: FloatArray,
+    limit: float,
+    other: str,
+    read_otherwise: Callable[[], Tiles],
+    response: FloatArray | None = None,
 ) -> tuple[list[Finding], Tiles, FloatArray]:
     """Tell the projector's response from the camera's transfer.
 
@@ -175,18 +210,28 @@ def explain_harmonics(
     own, floor, power = fit.value[0], np.sum(fit.error**2), np.sum(abs(fit.value) ** 2)
     contrast = np.median(abs(tiles.spectrum[..., 0]))
     turns = np.arange(1, own.shape[1] + 2)
-    pure = np.hstack([np.ones((3, 1)), own]) * contrast * np.exp(1j * turns * PHASES[:, None])
-    size = ripple(waves_of(matrix @ pure), matrix)
-    if max(size.values()) < limit or power < _SIGMAS**2 * floor / own.size:
-        return [], tiles, np.ones(3)
+
+    def size_of(harmonics: _Complexes) -> dict[int, float]:
+        pure = np.hstack([np.ones((3, 1)), harmonics]) * contrast * np.exp(1j * turns * PHASES[:, None])
+        return ripple(waves_of(matrix @ pure), matrix)
+
+    size = size_of(own)
+    # Harmonics that the decoder undoes are no fault, and neither are none: what is known need not be in the pattern.
+    undone = [(np.zeros(own.shape), np.ones(3))]
+    if response is not None:
+        undone.append(response_harmonics(response, own.shape[1] + 1))
+    for known, change in undone:
+        unknown = np.sum(abs(own - known) ** 2)
+        if max(size_of(own - known).values()) < limit or unknown < _SIGMAS**2 * floor / own.size:
+            return [], tiles, change
     # ((1 + cos) / 2)**gamma has c_(k+1) / c_k = (gamma - k) / (gamma + k + 1), and 2 c_1 / c_0 = 2 gamma / (gamma + 1).
     second = np.clip(own[:, 0].real, -0.45, 0.8)
     gamma = (1 + 2 * second) / (1 - second)
     predicted = np.cumprod((gamma[:, None] - turns[:-1]) / (gamma[:, None] + turns[:-1] + 1), axis=1)
-    undone = read_otherwise()
+    otherwise = read_otherwise()
     left = {"response": np.sum(abs(own - predicted) ** 2)}
-    if len(undone.mean) >= _MIN_TILES:
-        left["transfer"] = np.sum(abs(own_harmonics(undone, matrix).value) ** 2)
+    if len(otherwise.mean) >= _MIN_TILES:
+        left["transfer"] = np.sum(abs(own_harmonics(otherwise, matrix).value) ** 2)
     best = min(left.values())
     explained = 1 - best / power
     if explained < 0.7:
@@ -199,21 +244,23 @@ def explain_harmonics(
             "calibrate the response, or equalise",
         ),
         "transfer": (
-            f"levels that look {'sRGB-coded' if other_transfer == 'srgb' else 'linear already'}",
-            f"decode with transfer={other_transfer!r}",
+            f"levels that look {'sRGB-coded' if other == 'srgb' else 'linear already'}",
+            f"decode with transfer={other!r}",
         ),
     }
     causes = tuple(name for name, value in left.items() if value < 4 * best + _DECISIVE * floor)
     sizes, advice = (" or ".join(words[cause][i] for cause in causes) for i in (0, 1))
     finding = Finding(causes, sizes, size, float(min(explained, 0.99)), advice)
     if causes == ("transfer",):
-        return [finding], undone, np.ones(3)
+        return [finding], otherwise, np.ones(3)
     return [finding], tiles, 2 * gamma / (gamma + 1)
 
 
-def explain_fundamental(tiles: Tiles, response_contrast: FloatArray, matrix: FloatArray, limit: float) -> list[Finding]:
-    """Name what makes the channels' contrasts differ, or their phases, from what the matrix lets one expect."""
-    expected = ideal(matrix, response_contrast / response_contrast.mean())
+def explain_fundamental(
+    tiles: Tiles, response_contrast: FloatArray, matrix: FloatArray, limit: float, lag_rad: FloatArray
+) -> list[Finding]:
+    """Name what makes the channels' contrasts differ, or their phases, from what is known of the rig."""
+    expected = ideal(matrix, response_contrast / response_contrast.mean() * np.exp(-1j * lag_rad))
     relative = tiles.spectrum[..., 0] / expected
     loss = -np.log(abs(relative))  # (T, 3) of contrast; what is common to the channels makes no ripple
     lag = np.angle(relative * np.conj(relative[:, 1:2]))[:, ::2]  # (T, 2) of R and B against G, rad

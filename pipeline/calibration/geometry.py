@@ -34,7 +34,12 @@ _OUTLIER, _OUTLIER_PX = 3.0, 0.2
 _CORNER_SIGMAS = 4.5
 # Two poses closer than this add nothing.
 _SAME_DEG, _SAME_PART = 2.0, 0.02
-_MIN_TILT_SPREAD_DEG = 8.0
+# Poses that are all alike leave the focal lengths open: more than this part is no calibration.
+_MAX_FOCAL_SIGMA = 0.02
+# Where depth moves the light this much less across the stripes than along them, they run along the baseline.
+_MIN_ACROSS = 0.3
+# A baseline that is known to the user shows a wrong square size beyond this.
+_MAX_BASELINE_ERROR = 0.02
 # Lateral colour below this, px, changes nothing that could be measured: 0.03 px is 0.016 rad at 12 px a cycle.
 _MIN_COLOR_SHIFT_PX = 0.03
 
@@ -47,7 +52,7 @@ class BoardPose:
     corners_mm: FloatArray  # (N, 3)
     camera_px: FloatArray  # (N, 2)
     projector_px: FloatArray  # (N, 2)
-    camera_shift_px: FloatArray  # (3, 2) what R, G and B say more than their mean
+    camera_shift_px: FloatArray  # (3, 2) what R, G and B say more than their mean; NaN where squares are too small
     projector_shift_px: FloatArray  # (3, 2) the same in the projector, at the same camera pixel
     jacobian: FloatArray  # (2, 2) projector px a camera px, mean
 
@@ -64,7 +69,11 @@ class GeometryFit:
 
 
 def measure_pose(
-    name: str, captures: Mapping[str, Picture], board: Board, projector_size_px: tuple[int, int]
+    name: str,
+    captures: Mapping[str, Picture],
+    board: Board,
+    projector_size_px: tuple[int, int],
+    white_level: float | None = None,
 ) -> BoardPose:
     """Find a board's corners in camera and projector.
 
@@ -78,13 +87,15 @@ def measure_pose(
         What stands there.
     projector_size_px : (width, height)
         The projector's.
+    white_level : float, optional
+        Full scale; None: the type's.
 
     Raises
     ------
     CalibrationError
         The board is not seen, or not lit, or the pictures are mirrored.
     """
-    seen = decode_multishot(captures, projector_size_px, name)
+    seen = decode_multishot(captures, projector_size_px, name, white_level)
     grey = seen.white.mean(axis=-1)
     found = board.find(grey)
     if found is None:
@@ -108,16 +119,16 @@ def measure_pose(
             projector[k] = local[:2, 2] / local[2, 2]
             jacobians.append((local[:2, :2] - np.outer(projector[k], local[2, :2])) / local[2, 2])
     good = ~np.isnan(projector).any(axis=1)
-    if np.count_nonzero(good) < _MIN_CORNERS:
+    if np.count_nonzero(good) < _MIN_CORNERS or not board.spans(numbers[good]):
         raise CalibrationError(
             f"{name}: only {np.count_nonzero(good)} of the board's corners are seen and lit by the projector, "
             f"{_MIN_CORNERS} are needed: turn the board to both"
         )
     jacobian = np.mean(jacobians, axis=0)
     if np.linalg.det(jacobian) < 0:
-        raise CalibrationError(
-            f"{name}: the projector's picture is mirrored to the camera's: switch off rear, ceiling or mirror mode"
-        )
+        # A chessboard looks the same in a mirror; a ChArUco board's markers have said that the camera is right.
+        who = "the projector's picture" if board.kind == "charuco" else "the camera's picture or the projector's"
+        raise CalibrationError(f"{name}: {who} is mirrored: switch off mirror, rear-projection or ceiling mode")
     return BoardPose(
         name=name,
         corners_mm=board.corners_mm()[numbers][good],
@@ -185,7 +196,9 @@ def _local_homography(seen: ProjectorMap, corner: FloatArray, radius: float) -> 
 
 
 def _channel_corners(white: FloatArray, corners: FloatArray, half: int) -> FloatArray:
-    """Return by how much the corners of R, G and B alone lie beside those of their mean, (3, 2) px."""
+    """Return by how much the corners of R, G and B alone lie beside those of their mean, (3, 2) px; NaN: no room."""
+    if half < _MIN_HALF_WINDOW_PX:
+        return np.full((3, 2), np.nan)
     alone = [_refined(white[..., channel], corners, half) - corners for channel in range(3)]
     return np.asarray(np.median(alone, axis=1))
 
@@ -225,8 +238,11 @@ def solve_geometry(
     Raises
     ------
     CalibrationError
-        Too few poses, all alike, or they do not fit together.
+        Too few poses, all alike, or they do not fit together; sizes, pattern, baseline or base are another rig's.
     """
+    _check_rig(poses, camera_size_px, projector_size_px, pattern, base)
+    if baseline_mm is not None and not baseline_mm > 0:
+        raise CalibrationError(f"the baseline is given as {baseline_mm:g} mm: measure it from lens to lens")
     left_out: list[tuple[str, str]] = []
     kept = _without_repeats(poses, camera_size_px, left_out)
     while True:
@@ -252,23 +268,65 @@ def solve_geometry(
             f"the poses do not fit together ({fit.camera_rms_px:.2f} px off in the camera, {fit.projector_rms_px:.2f} "
             "px in the projector): is the board flat, of the squares given, not mirrored, and did nothing move?"
         )
-    tilts = fit.tilts_deg()
-    if np.ptp(tilts) < _MIN_TILT_SPREAD_DEG and np.median(tilts) < _MIN_TILT_SPREAD_DEG:
+    focal_sigma = fit.focal_sigma()
+    if not focal_sigma < _MAX_FOCAL_SIGMA:
         raise CalibrationError(
-            "the board always faces the camera, which tells no focal length: tilt it by 15 to 35 deg"
+            f"the poses are too much alike, they tell the focal lengths only to {focal_sigma:.0%}: tilt the board by "
+            "15-35 deg, a different way in each pose"
+        )
+    across, along = fit.px_per_mm(pattern)
+    if across < _MIN_ACROSS * along:
+        other = "vertical" if pattern.stripes == "horizontal" else "horizontal"
+        raise CalibrationError(
+            f"{pattern.stripes} stripes run along the line from camera to projector, where their phase tells no depth: "
+            f"calibrate for {other} ones"
         )
     found = float(np.linalg.norm(fit.stereo[3:]))
-    if baseline_mm is not None and abs(found / baseline_mm - 1) > 0.02:
+    if baseline_mm is not None and abs(found / baseline_mm - 1) > _MAX_BASELINE_ERROR:
         raise CalibrationError(
             f"the baseline comes out as {found:.1f} mm but is {baseline_mm:.1f} mm: the squares are then "
             f"{baseline_mm / found:.4f} times as large as given"
         )
     calibration = _calibration(fit, camera_size_px, projector_size_px, pattern, base)
+    # An earlier calibration's lateral colour goes with its lenses.
     shift = _color_shift(kept, calibration.crosstalk_matrix)
-    if shift is not None:
-        calibration = calibration.model_copy(update={"color_shift_px": shift})
+    calibration = calibration.model_copy(update={"color_shift_px": shift})
     names = tuple(pose.name for pose in kept)
     return GeometryFit(calibration, names, tuple(left_out), fit.camera_rms_px, fit.projector_rms_px)
+
+
+def _check_rig(
+    poses: list[BoardPose],
+    camera_size_px: tuple[int, int],
+    projector_size_px: tuple[int, int],
+    pattern: Pattern,
+    base: Calibration | None,
+) -> None:
+    """Refuse what belongs to another rig."""
+
+    def beyond(corners_px: FloatArray, size_px: tuple[int, int]) -> bool:
+        return bool((corners_px < -2).any() or (corners_px > np.array(size_px) + 1).any())
+
+    for pose in poses:
+        if beyond(pose.camera_px, camera_size_px) or beyond(pose.projector_px, projector_size_px):
+            swapped = not (beyond(pose.camera_px, projector_size_px) or beyond(pose.projector_px, camera_size_px))
+            raise CalibrationError(
+                "{}: corners lie outside the camera's {}x{} px or the projector's {}x{}: ".format(
+                    pose.name, *camera_size_px, *projector_size_px
+                )
+                + ("camera and projector are swapped" if swapped else "give their true sizes")
+            )
+    length = projector_size_px[1 if pattern.stripes == "horizontal" else 0]
+    if pattern.period_px > length:
+        raise CalibrationError(f"a period of {pattern.period_px:g} px does not fit on the projector's {length} px")
+    for name, size_px in (("camera", camera_size_px), ("projector", projector_size_px)):
+        lens = None if base is None else getattr(base, name)
+        if lens is not None and lens.size_px != tuple(size_px):
+            raise CalibrationError(
+                "the calibration whose light is kept is for another {}, of {}x{} px, not {}x{}: leave it out".format(
+                    name, *lens.size_px, *size_px
+                )
+            )
 
 
 def _need(kept: list[BoardPose], left_out: list[tuple[str, str]]) -> None:
@@ -324,13 +382,13 @@ class _Bundle:
             _, matrix, distortion, turns, places = cv2.calibrateCamera(points, views, size, start, None, flags=flags)
             lenses.append(np.array([matrix[0, 0], matrix[1, 1], *matrix[:2, 2], *distortion.ravel()[:5]]))
             boards.append([np.concatenate([t.ravel(), p.ravel()]) for t, p in zip(turns, places, strict=True)])
-        # From camera to projector: the median over the poses of projector pose after camera pose undone.
-        steps = []
-        for camera, projector in zip(*boards, strict=True):
-            r1, r2 = cv2.Rodrigues(camera[:3])[0], cv2.Rodrigues(projector[:3])[0]
-            turn = r2 @ r1.T
-            steps.append(np.concatenate([cv2.Rodrigues(turn)[0].ravel(), projector[3:] - turn @ camera[3:]]))
-        self.parameters = np.concatenate([*lenses, np.median(steps, axis=0), *boards[0]])
+        # From camera to projector: the mean over the poses of projector pose after camera pose undone. Of matrices, as
+        # rotation vectors of a projector that hangs upside down change sign from pose to pose.
+        turns = [cv2.Rodrigues(p[:3])[0] @ cv2.Rodrigues(c[:3])[0].T for c, p in zip(*boards, strict=True)]
+        left, _, right = np.linalg.svd(np.sum(turns, axis=0))
+        steps = [p[3:] - turn @ c[3:] for turn, c, p in zip(turns, *boards, strict=True)]
+        turn = cv2.Rodrigues(left @ right)[0].ravel()
+        self.parameters = np.concatenate([*lenses, turn, np.median(steps, axis=0), *boards[0]])
 
     @property
     def stereo(self) -> FloatArray:
@@ -426,10 +484,18 @@ class _Bundle:
         errors = [np.linalg.norm(self._residuals(k)[0], axis=-1) for k in range(len(self.poses))]
         return np.array([np.median(e, axis=0).max() for e in errors])
 
-    def tilts_deg(self) -> FloatArray:
-        """Return how far each pose's board is turned from facing the camera."""
-        turns = self.parameters[24:].reshape(-1, 6)[:, :3]
-        return np.array([np.degrees(np.arccos(min(abs(cv2.Rodrigues(turn)[0][2, 2]), 1.0))) for turn in turns])
+    def focal_sigma(self) -> float:
+        """Return the standard deviation of the least certain focal length, over that length."""
+        focal = np.array([0, 1, 9, 10])
+        return float((np.sqrt(np.diag(self.covariance())[focal]) / self.parameters[focal]).max())
+
+    def px_per_mm(self, pattern: Pattern) -> tuple[float, float]:
+        """Return how far depth moves the light in the projector, across and along the pattern's stripes."""
+        depth = float(np.median(self.depths_mm()))
+        points = np.array([[0, 0, depth - 0.5], [0, 0, depth + 0.5]])
+        pixels, _ = _project(points, self.stereo[:3], self.stereo[3:], self.parameters[9:18])
+        column, row = np.abs(pixels[1] - pixels[0])
+        return (float(row), float(column)) if pattern.stripes == "horizontal" else (float(column), float(row))
 
     def covariance(self) -> FloatArray:
         """Return the covariance of the lenses' and the step's 24 parameters."""
@@ -539,11 +605,14 @@ def depth_bias_mm(
 
 
 def _color_shift(poses: list[BoardPose], crosstalk_matrix: FloatArray | None) -> ColorShift | None:
-    """Return the lateral colour of both lenses, from all poses; None where there is none worth undoing.
+    """Return the lateral colour of both lenses, from all poses; None where there is none worth undoing, or none shows.
 
     A camera channel at a pixel sees the place less its own shift, and decodes the mix of the projector's channels that
     its row of the crosstalk matrix makes.
     """
+    poses = [pose for pose in poses if np.isfinite(pose.camera_shift_px).all()]
+    if not poses:
+        return None
     camera = np.median([pose.camera_shift_px for pose in poses], axis=0)
     beside = np.median([pose.projector_shift_px + camera @ pose.jacobian.T for pose in poses], axis=0)
     mix = np.eye(3) if crosstalk_matrix is None else crosstalk_matrix / crosstalk_matrix.sum(axis=1, keepdims=True)

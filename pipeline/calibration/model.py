@@ -24,6 +24,8 @@ Shift = Annotated[FloatArray, ArrayOf((3, 2))]
 Response = Annotated[FloatArray, ArrayOf((3, 256))]
 
 
+#: Crosstalk worse than this cannot be undone: noise grows by it.
+MAX_CONDITION = 100.0
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
 
 
@@ -83,7 +85,7 @@ class ColorShift(Model):
 class Capture(Model):
     """How the camera stood when the rig was calibrated."""
 
-    exposure_s: float | None = None
+    exposure_s: Annotated[float, Field(gt=0)] | None = None
     gain: float | None = None
     white_balance: Vector3 | None = None
     transfer: Literal["linear", "srgb", "bt709"] | Annotated[FloatArray, ArrayOf((256,))] | None = None
@@ -175,7 +177,7 @@ class Calibration(Model):
             if lacking:
                 raise ValueError(f"{lacking[0]}: is missing")
             self._check_geometry(self.geometry())
-        if self.crosstalk_matrix is not None and np.linalg.cond(self.crosstalk_matrix) > 100:
+        if self.crosstalk_matrix is not None and np.linalg.cond(self.crosstalk_matrix) > MAX_CONDITION:
             raise ValueError("crosstalk_matrix cannot be inverted")
         if self.response is not None and (
             np.any(np.diff(self.response) < 0) or np.any(np.abs(self.response[:, [0, -1]] - [0, 1]) > 1e-6)
@@ -234,6 +236,13 @@ class Calibration(Model):
         if not force and Path(path).exists():
             raise OutputError(f"{path} exists already: choose another name, or add --force")
         write_atomically(Path(path), (json.dumps(self.model_dump(mode="json"), indent=1) + "\n").encode())
+
+    def projector_lag_rad(self) -> FloatArray | None:
+        """Return by how much the projector's lateral colour delays R, G and B, (3,); None where none is known."""
+        if self.color_shift_px is None or not self.has_geometry:
+            return None
+        geometry = self.geometry()
+        return 2 * np.pi / geometry.pattern.period_px * self.color_shift_px.projector[:, geometry.phase_axis]
 
     def digest(self) -> str:
         """Return a SHA-256 of the contents, by which results name the calibration they were made with."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture, Sequence
+from pipeline.calibration.captures import Picture, Sequence, full_scale
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
 
@@ -25,7 +25,7 @@ _MIN_AMPLITUDE, _MIN_LEVELS = 0.25, 4.0
 # Between two periods the phases may disagree by this part of a cycle before the choice of the cycle becomes unsafe.
 _UNSURE = 0.3
 # Of captures in order, of what stands still, noise and steps make but a few per cent of the pixels unsure.
-_MAX_UNSURE, _MAX_THIRD = 0.1, 0.12
+_MAX_UNSURE, _MAX_UNEVEN = 0.1, 0.12
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,10 @@ def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
 
 
 def decode_multishot(
-    captures: Mapping[str, Picture], size_px: tuple[int, int], where: str = "captures"
+    captures: Mapping[str, Picture],
+    size_px: tuple[int, int],
+    where: str = "captures",
+    white_level: float | None = None,
 ) -> ProjectorMap:
     """Find every pixel's projector column and row.
 
@@ -70,6 +73,8 @@ def decode_multishot(
         The projector's.
     where : str
         What errors call these captures.
+    white_level : float, optional
+        Full scale; None: the type's.
 
     Raises
     ------
@@ -77,11 +82,12 @@ def decode_multishot(
         The captures are out of order, saturated, or show no fringes.
     """
     white, black = captures[WHITE], captures[BLACK]
-    full = {"uint8": 255.0, "uint16": 65535.0}.get(white.dtype.name, 1.0)
+    full = full_scale(white, white_level)
     lit = (white.astype(np.float64) - black) / full
     if np.median(lit) < -0.01 or np.percentile(lit, 99) < 0.04:
         raise CalibrationError(
-            f"{where}: {WHITE} is hardly brighter than {BLACK}: keep the order of the sequence, and expose longer"
+            f"{where}: {WHITE} is hardly brighter than {BLACK}: keep the order of the sequence, and expose longer (or "
+            "give the white level, where 16-bit files hold fewer bits)"
         )
     if (white >= 0.99 * full).any(axis=-1).mean() > 0.02:
         raise CalibrationError(f"{where}: {WHITE} is over-exposed: expose shorter")
@@ -97,13 +103,17 @@ def decode_multishot(
 
 
 def _period(level: str, axis: str, size_px: tuple[int, int]) -> float:
-    """Return a level's period in px; the coarsest spans the projector, so every place has a phase of its own."""
+    """Return a level's period in px.
+
+    The coarsest spans the projector, so every place has a phase of its own, and just so: read with another projector's
+    size the periods contradict each other.
+    """
     length = size_px[0 if axis == "column" else 1]
     if level == "fine":
         return FINE_PX
     if level == "middle":
         return FINE_PX * _RATIO
-    return max(FINE_PX * _RATIO**2, 1.02 * length)
+    return max(FINE_PX * _RATIO, 1.02 * length)
 
 
 def _decode_axis(
@@ -129,18 +139,41 @@ def _decode_axis(
         cycles = np.rint(place / period - part)
         unsure |= np.abs(place / period - part - cycles) > _UNSURE
         place = (cycles + part) * period
-    # The third harmonic of six steps in order is nothing: even a strong response makes but a thirtieth of the first.
-    third = np.abs(_phase_vector(captures, axis, "fine", full, harmonic=3).sum(axis=-1)) / 2
-    uneven = np.median((third / np.maximum(amplitude, 1e-9))[valid]) if valid.any() else 0.0
-    if uneven > _MAX_THIRD or np.count_nonzero(unsure & valid) > _MAX_UNSURE * np.count_nonzero(valid):
+    outside = (place < -1) | (place > length)
+    if np.count_nonzero((unsure | outside) & valid) > _MAX_UNSURE * np.count_nonzero(valid) or (
+        valid.any() and _unevenness(captures, axis, full, fine, valid) > _MAX_UNEVEN
+    ):
+        given = "{}x{} is not the projector's size".format(*size_px)
+        if place.shape[::-1] == tuple(size_px):
+            given += " but the camera's: camera and projector are swapped"
         raise CalibrationError(
             f"{where}: the {axis} fringes contradict each other: captures are in the wrong order, something moved, or "
-            "the projector does not have the size that was given"
+            + given
         )
-    place[~valid | unsure | (place < -1) | (place > length)] = np.nan
+    place[~valid | unsure | outside] = np.nan
     with np.errstate(invalid="ignore", divide="ignore"):
         alone = np.angle(vectors["fine"] * np.conj(fine / amplitude)[..., None]) * FINE_PX / (2 * np.pi)
     return place, np.moveaxis(alone, -1, 0)
+
+
+def _unevenness(
+    captures: Mapping[str, Picture],
+    axis: str,
+    full: float,
+    fine: npt.NDArray[np.complex128],
+    valid: npt.NDArray[np.bool_],
+) -> float:
+    """Return what captures out of order add to the fine fringes, over their amplitude.
+
+    In order, the second harmonic is the response's, in phase with the first (a fourth makes a twentieth of it at
+    most); and the third is a thirtieth of the first at most. Steps of one parity that change places leave the third as
+    it is, steps of both leave neither. Taken is what a quarter of the pixels exceed: a black picture in place of one
+    step bends only those that are bright there.
+    """
+    amplitude = np.maximum(np.abs(fine), 1e-9)
+    second, third = (_phase_vector(captures, axis, "fine", full, harmonic).sum(axis=-1) for harmonic in (2, 3))
+    across = np.abs((second * np.conj(fine / amplitude) ** 2).imag)
+    return max(float(np.percentile((part / amplitude)[valid], 75)) for part in (across, np.abs(third) / 2))
 
 
 def _phase_vector(

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture, Sequence
-from pipeline.calibration.model import Calibration, Capture, Uncertainty
+from pipeline.calibration.captures import Picture, Sequence, full_scale
+from pipeline.calibration.model import MAX_CONDITION, Calibration, Capture, Uncertainty
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
-from tikernels.linearization import TRANSFERS, WHITE_LEVELS, Transfer, linear_values
+from tikernels.linearization import TRANSFERS, Transfer, linear_values
 
 #: Codes of the ramps, 0..255. Sixteen steps follow any smooth response to a thousandth.
 RAMP_CODES = (*range(16, 256, 16), 255)
@@ -108,12 +108,13 @@ def measure_radiometry(
         Captures are saturated, too dark, in the wrong order, or not additive.
     """
     black, white = captures[_BLACK], captures[_name("grey", 255)]
-    full = white_level or WHITE_LEVELS[white.dtype.name]
+    full = full_scale(white, white_level)
     gain = (white.astype(np.float64) - black).mean(axis=-1)
     lit = gain > _LIT_FRACTION * np.percentile(gain, 99)
     if np.percentile(gain, 99) < _MIN_SIGNAL * full or np.count_nonzero(lit) < _MIN_LIT_PX:
         raise CalibrationError(
-            f"{_name('grey', 255)} is hardly brighter than {_BLACK}: expose longer, and light the target"
+            f"{_name('grey', 255)} is hardly brighter than {_BLACK}: expose longer, and light the target (or give the "
+            "white level, where 16-bit files hold fewer bits)"
         )
     # Pixels sorted into levels: a histogram a capture and channel, from which every transfer's mean light follows.
     histograms = {name: _histograms(name, captures[name], lit, full) for name in [_BLACK, *_all_names()]}
@@ -124,8 +125,14 @@ def measure_radiometry(
             f"grey differs from red + green + blue by {additivity:.1%} of white: a colour mode, a white segment or a "
             "dynamic iris is on; switch it off (or the camera's transfer is not the one named)"
         )
+    factors = _factorise(ramps)
+    if np.linalg.cond(factors[0]) > MAX_CONDITION:
+        raise CalibrationError(
+            "the camera hardly tells the projector's colours apart: switch off its colour effects, and the projector's "
+            "colour mode"
+        )
     ambient = np.array([histograms[_BLACK][i] @ _light_of_levels(chosen) for i in range(3)])
-    return Radiometry(*_factorise(ramps), transfer=chosen, additivity=additivity, ambient=ambient, ramps=ramps)
+    return Radiometry(*factors, transfer=chosen, additivity=additivity, ambient=ambient, ramps=ramps)
 
 
 def _name(color: str, code: int) -> str:

@@ -62,6 +62,22 @@ def test_a_ball_of_another_size():
     assert not checked("ball", "ball", 86.0).fine
 
 
+def test_what_a_plane_cannot_show():
+    """A projector turned about the stripes leaves a plane flat: the verdict says so, and a ball's radius shows it."""
+    plane = checked("plane", "plane", rotation=turned([0.3, 0.0, 0.0]))
+    assert plane.fine and "stripes' direction" in plane.blind_spot
+    assert not checked("ball", "ball", 85.0, rotation=turned([0.3, 0.0, 0.0])).fine
+    assert "unknown radius" in checked("ball", "ball").blind_spot
+    assert checked("ball", "ball", 85.0).blind_spot == ""
+
+
+def test_another_shape():
+    with pytest.raises(CalibrationError, match="mm from the nearest plane"):
+        checked("bust", "plane")
+    with pytest.raises(CalibrationError, match="radius is given as 0 mm"):
+        checked("ball", "ball", 0.0)
+
+
 def test_nothing_to_check():
     runtime.init("cpu")
     rig = simulated_rig().model_copy(update=KNOWN)
@@ -79,5 +95,18 @@ def test_epipolar_lines(degrees, fine):
         rig, Board(squares=(9, 6), square_mm=40.0), (0.2, 0.2, 0), (0, 0, 900), names,
         lambda name: multishot_codes(name, (1024, 768)), samples=2,
     )  # fmt: skip
-    measure = check_epipolar(captures, rig.model_copy(update={"rotation": turned(degrees)}))
-    assert measure.fine == fine
+    found = check_epipolar(captures, rig.model_copy(update={"rotation": turned(degrees)}))
+    assert found.fine == fine and "baseline" in found.blind_spot
+    if fine:
+        back = rig.rotation.T
+        swapped = {
+            "camera": rig.projector,
+            "projector": rig.camera,
+            "rotation": back,
+            "translation_mm": -back @ rig.translation_mm,
+        }
+        with pytest.raises(CalibrationError, match="is for a camera of 1024x768"):
+            check_epipolar(captures, rig.model_copy(update={"camera": rig.projector}))
+        narrow = rig.model_copy(update=swapped)
+        with pytest.raises(CalibrationError, match="camera and projector are swapped"):
+            check_epipolar(captures, narrow)

@@ -116,6 +116,10 @@ def test_a_frame_without_fringes(folder):
         (("pattern", "x.png", "--size", "wide"), "as in 1024x768"),
         (("pattern", "x.png", "--period", "1"), "period_px"),
         (("pattern", "x/y.png"), "create the folder first"),
+        (("pattern", "x.png", "--period", "0"), "period_px"),
+        (("pattern", "x.pdf", "--board", "charuco", "--squares", "30x20", "--dictionary", "DICT_4X4_50"), "50 markers"),
+        (("calibrate", "radiometry", ".", "--out", "x/y.json"), "create the folder first"),
+        (("calibrate", "radiometry", ".", "--out", "y.json", "--exposure-s", "0"), "exposure_s"),
     ],
 )
 def test_mistakes_get_one_line_and_leave_nothing(folder, arguments, message):
@@ -175,7 +179,20 @@ def test_check_and_fix(folder):
     for k in range(12):
         shutil.copy(folder / "frame.png", folder / "many" / f"{k:02d}.png")
     done = colorphase(*arguments[:2], "many", "--calibration", "calibration.json", cwd=folder)
-    assert done.returncode == 0 and "12 frames: fine" in done.stdout, done.stderr
+    assert done.returncode == 0 and "12 frames: nothing found" in done.stdout, done.stderr
+    assert "to and fro" in done.stdout  # frames of what stands still tell nothing of motion
+    swapped = truth.rig.model_copy(update={"camera": truth.rig.projector, "projector": truth.rig.camera})
+    swapped.write(folder / "swapped.json")
+    (folder / "empty").mkdir()
+    for what, rig, options, message in (
+        ("plane.png", "swapped.json", (), "camera and projector are swapped"),
+        ("plane.png", "calibration.json", (), "plane.png is 640x480 px but the calibration is for a camera of 320x240"),
+        ("plane.png", "old.json", ("--radius-mm", "40"), "add --shape ball"),
+        ("many", "old.json", ("--shape", "plane"), "take one picture"),
+        ("empty", "old.json", (), "holds 0 pictures"),
+    ):
+        done = colorphase(*arguments[:2], what, "--calibration", rig, *options, cwd=folder)
+        assert done.returncode == 1 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
     done = colorphase(*arguments[:2], "nothing.png", *arguments[3:], cwd=folder)
     assert done.returncode == 1 and "cannot read nothing.png" in done.stderr
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.calibration import Calibration
+from pipeline.calibration import Calibration, ColorShift
 from pipeline.calibration.check import corrected_light
 from pipeline.calibration.doctor import diagnose
 from pipeline.errors import CalibrationError
@@ -86,10 +86,54 @@ def test_a_clean_frame_is_fine(scene, gain):
     assert not diagnosed(*photographed(scene, 3, gain=gain)).findings
 
 
-def test_over_exposure():
+@pytest.mark.parametrize("exposure", [1.4, 2.5])
+def test_over_exposure(exposure):
+    """However much: what is cut off tells nothing else."""
     runtime.init("cpu")
-    found = diagnosed(*photographed("plane", 1, exposure=1.4))
+    found = diagnosed(*photographed("plane", 1, exposure=exposure))
     assert [finding.causes for finding in found.findings] == [("clipping",)]
+
+
+def test_hardly_anything_but_clipped():
+    runtime.init("cpu")
+    found = diagnosed(*photographed("plane", 1, exposure=5.0))
+    assert not found.findings and "expose less" in found.notes[0]
+
+
+def test_what_decoding_undoes_is_no_fault():
+    """Neither a response that the calibration holds, nor lateral colour; without them both are found."""
+    runtime.init("cpu")
+    rig = simulated_rig()
+    shift = np.array([[0, 0.7], [0, 0], [0, -0.7]])
+    faults = {"gamma": 2.0, "projector_shift_px": shift, "crosstalk_matrix": np.eye(3)}
+    truth = simulate_frame(rig, SimulationSettings(scene="plane", **faults))
+    known = rig.model_copy(
+        update={
+            "crosstalk_matrix": np.eye(3),
+            "response": np.tile(np.linspace(0, 1, 256) ** 2, (3, 1)),
+            "color_shift_px": ColorShift(camera=np.zeros((3, 2)), projector=shift),
+        }
+    )
+    frame = Decoder(DecodeSettings(equalize=False), known, arch="cpu").decode(truth.image)
+    seen = (truth.image, 255, frame.unwrapped_phase, frame.mask, np.eye(3), "linear")
+    assert {cause for finding in diagnose(*seen).findings for cause in finding.causes} >= {
+        "response",
+        "lateral colour of the projector",
+    }
+    assert not diagnose(*seen, known.response, known.projector_lag_rad()).findings
+
+
+def test_a_wrong_transfer_is_turned_round():
+    """Against what the frame was decoded with, whatever the calibration says."""
+    runtime.init("cpu")
+    image, white = photographed("plane", 1)
+    frame = Decoder(DecodeSettings(equalize=False, crosstalk_matrix=np.eye(3), transfer="srgb"), arch="cpu").decode(
+        image
+    )
+    found = diagnose(image, white, frame.unwrapped_phase, frame.mask, np.eye(3), "srgb")
+    assert [finding.causes for finding in found.findings] == [("transfer",)]
+    fixed = corrected_light(Calibration(crosstalk_matrix=np.eye(3)), found, image, white, frame, "srgb")
+    assert fixed.capture.transfer == "linear"
 
 
 def test_too_little_to_say_anything():

@@ -9,14 +9,16 @@ import pytest
 from board_rig import BoardCaptures, board_turns
 
 from pipeline import Calibration
+from pipeline.calibration import ColorShift
 from pipeline.calibration.board import Board
 from pipeline.calibration.geometry import BoardPose, measure_pose, solve_geometry
 from pipeline.calibration.model import Pattern
 from pipeline.calibration.multishot import BLACK, WHITE, decode_multishot, multishot_codes, multishot_sequence
-from pipeline.errors import CalibrationError, OutputError
+from pipeline.errors import CalibrationError, OutputError, SettingsError
+from pipeline.models import build
 from pipeline.simulate import TYPICAL_CROSSTALK, simulated_rig
 
-CAMERA_PX, PROJECTOR_PX = (640, 480), (1024, 768)
+CAMERA_PX, PROJECTOR_PX = RIG_PX = (640, 480), (1024, 768)
 SEQUENCE = multishot_sequence(PROJECTOR_PX)
 CHESSBOARD = Board(kind="chessboard", squares=(10, 7), square_mm=26.0)
 CHARUCO = Board(kind="charuco", squares=(9, 6), square_mm=30.0)
@@ -40,12 +42,13 @@ def captured(board, turn=(0.3, -0.3, 0.1), place=(0.0, 0.0, 900.0), **options):
     return BoardCaptures(rig(), board, turn, place, SEQUENCE.names, codes, **options)
 
 
-def exact_poses(count=10, noise_px=0.03, board=CHESSBOARD, seed=3):
+def exact_poses(count=10, noise_px=0.03, board=CHESSBOARD, seed=3, turns=None, places=None, geometry=None):
     """Return poses whose corners are projected, not looked for: what the solver makes of noise alone."""
     rng = np.random.default_rng(seed)
-    geometry = rig().geometry()
+    geometry = geometry or rig().geometry()
+    turns, places = (turns, places) if turns is not None else board_turns(count, seed)
     poses = []
-    for k, (turn, place) in enumerate(zip(*board_turns(count, seed), strict=True)):
+    for k, (turn, place) in enumerate(zip(turns, places, strict=True)):
         rotation = cv2.Rodrigues(turn)[0]
         corners = board.corners_mm() @ rotation.T + place - rotation @ (board.corners_mm().mean(axis=0))
         views = []
@@ -131,6 +134,49 @@ def test_refused_sets_of_poses():
         solve_geometry([exact_poses(1)[0]] * 9, CAMERA_PX, PROJECTOR_PX, PATTERN)
     with pytest.raises(CalibrationError, match=r"baseline comes out as 180.* squares are then 0\.5"):
         solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN, baseline_mm=90.0)
+    with pytest.raises(CalibrationError, match="baseline is given as 0 mm"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN, baseline_mm=0.0)
+    with pytest.raises(CalibrationError, match="camera and projector are swapped"):
+        solve_geometry(exact_poses(), PROJECTOR_PX, CAMERA_PX, PATTERN)
+    with pytest.raises(CalibrationError, match=r"period of 900 px does not fit"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, Pattern(period_px=900))
+    with pytest.raises(CalibrationError, match=r"another camera, of 320x240"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN, simulated_rig((320, 240)))
+    with pytest.raises(CalibrationError, match=r"vertical stripes run along .* calibrate for horizontal ones"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, Pattern(period_px=16, stripes="vertical"))
+
+
+def test_poses_that_are_all_parallel():
+    """They tell no focal length, however the board is tilted."""
+    places = np.random.default_rng(1).uniform((-60, -40, 800), (60, 40, 1000), (10, 3))
+    with pytest.raises(CalibrationError, match="too much alike"):
+        solve_geometry(exact_poses(turns=[np.array([0.4, 0.1, 0.05])] * 10, places=places), *RIG_PX, PATTERN)
+
+
+def test_an_earlier_lateral_colour_is_not_kept():
+    shift = ColorShift(camera=np.zeros((3, 2)), projector=np.full((3, 2), 0.5))
+    base = Calibration(crosstalk_matrix=np.eye(3), color_shift_px=shift)
+    assert solve_geometry(exact_poses(), *RIG_PX, PATTERN, base).calibration.color_shift_px is None
+    poses = [BoardPose(**{**pose.__dict__, "camera_shift_px": np.full((3, 2), np.nan)}) for pose in exact_poses()]
+    assert solve_geometry(poses, *RIG_PX, PATTERN, base).calibration.color_shift_px is None
+
+
+def test_a_projector_upside_down():
+    """Half a turn about the camera's axis: rotation vectors flip their sign there."""
+    half = np.diag([-1.0, -1.0, 1.0])
+    hanging = rig().model_copy(
+        update={"rotation": half @ rig().rotation, "translation_mm": half @ rig().translation_mm}
+    )
+    found = solve_geometry(exact_poses(geometry=hanging.geometry()), *RIG_PX, PATTERN).calibration
+    np.testing.assert_allclose(found.rotation, hanging.rotation, atol=0.003)
+    assert abs(np.linalg.norm(found.translation_mm) - 180) < 0.2
+
+
+def test_boards_that_cannot_be():
+    with pytest.raises(SettingsError, match=r"DICT_4X4_50 has 50 markers, the board needs 300"):
+        build(Board, {"squares": (30, 20), "dictionary": "DICT_4X4_50"}, SettingsError, "board")
+    assert CHARUCO.spans(np.array([0, 1, 8, 9]))
+    assert not CHARUCO.spans(np.arange(8)) and not CHARUCO.spans(np.array([0, 1, 2, 8]))
 
 
 @pytest.mark.parametrize(
@@ -157,7 +203,7 @@ def test_a_board_that_is_partly_hidden():
 def test_captures_in_the_wrong_order():
     captures = dict(captured(CHARUCO))
     names = [name for name in SEQUENCE.names if "column-fine" in name]
-    for a, b in ((WHITE, BLACK), (names[0], "05-column-coarse-3")):
+    for a, b in ((WHITE, BLACK), (names[0], "05-column-coarse-3"), (names[0], names[2]), (BLACK, names[1])):
         swapped = {**captures, a: captures[b], b: captures[a]}
         with pytest.raises(CalibrationError, match=r"order|contradict"):
             decode_multishot(swapped, PROJECTOR_PX)
@@ -165,6 +211,25 @@ def test_captures_in_the_wrong_order():
     turned = {a: captures[b] for a, b in zip(names, names[3:] + names[:3], strict=True)}
     with pytest.raises(CalibrationError, match="contradict"):
         decode_multishot({**captures, **turned}, PROJECTOR_PX)
+
+
+def test_a_projector_of_another_size():
+    captures = dict(captured(CHARUCO))
+    with pytest.raises(CalibrationError, match="800x600 is not the projector's size"):
+        decode_multishot(captures, (800, 600))
+    with pytest.raises(CalibrationError, match=r"640x480 is .* but the camera's: camera and projector are swapped"):
+        decode_multishot(captures, CAMERA_PX)
+
+
+def test_sixteen_bit_files_of_a_twelve_bit_camera():
+    captures = {name: 16 * picture.astype(np.uint16) for name, picture in captured(CHARUCO).items()}
+    known = decode_multishot(captures, PROJECTOR_PX, white_level=4095)
+    assert np.isfinite(known.position_px).all(axis=-1).mean() > 0.2
+    captures[WHITE][:2] = 4095
+    with pytest.raises(CalibrationError, match="end at 4095"):
+        decode_multishot(captures, PROJECTOR_PX)
+    with pytest.raises(CalibrationError, match="white_level is -1"):
+        decode_multishot(captures, PROJECTOR_PX, white_level=-1)
 
 
 def test_lateral_colour_is_found():

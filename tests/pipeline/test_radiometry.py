@@ -26,13 +26,15 @@ SEQUENCE = radiometry_sequence((1024, 768))
 GREY = f"{len(SEQUENCE.names) - 1:02d}-grey-255"
 
 
-def captured(gamma=2.0, transfer="linear", noise=1.5, seed=0, shading=True, ambient=0.05, bits=8):
+def captured(
+    gamma=2.0, transfer="linear", noise=1.5, seed=0, shading=True, ambient=0.05, bits=8, matrix=TYPICAL_CROSSTALK
+):
     """Return the captures of a rig whose light is known: a white target that is not lit evenly."""
     rng = np.random.default_rng(seed)
     shade = np.linspace(0.5, 1.0, 80)[:, None] if shading else np.ones((80, 1))
     captures = {}
     for name in SEQUENCE.names:
-        light = np.array(TYPICAL_CROSSTALK) @ radiometry_codes(name) ** gamma
+        light = np.array(matrix) @ radiometry_codes(name) ** gamma
         image = np.broadcast_to(0.72 * shade[..., None] * light + ambient, (80, 100, 3))
         if transfer == "srgb":
             image = np.where(image <= 0.0031308, 12.92 * image, 1.055 * image ** (1 / 2.4) - 0.055)
@@ -124,6 +126,11 @@ def test_the_compensated_pattern_leaves_no_ripple():
         (lambda c: c.update({n: np.ascontiguousarray(c[n][..., ::-1]) for n in c}), "BGR"),
         # A white segment: grey is brighter than its parts.
         (lambda c: c.update({n: (1.08 * c[n]).astype(np.uint8) for n in c if "grey" in n}), "colour mode"),
+        (
+            lambda c: c.update(captured(noise=0.0, bits=16, matrix=0.33 + 0.005 * np.eye(3))),
+            "tells the projector's colours apart",
+        ),
+        (lambda c: c.update({n: np.minimum(20 * c[n].astype(np.uint16), 4095) for n in c}), "end at 4095"),
     ],
 )
 def test_refused_captures(spoil, message):

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
-from pipeline.calibration.sequence_doctor import diagnose_sequence, rad_per_mm
-from pipeline.simulate import simulated_rig
+from pipeline import Decoder, DecodeSettings
+from pipeline.calibration.sequence_doctor import SequenceDiagnosis, diagnose_sequence, rad_per_mm
+from pipeline.pattern import make_pattern
+from pipeline.simulate import SKIN, SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
 
 COUNT = 16
 
@@ -31,14 +34,14 @@ def frames(*, beat=0.0, rate=0.23, field_share=0.0, lateral=0.0, seed=0):
 
 
 def test_frames_without_a_fault():
-    assert diagnose_sequence(*frames()) == ()
+    assert diagnose_sequence(*frames()) == SequenceDiagnosis((), ())
     # Lateral colour is the same at every speed, and one frame's business.
-    assert diagnose_sequence(*frames(lateral=0.05)) == ()
+    assert diagnose_sequence(*frames(lateral=0.05)) == SequenceDiagnosis((), ())
 
 
 @pytest.mark.parametrize("beat", [0.1, 0.05])
 def test_a_beat(beat):
-    (found,) = diagnose_sequence(*frames(beat=beat))
+    (found,) = diagnose_sequence(*frames(beat=beat)).findings
     assert found.causes == ("colour-cycle beat",)
     assert "0.2" in found.size
 
@@ -47,9 +50,10 @@ def test_a_beat(beat):
 def test_motion_between_fields(share):
     """To a tenth, also beside lateral colour; its bias in mm where the rig is known."""
     geometry = simulated_rig().geometry()
-    (found,) = diagnose_sequence(*frames(field_share=share, lateral=0.02), geometry)
+    (found,) = diagnose_sequence(*frames(field_share=share, lateral=0.02), geometry).findings
     assert found.causes == ("motion between colour fields",)
-    assert float(found.size.split()[0]) == pytest.approx(share, rel=0.1)
+    assert float(found.size.split()[1]) == pytest.approx(share, rel=0.1)
+    assert float(found.size.split()[4]) == pytest.approx(2 * share, rel=0.1)
     assert f"{share * 0.28 / rad_per_mm(geometry):.1f}"[:2] in found.size
 
 
@@ -59,4 +63,50 @@ def test_a_seventh_of_a_radian_a_millimetre():
 
 def test_too_few_frames():
     images, white, phases, masks = frames()
-    assert diagnose_sequence(images[:5], white, phases[:5], masks[:5]) == ()
+    few = diagnose_sequence(images[:5], white, phases[:5], masks[:5])
+    assert not few.findings and "at least 12" in few.notes[0]
+    masks = [*masks[:3], np.zeros_like(masks[0]), *masks[4:]]
+    assert "frame 3 shows no fringes" in diagnose_sequence(images, white, phases, masks).notes[0]
+
+
+def rendered(scene, share, swing_mm, direction, count=14):
+    """Return frames of our simulator: an object that swings to and fro, each colour where it was at its time."""
+    runtime.init("cpu")
+    rig = simulated_rig((240, 180), period_px=2 * 768 / 44)
+    pattern = make_pattern((1024, 768), rig.pattern)
+    rng = np.random.default_rng(1)
+    images = []
+    for t in range(count):
+        light = []
+        for k in range(3):
+            # The projector's blue field comes two steps of motion after the first.
+            codes = np.zeros_like(pattern)
+            codes[..., 2] = pattern[..., k]
+            step = np.array(direction) * swing_mm * np.sin(0.35 * (t + k * share)) / 2 + 1e-9
+            settings = SimulationSettings(
+                scene=scene, gamma=1.0, crosstalk_matrix=np.eye(3), reflectance=(SKIN[k],) * 3, ambient=0.0,
+                noise_levels=0.0, bits=16, exposure=1.0, field_motion_mm=tuple(step),
+            )  # fmt: skip
+            light.append(simulate_frame(rig, settings, codes=codes).image[..., 2] / 65535)
+        image = np.stack(light, axis=-1)
+        image = 0.9 * image / np.quantile(image, 0.995) + 1.5 / 255 * rng.standard_normal(image.shape)
+        images.append(np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8))
+    decoder = Decoder(DecodeSettings(crosstalk_matrix=np.eye(3)), arch="cpu")
+    decoded = [decoder.decode(image) for image in images]
+    return images, 255, [frame.unwrapped_phase for frame in decoded], [frame.mask for frame in decoded]
+
+
+@pytest.mark.parametrize("scene", ["plane", "bust"])
+def test_rendered_motion(scene):
+    """A bust before a wall that stands still tells the time between two fields as well as a plane does."""
+    (found,) = diagnose_sequence(*rendered(scene, 0.3, 4.0, (0, 0, 1))).findings
+    assert found.causes == ("motion between colour fields",)
+    assert float(found.size.split()[1]) == pytest.approx(0.3, rel=0.15)
+    assert not diagnose_sequence(*rendered(scene, 0.0, 4.0, (0, 0, 1))).findings
+
+
+def test_what_only_moves_is_no_beat():
+    """A coloured object that swings by more than a tile, all colours at once; and nothing that moves at all."""
+    assert not diagnose_sequence(*rendered("bust", 0.0, 40.0, (1, 0, 0))).findings
+    still = diagnose_sequence(*rendered("plane", 0.3, 0.0, (0, 0, 1)))
+    assert not still.findings and "to and fro" in still.notes[0]
