@@ -18,6 +18,7 @@ from pipeline.calibration.commands import BoardOptions, calibrate, chosen_patter
 from pipeline.decoder import Decoder
 from pipeline.errors import (
     CalibrationError,
+    DecodeWarning,
     FootageError,
     OutputError,
     RenderError,

@@ -5,35 +5,26 @@ import warnings
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from pipeline.calibration import Calibration, Capture, Geometry
+from pipeline.calibration import Calibration, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
-from pipeline.errors import CalibrationError, FootageError, SettingsError
+from pipeline.errors import CalibrationError, DecodeWarning, FootageError
+from pipeline.light_path import LightPath
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.balance import Gains
 from tikernels.channel_model import ChannelModel
-from tikernels.crosstalk import invert_crosstalk
-from tikernels.equalization import (
-    SLOTS,
-    correction_table,
-    count_phases_kernel,
-    pattern_light,
-    prefers_response,
-    response_table,
-)
+from tikernels.equalization import SLOTS, count_phases_kernel
 from tikernels.errors import ShapeError
 from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
-from tikernels.linearization import WHITE_LEVELS, Transfer, linearize
+from tikernels.linearization import WHITE_LEVELS, linearize
 from tikernels.phase_recovery import CLIPPED, recover_phase_kernel
 from tikernels.registration import align_channels
 from tikernels.statistics import count_out_of_range, measure_frame
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
 from tikernels.unwrapping import Unwrapper
-from tikernels.wrapped_phase import phase_weights
 
 # Smaller pictures hold no surface.
 _MIN_SIZE_PX = 16
@@ -156,7 +147,8 @@ class Decoder:
             self._clear(frame)
             return frame
         intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
-        modulation = self._threshold(self.settings.min_modulation, scale, _MODULATION_SIGMAS * self._path.noise_gain * noise)
+        least = _MODULATION_SIGMAS * self._path.noise_gain * noise
+        modulation = self._threshold(self.settings.min_modulation, scale, least)
         if self.settings.min_intensity is None:
             intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
         if self.settings.min_modulation is None:

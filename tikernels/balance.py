@@ -135,17 +135,17 @@ def _sample_kernels(balance_first: bool) -> tuple[Any, Any]:
             y, j = sample // blocks, sample % blocks
             inverse = matrix_of(inverse_matrix)
             x = j * 2 * rows + (y & 1) * rows
-            light = vec3(0.0)
+            kept = vec3(0.0)
             if x < width:
                 light = vec3(
                     ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
                 )
-                if light.sum() <= 3.0 * min_intensity:
-                    light = vec3(0.0)
-                if ti.static(not balance_first):
-                    light = inverse @ light
+                if light.sum() > 3.0 * min_intensity:
+                    kept = light
+                    if ti.static(not balance_first):
+                        kept = inverse @ light
             for k in ti.static(range(3)):
-                out_samples[y, j, k] = light[k]
+                out_samples[y, j, k] = kept[k]
 
     @ti.func
     def projected_light(sample: vec3, gain: vec3, inverse: mat3) -> vec3:
