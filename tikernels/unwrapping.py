@@ -37,6 +37,7 @@ from tikernels.patches import (
     FIRST,
     FROM,
     GOLDEN,
+    HEAD,
     KEY,
     N_CONTACTS,
     N_CROWDED,
@@ -54,6 +55,7 @@ from tikernels.patches import (
     STEP,
     SUPPORT,
     TO,
+    TURN,
     VOTES,
     WEIGHT,
     collect_patches_kernel,
@@ -63,6 +65,13 @@ from tikernels.patches import (
     patch_number,
 )
 from tikernels.phase_vector import PI, STRIP
+from tikernels.reliability import (
+    grow_trees_kernel,
+    join_trees_kernel,
+    note_contacts_kernel,
+    root_trees_kernel,
+    weigh_edges_kernel,
+)
 from tikernels.transposing import transpose
 from tikernels.triangulation import ProjectorGeometry, load_projector, projected
 from tikernels.wrapped_phase import mark_no_phase_kernel
@@ -78,6 +87,8 @@ _REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
 # two. Where noise needs more, the drafts grow. Counters shared by all threads would do without drafts, but their order
 # is chance, and Mesa's software Vulkan loses threads that wait for one inside a loop.
 _DRAFT_BITS = 3
+# Trees in a cell: 14 on average, whatever the noise.
+_TREE_DRAFT_BITS = 5
 
 
 strip_of_integers = ti.types.vector(STRIP, ti.i32)
@@ -85,23 +96,42 @@ strip_of_floats = ti.types.vector(STRIP, ti.f32)
 
 
 class Unwrapper:
-    """Buffers to unwrap frames of one size, stripes along the rows."""
+    """Buffers to unwrap frames of one size, stripes along the rows.
 
-    def __init__(self, height: int, width: int) -> None:
+    Parameters
+    ----------
+    height, width : int
+        Size of the frames.
+    method : {"directional", "reliability"}
+        How patches grow and join: by votes, or along the most reliable edges.
+    max_departure : float
+        Neighbours on one surface change by no more than this more or less than usual, rad; "reliability" only.
+    """
+
+    def __init__(
+        self, height: int, width: int, method: str = "directional", max_departure: float = MAX_DEPARTURE
+    ) -> None:
         self.shape = (height, width)
+        self.by_votes = method == "directional"
+        self.max_departure = max_departure
         self.on_cpu = runtime.started() == "cpu"
         self.labels = runtime.empty((height, width), np.int32)
         self.counters = runtime.empty((4,), np.int32)
-        self.cells = -(-height // CELL_HEIGHT) * -(-width // CELL_WIDTH)
+        rows, columns = -(-height // CELL_HEIGHT), -(-width // CELL_WIDTH)
+        self.cells = rows * columns
         self.firsts = runtime.empty((3, self.cells + 1), np.int32)
-        self._allocate(_DRAFT_BITS)
+        if not self.by_votes:
+            self.edges = runtime.empty((3, rows * CELL_HEIGHT + 1, columns * CELL_WIDTH + 1), np.int32)
+        self._allocate(_DRAFT_BITS if self.by_votes else _TREE_DRAFT_BITS)
 
     def _allocate(self, draft_bits: int) -> None:
         self.draft_bits = draft_bits
         patches = self.cells << draft_bits
         self.draft_patches = runtime.empty((3, patches), np.int32)
         self.draft_contacts = runtime.empty((5, 4 * patches), np.int32)
-        self.patches = runtime.empty((10, patches), np.int32)
+        if not self.by_votes:
+            self.trees = runtime.empty((5, patches), np.int32)
+        self.patches = runtime.empty((12, patches), np.int32)
         self.contacts = runtime.empty((5, 4 * patches), np.int32)
         self.regions = runtime.empty((4, patches), np.int32)
         self.final = runtime.empty((3, patches), np.int32)
@@ -126,9 +156,16 @@ class Unwrapper:
         """
         while True:
             drafts: Any = (self.draft_patches, self.draft_contacts, self.firsts)
-            growing = (phase, quality, rates, self.draft_bits, self.labels)
-            grow_patches_kernel(*growing, *drafts)
-            note_borders_kernel(*growing, self.draft_contacts, self.firsts)
+            if self.by_votes:
+                growing = (phase, quality, rates, self.draft_bits, self.labels)
+                grow_patches_kernel(*growing, *drafts)
+                note_borders_kernel(*growing, self.draft_contacts, self.firsts)
+            else:
+                weigh_edges_kernel(phase, rates, self.max_departure, self.edges)
+                growing = (self.draft_bits, self.labels)
+                grow_trees_kernel(self.edges, quality, rates, *growing, self.draft_patches, self.trees, self.firsts)
+                join_trees_kernel(self.cells, self.edges, rates, *growing, self.firsts, self.trees)
+                note_contacts_kernel(self.edges, rates, *growing, self.trees, self.draft_contacts, self.firsts)
             number_patches_kernel(self.cells, self.firsts, self.counters)
             counts = runtime.to_host(self.counters)  # synchronises
             if counts[N_CROWDED] <= 1 << self.draft_bits:
@@ -137,14 +174,17 @@ class Unwrapper:
         patches, contacts = int(counts[N_PATCHES]), int(counts[N_CONTACTS])
         drafts = (self.cells, self.draft_bits, *drafts)
         collect_patches_kernel(self._serial(contacts), *drafts, self.patches, self.contacts)
+        if not self.by_votes:
+            root_trees_kernel(self.cells, self.draft_bits, self.trees, self.firsts, self.patches)
         while True:
             tables = (self.patches, self.contacts, self.table, self.counters)
-            merge_patches_kernel(self._serial(contacts), patches, contacts, *tables)
+            merge_patches_kernel(self._serial(contacts), self.by_votes, contacts, *tables)
             if runtime.to_host(self.counters)[N_MERGED] == 0:  # synchronises
                 break
             if self.on_cpu:  # a GPU passes over spent contacts faster than one of its threads could close the gaps
                 close_gaps_kernel(contacts, self.contacts, self.counters)
                 contacts = int(self.counters[N_CONTACTS])
+        settle_patches_kernel(self._serial(patches), patches, self.patches)
         choose_starts_kernel(self._serial(patches), patches, self.labels, self.patches, self.regions)
         self.patch_count = patches
 
@@ -198,102 +238,128 @@ def table_place(contacts: I32Array2, e: i32, size: i32) -> i32:
 @ti.kernel
 def merge_patches_kernel(
     serial: Static,  # whether one thread does it
-    count: i32,
+    sums: Static,  # whether contacts that agree on the shift have their votes added up
     contact_count: i32,
-    patches: I32Array2,  # (10, capacity): root and offset are read and written, the rest is scratch
+    patches: I32Array2,  # (12, capacity): whom the root of a region hangs under is written, the rest is scratch
     contacts: I32Array2,  # (5, capacity); the votes of spent contacts become 0
     table: I32Array2,  # (3, power of two) scratch
     counters: I32Array1,
 ):
     """One Boruvka round: every region joins along its best supported contact."""
     counters[N_MERGED] = 0
-    # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
-    # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
-    ti.loop_config(serialize=serial)
-    for place in range(table.shape[1]):
-        table[_OWNER, place] = 2147483647
-        table[_SUM, place] = 0
     # A contact joins the roots of its regions, the smaller first.
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
-        if contacts[VOTES, e] > 0:
-            a, b = contacts[FROM, e], contacts[TO, e]
-            turn = contacts[SHIFT, e] + patches[OFFSET, a] - patches[OFFSET, b]
-            a, b = patches[ROOT, a], patches[ROOT, b]
+        votes = contacts[VOTES, e]
+        if votes > 0:
+            a, b, turn = contacts[FROM, e], contacts[TO, e], contacts[SHIFT, e]
+            for end in ti.static((FROM, TO)):
+                head, offset = contacts[end, e], 0
+                while patches[PARENT, head] != head:
+                    offset += patches[STEP, head]
+                    head = patches[PARENT, head]
+                patches[HEAD, contacts[end, e]] = head
+                patches[TURN, contacts[end, e]] = offset
+                if ti.static(end == FROM):
+                    a, turn = head, turn + offset
+                else:
+                    b, turn = head, turn - offset
             if a > b:
                 a, b, turn = b, a, -turn
             contacts[FROM, e], contacts[TO, e], contacts[SHIFT, e] = a, b, turn
             if a == b:
                 contacts[VOTES, e] = 0
             else:
+                for root in ti.static((a, b)):
+                    patches[KEY, root] = 2147483647
+                    patches[CHOICE, root] = 2147483647
+                    if ti.static(not sums):
+                        ti.atomic_max(patches[SUPPORT, root], votes)
+    if ti.static(sums):
+        # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
+        # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
+        ti.loop_config(serialize=serial)
+        for place in range(table.shape[1]):
+            table[_OWNER, place] = 2147483647
+            table[_SUM, place] = 0
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            if contacts[VOTES, e] > 0:
                 ti.atomic_min(table[_OWNER, table_place(contacts, e, table.shape[1])], contacts[NAME, e])
-    ti.loop_config(serialize=serial)
-    for e in range(contact_count):
-        if contacts[VOTES, e] > 0:
-            place = table_place(contacts, e, table.shape[1])
-            if table[_OWNER, place] == contacts[NAME, e]:
-                table[_CONTACT, place] = e
-    ti.loop_config(serialize=serial)
-    for e in range(contact_count):
-        votes = contacts[VOTES, e]
-        if votes > 0:
-            place = table_place(contacts, e, table.shape[1])
-            owner = table[_CONTACT, place]
-            same = contacts[FROM, owner] == contacts[FROM, e] and contacts[TO, owner] == contacts[TO, e]
-            if owner != e and same and contacts[SHIFT, owner] == contacts[SHIFT, e]:
-                ti.atomic_add(table[_SUM, place], votes)
-                contacts[VOTES, e] = 0
-    ti.loop_config(serialize=serial)
-    for i in range(count):
-        patches[SUPPORT, i] = 0
-        patches[KEY, i] = 2147483647
-        patches[CHOICE, i] = -1
-        patches[PARENT, i] = i
-        patches[STEP, i] = 0
-    # The best supported contact of each region; among equals the smallest name, so that it is always the same one.
-    ti.loop_config(serialize=serial)
-    for e in range(contact_count):
-        if contacts[VOTES, e] > 0:
-            place = table_place(contacts, e, table.shape[1])
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            if contacts[VOTES, e] > 0:
+                place = table_place(contacts, e, table.shape[1])
+                if table[_OWNER, place] == contacts[NAME, e]:
+                    table[_CONTACT, place] = e
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
             votes = contacts[VOTES, e]
-            if table[_CONTACT, place] == e:
-                votes += table[_SUM, place]
-                contacts[VOTES, e] = votes
-            ti.atomic_max(patches[SUPPORT, contacts[FROM, e]], votes)
-            ti.atomic_max(patches[SUPPORT, contacts[TO, e]], votes)
-    ti.loop_config(serialize=serial)
-    for e in range(contact_count):
-        votes = contacts[VOTES, e]
-        if votes > 0:
-            for end in ti.static((FROM, TO)):
-                if votes == patches[SUPPORT, contacts[end, e]]:
-                    ti.atomic_min(patches[KEY, contacts[end, e]], contacts[NAME, e])
+            if votes > 0:
+                place = table_place(contacts, e, table.shape[1])
+                owner = table[_CONTACT, place]
+                same = contacts[FROM, owner] == contacts[FROM, e] and contacts[TO, owner] == contacts[TO, e]
+                if owner != e and same and contacts[SHIFT, owner] == contacts[SHIFT, e]:
+                    ti.atomic_add(table[_SUM, place], votes)
+                    contacts[VOTES, e] = 0
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            votes = contacts[VOTES, e]
+            if votes > 0:
+                place = table_place(contacts, e, table.shape[1])
+                if table[_CONTACT, place] == e:
+                    votes += table[_SUM, place]
+                    contacts[VOTES, e] = votes
+                ti.atomic_max(patches[SUPPORT, contacts[FROM, e]], votes)
+                ti.atomic_max(patches[SUPPORT, contacts[TO, e]], votes)
+        ti.loop_config(serialize=serial)
+        for e in range(contact_count):
+            votes = contacts[VOTES, e]
+            if votes > 0:
+                for end in ti.static((FROM, TO)):
+                    if votes == patches[SUPPORT, contacts[end, e]]:
+                        ti.atomic_min(patches[KEY, contacts[end, e]], contacts[NAME, e])
+    # The best supported contact of each region; among equals the smallest name, or the first one.
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
         votes = contacts[VOTES, e]
         if votes > 0:
             for end in ti.static((FROM, TO)):
                 root = contacts[end, e]
-                if votes == patches[SUPPORT, root] and contacts[NAME, e] == patches[KEY, root]:
-                    patches[CHOICE, root] = e
+                if votes == patches[SUPPORT, root]:
+                    if ti.static(not sums):
+                        ti.atomic_min(patches[CHOICE, root], e)
+                    elif contacts[NAME, e] == patches[KEY, root]:
+                        patches[CHOICE, root] = e
     # Hang each region under the one it chose; of two that chose the same contact the smaller stays a root.
     ti.loop_config(serialize=serial)
-    for i in range(count):
-        e = patches[CHOICE, i]
-        if e >= 0:
-            other, step = contacts[TO, e], -contacts[SHIFT, e]
-            if other == i:
-                other, step = contacts[FROM, e], -step
-            if not (patches[CHOICE, other] == e and i < other):
-                patches[PARENT, i] = other
-                patches[STEP, i] = step
+    for e in range(contact_count):
+        if contacts[VOTES, e] > 0:
+            a, b = contacts[FROM, e], contacts[TO, e]
+            if patches[CHOICE, b] == e:
+                patches[PARENT, b] = a
+                patches[STEP, b] = contacts[SHIFT, e]
                 counters[N_MERGED] = 1
+            elif patches[CHOICE, a] == e:
+                patches[PARENT, a] = b
+                patches[STEP, a] = -contacts[SHIFT, e]
+                counters[N_MERGED] = 1
+            patches[SUPPORT, a] = 0
+            patches[SUPPORT, b] = 0
+
+
+@ti.kernel
+def settle_patches_kernel(
+    serial: Static,
+    count: i32,
+    patches: I32Array2,  # root and offset of every patch's region are written
+):
     ti.loop_config(serialize=serial)
     for i in range(count):
-        root, offset = patches[ROOT, i], patches[OFFSET, i]
-        while patches[PARENT, root] != root:
-            offset += patches[STEP, root]
-            root = patches[PARENT, root]
+        root, offset = patches[HEAD, i], patches[TURN, i]
+        while patches[HEAD, root] != root:
+            offset += patches[TURN, root]
+            root = patches[HEAD, root]
         patches[ROOT, i] = root
         patches[OFFSET, i] = offset
 
@@ -555,8 +621,8 @@ def unwrap_phase(
     """
     if stripes not in ("horizontal", "vertical"):
         raise ShapeError(f"stripes is {stripes!r}: choose horizontal or vertical")
-    if method != "directional":
-        raise ShapeError(f"method is {method!r}: choose directional")
+    if method not in ("directional", "reliability"):
+        raise ShapeError(f"method is {method!r}: choose directional or reliability")
     wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
     shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
     quality = _checks.read_array("quality", quality, shape, np.float32)
@@ -568,7 +634,7 @@ def unwrap_phase(
     if stripes == "vertical":
         phase, quality, shape = transpose(phase), transpose(quality), shape[::-1]
         result = runtime.empty(shape, np.float32)
-    unwrapper = Unwrapper(*shape)
+    unwrapper = Unwrapper(*shape, method)
     rates = rates_buffer(shape[0])
     measure_rates_kernel(phase, quality, rates)
     unwrapper.join(phase, quality, rates)
