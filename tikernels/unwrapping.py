@@ -121,7 +121,7 @@ class Unwrapper:
         self.cells = rows * columns
         self.firsts = runtime.empty((3, self.cells + 1), np.int32)
         if not self.by_votes:
-            self.edges = runtime.empty((3, rows * CELL_HEIGHT + 1, columns * CELL_WIDTH + 1), np.int32)
+            self.edges = runtime.empty((4, rows * CELL_HEIGHT + 1, columns * CELL_WIDTH + 1), np.int32)
         self._allocate(_DRAFT_BITS if self.by_votes else _TREE_DRAFT_BITS)
 
     def _allocate(self, draft_bits: int) -> None:
