@@ -54,7 +54,7 @@ class DecodeWarning(UserWarning):
 class _Workspace:
     """Device buffers for one image size and fringe period."""
 
-    def __init__(self, height: int, width: int, period_px: float) -> None:
+    def __init__(self, height: int, width: int, period_px: float, unwrap_method: str) -> None:
         self.key = (height, width, period_px)
         self.gains = Gains(height, width, period_px)
         self.rates = rates_buffer(height)
@@ -62,7 +62,7 @@ class _Workspace:
         # Some 60,000 samples pin the equalisation down to a milliradian: more only cost time.
         self.histogram_step = max(1, height * width // 2**16)
         self.histogram = np.zeros((SLOTS, _BINS), np.int32)
-        self.unwrapper = Unwrapper(height, width)
+        self.unwrapper = Unwrapper(height, width, unwrap_method)
 
 
 class Decoder:
@@ -234,7 +234,7 @@ class Decoder:
         period = float(2 ** (np.round(8 * np.log2(period)) / 8))
         key = (int(image.shape[0]), int(image.shape[1]), period)
         if self._workspace is None or self._workspace.key != key:
-            self._workspace = _Workspace(*key)
+            self._workspace = _Workspace(*key, self.settings.unwrap_method)
         work, buffers = self._workspace, frame._buffers
         light = (image, scale, self._inverse, self._matrix, intensity, modulation)
         gains = work.gains.measure(*light, balance_first=self._balance_first, lag=self._lag)

@@ -1,12 +1,16 @@
-"""Find the order of every fringe from its neighbours: row runs, joined by votes, the best supported joints first.
+"""Find the order of every fringe from its neighbours: patches, joined along the best supported contacts first.
 
-Along a stripe the phase changes least, so each row falls into runs without a doubt inside (sections 4.1 and 4.2 of Je,
-Lee and Park 2004). A run joins the run above by a vote over their whole contact. The paper grows one region pixel by
-pixel from a bright start near the centre, by priority of intensity, location and direction; here every cell of 8 x 16
-pixels grows its own runs at once (`patches.py`), and the cells' patches are then joined in rounds (O. Boruvka, 1926):
-every region joins the neighbour with which its contacts, those that agree on the shift taken together, have the most
-votes. The result does not depend on the number of threads. Nothing is joined across a step, so a surface that nothing
-connects to the rest becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
+Two ways to make patches, cell by cell of 8 x 16 pixels, and to judge their contacts:
+
+- "directional": row runs without a doubt inside, which join the run above by a vote over their whole contact (sections
+  4.1 and 4.2 of Je, Lee and Park 2004; `patches.py`). The paper grows one region pixel by pixel from a bright start
+  near the centre, by priority of intensity, location and direction; here all cells grow at once. Contacts that agree
+  on the shift have their votes added up.
+- "reliability": the spanning forest of the most reliable edges between pixels (`reliability.py`, `trees.py`).
+
+The patches are then joined in rounds (`merging.py`): every region joins the neighbour with which its contact is the
+best supported. The result does not depend on the number of threads. Nothing is joined across a step, so a surface that
+nothing connects to the rest becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
 """
 
 from typing import Any
@@ -29,34 +33,27 @@ from tikernels._taichi import (
 )
 from tikernels.errors import ShapeError
 from tikernels.filtering import MAX_DEPARTURE, measure_rates_kernel, rates_buffer
+from tikernels.merging import close_gaps_kernel, merge_patches_kernel, settle_patches_kernel
 from tikernels.patches import (
     BETWEEN,
     CELL_HEIGHT,
     CELL_WIDTH,
-    CHOICE,
     FIRST,
     FROM,
-    GOLDEN,
-    HEAD,
     KEY,
     N_CONTACTS,
     N_CROWDED,
     N_MERGED,
     N_PATCHES,
-    NAME,
     OFFSET,
     ORDER_BITS,
     ORDER_MASK,
     ORDER_ZERO,
-    PARENT,
     PIXELS,
     ROOT,
     SHIFT,
-    STEP,
     SUPPORT,
     TO,
-    TURN,
-    VOTES,
     WEIGHT,
     collect_patches_kernel,
     grow_patches_kernel,
@@ -65,14 +62,9 @@ from tikernels.patches import (
     patch_number,
 )
 from tikernels.phase_vector import PI, STRIP
-from tikernels.reliability import (
-    grow_trees_kernel,
-    join_trees_kernel,
-    note_contacts_kernel,
-    root_trees_kernel,
-    weigh_edges_kernel,
-)
+from tikernels.reliability import weigh_edges_kernel
 from tikernels.transposing import transpose
+from tikernels.trees import grow_trees_kernel, join_trees_kernel, note_contacts_kernel, root_trees_kernel
 from tikernels.triangulation import ProjectorGeometry, load_projector, projected
 from tikernels.wrapped_phase import mark_no_phase_kernel
 
@@ -80,8 +72,7 @@ from tikernels.wrapped_phase import mark_no_phase_kernel
 MIN_REGION_PX = 128
 # Below this many patches or contacts one CPU thread is done before others have woken up ten times a round.
 _SERIAL = 12000
-# Rows of the table that contacts are summed in, and of the table of regions.
-_OWNER, _CONTACT, _SUM = range(3)
+# Rows of the table of regions.
 _REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
 # A cell drafts up to 2^3 patches, and four times as many contacts, in places of its own: clean surfaces need one and
 # two. Where noise needs more, the drafts grow. Counters shared by all threads would do without drafts, but their order
@@ -157,7 +148,7 @@ class Unwrapper:
         while True:
             drafts: Any = (self.draft_patches, self.draft_contacts, self.firsts)
             if self.by_votes:
-                growing = (phase, quality, rates, self.draft_bits, self.labels)
+                growing: Any = (phase, quality, rates, self.draft_bits, self.labels)
                 grow_patches_kernel(*growing, *drafts)
                 note_borders_kernel(*growing, self.draft_contacts, self.firsts)
             else:
@@ -225,160 +216,6 @@ class Unwrapper:
         )
         outputs = (out_unwrapped, out_mask, out_region)
         write_unwrapped_kernel(phase, rates, self.labels, self.final, *outputs)
-
-
-@ti.func
-def table_place(contacts: I32Array2, e: i32, size: i32) -> i32:
-    """Scatter what a contact joins, and the shift, over a table whose size is a power of two."""
-    mixed = (contacts[FROM, e] * GOLDEN) ^ (contacts[TO, e] * 73244475) ^ (contacts[SHIFT, e] * 1540483477)
-    mixed = (mixed ^ ((mixed >> 15) & 0x1FFFF)) * GOLDEN
-    return (mixed ^ ((mixed >> 13) & 0x7FFFF)) & (size - 1)
-
-
-@ti.kernel
-def merge_patches_kernel(
-    serial: Static,  # whether one thread does it
-    sums: Static,  # whether contacts that agree on the shift have their votes added up
-    contact_count: i32,
-    patches: I32Array2,  # (12, capacity): whom the root of a region hangs under is written, the rest is scratch
-    contacts: I32Array2,  # (5, capacity); the votes of spent contacts become 0
-    table: I32Array2,  # (3, power of two) scratch
-    counters: I32Array1,
-):
-    """One Boruvka round: every region joins along its best supported contact."""
-    counters[N_MERGED] = 0
-    # A contact joins the roots of its regions, the smaller first.
-    ti.loop_config(serialize=serial)
-    for e in range(contact_count):
-        votes = contacts[VOTES, e]
-        if votes > 0:
-            a, b, turn = contacts[FROM, e], contacts[TO, e], contacts[SHIFT, e]
-            for end in ti.static((FROM, TO)):
-                head, offset = contacts[end, e], 0
-                while patches[PARENT, head] != head:
-                    offset += patches[STEP, head]
-                    head = patches[PARENT, head]
-                patches[HEAD, contacts[end, e]] = head
-                patches[TURN, contacts[end, e]] = offset
-                if ti.static(end == FROM):
-                    a, turn = head, turn + offset
-                else:
-                    b, turn = head, turn - offset
-            if a > b:
-                a, b, turn = b, a, -turn
-            contacts[FROM, e], contacts[TO, e], contacts[SHIFT, e] = a, b, turn
-            if a == b:
-                contacts[VOTES, e] = 0
-            else:
-                for root in ti.static((a, b)):
-                    patches[KEY, root] = 2147483647
-                    patches[CHOICE, root] = 2147483647
-                    if ti.static(not sums):
-                        ti.atomic_max(patches[SUPPORT, root], votes)
-    if ti.static(sums):
-        # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
-        # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
-        ti.loop_config(serialize=serial)
-        for place in range(table.shape[1]):
-            table[_OWNER, place] = 2147483647
-            table[_SUM, place] = 0
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
-                ti.atomic_min(table[_OWNER, table_place(contacts, e, table.shape[1])], contacts[NAME, e])
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
-                place = table_place(contacts, e, table.shape[1])
-                if table[_OWNER, place] == contacts[NAME, e]:
-                    table[_CONTACT, place] = e
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            votes = contacts[VOTES, e]
-            if votes > 0:
-                place = table_place(contacts, e, table.shape[1])
-                owner = table[_CONTACT, place]
-                same = contacts[FROM, owner] == contacts[FROM, e] and contacts[TO, owner] == contacts[TO, e]
-                if owner != e and same and contacts[SHIFT, owner] == contacts[SHIFT, e]:
-                    ti.atomic_add(table[_SUM, place], votes)
-                    contacts[VOTES, e] = 0
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            votes = contacts[VOTES, e]
-            if votes > 0:
-                place = table_place(contacts, e, table.shape[1])
-                if table[_CONTACT, place] == e:
-                    votes += table[_SUM, place]
-                    contacts[VOTES, e] = votes
-                ti.atomic_max(patches[SUPPORT, contacts[FROM, e]], votes)
-                ti.atomic_max(patches[SUPPORT, contacts[TO, e]], votes)
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            votes = contacts[VOTES, e]
-            if votes > 0:
-                for end in ti.static((FROM, TO)):
-                    if votes == patches[SUPPORT, contacts[end, e]]:
-                        ti.atomic_min(patches[KEY, contacts[end, e]], contacts[NAME, e])
-    # The best supported contact of each region; among equals the smallest name, or the first one.
-    ti.loop_config(serialize=serial)
-    for e in range(contact_count):
-        votes = contacts[VOTES, e]
-        if votes > 0:
-            for end in ti.static((FROM, TO)):
-                root = contacts[end, e]
-                if votes == patches[SUPPORT, root]:
-                    if ti.static(not sums):
-                        ti.atomic_min(patches[CHOICE, root], e)
-                    elif contacts[NAME, e] == patches[KEY, root]:
-                        patches[CHOICE, root] = e
-    # Hang each region under the one it chose; of two that chose the same contact the smaller stays a root.
-    ti.loop_config(serialize=serial)
-    for e in range(contact_count):
-        if contacts[VOTES, e] > 0:
-            a, b = contacts[FROM, e], contacts[TO, e]
-            if patches[CHOICE, b] == e:
-                patches[PARENT, b] = a
-                patches[STEP, b] = contacts[SHIFT, e]
-                counters[N_MERGED] = 1
-            elif patches[CHOICE, a] == e:
-                patches[PARENT, a] = b
-                patches[STEP, a] = -contacts[SHIFT, e]
-                counters[N_MERGED] = 1
-            patches[SUPPORT, a] = 0
-            patches[SUPPORT, b] = 0
-
-
-@ti.kernel
-def settle_patches_kernel(
-    serial: Static,
-    count: i32,
-    patches: I32Array2,  # root and offset of every patch's region are written
-):
-    ti.loop_config(serialize=serial)
-    for i in range(count):
-        root, offset = patches[HEAD, i], patches[TURN, i]
-        while patches[HEAD, root] != root:
-            offset += patches[TURN, root]
-            root = patches[HEAD, root]
-        patches[ROOT, i] = root
-        patches[OFFSET, i] = offset
-
-
-@ti.kernel
-def close_gaps_kernel(
-    contact_count: i32,
-    contacts: I32Array2,  # (5, capacity); those with votes move to the front, in order
-    out_counters: I32Array1,
-):
-    ti.loop_config(serialize=True)
-    for _ in range(1):
-        kept = 0
-        for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
-                for row in ti.static(range(5)):
-                    contacts[row, kept] = contacts[row, e]
-                kept += 1
-        out_counters[N_CONTACTS] = kept
 
 
 @ti.kernel
@@ -592,8 +429,10 @@ def unwrap_phase(
         Valid pixels.
     stripes : {"horizontal", "vertical"}
         "horizontal" where the phase changes from row to row.
-    method : {"directional"}
-        The unwrapper.
+    method : {"directional", "reliability"}
+        "directional" joins row runs by votes, the best supported first. "reliability" joins pixels along the edges of
+        least second difference, as scikit-image's `unwrap_phase` does, and takes three times as long. Neither crosses a
+        step, which is where neighbours change by 0.8 rad more or less than usual.
     out : (H, W) float32, optional
         Where the result goes.
 
@@ -607,6 +446,10 @@ def unwrap_phase(
     ------
     ShapeError
         A shape or dtype is another one, `stripes` or `method` is unknown, or `out` cannot be written.
+
+    References
+    ----------
+    M. Arevallilo Herraez et al., Applied Optics 41, 7437 (2002), doi:10.1364/AO.41.007437.
 
     Examples
     --------
