@@ -71,6 +71,17 @@ def to_root(link: Static, p: i32) -> i32:
 
 
 @ti.func
+def offer(e: i32, level: i32, a: i32, b: i32, away: Static, least: Static, choice: Static) -> i32:
+    """Offer an edge to the patches at its ends, in the order of the edges' names; return 1 if it is undecided."""
+    undecided = (a != b) & (level < ti.max(away[a], away[b]))
+    level_here = ti.select(undecided, level, NO_EDGE)
+    choice[a] = ti.select(level_here < least[a], e, choice[a])
+    choice[b] = ti.select(level_here < least[b], e, choice[b])
+    least[a], least[b] = ti.min(least[a], level_here), ti.min(least[b], level_here)
+    return ti.cast(undecided, i32)
+
+
+@ti.func
 def leave(level: i32, best: i32, label: i32, way: i32, trees: I32Array2):
     """Take this edge as the way out of its patch if it is the first of the best ones."""
     if level == best and level < NO_EDGE:
@@ -133,57 +144,49 @@ def grow_trees_kernel(
             away[b] = ti.min(away[b], edges[DOWN, top + CELL_HEIGHT, left + k + 1])
         # Further rounds, over the edges that are not decided yet. A patch whose best edge leaves the cell is done.
         undecided = edges_of_integers(0)
+        least, choice = cell_of_integers(0), cell_of_integers(0)
+        for p in range(_CELL_PIXELS):
+            least[p], choice[p] = away[p], -1
         count = 0
         for i in range(CELL_HEIGHT):
             for k in range(CELL_WIDTH - 1):
                 p, level = i * CELL_WIDTH + k, edges[RIGHT, top + i + 1, left + k + 1]
-                a, b = link[p] & _LINK_MASK, link[p + 1] & _LINK_MASK
                 undecided[count] = p
-                count += ti.cast((a != b) & (level < ti.max(away[a], away[b])), i32)
+                count += offer(p, level, link[p] & _LINK_MASK, link[p + 1] & _LINK_MASK, away, least, choice)
         for i in range(CELL_HEIGHT - 1):
             for k in range(CELL_WIDTH):
                 p, level = i * CELL_WIDTH + k, edges[DOWN, top + i + 1, left + k + 1]
-                a, b = link[p] & _LINK_MASK, link[p + CELL_WIDTH] & _LINK_MASK
-                undecided[count] = p + _CELL_PIXELS
-                count += ti.cast((a != b) & (level < ti.max(away[a], away[b])), i32)
-        least, choice = cell_of_integers(0), cell_of_integers(0)
+                e = p + _CELL_PIXELS
+                undecided[count] = e
+                count += offer(e, level, link[p] & _LINK_MASK, link[p + CELL_WIDTH] & _LINK_MASK, away, least, choice)
         while count > 0:
+            for c in range(_CELL_PIXELS):
+                e = choice[c]
+                if e >= 0:
+                    p, down = e & _LINK_MASK, e >> _LINK_BITS
+                    a, b = to_root(link, p), to_root(link, p + ti.select(down == 1, CELL_WIDTH, 1))
+                    # The edge may be the choice of both ends.
+                    if a & _LINK_MASK != b & _LINK_MASK:
+                        y, x = top + (p >> _ROW_BITS) + 1, left + (p & (CELL_WIDTH - 1)) + 1
+                        phase, phase2 = edges[COUNTED, y, x], edges[COUNTED, y + down, x + 1 - down]
+                        cycles = cycles_to(phase, phase2, ti.select(down == 1, across, along))
+                        cycles += (a >> _LINK_BITS) - (b >> _LINK_BITS)
+                        a, b = a & _LINK_MASK, b & _LINK_MASK
+                        link[b] = (cycles << _LINK_BITS) + a
+                        away[a] = ti.min(away[a], away[b])
+            for p in range(_CELL_PIXELS):
+                link[p] = to_root(link, p)
             for p in range(_CELL_PIXELS):
                 least[p], choice[p] = away[p], -1
             kept = 0
             for j in range(count):
                 e = undecided[j]
                 p, down = e & _LINK_MASK, e >> _LINK_BITS
-                q = p + ti.select(down == 1, CELL_WIDTH, 1)
                 level = edges[RIGHT + down, top + (p >> _ROW_BITS) + 1, left + (p & (CELL_WIDTH - 1)) + 1]
-                a, b = link[p] & _LINK_MASK, link[q] & _LINK_MASK
+                a, b = link[p] & _LINK_MASK, link[p + ti.select(down == 1, CELL_WIDTH, 1)] & _LINK_MASK
                 undecided[kept] = e
-                open_still = (a != b) & (level < ti.max(away[a], away[b]))
-                kept += ti.cast(open_still, i32)
-                level = ti.select(open_still, level, NO_EDGE)
-                choice[a] = ti.select(level < least[a], e, choice[a])
-                choice[b] = ti.select(level < least[b], e, choice[b])
-                least[a], least[b] = ti.min(least[a], level), ti.min(least[b], level)
+                kept += offer(e, level, a, b, away, least, choice)
             count = kept
-            if kept > 0:
-                for c in range(_CELL_PIXELS):
-                    e = choice[c]
-                    if e >= 0:
-                        p, down = e & _LINK_MASK, e >> _LINK_BITS
-                        q = p + ti.select(down == 1, CELL_WIDTH, 1)
-                        i, k = (p >> _ROW_BITS) + 1, (p & (CELL_WIDTH - 1)) + 1
-                        a, b = to_root(link, p), to_root(link, q)
-                        # The edge may be the choice of both ends.
-                        if a & _LINK_MASK != b & _LINK_MASK:
-                            phase = edges[COUNTED, top + i, left + k]
-                            phase2 = edges[COUNTED, top + i + down, left + k + 1 - down]
-                            cycles = cycles_to(phase, phase2, ti.select(down == 1, across, along))
-                            offset = (a >> _LINK_BITS) + cycles - (b >> _LINK_BITS)
-                            a, b = a & _LINK_MASK, b & _LINK_MASK
-                            link[b] = (offset << _LINK_BITS) + a
-                            away[a] = ti.min(away[a], away[b])
-                for p in range(_CELL_PIXELS):
-                    link[p] = to_root(link, p)
         # Number the patches in the order of their roots; from here on the choice of a root is its patch's label.
         patch_start, patch_count, steps = cell << draft_bits, 0, 0
         mean_quality = rates[last, 2]
