@@ -45,6 +45,13 @@ def merge_patches_kernel(
 ):
     """One Boruvka round: every region joins along its best supported contact."""
     counters[N_MERGED] = 0
+    if ti.static(sums):
+        # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
+        # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
+        ti.loop_config(serialize=serial)
+        for place in range(table.shape[1]):
+            table[_OWNER, place] = 2147483647
+            table[_SUM, place] = 0
     # A contact joins the roots of its regions, the smaller first.
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
@@ -73,17 +80,9 @@ def merge_patches_kernel(
                     patches[CHOICE, root] = 2147483647
                     if ti.static(not sums):
                         ti.atomic_max(patches[SUPPORT, root], votes)
+                if ti.static(sums):
+                    ti.atomic_min(table[_OWNER, table_place(contacts, e, table.shape[1])], contacts[NAME, e])
     if ti.static(sums):
-        # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
-        # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
-        ti.loop_config(serialize=serial)
-        for place in range(table.shape[1]):
-            table[_OWNER, place] = 2147483647
-            table[_SUM, place] = 0
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
-                ti.atomic_min(table[_OWNER, table_place(contacts, e, table.shape[1])], contacts[NAME, e])
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
             if contacts[VOTES, e] > 0:
