@@ -40,14 +40,14 @@ _INTENSITY_FRACTION = 0.02
 class _Workspace:
     """Device buffers for one image size and fringe period."""
 
-    def __init__(self, height: int, width: int, period_px: float) -> None:
+    def __init__(self, height: int, width: int, period_px: float, unwrap_method: str) -> None:
         self.key = (height, width, period_px)
         self.gains = Gains(height, width, period_px)
         self.model = ChannelModel(self.gains)
         self.rates = rates_buffer(height)
         self.raw_phase = runtime.empty((height, width), np.float32)
         self.histogram = np.zeros((SLOTS, _BINS), np.int32)
-        self.unwrapper = Unwrapper(height, width)
+        self.unwrapper = Unwrapper(height, width, unwrap_method)
 
 
 class Decoder:
@@ -181,7 +181,7 @@ class Decoder:
         period = float(2 ** (np.round(8 * np.log2(period)) / 8))
         key = (int(image.shape[0]), int(image.shape[1]), period)
         if self._workspace is None or self._workspace.key != key:
-            self._workspace = _Workspace(*key)
+            self._workspace = _Workspace(*key, self.settings.unwrap_method)
         work, buffers = self._workspace, frame._buffers
         path, white = self._path, 1.0 / scale
         levels = (intensity / scale, modulation / scale)

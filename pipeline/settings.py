@@ -46,7 +46,8 @@ class DecodeSettings(Model):
     """Whether, where nothing tells the projector's response, the phase's distribution is made uniform to undo it. A
     calibration's response is used whatever this says; so is what the first frame tells where nothing is known of the
     light (see `Decoder`)."""
-    unwrap_method: Literal["directional"] = "directional"
+    unwrap_method: Literal["directional", "reliability"] = "directional"
+    """How neighbours' orders are joined: row runs by votes, or pixels along the most reliable edges (slower)."""
     smoothing_px: Annotated[int, Field(ge=0, le=33), AfterValidator(_odd_or_zero)] = 5
     """Window along the stripes; 0: none."""
     code: None = None

@@ -69,11 +69,14 @@ def peer_unwraps(wrapped: Array, mask: Array) -> Array:
 
 
 def compare(wrapped: Array, quality: Array, mask: Array, truth: Array, surface: Array, stripes: str) -> None:
-    ours = tikernels.unwrap_phase(wrapped, quality, mask, stripes)
-    # What we leave out, specks and hidden steps, is small change: 2 % of the picture.
-    assert np.count_nonzero(np.isnan(ours) & mask) < 0.02 * mask.size
-    mine, theirs = (wrong(unwrapped, truth, surface) for unwrapped in (ours, peer_unwraps(wrapped, mask)))
-    assert mine <= theirs, f"{mine} wrong orders, scikit-image has {theirs} of {np.count_nonzero(mask)}"
+    theirs = wrong(peer_unwraps(wrapped, mask), truth, surface)
+    for method in ("directional", "reliability"):
+        ours = tikernels.unwrap_phase(wrapped, quality, mask, stripes, method)
+        # What we leave out, specks and hidden steps, is small change: 2 % of the picture.
+        assert np.count_nonzero(np.isnan(ours) & mask) < 0.02 * mask.size, method
+        mine = wrong(ours, truth, surface)
+        valid = np.count_nonzero(mask)
+        assert mine <= theirs, f"{method}: {mine} wrong orders, scikit-image has {theirs} of {valid}"
 
 
 @pytest.mark.parametrize("gamma", [1.0, 2.0])
@@ -85,6 +88,19 @@ def test_simulated_scenes(arch, scene, gamma):
     mask = decoded.mask & frame.mask
     surface = surfaces(mask, frame.points, SURFACE_MM)
     compare(decoded.wrapped_phase, decoded.modulation, mask, frame.phase, surface, "horizontal")
+
+
+@pytest.mark.parametrize("scene", SCENES)
+def test_decoded_by_reliability(arch, scene):
+    """No wrong order inside a surface, and nearly all of the picture in regions."""
+    frame = simulate_frame(simulated_rig(), SimulationSettings(scene=scene))
+    settings = DecodeSettings(crosstalk_matrix=np.array(TYPICAL_CROSSTALK), unwrap_method="reliability")
+    decoded = Decoder(settings, arch=arch).decode(frame.image)
+    surface = surfaces(decoded.mask & frame.mask, frame.points, SURFACE_MM)
+    assert wrong(decoded.unwrapped_phase, frame.phase, surface) == 0
+    assert np.count_nonzero(decoded.region > 0) > 0.95 * np.count_nonzero(frame.mask)
+    numbers = np.bincount(decoded.region[decoded.region > 0])[1:]
+    assert (np.diff(numbers) <= 0).all() and (numbers > 0).all()
 
 
 @pytest.mark.parametrize("axis, stripes", [("x", "vertical"), ("y", "horizontal")])

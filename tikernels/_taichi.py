@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     F32Array4: TypeAlias = Any
     I32Array1: TypeAlias = Any
     I32Array2: TypeAlias = Any
+    I32Array3: TypeAlias = Any
     U8Array2: TypeAlias = Any
     AnyArray2: TypeAlias = Any
     AnyArray3: TypeAlias = Any
@@ -57,7 +58,7 @@ if TYPE_CHECKING:
     Static: TypeAlias = Any
 else:
     F32Array1, F32Array2, F32Array3, F32Array4 = (ti.types.ndarray(dtype=ti.f32, ndim=n) for n in (1, 2, 3, 4))
-    I32Array1, I32Array2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
+    I32Array1, I32Array2, I32Array3 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2, 3))
     U8Array2 = ti.types.ndarray(dtype=ti.u8, ndim=2)
     AnyArray2, AnyArray3 = (ti.types.ndarray(ndim=n) for n in (2, 3))
     vec2, vec3, vec4, vec5, vec8 = (ti.types.vector(n, ti.f32) for n in (2, 3, 4, 5, 8))

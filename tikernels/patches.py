@@ -25,7 +25,7 @@ _SURE_ACROSS, _ALIKE_ACROSS = 0.5, 0.5
 GOLDEN = -1640531527  # 2^32 / golden ratio, odd: multiplying by it shuffles the 32-bit numbers one to one
 # Rows of the patch and contact tables, and the counters; the last is the most patches, or a quarter of the most
 # contacts, that any cell has.
-PIXELS, WEIGHT, FIRST, ROOT, OFFSET, PARENT, STEP, SUPPORT, KEY, CHOICE = range(10)
+PIXELS, WEIGHT, FIRST, ROOT, OFFSET, PARENT, STEP, HEAD, TURN, SUPPORT, KEY, CHOICE = range(12)
 FROM, TO, SHIFT, VOTES, NAME = range(5)
 N_PATCHES, N_CONTACTS, N_MERGED, N_CROWDED = range(4)
 
@@ -425,7 +425,7 @@ def collect_patches_kernel(
     draft_patches: I32Array2,  # (3, cells << bits)
     draft_contacts: I32Array2,  # (5, 4 cells << bits)
     firsts: I32Array2,  # (3, cells + 1)
-    out_patches: I32Array2,  # (10, capacity) each a region of its own
+    out_patches: I32Array2,  # (12, capacity) each a region of its own
     out_contacts: I32Array2,  # (5, capacity)
 ):
     ti.loop_config(serialize=serial)
@@ -435,8 +435,11 @@ def collect_patches_kernel(
             out_patches[PIXELS, patch] = draft_patches[PIXELS, draft]
             out_patches[WEIGHT, patch] = draft_patches[WEIGHT, draft]
             out_patches[FIRST, patch] = draft_patches[FIRST, draft]
-            out_patches[ROOT, patch] = patch
-            out_patches[OFFSET, patch] = 0
+            out_patches[PARENT, patch] = patch
+            out_patches[STEP, patch] = 0
+            out_patches[HEAD, patch] = patch
+            out_patches[TURN, patch] = 0
+            out_patches[SUPPORT, patch] = 0
         for k in range(firsts[1, cell + 1] - firsts[1, cell]):
             draft, contact = (cell << (draft_bits + 2)) + k, firsts[1, cell] + k
             out_contacts[FROM, contact] = patch_number(draft_contacts[FROM, draft], firsts, draft_bits)
