@@ -7,18 +7,23 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.absolute_order import AbsoluteOrders, find_absolute_orders
 from pipeline.calibration import Calibration, Capture, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
+from pipeline.contrast_code import cycle_modulations
 from pipeline.errors import CalibrationError, FootageError, SettingsError
 from pipeline.results import DecodedFrame, PhaseNoise
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
+from tikernels.absolute_order import SLOTS as ORDER_SLOTS
+from tikernels.absolute_order import correct_by_modulation_kernel, measure_contrast_kernel
 from tikernels.balance import Gains
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.equalization import (
     SLOTS,
     correction_table,
     count_phases_kernel,
+    modulation_tables,
     pattern_light,
     prefers_response,
     response_table,
@@ -30,7 +35,7 @@ from tikernels.registration import align_channels
 from tikernels.statistics import count_out_of_range, measure_frame
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
-from tikernels.unwrapping import Unwrapper
+from tikernels.unwrapping import PatchGraph, Unwrapper
 from tikernels.wrapped_phase import phase_weights, recover_phase_kernel
 
 # Smaller pictures hold no surface.
@@ -45,6 +50,12 @@ _INTENSITY_FRACTION = 0.02
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
 # one.
 _HARMONICS_A_PIXEL = 0.8
+
+
+# With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
+# (rad) that is worth a pass over the image.
+_MAX_LOST = 0.02
+_MIN_CORRECTION = 1e-3
 
 
 class DecodeWarning(UserWarning):
@@ -134,6 +145,9 @@ class Decoder:
                 if self._geometry is not None:
                     axis, period = self._geometry.phase_axis, self._geometry.pattern.period_px
                     lag = 2 * np.pi / period * calibration.color_shift_px.projector[:, axis]
+        self._code = self.settings.code
+        if calibration is not None and calibration.pattern is not None:
+            self._code = calibration.pattern.code
         self._balance_first = self.settings.reflectance_bands == "broad"
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
@@ -259,13 +273,66 @@ class Decoder:
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
         smooth_phase_kernel(pairs)(work.raw_phase, table, work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
+        orders = self._read_code(image, gains, work, buffers) if self._code == "contrast" else None
         if self._geometry is not None:
             work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
+        if orders is not None:
+            work.unwrapper.set_orders(orders.parts[orders.absolute], orders.offsets[orders.absolute])
         outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
         work.unwrapper.write(buffers["phase"], work.rates, *outputs)
+        frame._placed = None
+        if orders is not None:
+            self._use_orders(orders, table, work, frame)
         if self._geometry is not None:
             projector = self._projector.arguments()
             triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
+
+    def _read_code(self, image: Any, gains: Any, work: _Workspace, buffers: dict[str, Any]) -> AbsoluteOrders:
+        """Find the absolute orders, and split the regions that the code contradicts."""
+        unwrapper = work.unwrapper
+        sums = runtime.empty((unwrapper.patch_count, ORDER_SLOTS, 4), np.float32)
+        light = (image, self._inverse, gains, work.gains.cell, buffers["phase"], buffers["modulation"])
+        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits)
+        measure_contrast_kernel(self._balance_first)(*light, *patches, sums)
+        graph, width = unwrapper.graph(), int(image.shape[1])
+        rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
+        orders = find_absolute_orders(runtime.to_host(sums), graph, width, rising, self._order_bounds(graph, width))
+        if not np.array_equal(orders.roots, graph.root):
+            unwrapper.split(orders.roots)
+        return orders
+
+    def _order_bounds(self, graph: PatchGraph, width: int) -> npt.NDArray[np.float64] | None:
+        """Return the absolute phases, in cycles, that the depth range allows the first pixel of each patch."""
+        depths = None if self.calibration is None else self.calibration.depth_range_mm
+        if self._geometry is None or depths is None:
+            return None
+        rays = runtime.to_host(self._rays)[graph.first // width, graph.first % width]
+        ends = [self._geometry.pattern_cycles(np.column_stack([rays, np.ones(len(rays))]) * z) for z in depths]
+        return np.sort(np.stack(ends, axis=1), axis=1)
+
+    def _use_orders(
+        self, orders: AbsoluteOrders, table: npt.NDArray[np.float32], work: _Workspace, frame: DecodedFrame
+    ) -> None:
+        """Note what is known of each region, and correct the phases by the modulation that their cycles have."""
+        roots, buffers = work.unwrapper.roots, frame._buffers
+        part = np.searchsorted(orders.parts, roots)
+        known = np.append(np.False_, orders.absolute[part])
+        errors = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
+        frame._placed = known, np.append(np.nan, errors).astype(np.float32)
+        pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
+        lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
+        if not orders.readable:
+            self._warn(frame, "the frame does not show the contrast code: project a pattern made with --code contrast")
+        elif lost > _MAX_LOST:
+            self._warn(
+                frame, f"{lost:.0%} of the pixels show too little of the code, or contradict it: their depth is a guess"
+            )
+        # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
+        usual = 0.5 if self._own_correction is None and self._response is not None else cycle_modulations().mean()
+        departures, tables = modulation_tables(table, cycle_modulations() / usual - 1)
+        if np.abs(tables).max() > _MIN_CORRECTION and known.any():
+            arguments = (buffers["region"], known.astype(np.int32), departures, tables)
+            correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
 
     def _correction(self, work: _Workspace, period: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, as a table over the cycle.

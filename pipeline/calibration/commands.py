@@ -345,7 +345,10 @@ def _say_measures(measures: "tuple[Measure, ...]") -> None:
 
 
 def chosen_pattern(
-    known: Calibration | None, period: float | None, stripes: Literal["horizontal", "vertical"] | None
+    known: Calibration | None,
+    period: float | None,
+    stripes: Literal["horizontal", "vertical"] | None,
+    code: Literal["contrast"] | None = None,
 ) -> Pattern:
     """Return the pattern that frames are taken with: what was named, else the calibration's.
 
@@ -355,7 +358,12 @@ def chosen_pattern(
         There is no such pattern.
     """
     before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=768 / 44)
-    values = {**before.model_dump(), "period_px": period or before.period_px, "stripes": stripes or before.stripes}
+    values = {
+        **before.model_dump(),
+        "period_px": period or before.period_px,
+        "stripes": stripes or before.stripes,
+        "code": code or before.code,
+    }
     return build(Pattern, values, SettingsError, "pattern")
 
 

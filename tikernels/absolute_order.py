@@ -1,0 +1,181 @@
+"""Read a pattern's code: the contrast of every cycle in every patch, and what it does to the phase.
+
+The contrast of a cycle is its mean modulation over its mean background. Neither the surface's reflectance nor its
+shading is in it; what changes it otherwise (ambient light, blur) changes slowly. Pixels weigh 1 + cos(phase): most in
+the middle of the cycle, where the symbol is its own, and in such a way that the ripple which a response that is not
+linear gives the modulation, three times a cycle, sums up to nothing however few pixels there are.
+"""
+
+from functools import cache
+from typing import Any
+
+from tikernels._taichi import (
+    AnyArray3,
+    F32Array1,
+    F32Array2,
+    F32Array3,
+    I32Array1,
+    I32Array2,
+    f32,
+    i32,
+    ti,
+    vec3,
+)
+from tikernels.balance import gain_at
+from tikernels.patches import ORDER_BITS, ORDER_MASK, ORDER_ZERO, cell_bounds, patch_number
+from tikernels.phase_vector import PI, STRIP, matrix_of
+
+#: Orders that a patch may hold, its first pixel's in the middle: a cell of 16 rows holds at most four cycles of 4 px,
+#: and slopes may double them.
+SLOTS = 17
+#: What is summed of a cycle.
+TOTAL, MODULATION, BACKGROUND, PHASE = range(4)
+
+
+@cache
+def measure_contrast_kernel(balance_first: bool) -> Any:
+    """Return the kernel that sums every patch's modulation and background, order by order."""
+
+    @ti.kernel
+    def measure_contrast(
+        image: AnyArray3,  # (H, W, 3) levels
+        inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
+        gains: F32Array3,  # (Hg, Wg, 3)
+        gain_cell: i32,  # px between two nodes of the gains
+        phase: F32Array2,  # (H, W) rad
+        modulation: F32Array2,  # (H, W) levels
+        labels: I32Array2,  # (H, W) patch and order inside it
+        firsts: I32Array2,  # (3, cells + 1)
+        draft_bits: i32,
+        out_sums: F32Array3,  # (patches, SLOTS, 4) weight, and weighted modulation, background (levels), phase (rad)
+    ):
+        height, width = phase.shape[0], phase.shape[1]
+        for cell in range(firsts.shape[1] - 1):
+            top, left, bottom, right = cell_bounds(cell, height, width)
+            inverse = matrix_of(inverse_matrix)
+            for patch in range(firsts[0, cell], firsts[0, cell + 1]):
+                for slot in range(SLOTS):
+                    for k in ti.static(range(4)):
+                        out_sums[patch, slot, k] = 0.0
+            for y in range(top, bottom):
+                # One gain serves the row of a cell, and every second pixel tells enough.
+                gain = gain_at(gains, gain_cell, y, (left + right) // 2)
+                x = left + (y & 1)
+                while x < right:
+                    label = labels[y, x]
+                    if label >= 0:
+                        light = vec3(
+                            ti.cast(image[y, x, 0], ti.f32),
+                            ti.cast(image[y, x, 1], ti.f32),
+                            ti.cast(image[y, x, 2], ti.f32),
+                        )
+                        channels = vec3(0.0)
+                        if ti.static(balance_first):
+                            channels = inverse @ (light * gain)
+                        else:
+                            channels = (inverse @ light) * gain
+                        slot = (label & ORDER_MASK) - ORDER_ZERO + SLOTS // 2
+                        if slot >= 0 and slot < SLOTS:
+                            patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
+                            weight = 1.0 + ti.cos(phase[y, x])
+                            terms = vec3(modulation[y, x], channels.sum() / 3.0, phase[y, x])
+                            # Not "+=": that is atomic, and nobody else writes here.
+                            out_sums[patch, slot, TOTAL] = out_sums[patch, slot, TOTAL] + weight
+                            for k in ti.static(range(3)):
+                                out_sums[patch, slot, k + 1] = out_sums[patch, slot, k + 1] + weight * terms[k]
+                    x += 2
+
+    return measure_contrast
+
+
+#: Offsets that the evidence of a region is weighed for.
+CANDIDATES = 8
+
+
+@ti.func
+def part_of(parents: I32Array1, patch: i32) -> i32:
+    """Return the patch that stands for a patch's part, and shorten the way to it."""
+    part = patch
+    while parents[part] != part:
+        parents[part] = parents[parents[part]]
+        part = parents[part]
+    return part
+
+
+@ti.func
+def likeliest(evidence: F32Array2, part: i32) -> i32:
+    """Return the offset that the part's contrast departs least from."""
+    best = 0
+    for k in ti.static(range(1, CANDIDATES)):
+        if evidence[part, k] < evidence[part, best]:
+            best = k
+    return best
+
+
+@ti.kernel
+def join_parts_kernel(
+    ends: I32Array2,  # (2, C) the patches of each contact, the best supported ones first
+    span: i32,  # orders that a part must show before its word counts
+    min_margin: f32,  # by how much a part must prefer its offset to another part's,
+    margin_a_pair: f32,  # and by how much for each pair of cycles it has
+    orders: I32Array2,  # (P, 2) first and last order of each patch, then of each part
+    evidence: F32Array2,  # (P, CANDIDATES + 1) departure from each offset, and pairs of cycles; then of each part
+    out_parents: I32Array1,  # (P,) a patch of the same part, in the end the one that stands for it
+):
+    """Join patches along their contacts, but not two parts whose cycles tell that they lie whole cycles apart."""
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        for patch in range(out_parents.shape[0]):
+            out_parents[patch] = patch
+        for contact in range(ends.shape[1]):
+            a, b = part_of(out_parents, ends[0, contact]), part_of(out_parents, ends[1, contact])
+            if a != b:
+                best_a, best_b = likeliest(evidence, a), likeliest(evidence, b)
+                need_a = ti.max(min_margin, margin_a_pair * evidence[a, CANDIDATES])
+                need_b = ti.max(min_margin, margin_a_pair * evidence[b, CANDIDATES])
+                apart = ti.min(orders[a, 1] - orders[a, 0], orders[b, 1] - orders[b, 0]) >= span
+                apart &= evidence[a, best_b] - evidence[a, best_a] >= need_a
+                apart &= evidence[b, best_a] - evidence[b, best_b] >= need_b
+                if not apart:
+                    low, high = ti.min(a, b), ti.max(a, b)
+                    out_parents[high] = low
+                    for k in range(CANDIDATES + 1):
+                        evidence[low, k] = evidence[low, k] + evidence[high, k]
+                    orders[low, 0] = ti.min(orders[low, 0], orders[high, 0])
+                    orders[low, 1] = ti.max(orders[low, 1], orders[high, 1])
+        for patch in range(out_parents.shape[0]):
+            out_parents[patch] = part_of(out_parents, patch)
+
+
+@ti.kernel
+def correct_by_modulation_kernel(
+    region: I32Array2,  # (H, W) region's number from 1; 0 outside
+    absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
+    departures: F32Array1,  # (cycles,) modulation in the middle of each cycle, less the usual one, as a fraction of it
+    table: F32Array2,  # (2, bins + 1) rad: part of the response's correction that goes with the modulation, its square
+    phase: F32Array2,  # (H, W) rad in [-pi, pi], to be corrected
+    unwrapped: F32Array2,  # (H, W) rad, to be corrected
+):
+    """Correct what a response that is not linear does to cycles whose modulation is not the usual one."""
+    height, width = phase.shape[0], phase.shape[1]
+    strips = (width + STRIP - 1) // STRIP
+    last, bins = departures.shape[0] - 1, table.shape[1] - 1
+    for t in range(height * strips):
+        y, first = t // strips, (t % strips) * STRIP
+        for x in range(first, ti.min(first + STRIP, width)):
+            if absolute[region[y, x]] == 1:
+                cycles = unwrapped[y, x] * (0.5 / PI)
+                whole = ti.floor(cycles)
+                below = ti.min(ti.max(ti.cast(whole, ti.i32), 0), last - 1)
+                part = cycles - whole
+                departs = departures[below] + part * (departures[below + 1] - departures[below])
+                # The table runs from -pi to pi.
+                place = part + 0.5
+                place = (place - ti.floor(place)) * ti.cast(bins, ti.f32)
+                bin_below = ti.min(ti.cast(place, ti.i32), bins - 1)
+                share = place - ti.cast(bin_below, ti.f32)
+                linear = table[0, bin_below] + share * (table[0, bin_below + 1] - table[0, bin_below])
+                square = table[1, bin_below] + share * (table[1, bin_below + 1] - table[1, bin_below])
+                correction = departs * (linear + (2.0 + departs) * square)
+                phase[y, x] = phase[y, x] + correction
+                unwrapped[y, x] = unwrapped[y, x] + correction
