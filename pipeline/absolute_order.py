@@ -33,11 +33,13 @@ MAX_ERROR_PROBABILITY = 1e-3
 _MIN_STRENGTH = 0.25
 # Steps in a stretch: those of six cycles.
 _STRETCH = 5
-# Smallest standard deviation of a step's logarithm: what balance, slopes and blur leave of the contrast on clean frames.
+# Of the stretches that overlap, every second one votes.
+_EVERY = 2
+# Smallest standard deviation of a step's logarithm: what balance, slopes and blur leave of it on clean frames.
 _MIN_SIGMA = 0.015
-# A cycle counts from this weight on (a full one of 12 px has 48 in a patch's columns), and if it is whole: its pixels'
+# A cycle counts from this weight on (a full one of 12 px has 13 in a patch's columns), and if it is whole: its pixels'
 # mean phase (rad) is near its middle's.
-_MIN_WEIGHT, _MAX_MEAN_PHASE = 12.0, 0.3
+_MIN_WEIGHT, _MAX_MEAN_PHASE = 3.0, 0.3
 # A single step departs from the code by no more than three standard deviations' worth: edges and blemishes do.
 _MAX_DEPARTURE = 9.0
 # A stretch votes if it fits, and if the next best place is less likely by exp(-5).
@@ -188,7 +190,7 @@ def _contrast_steps(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int
 
 def _stretches(steps: _Steps) -> Integers:
     """Return the (n, 5) steps of every six cycles in a row, from the lowest order."""
-    starts = np.arange(max(len(steps.place) - _STRETCH + 1, 0))
+    starts = np.arange(0, max(len(steps.place) - _STRETCH + 1, 0), _EVERY)
     starts = starts[steps.place[starts + _STRETCH - 1] - steps.place[starts] == _STRETCH - 1]
     stretches = starts[:, None] + np.arange(_STRETCH)
     return stretches if steps.rising else stretches[:, ::-1]
@@ -209,21 +211,24 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
     if len(stretches) == 0:
         return np.zeros(0, np.int64), _MIN_SIGMA, strength
     windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH)
-    energy = (windows**2).sum(axis=1)
     seen = steps.rise[stretches]
-    product = seen @ windows.T
-    factor = np.clip(product / energy, 0.7 * strength, 1.3 * strength)
-    departure = (seen**2).sum(axis=1)[:, None] + factor * (factor * energy - 2 * product)
+    own = (seen**2).sum(axis=1)
+    # Single precision tells a ten-thousandth of a step.
+    departure = seen.astype(np.float32) @ (-2 * strength * windows.T).astype(np.float32)
+    departure += (strength**2 * (windows**2).sum(axis=1)).astype(np.float32)
     rows = np.arange(len(stretches))
     best = departure.argmin(axis=1)
-    least, factors = departure[rows, best], factor[rows, best]
+    least = own + departure[rows, best]
     departure[rows, best] = np.inf
-    second = departure.min(axis=1)
+    second = own + departure.min(axis=1)
     clear = least < 0.25 * second
     sigma = _MIN_SIGMA
     if clear.any():
-        sigma = max(sigma, 1.7 * float(np.sqrt(np.median(least[clear]) / _STRETCH)))
-        strength = float(np.median(factors[clear]))
+        expected = windows[best[clear]]
+        factor = (seen[clear] * expected).sum(axis=1) / np.maximum((expected**2).sum(axis=1), 1e-12)
+        strength = float(np.median(factor))
+        remaining = ((seen[clear] - strength * expected) ** 2).mean(axis=1)
+        sigma = max(sigma, 1.7 * float(np.sqrt(np.median(remaining))))
     sure = (least < _STRETCH * _MAX_DEPARTURE * sigma**2) & (second - least > _MIN_LEAD * sigma**2)
     return np.where(sure, best - steps.order[stretches[:, 0]], -2 * CYCLES), sigma, strength
 

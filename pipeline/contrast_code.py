@@ -34,8 +34,7 @@ def modulation_at(cycles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def contrast_steps() -> npt.NDArray[np.float64]:
     """Return by how much the logarithm of the contrast rises from each cycle to the next.
 
-    A cycle's contrast is its mean with the weight 1 + cos(phase), in which its neighbours' symbols are to 7 % each. The
-    light is taken to be proportional to the codes; a response that is not makes the steps smaller, all alike.
+    A cycle's contrast is `measure_contrast_kernel`'s, in which its neighbours' symbols are to 8 % each. The light is taken to be proportional to the codes; a response that is not makes the steps smaller, all alike.
 
     Returns
     -------
@@ -43,6 +42,6 @@ def contrast_steps() -> npt.NDArray[np.float64]:
         Natural logarithm.
     """
     within = np.linspace(-0.5, 0.5, 129)
-    weight = 1 + np.cos(2 * np.pi * within)
+    weight = (1 - (2 * within) ** 2) ** 2
     mean = modulation_at(np.arange(CYCLES)[:, None] + within) @ weight / weight.sum()
     return np.diff(np.log(mean))

@@ -1,9 +1,9 @@
 """Read a pattern's code: the contrast of every cycle in every patch, and what it does to the phase.
 
 The contrast of a cycle is its mean modulation over its mean background. Neither the surface's reflectance nor its
-shading is in it; what changes it otherwise (ambient light, blur) changes slowly. Pixels weigh 1 + cos(phase): most in
-the middle of the cycle, where the symbol is its own, and in such a way that the ripple which a response that is not
-linear gives the modulation, three times a cycle, sums up to nothing however few pixels there are.
+shading is in it; what changes it otherwise (ambient light, blur) changes slowly. Pixels weigh (1 - (phase / pi)^2)^2:
+most in the middle of the cycle, where the symbol is its own, and in such a way that the ripple which a response that is
+not linear gives the modulation, three times a cycle, sums up to nothing however few pixels there are.
 """
 
 from functools import cache
@@ -58,9 +58,9 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
                     for k in ti.static(range(4)):
                         out_sums[patch, slot, k] = 0.0
             for y in range(top, bottom):
-                # One gain serves the row of a cell, and every second pixel tells enough.
+                # One gain serves the row of a cell, and every fourth pixel, others from row to row, tells enough.
                 gain = gain_at(gains, gain_cell, y, (left + right) // 2)
-                x = left + (y & 1)
+                x = left + 2 * (y & 1) + ((y >> 1) & 1)
                 while x < right:
                     label = labels[y, x]
                     if label >= 0:
@@ -77,13 +77,14 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
                         slot = (label & ORDER_MASK) - ORDER_ZERO + SLOTS // 2
                         if slot >= 0 and slot < SLOTS:
                             patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
-                            weight = 1.0 + ti.cos(phase[y, x])
+                            inside = 1.0 - phase[y, x] * phase[y, x] / (PI * PI)
+                            weight = inside * inside
                             terms = vec3(modulation[y, x], channels.sum() / 3.0, phase[y, x])
                             # Not "+=": that is atomic, and nobody else writes here.
                             out_sums[patch, slot, TOTAL] = out_sums[patch, slot, TOTAL] + weight
                             for k in ti.static(range(3)):
                                 out_sums[patch, slot, k + 1] = out_sums[patch, slot, k + 1] + weight * terms[k]
-                    x += 2
+                    x += 4
 
     return measure_contrast
 
