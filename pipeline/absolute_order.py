@@ -49,7 +49,7 @@ _MIN_VOTES = 3
 # steps of one cycle share their errors, so many of them are worth little more than one.
 _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP = 4, 60.0, 1.5
 # Steps of the same two cycles that are worth one without their common error.
-_ALIKE = 4.0
+_ALIKE = 1.0
 # Tails of a Student distribution: some cycles are spoiled by edges.
 _FREEDOM = 4.0
 # Blur and ambient light change the strength of the steps from part to part.

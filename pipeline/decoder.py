@@ -16,7 +16,7 @@ from pipeline.results import DecodedFrame, PhaseNoise
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.absolute_order import SLOTS as ORDER_SLOTS
-from tikernels.absolute_order import correct_by_modulation_kernel, measure_contrast_kernel
+from tikernels.absolute_order import adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
 from tikernels.balance import Gains
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.equalization import (
@@ -319,6 +319,11 @@ class Decoder:
         known = np.append(np.False_, orders.absolute[part])
         errors = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
         frame._placed = known, np.append(np.nan, errors).astype(np.float32)
+        if known.any():
+            absolute = known.astype(np.int32)
+            adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
+            outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
+            adopt_pixels_kernel(buffers["phase"], work.raw_phase, table, work.rates, absolute, adopted, *outputs)
         pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
         lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
         if not orders.readable:

@@ -16,18 +16,25 @@ from tikernels._taichi import (
     F32Array3,
     I32Array1,
     I32Array2,
+    U8Array2,
     f32,
     i32,
     ti,
     vec3,
 )
 from tikernels.balance import gain_at
+from tikernels.equalization import equalized
 from tikernels.patches import ORDER_BITS, ORDER_MASK, ORDER_ZERO, cell_bounds, patch_number
-from tikernels.phase_vector import PI, STRIP, matrix_of
+from tikernels.phase_vector import PI, STRIP, matrix_of, wrap
+from tikernels.wrapped_phase import NO_PHASE
 
 #: Orders that a patch may hold, its first pixel's in the middle: a cell of 16 rows holds at most four cycles of 4 px,
 #: and slopes may double them.
 SLOTS = 17
+# A pixel at a step is taken for a surface that it continues to so many rad, if it departs by so much more from others;
+# so many pixels deep.
+_MAX_ADOPTED = 0.4
+_PASSES = 3
 #: What is summed of a cycle.
 TOTAL, MODULATION, BACKGROUND, PHASE = range(4)
 
@@ -180,3 +187,72 @@ def correct_by_modulation_kernel(
                 correction = departs * (linear + (2.0 + departs) * square)
                 phase[y, x] = phase[y, x] + correction
                 unwrapped[y, x] = unwrapped[y, x] + correction
+
+
+@ti.func
+def continued(
+    phase: f32, unwrapped: F32Array2, region: I32Array2, rates: F32Array2, y: i32, x: i32, dy: i32, dx: i32
+) -> vec3:
+    """Return a phase with the orders of its neighbour's surface, how far it departs from it, and the surface's region.
+
+    The surface is continued by the slope of its last two pixels; a region of 0 means that there is none.
+    """
+    height, width, last = region.shape[0], region.shape[1], rates.shape[0] - 1
+    result = vec3(0.0, NO_PHASE, 0.0)
+    y1, x1, y2, x2 = y + dy, x + dx, y + 2 * dy, x + 2 * dx
+    if y1 >= 0 and y1 < height and x1 >= 0 and x1 < width:
+        number = region[y1, x1]
+        if number > 0:
+            slope = -(dx * rates[last, 0] + dy * rates[last, 1])
+            if y2 >= 0 and y2 < height and x2 >= 0 and x2 < width:
+                if region[y2, x2] == number:
+                    slope = unwrapped[y1, x1] - unwrapped[y2, x2]
+            expected = unwrapped[y1, x1] + slope
+            value = phase + 2.0 * PI * ti.round((expected - phase) * (0.5 / PI))
+            result = vec3(value, ti.abs(value - expected), ti.cast(number, ti.f32))
+    return result
+
+
+@ti.kernel
+def adopt_pixels_kernel(
+    phase: F32Array2,  # (H, W) rad; STEP_PHASE at steps
+    raw_phase: F32Array2,  # (H, W) rad, before correction and smoothing; NO_PHASE where there is none
+    table: F32Array1,  # (bins + 1,) rad, the correction
+    rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
+    absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
+    adopted: F32Array3,  # (H, W, 2) scratch
+    unwrapped: F32Array2,  # (H, W) rad
+    mask: U8Array2,  # (H, W)
+    region: I32Array2,  # (H, W)
+):
+    """Give pixels at steps, which belong to nobody, to the one absolute surface that they continue."""
+    height, width = phase.shape[0], phase.shape[1]
+    for _ in ti.static(range(_PASSES)):
+        for y, x in ti.ndrange(height, width):
+            adopted[y, x, 1] = 0.0
+            if region[y, x] == 0 and raw_phase[y, x] < 0.5 * NO_PHASE:
+                here = phase[y, x]
+                if here > 0.5 * NO_PHASE:
+                    here = equalized(raw_phase[y, x], table)
+                best, rival = vec3(0.0, NO_PHASE, 0.0), NO_PHASE
+                for side in ti.static(range(4)):
+                    dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+                    other = continued(here, unwrapped, region, rates, y, x, dy, dx)
+                    if other.z > 0.0:
+                        another_order = best.z > 0.0 and ti.abs(other.x - best.x) > PI
+                        if other.y < best.y:
+                            if another_order:
+                                rival = ti.min(rival, best.y)
+                            best = other
+                        elif another_order:
+                            rival = ti.min(rival, other.y)
+                number = ti.cast(best.z, ti.i32)
+                if best.y < _MAX_ADOPTED and rival > best.y + _MAX_ADOPTED and absolute[number] == 1:
+                    adopted[y, x, 0] = best.x
+                    adopted[y, x, 1] = best.z
+        for y, x in ti.ndrange(height, width):
+            if adopted[y, x, 1] > 0.0:
+                unwrapped[y, x] = adopted[y, x, 0]
+                phase[y, x] = wrap(adopted[y, x, 0] - 2.0 * PI * ti.round(adopted[y, x, 0] * (0.5 / PI)))
+                region[y, x] = ti.cast(adopted[y, x, 1], ti.i32)
+                mask[y, x] = ti.cast(1, ti.u8)
