@@ -323,7 +323,7 @@ class Decoder:
             absolute = known.astype(np.int32)
             adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
             outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            adopt_pixels_kernel(buffers["phase"], work.raw_phase, table, work.rates, absolute, adopted, *outputs)
+            adopt_pixels_kernel(buffers["phase"], work.raw_phase, buffers["modulation"], table, work.rates, absolute, adopted, *outputs)
         pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
         lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
         if not orders.readable:

@@ -31,10 +31,12 @@ from tikernels.wrapped_phase import NO_PHASE
 #: Orders that a patch may hold, its first pixel's in the middle: a cell of 16 rows holds at most four cycles of 4 px,
 #: and slopes may double them.
 SLOTS = 17
-# A pixel at a step is taken for a surface that it continues to so many rad, if it departs by so much more from others;
-# so many pixels deep.
-_MAX_ADOPTED = 0.4
-_PASSES = 3
+# A pixel at a step is taken for a surface beside it that it continues to so many rad, and as brightly, if it departs by
+# so much more from every other one within reach (px, in eight directions); so many pixels deep. What sees two surfaces
+# at once has any phase, and less modulation.
+_MAX_ADOPTED, _ALIKE, _MIN_RIVAL = 0.25, 0.85, 0.5
+_AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
+_REACH, _PASSES = 3, 2
 #: What is summed of a cycle.
 TOTAL, MODULATION, BACKGROUND, PHASE = range(4)
 
@@ -191,15 +193,16 @@ def correct_by_modulation_kernel(
 
 @ti.func
 def continued(
-    phase: f32, unwrapped: F32Array2, region: I32Array2, rates: F32Array2, y: i32, x: i32, dy: i32, dx: i32
+    phase: f32, unwrapped: F32Array2, region: I32Array2, rates: F32Array2, y: i32, x: i32, dy: i32, dx: i32, far: i32
 ) -> vec3:
-    """Return a phase with the orders of its neighbour's surface, how far it departs from it, and the surface's region.
+    """Return a phase with the orders of the surface so far away, how far it departs from it, and its region.
 
     The surface is continued by the slope of its last two pixels; a region of 0 means that there is none.
     """
     height, width, last = region.shape[0], region.shape[1], rates.shape[0] - 1
     result = vec3(0.0, NO_PHASE, 0.0)
-    y1, x1, y2, x2 = y + dy, x + dx, y + 2 * dy, x + 2 * dx
+    y1, x1 = y + far * dy, x + far * dx
+    y2, x2 = y1 + dy, x1 + dx
     if y1 >= 0 and y1 < height and x1 >= 0 and x1 < width:
         number = region[y1, x1]
         if number > 0:
@@ -207,7 +210,7 @@ def continued(
             if y2 >= 0 and y2 < height and x2 >= 0 and x2 < width:
                 if region[y2, x2] == number:
                     slope = unwrapped[y1, x1] - unwrapped[y2, x2]
-            expected = unwrapped[y1, x1] + slope
+            expected = unwrapped[y1, x1] + far * slope
             value = phase + 2.0 * PI * ti.round((expected - phase) * (0.5 / PI))
             result = vec3(value, ti.abs(value - expected), ti.cast(number, ti.f32))
     return result
@@ -217,6 +220,7 @@ def continued(
 def adopt_pixels_kernel(
     phase: F32Array2,  # (H, W) rad; STEP_PHASE at steps
     raw_phase: F32Array2,  # (H, W) rad, before correction and smoothing; NO_PHASE where there is none
+    modulation: F32Array2,  # (H, W)
     table: F32Array1,  # (bins + 1,) rad, the correction
     rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
@@ -234,22 +238,25 @@ def adopt_pixels_kernel(
                 here = phase[y, x]
                 if here > 0.5 * NO_PHASE:
                     here = equalized(raw_phase[y, x], table)
-                best, rival = vec3(0.0, NO_PHASE, 0.0), NO_PHASE
+                best = vec3(0.0, NO_PHASE, 0.0)
                 for side in ti.static(range(4)):
                     dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
-                    other = continued(here, unwrapped, region, rates, y, x, dy, dx)
-                    if other.z > 0.0:
-                        another_order = best.z > 0.0 and ti.abs(other.x - best.x) > PI
-                        if other.y < best.y:
-                            if another_order:
-                                rival = ti.min(rival, best.y)
+                    other = continued(here, unwrapped, region, rates, y, x, dy, dx, 1)
+                    if other.y < best.y:
+                        low = ti.min(modulation[y, x], modulation[y + dy, x + dx])
+                        if low > _ALIKE * ti.max(modulation[y, x], modulation[y + dy, x + dx]):
                             best = other
-                        elif another_order:
-                            rival = ti.min(rival, other.y)
                 number = ti.cast(best.z, ti.i32)
-                if best.y < _MAX_ADOPTED and rival > best.y + _MAX_ADOPTED and absolute[number] == 1:
-                    adopted[y, x, 0] = best.x
-                    adopted[y, x, 1] = best.z
+                if best.y < _MAX_ADOPTED and absolute[number] == 1:
+                    rival = NO_PHASE
+                    for dy, dx in ti.static(_AROUND):
+                        for far in range(1, _REACH + 1):
+                            other = continued(here, unwrapped, region, rates, y, x, dy, dx, far)
+                            if other.z > 0.0 and ti.abs(other.x - best.x) > PI:
+                                rival = ti.min(rival, other.y)
+                    if rival > best.y + _MIN_RIVAL:
+                        adopted[y, x, 0] = best.x
+                        adopted[y, x, 1] = best.z
         for y, x in ti.ndrange(height, width):
             if adopted[y, x, 1] > 0.0:
                 unwrapped[y, x] = adopted[y, x, 0]
