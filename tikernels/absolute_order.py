@@ -33,8 +33,9 @@ from tikernels.wrapped_phase import NO_PHASE
 SLOTS = 17
 # A pixel at a step is taken for a surface beside it that it continues to so many rad, and as brightly, if it departs by
 # so much more from every other one within reach (px, in eight directions); so many pixels deep. What sees two surfaces
-# at once has any phase, and less modulation.
+# at once has any phase, and less modulation. Where there is no other one, a steep facet may continue less smoothly.
 _MAX_ADOPTED, _ALIKE, _MIN_RIVAL = 0.25, 0.85, 0.5
+_MAX_ALONE, _ALIKE_ALONE = 1.1, 0.5
 _AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 _REACH, _PASSES = 3, 2
 #: What is summed of a cycle.
@@ -238,23 +239,24 @@ def adopt_pixels_kernel(
                 here = phase[y, x]
                 if here > 0.5 * NO_PHASE:
                     here = equalized(raw_phase[y, x], table)
-                best = vec3(0.0, NO_PHASE, 0.0)
+                best, alike = vec3(0.0, NO_PHASE, 0.0), 0.0
                 for side in ti.static(range(4)):
                     dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
                     other = continued(here, unwrapped, region, rates, y, x, dy, dx, 1)
                     if other.y < best.y:
+                        best = other
                         low = ti.min(modulation[y, x], modulation[y + dy, x + dx])
-                        if low > _ALIKE * ti.max(modulation[y, x], modulation[y + dy, x + dx]):
-                            best = other
+                        alike = low / ti.max(ti.max(modulation[y, x], modulation[y + dy, x + dx]), 1e-12)
                 number = ti.cast(best.z, ti.i32)
-                if best.y < _MAX_ADOPTED and absolute[number] == 1:
+                if best.y < _MAX_ALONE and absolute[number] == 1:
                     rival = NO_PHASE
                     for dy, dx in ti.static(_AROUND):
                         for far in range(1, _REACH + 1):
                             other = continued(here, unwrapped, region, rates, y, x, dy, dx, far)
                             if other.z > 0.0 and ti.abs(other.x - best.x) > PI:
                                 rival = ti.min(rival, other.y)
-                    if rival > best.y + _MIN_RIVAL:
+                    alone = rival > 0.5 * NO_PHASE and alike > _ALIKE_ALONE
+                    if alone or (best.y < _MAX_ADOPTED and alike > _ALIKE and rival > best.y + _MIN_RIVAL):
                         adopted[y, x, 0] = best.x
                         adopted[y, x, 1] = best.z
         for y, x in ti.ndrange(height, width):
