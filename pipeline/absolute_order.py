@@ -33,6 +33,8 @@ MAX_ERROR_PROBABILITY = 1e-3
 _MIN_STRENGTH = 0.25
 # Steps in a stretch: those of six cycles.
 _STRETCH = 5
+# Standard deviation of the slow change of the contrast's logarithm a cycle: blur takes more where fringes are finer.
+_DRIFT = 0.04
 # Of the stretches that overlap, every second one votes.
 _EVERY = 2
 # Smallest standard deviation of a step's logarithm: what balance, slopes and blur leave of it on clean frames.
@@ -42,6 +44,8 @@ _MIN_SIGMA = 0.015
 _MIN_WEIGHT, _MAX_MEAN_PHASE = 3.0, 0.3
 # A single step departs from the code by no more than three standard deviations' worth: edges and blemishes do.
 _MAX_DEPARTURE = 9.0
+# Where steps depart by more than this on average, none of the offsets that stretches have named is the right one.
+_NOWHERE = 5.5
 # A stretch votes if it fits, and if the next best place is less likely by exp(-5).
 _MIN_LEAD = 10.0
 _MIN_VOTES = 3
@@ -210,8 +214,11 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
     """
     if len(stretches) == 0:
         return np.zeros(0, np.int64), _MIN_SIGMA, strength
-    windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH)
-    seen = steps.rise[stretches]
+    # What all five steps have in common may be the contrast's own slow change.
+    common = 1 - 1 / np.sqrt(1 + _STRETCH * (_DRIFT / _MIN_SIGMA) ** 2)
+    without = np.eye(_STRETCH) - common / _STRETCH
+    windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
+    seen = steps.rise[stretches] @ without
     own = (seen**2).sum(axis=1)
     # Single precision tells a ten-thousandth of a step.
     departure = seen.astype(np.float32) @ (-2 * strength * windows.T).astype(np.float32)
@@ -241,21 +248,22 @@ def _split(
     owner = graph.root[steps.low[stretches[sure, 0]]] if len(stretches) else np.zeros(0, np.int32)
     named, votes = np.unique(np.stack([owner, offsets[sure]]), axis=1, return_counts=True)
     named, votes = named[:, votes >= _MIN_VOTES], votes[votes >= _MIN_VOTES]
-    torn = np.flatnonzero(np.bincount(named[0], minlength=1) > 1)
+    torn = np.unique(named[0])
     if len(torn) == 0:
         return graph.root
     evidence = np.zeros((len(graph.root), CANDIDATES + 1))
     code = contrast_steps()
     for root in torn:
         mine = named[0] == root
-        candidates = named[1, mine][np.argsort(-votes[mine], kind="stable")][:CANDIDATES]
+        candidates = named[1, mine][np.argsort(-votes[mine], kind="stable")][: CANDIDATES - 1]
         own = np.flatnonzero(graph.root[steps.low] == root)
         place = steps.order[own, None] + candidates
         inside = (place >= 0) & (place < len(code))
         departure = (steps.rise[own, None] - strength * code[np.clip(place, 0, len(code) - 1)]) ** 2 / sigma**2
         departure = np.where(inside, np.minimum(departure, _MAX_DEPARTURE), _MAX_DEPARTURE)
-        padding = np.full((len(own), CANDIDATES - len(candidates)), _MAX_DEPARTURE)
-        terms = np.concatenate([departure, padding, np.ones((len(own), 1))], axis=1)
+        padding = np.full((len(own), CANDIDATES - 1 - len(candidates)), _MAX_DEPARTURE)
+        nowhere = np.full((len(own), 1), _NOWHERE)
+        terms = np.concatenate([departure, padding, nowhere, np.ones((len(own), 1))], axis=1)
         # A step belongs to the patches of both its cycles.
         for end in (steps.low[own], steps.high[own]):
             for k in range(CANDIDATES + 1):
@@ -296,9 +304,13 @@ def _posterior(
     if len(offsets) == 0:
         return 0, False, {}
     expected = code[levels + offsets[:, None]]
+    # The slow change of the contrast, as a straight line that is expected to be flat.
+    line = np.stack([np.ones(len(levels)), np.linspace(-1, 1, len(levels))])
+    stiff = line.T @ np.linalg.solve(line @ line.T + (sigma / _DRIFT) ** 2 * np.eye(2), line)
+    departures = [middle - s * strength * expected for s in _STRENGTHS]
+    departures = [departure - departure @ stiff for departure in departures]
     likelihoods = [
-        -0.5 * (_FREEDOM + 1) * np.log1p((middle - s * strength * expected) ** 2 / (_FREEDOM * sigma**2)) @ weight
-        for s in _STRENGTHS
+        -0.5 * (_FREEDOM + 1) * np.log1p(departure**2 / (_FREEDOM * sigma**2)) @ weight for departure in departures
     ]
     logarithm = np.logaddexp.reduce(likelihoods, axis=0)
     if within is not None:
@@ -308,8 +320,8 @@ def _posterior(
     probability = np.exp(logarithm - logarithm.max())
     probability /= probability.sum()
     best = int(probability.argmax())
-    departure = np.min([np.abs(middle - s * strength * expected[best]) for s in _STRENGTHS], axis=0)
-    fit = float(weight @ (departure < 3 * sigma) / weight.sum())
+    departure = departures[int(np.argmax([likelihood[best] for likelihood in likelihoods]))][best]
+    fit = float(weight @ (np.abs(departure) < 3 * sigma) / weight.sum())
     sure = bool(probability.sum() - probability[best] < MAX_ERROR_PROBABILITY and fit >= _MIN_FIT)
     kept = np.flatnonzero(probability > 1e-9)
     return int(offsets[best]), sure, {int(offsets[i]): float(probability[i]) for i in kept}
