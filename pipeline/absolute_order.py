@@ -17,6 +17,7 @@ from tikernels.absolute_order import (
     CANDIDATES,
     MODULATION,
     PHASE,
+    SLOPE_REACH,
     SLOTS,
     TOTAL,
     join_parts_kernel,
@@ -60,6 +61,8 @@ _FREEDOM = 4.0
 _STRENGTHS = (0.85, 1.0, 1.18)
 # An order may lie outside the depth range's by so many cycles: half of one for rounding, the rest for the calibration.
 _SLACK = 0.75
+# Where the phase bends by more (rad) within a cycle, the surface does.
+_MAX_BEND = 0.3
 # Share of a part's cycles that must fit within three standard deviations.
 _MIN_FIT = 0.6
 
@@ -325,3 +328,52 @@ def _posterior(
     sure = bool(probability.sum() - probability[best] < MAX_ERROR_PROBABILITY and fit >= _MIN_FIT)
     kept = np.flatnonzero(probability > 1e-9)
     return int(offsets[best]), sure, {int(offsets[i]): float(probability[i]) for i in kept}
+
+
+def blur_shift(
+    unwrapped: npt.NDArray[np.float32],
+    region: npt.NDArray[np.int32],
+    absolute: npt.NDArray[np.bool_],
+    departures: npt.NDArray[np.float32],
+    period_px: float,
+) -> float:
+    """Return how far blur shifts the phase where the modulation rises e-fold a cycle, rad.
+
+    Blur weakens the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of
+    the phase: by (2 pi s)^2 / (2 pi) of its logarithm's slope, for a Gaussian of s cycles.
+
+    Parameters
+    ----------
+    unwrapped : (H, n) float32
+        rad, absolute; columns of the image.
+    region : (H, n) int32
+        Number of each pixel's region; 0 outside.
+    absolute : (regions + 1,) bool
+        Whether a region's orders are absolute.
+    departures : (cycles,) float32
+        Modulation of each cycle, less the usual one, as a fraction of it.
+    period_px : float
+        Rows a cycle.
+
+    Returns
+    -------
+    float
+        rad; 0 where nothing tells.
+    """
+    half = max(1, round(period_px / 2))
+    middle, above, below = region[half:-half], region[: -2 * half], region[2 * half :]
+    inside = (middle > 0) & (middle == above) & (middle == below) & absolute[middle]
+    if not inside.any():
+        return 0.0
+    rows, columns = np.nonzero(inside)
+    phases = [unwrapped[rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
+    indices = np.arange(len(departures))
+    slopes = []
+    for phase in phases:
+        cycles = phase / (2 * np.pi)
+        low, here, high = (np.interp(cycles + reach, indices, departures) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
+        slopes.append((high - low) / (2 * SLOPE_REACH * (1 + here)))
+    # A smooth surface hardly bends within a cycle; what it bends has nothing to do with the code.
+    bend, expected = (a[0] - 2 * a[1] + a[2] for a in (phases, slopes))
+    smooth = np.abs(bend) < _MAX_BEND
+    return float(bend[smooth] @ expected[smooth] / max(float(expected[smooth] @ expected[smooth]), 1e-9))

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.absolute_order import AbsoluteOrders, find_absolute_orders
+from pipeline.absolute_order import AbsoluteOrders, blur_shift, find_absolute_orders
 from pipeline.calibration import Calibration, Capture, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
 from pipeline.contrast_code import cycle_modulations
@@ -56,6 +56,8 @@ _HARMONICS_A_PIXEL = 0.8
 # (rad) that is worth a pass over the image.
 _MAX_LOST = 0.02
 _MIN_CORRECTION = 1e-3
+# Every eighth column tells how far blur shifts the phase.
+_EVERY_COLUMN = 8
 
 
 class DecodeWarning(UserWarning):
@@ -335,8 +337,11 @@ class Decoder:
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
         usual = 0.5 if self._own_correction is None and self._response is not None else cycle_modulations().mean()
         departures, tables = modulation_tables(table, cycle_modulations() / usual - 1)
-        if np.abs(tables).max() > _MIN_CORRECTION and known.any():
-            arguments = (buffers["region"], known.astype(np.int32), departures, tables)
+        columns = (slice(None), slice(None, None, _EVERY_COLUMN))
+        sampled = runtime.to_host(buffers["unwrapped"])[columns], runtime.to_host(buffers["region"])[columns]
+        shift = blur_shift(*sampled, known, departures, frame.period_px or 0.0)
+        if max(np.abs(tables).max(), abs(shift)) > _MIN_CORRECTION and known.any():
+            arguments = (buffers["region"], known.astype(np.int32), departures, tables, shift)
             correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
 
     def _correction(self, work: _Workspace, period: float) -> npt.NDArray[np.float32]:

@@ -28,6 +28,8 @@ from tikernels.patches import ORDER_BITS, ORDER_MASK, ORDER_ZERO, cell_bounds, p
 from tikernels.phase_vector import PI, STRIP, matrix_of, wrap
 from tikernels.wrapped_phase import NO_PHASE
 
+#: Cycles to either side between which the modulation's slope is taken: blur rounds the tips of the code off.
+SLOPE_REACH = 0.2
 #: Orders that a patch may hold, its first pixel's in the middle: a cell of 16 rows holds at most four cycles of 4 px,
 #: and slopes may double them.
 SLOTS = 17
@@ -35,7 +37,7 @@ SLOTS = 17
 # so much more from every other one within reach (px, in eight directions); so many pixels deep. What sees two surfaces
 # at once has any phase, and less modulation. Where there is no other one, a steep facet may continue less smoothly.
 _MAX_ADOPTED, _ALIKE, _MIN_RIVAL = 0.25, 0.85, 0.5
-_MAX_ALONE, _ALIKE_ALONE = 1.1, 0.5
+_MAX_ALONE, _ALIKE_ALONE = 1.2, 0.5
 _AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
 _REACH, _PASSES = 3, 2
 #: What is summed of a cycle.
@@ -158,36 +160,43 @@ def join_parts_kernel(
             out_parents[patch] = part_of(out_parents, patch)
 
 
+@ti.func
+def departure_at(departures: F32Array1, cycles: f32) -> f32:
+    """Return the code's modulation at a phase, less the usual one, as a fraction of it."""
+    below = ti.min(ti.max(ti.cast(ti.floor(cycles), ti.i32), 0), departures.shape[0] - 2)
+    part = cycles - ti.cast(below, ti.f32)
+    return departures[below] + part * (departures[below + 1] - departures[below])
+
+
 @ti.kernel
 def correct_by_modulation_kernel(
     region: I32Array2,  # (H, W) region's number from 1; 0 outside
     absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
     departures: F32Array1,  # (cycles,) modulation in the middle of each cycle, less the usual one, as a fraction of it
     table: F32Array2,  # (2, bins + 1) rad: part of the response's correction that goes with the modulation, its square
+    shift: f32,  # rad that blur shifts the phase by where the modulation rises e-fold a cycle
     phase: F32Array2,  # (H, W) rad in [-pi, pi], to be corrected
     unwrapped: F32Array2,  # (H, W) rad, to be corrected
 ):
-    """Correct what a response that is not linear does to cycles whose modulation is not the usual one."""
+    """Correct what response and blur do to cycles whose modulation is not the usual one, or changes."""
     height, width = phase.shape[0], phase.shape[1]
     strips = (width + STRIP - 1) // STRIP
-    last, bins = departures.shape[0] - 1, table.shape[1] - 1
+    bins = table.shape[1] - 1
     for t in range(height * strips):
         y, first = t // strips, (t % strips) * STRIP
         for x in range(first, ti.min(first + STRIP, width)):
             if absolute[region[y, x]] == 1:
                 cycles = unwrapped[y, x] * (0.5 / PI)
-                whole = ti.floor(cycles)
-                below = ti.min(ti.max(ti.cast(whole, ti.i32), 0), last - 1)
-                part = cycles - whole
-                departs = departures[below] + part * (departures[below + 1] - departures[below])
+                departs = departure_at(departures, cycles)
+                rise = departure_at(departures, cycles + SLOPE_REACH) - departure_at(departures, cycles - SLOPE_REACH)
                 # The table runs from -pi to pi.
-                place = part + 0.5
-                place = (place - ti.floor(place)) * ti.cast(bins, ti.f32)
+                place = (cycles + 0.5 - ti.floor(cycles + 0.5)) * ti.cast(bins, ti.f32)
                 bin_below = ti.min(ti.cast(place, ti.i32), bins - 1)
                 share = place - ti.cast(bin_below, ti.f32)
                 linear = table[0, bin_below] + share * (table[0, bin_below + 1] - table[0, bin_below])
                 square = table[1, bin_below] + share * (table[1, bin_below + 1] - table[1, bin_below])
                 correction = departs * (linear + (2.0 + departs) * square)
+                correction -= shift * rise / (2.0 * SLOPE_REACH * (1.0 + departs))
                 phase[y, x] = phase[y, x] + correction
                 unwrapped[y, x] = unwrapped[y, x] + correction
 
