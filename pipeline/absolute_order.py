@@ -171,7 +171,8 @@ def _contrast_steps(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int
     column, row = first % width // CELL_WIDTH, first // width // CELL_HEIGHT
     sign = 1 if rising else -1
     sort = np.lexsort((sign * order, row, column, root))
-    patch, order, root, column, row, values = (a[sort] for a in (patch, order, root, column, row, values))
+    patch, order, root, column, row = (a[sort] for a in (patch, order, root, column, row))
+    values = values[sort]
     # A cycle that a cell's border cuts is put together again.
     fresh = np.ones(len(patch), np.bool_)
     fresh[1:] = (np.diff(root) != 0) | (np.diff(column) != 0) | (np.diff(order) != 0) | (np.diff(row) > 1)
@@ -199,7 +200,7 @@ def _stretches(steps: _Steps) -> Integers:
     """Return the (n, 5) steps of every six cycles in a row, from the lowest order."""
     starts = np.arange(0, max(len(steps.place) - _STRETCH + 1, 0), _EVERY)
     starts = starts[steps.place[starts + _STRETCH - 1] - steps.place[starts] == _STRETCH - 1]
-    stretches = starts[:, None] + np.arange(_STRETCH)
+    stretches: Integers = starts[:, None] + np.arange(_STRETCH)
     return stretches if steps.rising else stretches[:, ::-1]
 
 

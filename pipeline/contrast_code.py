@@ -34,7 +34,8 @@ def modulation_at(cycles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def contrast_steps() -> npt.NDArray[np.float64]:
     """Return by how much the logarithm of the contrast rises from each cycle to the next.
 
-    A cycle's contrast is `measure_contrast_kernel`'s, in which its neighbours' symbols are to 8 % each. The light is taken to be proportional to the codes; a response that is not makes the steps smaller, all alike.
+    A cycle's contrast is `measure_contrast_kernel`'s, in which its neighbours' symbols are to 8 % each. The light is
+    taken to be proportional to the codes; a response that is not makes the steps smaller, all alike.
 
     Returns
     -------

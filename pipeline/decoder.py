@@ -150,6 +150,7 @@ class Decoder:
         self._code = self.settings.code
         if calibration is not None and calibration.pattern is not None:
             self._code = calibration.pattern.code
+        self._code_looked_for = False
         self._balance_first = self.settings.reflectance_bands == "broad"
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
@@ -213,6 +214,7 @@ class Decoder:
             period = None
         if period is None:
             self._clear(frame)
+            frame._placed = None
             return frame
         intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
         modulation = self._threshold(self.settings.min_modulation, scale, _MODULATION_SIGMAS * self._noise_gain * noise)
@@ -220,11 +222,13 @@ class Decoder:
             intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
         if self.settings.min_modulation is None:
             modulation = max(modulation, _MODULATION_FRACTION * statistics.brightness)
-        self._run(image, scale, period, intensity, modulation, frame)
+        doubt = self._run(image, scale, period, intensity, modulation, frame)
         if self._light_unknown:
             self._light_unknown = False
             if self._learn_light(image, scale, period, frame):
-                self._run(image, scale, period, intensity, modulation, frame)
+                doubt = self._run(image, scale, period, intensity, modulation, frame)
+        if doubt is not None:
+            self._warn(frame, doubt)
         frame.constant_known = self._constant_known
         return frame
 
@@ -245,7 +249,8 @@ class Decoder:
 
     def _run(
         self, image: Any, scale: float, period: float, intensity: float, modulation: float, frame: DecodedFrame
-    ) -> None:
+    ) -> str | None:
+        """Decode, and return what the user should know of the code."""
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period = float(2 ** (np.round(8 * np.log2(period)) / 8))
         key = (int(image.shape[0]), int(image.shape[1]), period)
@@ -282,26 +287,37 @@ class Decoder:
             work.unwrapper.set_orders(orders.parts[orders.absolute], orders.offsets[orders.absolute])
         outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
         work.unwrapper.write(buffers["phase"], work.rates, *outputs)
-        frame._placed = None
-        if orders is not None:
-            self._use_orders(orders, table, work, frame)
+        doubt = None if orders is None else self._use_orders(orders, table, work, frame)
         if self._geometry is not None:
             projector = self._projector.arguments()
             triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
+        if self._code is None and not self._code_looked_for:
+            self._code_looked_for = True
+            graph = work.unwrapper.graph()
+            found = self._find_orders(image, gains, work, buffers, graph)
+            if graph.pixels[np.isin(found.roots, found.parts[found.absolute])].sum() > graph.pixels.sum() / 2:
+                doubt = 'the frame shows a contrast code: set code = "contrast" to use it'
+        return doubt
 
     def _read_code(self, image: Any, gains: Any, work: _Workspace, buffers: dict[str, Any]) -> AbsoluteOrders:
         """Find the absolute orders, and split the regions that the code contradicts."""
+        graph = work.unwrapper.graph()
+        orders = self._find_orders(image, gains, work, buffers, graph)
+        if not np.array_equal(orders.roots, graph.root):
+            work.unwrapper.split(orders.roots)
+        return orders
+
+    def _find_orders(
+        self, image: Any, gains: Any, work: _Workspace, buffers: dict[str, Any], graph: PatchGraph
+    ) -> AbsoluteOrders:
         unwrapper = work.unwrapper
         sums = runtime.empty((unwrapper.patch_count, ORDER_SLOTS, 4), np.float32)
         light = (image, self._inverse, gains, work.gains.cell, buffers["phase"], buffers["modulation"])
         patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits)
         measure_contrast_kernel(self._balance_first)(*light, *patches, sums)
-        graph, width = unwrapper.graph(), int(image.shape[1])
+        width = int(image.shape[1])
         rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
-        orders = find_absolute_orders(runtime.to_host(sums), graph, width, rising, self._order_bounds(graph, width))
-        if not np.array_equal(orders.roots, graph.root):
-            unwrapper.split(orders.roots)
-        return orders
+        return find_absolute_orders(runtime.to_host(sums), graph, width, rising, self._order_bounds(graph, width))
 
     def _order_bounds(self, graph: PatchGraph, width: int) -> npt.NDArray[np.float64] | None:
         """Return the absolute phases, in cycles, that the depth range allows the first pixel of each patch."""
@@ -314,8 +330,11 @@ class Decoder:
 
     def _use_orders(
         self, orders: AbsoluteOrders, table: npt.NDArray[np.float32], work: _Workspace, frame: DecodedFrame
-    ) -> None:
-        """Note what is known of each region, and correct the phases by the modulation that their cycles have."""
+    ) -> str | None:
+        """Note what is known of each region, and correct the phases by the modulation that their cycles have.
+
+        Returns what the user should know.
+        """
         roots, buffers = work.unwrapper.roots, frame._buffers
         part = np.searchsorted(orders.parts, roots)
         known = np.append(np.False_, orders.absolute[part])
@@ -325,14 +344,8 @@ class Decoder:
             absolute = known.astype(np.int32)
             adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
             outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            adopt_pixels_kernel(buffers["phase"], work.raw_phase, buffers["modulation"], table, work.rates, absolute, adopted, *outputs)
-        pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
-        lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
-        if not orders.readable:
-            self._warn(frame, "the frame does not show the contrast code: project a pattern made with --code contrast")
-        elif lost > _MAX_LOST:
-            self._warn(
-                frame, f"{lost:.0%} of the pixels show too little of the code, or contradict it: their depth is a guess"
+            adopt_pixels_kernel(
+                buffers["phase"], work.raw_phase, buffers["modulation"], table, work.rates, absolute, adopted, *outputs
             )
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
         usual = 0.5 if self._own_correction is None and self._response is not None else cycle_modulations().mean()
@@ -343,6 +356,13 @@ class Decoder:
         if max(np.abs(tables).max(), abs(shift)) > _MIN_CORRECTION and known.any():
             arguments = (buffers["region"], known.astype(np.int32), departures, tables, shift)
             correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
+        pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
+        lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
+        if not orders.readable:
+            return "the frame does not show the contrast code: project a pattern made with --code contrast"
+        if lost > _MAX_LOST:
+            return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
+        return None
 
     def _correction(self, work: _Workspace, period: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, as a table over the cycle.

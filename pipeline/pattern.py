@@ -52,7 +52,7 @@ def make_pattern(
                 f"the code tells {CYCLES} cycles apart, but {length} px hold {length / pattern.period_px:.0f} of "
                 f"{pattern.period_px:g} px: take a period of {length / CYCLES:.3g} px or more"
             )
-        modulation = modulation_at(phase / (2 * np.pi))[:, None]
+        modulation = modulation_at(np.arange(length) / pattern.period_px)[:, None]
     codes = 0.5 + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES))
     if response is not None:
         # Every response rises from 0 to 1, so the whole range of light is there to be used.
