@@ -137,7 +137,7 @@ def find_absolute_orders(
         roots = _split(steps, graph, stretches, offsets, strength, sigma)
     sizes = np.bincount(roots, graph.pixels, len(roots))
     parts = np.flatnonzero(sizes >= MIN_REGION_PX)
-    found = []
+    found: list[tuple[int, bool, dict[int, float]]] = []
     order_of_part = np.argsort(roots[steps.low], kind="stable")
     starts = np.searchsorted(roots[steps.low][order_of_part], parts)
     stops = np.searchsorted(roots[steps.low][order_of_part], parts, side="right")
@@ -171,8 +171,8 @@ def _contrast_steps(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int
     column, row = first % width // CELL_WIDTH, first // width // CELL_HEIGHT
     sign = 1 if rising else -1
     sort = np.lexsort((sign * order, row, column, root))
-    patch, order, root, column, row = (a[sort] for a in (patch, order, root, column, row))
-    values = values[sort]
+    patch, order, root = patch[sort], order[sort], root[sort]
+    column, row, values = column[sort], row[sort], values[sort]
     # A cycle that a cell's border cuts is put together again.
     fresh = np.ones(len(patch), np.bool_)
     fresh[1:] = (np.diff(root) != 0) | (np.diff(column) != 0) | (np.diff(order) != 0) | (np.diff(row) > 1)
@@ -190,10 +190,9 @@ def _contrast_steps(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int
     follows = whole[:-1] & whole[1:] & (order[lower] - order[upper] == sign)
     follows &= (root[lower] == root[upper]) & (column[lower] == column[upper]) & (row[lower] - row[last[:-1]] <= 1)
     place = np.flatnonzero(follows)
-    low, high = (place, place + 1) if rising else (place + 1, place)
-    return _Steps(
-        patch[start[low]], patch[start[high]], order[start[low]], contrast[high] - contrast[low], place, rising
-    )
+    low, high = start[place + (not rising)], start[place + rising]
+    rise = contrast[place + rising] - contrast[place + (not rising)]
+    return _Steps(patch[low], patch[high], order[low].astype(np.int64), rise, place, rising)
 
 
 def _stretches(steps: _Steps) -> Integers:
