@@ -279,7 +279,10 @@ def _split(
     ends, weight = graph.ends[:, inside], graph.votes[inside]
     # Votes within a fifth count alike, and chance decides between them: parts then grow round, not in rows.
     shuffled = (np.arange(len(weight), dtype=np.uint32) * np.uint32(2654435769)).astype(np.int64)
-    sort = np.lexsort((shuffled, -np.floor(4 * np.log2(np.maximum(weight, 1)))))
+    # Contacts between patches that stretches place differently come last, when their parts know where they are.
+    named_a, named_b = _named_offsets(steps, stretches[sure], offsets[sure], len(graph.root))[ends]
+    differ = (named_a != named_b) & (np.minimum(named_a, named_b) > -CYCLES)
+    sort = np.lexsort((shuffled, -np.floor(4 * np.log2(np.maximum(weight, 1))), differ))
     parents = np.zeros(len(graph.root), np.int32)
     if len(sort):
         join_parts_kernel(
@@ -292,6 +295,20 @@ def _split(
             parents,
         )
     return np.where(np.isin(graph.root, torn), parents, graph.root).astype(np.int32)
+
+
+def _named_offsets(steps: _Steps, stretches: Integers, offsets: Integers, patches: int) -> Integers:
+    """Return the offset that most of the stretches through a patch have; a number below any where there are none.
+
+    The outer cycles of a stretch may lie beyond a step and still pass: its inner ones name their patches.
+    """
+    through = steps.low[stretches[:, 1:]]
+    votes = np.stack([through.ravel(), np.repeat(offsets, through.shape[1])])
+    (patch, offset), count = np.unique(votes, axis=1, return_counts=True)
+    sort = np.lexsort((offset, count, patch))
+    named = np.full(patches, -2 * CYCLES)
+    named[patch[sort]] = offset[sort]  # the last of a patch is the commonest
+    return named
 
 
 def _posterior(
