@@ -50,6 +50,8 @@ _NOWHERE = 5.5
 # A stretch votes if it fits, and if the next best place is less likely by exp(-5).
 _MIN_LEAD = 10.0
 _MIN_VOTES = 3
+# Offsets with less than this share of a region's votes are chance, or too small a part to keep others from joining.
+_MIN_SHARE = 0.02
 # Two parts stay apart if both show five cycles and prefer different offsets by so much, in all and for each step: the
 # steps of one cycle share their errors, so many of them are worth little more than one.
 _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP = 4, 60.0, 1.5
@@ -280,7 +282,9 @@ def _split(
     # Votes within a fifth count alike, and chance decides between them: parts then grow round, not in rows.
     shuffled = (np.arange(len(weight), dtype=np.uint32) * np.uint32(2654435769)).astype(np.int64)
     # Contacts between patches that stretches place differently come last, when their parts know where they are.
-    named_a, named_b = _named_offsets(steps, stretches[sure], offsets[sure], len(graph.root))[ends]
+    common = votes >= _MIN_SHARE * np.bincount(named[0], votes)[named[0]]
+    trusted = np.isin(owner * 4.0 * CYCLES + offsets[sure], named[0, common] * 4.0 * CYCLES + named[1, common])
+    named_a, named_b = _named_offsets(steps, stretches[sure][trusted], offsets[sure][trusted], len(graph.root))[ends]
     differ = (named_a != named_b) & (np.minimum(named_a, named_b) > -CYCLES)
     sort = np.lexsort((shuffled, -np.floor(4 * np.log2(np.maximum(weight, 1))), differ))
     parents = np.zeros(len(graph.root), np.int32)
@@ -300,7 +304,7 @@ def _split(
 def _named_offsets(steps: _Steps, stretches: Integers, offsets: Integers, patches: int) -> Integers:
     """Return the offset that most of the stretches through a patch have; a number below any where there are none.
 
-    The outer cycles of a stretch may lie beyond a step and still pass: its inner ones name their patches.
+    The first and the last cycle of a stretch may lie beyond a step and still pass: only the others name their patches.
     """
     through = steps.low[stretches[:, 1:]]
     votes = np.stack([through.ravel(), np.repeat(offsets, through.shape[1])])
