@@ -163,8 +163,9 @@ def join_parts_kernel(
 @ti.func
 def departure_at(departures: F32Array1, cycles: f32) -> f32:
     """Return the code's modulation at a phase, less the usual one, as a fraction of it."""
-    below = ti.min(ti.max(ti.cast(ti.floor(cycles), ti.i32), 0), departures.shape[0] - 2)
-    part = cycles - ti.cast(below, ti.f32)
+    inside = ti.min(ti.max(cycles, 0.0), ti.cast(departures.shape[0] - 1, ti.f32))
+    below = ti.min(ti.cast(inside, ti.i32), departures.shape[0] - 2)
+    part = inside - ti.cast(below, ti.f32)
     return departures[below] + part * (departures[below + 1] - departures[below])
 
 
@@ -244,7 +245,7 @@ def adopt_pixels_kernel(
     for _ in ti.static(range(_PASSES)):
         for y, x in ti.ndrange(height, width):
             adopted[y, x, 1] = 0.0
-            if region[y, x] == 0 and raw_phase[y, x] < 0.5 * NO_PHASE:
+            if mask[y, x] == 0 and raw_phase[y, x] < 0.5 * NO_PHASE:
                 here = phase[y, x]
                 if here > 0.5 * NO_PHASE:
                     here = equalized(raw_phase[y, x], table)
@@ -258,14 +259,18 @@ def adopt_pixels_kernel(
                         alike = low / ti.max(ti.max(modulation[y, x], modulation[y + dy, x + dx]), 1e-12)
                 number = ti.cast(best.z, ti.i32)
                 if best.y < _MAX_ALONE and absolute[number] == 1:
-                    rival = NO_PHASE
+                    rival, alone = NO_PHASE, 1
                     for dy, dx in ti.static(_AROUND):
                         for far in range(1, _REACH + 1):
                             other = continued(here, unwrapped, region, rates, y, x, dy, dx, far)
-                            if other.z > 0.0 and ti.abs(other.x - best.x) > PI:
-                                rival = ti.min(rival, other.y)
-                    alone = rival > 0.5 * NO_PHASE and alike > _ALIKE_ALONE
-                    if alone or (best.y < _MAX_ADOPTED and alike > _ALIKE and rival > best.y + _MIN_RIVAL):
+                            if other.z > 0.0:
+                                if ti.abs(other.x - best.x) > PI:
+                                    rival = ti.min(rival, other.y)
+                                    alone = 0
+                                elif other.z != best.z:
+                                    alone = 0
+                    belongs = best.y < _MAX_ADOPTED and alike > _ALIKE and rival > best.y + _MIN_RIVAL
+                    if belongs or (alone == 1 and alike > _ALIKE_ALONE):
                         adopted[y, x, 0] = best.x
                         adopted[y, x, 1] = best.z
         for y, x in ti.ndrange(height, width):
