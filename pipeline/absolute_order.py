@@ -50,6 +50,8 @@ _NOWHERE = 5.5
 # A stretch votes if it fits, and if the next best place is less likely by exp(-5).
 _MIN_LEAD = 10.0
 _MIN_VOTES = 3
+# A region of whose stretches so many agree on the offset is whole.
+_AGREED = 0.98
 # Offsets with less than this share of a region's votes are chance, or too small a part to keep others from joining.
 _MIN_SHARE = 0.02
 # Two parts stay apart if both show five cycles and prefer different offsets by so much, in all and for each step: the
@@ -251,9 +253,14 @@ def _split(
     """Return the root of every patch's part: regions whose stretches agree stay whole."""
     sure = offsets > -CYCLES
     owner = graph.root[steps.low[stretches[sure, 0]]] if len(stretches) else np.zeros(0, np.int32)
-    named, votes = np.unique(np.stack([owner, offsets[sure]]), axis=1, return_counts=True)
-    named, votes = named[:, votes >= _MIN_VOTES], votes[votes >= _MIN_VOTES]
-    torn = np.unique(named[0])
+    ballots = _ballots(owner, offsets[sure])
+    ballot, votes = np.unique(ballots, return_counts=True)
+    ballot, votes = ballot[votes >= _MIN_VOTES], votes[votes >= _MIN_VOTES]
+    named = _counted(ballot)
+    everything = np.bincount(graph.root[steps.low[stretches[:, 0]]], minlength=len(graph.root))
+    agreeing = np.zeros(len(graph.root))
+    np.maximum.at(agreeing, named[0], votes)
+    torn = np.unique(named[0, agreeing[named[0]] < _AGREED * everything[named[0]]])
     if len(torn) == 0:
         return graph.root
     evidence = np.zeros((len(graph.root), CANDIDATES + 1))
@@ -283,7 +290,7 @@ def _split(
     shuffled = (np.arange(len(weight), dtype=np.uint32) * np.uint32(2654435769)).astype(np.int64)
     # Contacts between patches that stretches place differently come last, when their parts know where they are.
     common = votes >= _MIN_SHARE * np.bincount(named[0], votes)[named[0]]
-    trusted = np.isin(owner * 4.0 * CYCLES + offsets[sure], named[0, common] * 4.0 * CYCLES + named[1, common])
+    trusted = np.isin(ballots, ballot[common])
     named_a, named_b = _named_offsets(steps, stretches[sure][trusted], offsets[sure][trusted], len(graph.root))[ends]
     differ = (named_a != named_b) & (np.minimum(named_a, named_b) > -CYCLES)
     sort = np.lexsort((shuffled, -np.floor(4 * np.log2(np.maximum(weight, 1))), differ))
@@ -301,14 +308,24 @@ def _split(
     return np.where(np.isin(graph.root, torn), parents, graph.root).astype(np.int32)
 
 
+def _ballots(voters: npt.NDArray[np.integer], offsets: Integers) -> Integers:
+    """Return voter and offset as one number."""
+    return np.asarray(voters.astype(np.int64) * (4 * CYCLES) + offsets + 2 * CYCLES)
+
+
+def _counted(ballots: Integers) -> Integers:
+    """Return the (2, n) voters and offsets of ballots."""
+    return np.stack([ballots // (4 * CYCLES), ballots % (4 * CYCLES) - 2 * CYCLES])
+
+
 def _named_offsets(steps: _Steps, stretches: Integers, offsets: Integers, patches: int) -> Integers:
     """Return the offset that most of the stretches through a patch have; a number below any where there are none.
 
     The first and the last cycle of a stretch may lie beyond a step and still pass: only the others name their patches.
     """
     through = steps.low[stretches[:, 1:]]
-    votes = np.stack([through.ravel(), np.repeat(offsets, through.shape[1])])
-    (patch, offset), count = np.unique(votes, axis=1, return_counts=True)
+    ballots, count = np.unique(_ballots(through.ravel(), np.repeat(offsets, through.shape[1])), return_counts=True)
+    patch, offset = _counted(ballots)
     sort = np.lexsort((offset, count, patch))
     named = np.full(patches, -2 * CYCLES)
     named[patch[sort]] = offset[sort]  # the last of a patch is the commonest
@@ -382,12 +399,13 @@ def blur_shift(
         rad; 0 where nothing tells.
     """
     half = max(1, round(period_px / 2))
-    middle, above, below = region[half:-half], region[: -2 * half], region[2 * half :]
+    # Every fourth row tells enough.
+    middle, above, below = (region[half:-half:4], region[: -2 * half : 4], region[2 * half :: 4])
     inside = (middle > 0) & (middle == above) & (middle == below) & absolute[middle]
     if not inside.any():
         return 0.0
     rows, columns = np.nonzero(inside)
-    phases = [unwrapped[rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
+    phases = [unwrapped[4 * rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
     indices = np.arange(len(departures))
     slopes = []
     for phase in phases:

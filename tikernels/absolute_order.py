@@ -244,7 +244,8 @@ def adopt_pixels_kernel(
     height, width = phase.shape[0], phase.shape[1]
     for _ in ti.static(range(_PASSES)):
         for y, x in ti.ndrange(height, width):
-            adopted[y, x, 1] = 0.0
+            if mask[y, x] == 0:
+                adopted[y, x, 1] = 0.0
             if mask[y, x] == 0 and raw_phase[y, x] < 0.5 * NO_PHASE:
                 here = phase[y, x]
                 if here > 0.5 * NO_PHASE:
@@ -274,7 +275,7 @@ def adopt_pixels_kernel(
                         adopted[y, x, 0] = best.x
                         adopted[y, x, 1] = best.z
         for y, x in ti.ndrange(height, width):
-            if adopted[y, x, 1] > 0.0:
+            if mask[y, x] == 0 and adopted[y, x, 1] > 0.0:
                 unwrapped[y, x] = adopted[y, x, 0]
                 phase[y, x] = wrap(adopted[y, x, 0] - 2.0 * PI * ti.round(adopted[y, x, 0] * (0.5 / PI)))
                 region[y, x] = ti.cast(adopted[y, x, 1], ti.i32)
