@@ -85,6 +85,7 @@ def pattern(
     size: str | None = None,
     period: float | None = None,
     stripes: Literal["horizontal", "vertical"] | None = None,
+    code: Literal["contrast"] | None = None,
     calibration: Path | None = None,
     board: Literal["charuco", "chessboard"] | None = None,
     options: BoardOptions = _BOARD,
@@ -104,6 +105,8 @@ def pattern(
         Projector px a cycle; left out, the calibration's, else 17.4545.
     stripes
         Which way they run; left out, the calibration's, else horizontal.
+    code
+        "contrast": the modulation of each cycle tells which one it is, so that one frame gives absolute depth.
     calibration
         The rig's calibration.json; the projector's response is then undone in the pattern.
     board
@@ -118,7 +121,7 @@ def pattern(
     if rig is not None and rig.response is None:
         raise CalibrationError(f"{calibration} holds no response: run colorphase calibrate radiometry")
     size_px = rig.projector.size_px if rig is not None and rig.projector is not None else (1024, 768)
-    chosen = chosen_pattern(rig, period, stripes)
+    chosen = chosen_pattern(rig, period, stripes, code)
     write_pattern(file, size_px if size is None else size_of(size), chosen, None if rig is None else rig.response)
 
 

@@ -5,17 +5,22 @@ import warnings
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from pipeline.absolute_order import AbsoluteOrders, blur_shift, find_absolute_orders
 from pipeline.calibration import Calibration, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
+from pipeline.contrast_code import cycle_modulations
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError
 from pipeline.light_path import LightPath
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
+from tikernels.absolute_order import SLOTS as ORDER_SLOTS
+from tikernels.absolute_order import adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
 from tikernels.balance import Gains
 from tikernels.channel_model import ChannelModel
-from tikernels.equalization import SLOTS, count_phases_kernel
+from tikernels.equalization import SLOTS, count_phases_kernel, modulation_tables
 from tikernels.errors import ShapeError
 from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
 from tikernels.linearization import WHITE_LEVELS, linearize
@@ -24,7 +29,7 @@ from tikernels.registration import align_channels
 from tikernels.statistics import count_out_of_range, measure_frame
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
-from tikernels.unwrapping import Unwrapper
+from tikernels.unwrapping import PatchGraph, Unwrapper
 
 # Smaller pictures hold no surface.
 _MIN_SIZE_PX = 16
@@ -35,6 +40,15 @@ _MODULATION_SIGMAS = 5.0
 _MODULATION_FRACTION = 0.03
 _INTENSITY_SIGMAS = 3.0
 _INTENSITY_FRACTION = 0.02
+# With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
+# (rad) that is worth a pass over the image.
+_MAX_LOST = 0.02
+_MIN_CORRECTION = 1e-3
+# Every eighth column tells how far blur shifts the phase.
+_EVERY_COLUMN = 8
+# How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: within a surface it hardly
+# changes; a code changes it from cycle to cycle. Without a doubt the code would bend the phase by 0.02 rad.
+_CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
 
 
 class _Workspace:
@@ -98,6 +112,10 @@ class Decoder:
             self._geometry = calibration.geometry()
             self._depth_mm = _expected_depth(self._geometry, calibration.depth_range_mm)
             self._projector = self._geometry.for_triangulation()
+        self._code = self.settings.code
+        if calibration is not None and calibration.pattern is not None:
+            self._code = calibration.pattern.code
+        self._code_looked_for = False
         self._workspace: _Workspace | None = None
         self._last_buffers: dict[str, Any] = {}
         self.arch = runtime.init(arch)
@@ -145,6 +163,7 @@ class Decoder:
             period = None
         if period is None:
             self._clear(frame)
+            frame._placed = None
             return frame
         intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
         least = _MODULATION_SIGMAS * self._path.noise_gain * noise
@@ -153,11 +172,13 @@ class Decoder:
             intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
         if self.settings.min_modulation is None:
             modulation = max(modulation, _MODULATION_FRACTION * statistics.brightness)
-        self._run(image, scale, period, intensity, modulation, frame)
+        doubt = self._run(image, scale, period, intensity, modulation, frame)
         if self._path.unknown:
             self._path.unknown = False
             if self._learn_light(image, scale, period, frame):
-                self._run(image, scale, period, intensity, modulation, frame)
+                doubt = self._run(image, scale, period, intensity, modulation, frame)
+        if doubt is not None:
+            self._warn(frame, doubt)
         frame.constant_known = self._path.constant_known
         return frame
 
@@ -176,7 +197,8 @@ class Decoder:
 
     def _run(
         self, image: Any, scale: float, period: float, intensity: float, modulation: float, frame: DecodedFrame
-    ) -> None:
+    ) -> str | None:
+        """Decode, and return what the user should know of the code."""
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period = float(2 ** (np.round(8 * np.log2(period)) / 8))
         key = (int(image.shape[0]), int(image.shape[1]), period)
@@ -202,6 +224,7 @@ class Decoder:
             work.model.nodes,
             work.gains.cell,
             *levels,
+            _CONTRAST_DOUBT[self._code] / max(frame.noise_levels, 1e-3),
             work.raw_phase,
             *(buffers[name] for name in ("modulation", "slope", "misfit")),
         )
@@ -212,13 +235,87 @@ class Decoder:
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
         smooth_phase_kernel(pairs)(work.raw_phase, work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
+        orders = self._read_code(image, work, buffers) if self._code == "contrast" else None
         if self._geometry is not None:
             work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
+        if orders is not None:
+            work.unwrapper.set_orders(orders.parts[orders.absolute], orders.offsets[orders.absolute])
         outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
         work.unwrapper.write(buffers["phase"], work.rates, *outputs)
+        doubt = None if orders is None else self._use_orders(orders, correction, work, frame)
         if self._geometry is not None:
             projector = self._projector.arguments()
             triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
+        if self._code is None and not self._code_looked_for:
+            self._code_looked_for = True
+            graph = work.unwrapper.graph()
+            found = self._find_orders(image, work, buffers, graph)
+            if graph.pixels[np.isin(found.roots, found.parts[found.absolute])].sum() > graph.pixels.sum() / 2:
+                doubt = 'the frame shows a contrast code: set code = "contrast" to use it'
+        return doubt
+
+    def _read_code(self, image: Any, work: _Workspace, buffers: dict[str, Any]) -> AbsoluteOrders:
+        """Find the absolute orders, and split the regions that the code contradicts."""
+        graph = work.unwrapper.graph()
+        orders = self._find_orders(image, work, buffers, graph)
+        if not np.array_equal(orders.roots, graph.root):
+            work.unwrapper.split(orders.roots)
+        return orders
+
+    def _find_orders(self, image: Any, work: _Workspace, buffers: dict[str, Any], graph: PatchGraph) -> AbsoluteOrders:
+        unwrapper = work.unwrapper
+        sums = runtime.empty((unwrapper.patch_count, ORDER_SLOTS, 4), np.float32)
+        light = (image, self._path.inverse, work.gains.gains, work.gains.cell, buffers["phase"], buffers["modulation"])
+        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits)
+        measure_contrast_kernel(self._path.balance_first)(*light, *patches, sums)
+        width = int(image.shape[1])
+        rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
+        return find_absolute_orders(runtime.to_host(sums), graph, width, rising, self._order_bounds(graph, width))
+
+    def _order_bounds(self, graph: PatchGraph, width: int) -> npt.NDArray[np.float64] | None:
+        """Return the absolute phases, in cycles, that the depth range allows the first pixel of each patch."""
+        depths = None if self.calibration is None else self.calibration.depth_range_mm
+        if self._geometry is None or depths is None:
+            return None
+        rays = runtime.to_host(self._rays)[graph.first // width, graph.first % width]
+        ends = [self._geometry.pattern_cycles(np.column_stack([rays, np.ones(len(rays))]) * z) for z in depths]
+        return np.sort(np.stack(ends, axis=1), axis=1)
+
+    def _use_orders(
+        self, orders: AbsoluteOrders, correction: npt.NDArray[np.float32], work: _Workspace, frame: DecodedFrame
+    ) -> str | None:
+        """Note what is known of each region, and correct the phases by the modulation that their cycles have.
+
+        Returns what the user should know.
+        """
+        roots, buffers = work.unwrapper.roots, frame._buffers
+        part = np.searchsorted(orders.parts, roots)
+        known = np.append(np.False_, orders.absolute[part])
+        errors = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
+        frame._placed = known, np.append(np.nan, errors).astype(np.float32)
+        if known.any():
+            absolute = known.astype(np.int32)
+            adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
+            outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
+            adopt_pixels_kernel(
+                buffers["phase"], work.raw_phase, buffers["modulation"], work.rates, absolute, adopted, *outputs
+            )
+        # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
+        usual = 0.5 if self._path.response_is_full else cycle_modulations().mean()
+        departures, tables = modulation_tables(correction, cycle_modulations() / usual - 1)
+        columns = (slice(None), slice(None, None, _EVERY_COLUMN))
+        sampled = runtime.to_host(buffers["unwrapped"])[columns], runtime.to_host(buffers["region"])[columns]
+        shift = blur_shift(*sampled, known, departures, frame.period_px or 0.0)
+        if max(np.abs(tables).max(), abs(shift)) > _MIN_CORRECTION and known.any():
+            arguments = (buffers["region"], known.astype(np.int32), departures, tables, shift)
+            correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
+        pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
+        lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
+        if not orders.readable:
+            return "the frame does not show the contrast code: project a pattern made with --code contrast"
+        if lost > _MAX_LOST:
+            return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
+        return None
 
     def _read_image(self, image: Any) -> tuple[Any, float]:
         """Return linear light in levels, and the factor that takes them to 0..1."""

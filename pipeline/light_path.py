@@ -103,6 +103,11 @@ class LightPath:
             return response_table(self._response, self.lag)
         return _NO_CORRECTION
 
+    @property
+    def response_is_full(self) -> bool:
+        """Whether the correction is that of the full modulation, not what the pattern's mean modulation shows."""
+        return self._learned is None and self._response is not None
+
     def _use(self, matrix: FloatArray) -> None:
         # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
         inverse = invert_crosstalk(matrix, normalize_rows=self.balance_first)

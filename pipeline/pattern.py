@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Pattern
+from pipeline.contrast_code import CYCLES, modulation_at
 from pipeline.errors import OutputError, SettingsError
 from pipeline.files import write_atomically
 
@@ -25,7 +26,7 @@ def make_pattern(
     size_px : (width, height)
         The projector's size in px.
     pattern : Pattern
-        Its period and the direction of its stripes.
+        Its period, the direction of its stripes, and its code.
     response : (3, N) float64, optional
         Light of N evenly spaced codes of R, G, B, rising from 0 to 1. With it the light, not the codes, is sinusoidal.
 
@@ -37,14 +38,22 @@ def make_pattern(
     Raises
     ------
     SettingsError
-        The size is not positive, or holds less than one cycle.
+        The size is not positive, or holds less than one cycle, or more of them than the code tells apart.
     """
     width, height = size_px
     length = height if pattern.stripes == "horizontal" else width
     if width < 1 or height < 1 or pattern.period_px > length:
         raise SettingsError(f"a pattern of {width}x{height} px cannot hold a cycle of {pattern.period_px} px")
     phase = 2 * np.pi / pattern.period_px * np.arange(length)
-    codes = 0.5 + 0.5 * np.cos(phase[:, None] + np.array(CHANNEL_PHASES))
+    modulation: npt.NDArray[np.float64] | float = 0.5
+    if pattern.code == "contrast":
+        if length > CYCLES * pattern.period_px:
+            raise SettingsError(
+                f"the code tells {CYCLES} cycles apart, but {length} px hold {length / pattern.period_px:.0f} of "
+                f"{pattern.period_px:g} px: take a period of {length / CYCLES:.3g} px or more"
+            )
+        modulation = modulation_at(np.arange(length) / pattern.period_px)[:, None]
+    codes = 0.5 + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES))
     if response is not None:
         # Every response rises from 0 to 1, so the whole range of light is there to be used.
         codes = np.stack([codes_for_light(codes[:, j], response[j]) for j in range(3)], axis=-1)

@@ -34,6 +34,7 @@ class DecodedFrame:
     _buffers: dict[str, Any] = field(repr=False)  # stripes along the rows, on the device
     _pairs: int = field(default=0, repr=False)  # neighbours on either side that the smoothing averages over
     _rig: tuple[Any, ProjectorGeometry] | None = field(default=None, repr=False)  # rays as the buffers lie, projector
+    _placed: tuple[npt.NDArray[np.bool_], npt.NDArray[np.float32]] | None = field(default=None, repr=False)
     _reference: npt.NDArray[np.float32] | None = field(default=None, repr=False)
 
     @cached_property
@@ -73,9 +74,21 @@ class DecodedFrame:
     def absolute(self) -> npt.NDArray[np.bool_]:
         """(H, W) bool: whether the order is known, not only relative to its region.
 
-        A single frame of a plain pattern never tells, so nothing is.
+        A single frame of a plain pattern never tells; one of a coded pattern does where a region shows enough of it.
         """
-        return np.zeros(self.mask.shape, np.bool_)
+        if self._placed is None:
+            return np.zeros(self.mask.shape, np.bool_)
+        return self._placed[0][self.region]
+
+    @cached_property
+    def order_error_probability(self) -> npt.NDArray[np.float32]:
+        """(H, W) float32: probability, 0..1, that the order is not the absolute one; NaN outside the mask.
+
+        The same all over a region, and 1 without a code.
+        """
+        if self._placed is None:
+            return np.where(self.mask, np.float32(1), np.float32(np.nan))
+        return self._placed[1][self.region]
 
     @cached_property
     def phase_sigma(self) -> npt.NDArray[np.float32]:

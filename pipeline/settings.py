@@ -50,8 +50,9 @@ class DecodeSettings(Model):
     """How neighbours' orders are joined: row runs by votes, or pixels along the most reliable edges (slower)."""
     smoothing_px: Annotated[int, Field(ge=0, le=33), AfterValidator(_odd_or_zero)] = 5
     """Window along the stripes; 0: none."""
-    code: None = None
-    """The pattern's code; a calibration's pattern wins."""
+    code: Literal["contrast"] | None = None
+    """The pattern's code, by which orders become absolute; a calibration's pattern wins. "contrast": the modulation of
+    each cycle tells which one it is (`colorphase pattern --code contrast`)."""
     noise: tuple[NonNegative, NonNegative] | None = None
     """Read noise's standard deviation and gain, in grey levels; None: estimated from the frame. So far the thresholds
     use the first; the gain will matter for errors a pixel."""

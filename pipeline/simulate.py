@@ -77,6 +77,7 @@ def simulated_rig(
     tilt_deg: float = 0.0,
     camera_distortion: tuple[float, ...] = (0.0,) * 5,
     projector_distortion: tuple[float, ...] = (0.0,) * 5,
+    code: Literal["contrast"] | None = None,
 ) -> Calibration:
     """Return a rig of a camera and a 1024x768 projector, 180 mm apart, both turned to a point 900 mm away.
 
@@ -92,6 +93,8 @@ def simulated_rig(
         How far the projector is turned about its own axis, and with it the stripes.
     camera_distortion, projector_distortion : 5 floats
         OpenCV's k1, k2, p1, p2, k3.
+    code : {"contrast"}, optional
+        The pattern's code.
     """
     width, height = size_px
     focal = _FOCAL_FRACTION * width
@@ -121,7 +124,7 @@ def simulated_rig(
         projector=projector,
         rotation=rotation,
         translation_mm=-rotation @ centre,
-        pattern=Pattern(period_px=period_px, stripes=stripes),
+        pattern=Pattern(period_px=period_px, stripes=stripes, code=code),
     )
 
 

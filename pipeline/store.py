@@ -20,6 +20,7 @@ FIELDS = (
     "modulation",
     "region",
     "absolute",
+    "order_error_probability",
     "phase_sigma",
     "points",
     "point_sigma",

@@ -448,3 +448,72 @@ def eroded(mask: Array, rim_px: int) -> Array:
     """Return the pixels further than this inside the mask's rim."""
     kernel = np.ones((2 * rim_px + 1, 2 * rim_px + 1), np.uint8)
     return cv2.erode(mask.astype(np.uint8), kernel, borderValue=0) != 0
+
+
+def gain_at(gains: Array, cell: int, y: float, x: float) -> Array:
+    """Return the gains at a pixel, bilinear between nodes in the middle of cells."""
+    place = [min(max((p + 0.5) / cell - 0.5, 0.0), n - 1.0) for p, n in zip((y, x), gains.shape[:2], strict=True)]
+    i, j = (int(p) for p in place)
+    i1, j1 = min(i + 1, gains.shape[0] - 1), min(j + 1, gains.shape[1] - 1)
+    v, u = place[0] - i, place[1] - j
+    upper = (1 - u) * gains[i, j] + u * gains[i, j1]
+    return (1 - v) * upper + v * ((1 - u) * gains[i1, j] + u * gains[i1, j1])
+
+
+def measure_contrast(
+    image: Array,
+    inverse: Array,
+    gains: Array,
+    gain_cell: int,
+    phase: Array,
+    modulation: Array,
+    labels: Array,
+    slots: int,
+) -> dict[int, Array]:
+    """Return by draft of a patch the sums of weight, modulation, background and phase of its orders, balance first."""
+    sums: dict[int, Array] = {}
+    cell_width, order_bits, order_zero = 8, 6, 32
+    for y, x in np.ndindex(labels.shape):
+        left = x // cell_width * cell_width
+        right = min(left + cell_width, labels.shape[1])
+        if labels[y, x] < 0 or (x - left) % 4 != 2 * (y % 2) + y // 2 % 2:
+            continue
+        gain = gain_at(gains.astype(np.float64), gain_cell, y, (left + right) // 2)
+        background = (inverse.astype(np.float64) @ (image[y, x] * gain)).mean()
+        weight = (1 - (float(phase[y, x]) / np.pi) ** 2) ** 2
+        slot = (labels[y, x] & (2**order_bits - 1)) - order_zero + slots // 2
+        own = sums.setdefault(int(labels[y, x] >> order_bits), np.zeros((slots, 4)))
+        own[slot] += weight * np.array([1.0, modulation[y, x], background, phase[y, x]])
+    return sums
+
+
+def join_parts(
+    ends: Array, span: int, min_margin: float, margin_a_step: float, orders: Array, evidence: Array
+) -> Array:
+    """Return a number of the part of each patch: contacts in order, but for parts that the evidence tells apart."""
+    part = np.arange(len(evidence))
+    for a, b in ends.T:
+        a, b = part[a], part[b]
+        if a == b:
+            continue
+        inside = [np.flatnonzero(part == p) for p in (a, b)]
+        total = [evidence[i].astype(np.float64).sum(axis=0) for i in inside]
+        best = [t[:-1].argmin() for t in total]
+        spans = [orders[i, 1].max() - orders[i, 0].min() for i in inside]
+        apart = min(spans) >= span
+        for one, other in ((0, 1), (1, 0)):
+            margin = total[one][best[other]] - total[one][best[one]]
+            apart &= bool(margin >= max(min_margin, margin_a_step * total[one][-1]))
+        if not apart:
+            part[part == max(a, b)] = min(a, b)
+    return part
+
+
+def correct_by_modulation(phase: Array, departures: Array, tables: Array, shift: float, reach: float) -> Array:
+    """Return the corrected absolute phase (rad): response and blur where the modulation departs from the usual one."""
+    cycles = phase / CYCLE
+    indices = np.arange(len(departures))
+    low, here, high = (np.interp(cycles + d, indices, departures) for d in (-reach, 0, reach))
+    edges = np.linspace(-np.pi, np.pi, tables.shape[1])
+    linear, square = (np.interp(wrapped(phase), edges, table) for table in tables.astype(np.float64))
+    return phase + here * linear + ((1 + here) ** 2 - 1) * square - shift * (high - low) / (2 * reach * (1 + here))

@@ -53,6 +53,44 @@ def correction_table(histogram: npt.NDArray[np.integer[Any]], harmonics: int | N
     return (correction - mean).astype(np.float32)
 
 
+def modulation_tables(
+    table: npt.NDArray[np.float32], departures: npt.NDArray[np.float64]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Prepare `correct_by_modulation_kernel`: how a correction changes with the modulation.
+
+    What a response that is not linear adds to the phase, in the true phase's harmonics 3, 6 ..., is proportional to the
+    modulation, its square ...; what crosstalk and gains leave is not.
+
+    Parameters
+    ----------
+    table : (bins + 1,) float32
+        rad to add to a measured phase, for the usual modulation.
+    departures : (cycles,) float64
+        Modulation of each cycle, less the usual one, as a fraction of it.
+
+    Returns
+    -------
+    (cycles,) float32, (2, bins + 1) float32
+        The departures, and the harmonics 3 and 6 of the correction over the corrected phase, rad.
+    """
+    bins = len(table) - 1
+    edges = np.linspace(-np.pi, np.pi, bins + 1)
+    corrected = edges + table
+    turns = 2 * np.pi * np.array([[-1], [0], [1]])
+    error = np.interp(edges, (corrected[:-1] + turns).ravel(), np.tile(table[:-1].astype(np.float64), 3))
+    spectrum = np.fft.rfft(error[:-1])
+    # Whatever is added to a phase moves it along the correction's slope.
+    stretch = 1 - np.gradient(error, edges[1] - edges[0])
+    tables = np.zeros((2, bins + 1))
+    for row, harmonic in enumerate((3, 6)):
+        if harmonic < len(spectrum):
+            alone = np.zeros_like(spectrum)
+            alone[harmonic] = spectrum[harmonic]
+            tables[row, :-1] = np.fft.irfft(alone, bins)
+    tables[:, -1] = tables[:, 0]
+    return departures.astype(np.float32), (tables / np.maximum(stretch, 0.2)).astype(np.float32)
+
+
 def pattern_light(response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Return the (3,) mean light of the sinusoids when their codes go through this response, (3, N)."""
     codes = 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, 4096, endpoint=False))

@@ -58,6 +58,7 @@ def recover_phase_kernel(balance_first: bool) -> Any:
         cell: i32,  # px between two nodes
         min_intensity: f32,  # levels
         min_modulation: f32,  # levels
+        contrast_doubt: f32,  # standard deviation of the model's contrast, over the noise in levels
         out_phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
         out_modulation: F32Array2,  # (H, W) levels
         out_slope: F32Array2,  # (H, W) levels a rad: what noise is divided by
@@ -101,7 +102,8 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                         # One division for three.
                         others = vec3(gain.y * gain.z, gain.x * gain.z, gain.x * gain.y)
                         vector = weights @ ((channels - ambient) * others) / (gain.x * others.x)
-                        modulation[k] = ti.sqrt(vector.x * vector.x + vector.y * vector.y)
+                        # In levels of the channels as they are, which the model has stretched to one contrast.
+                        modulation[k] = ti.sqrt(vector.x * vector.x + vector.y * vector.y) * gain.sum() / 3.0
                         bare[k] = arctangent(vector.y, vector.x)
                     for k in range(_LANES):
                         bend[k] = equalized(bare[k], correction)
@@ -123,15 +125,22 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                                     real * sine + imaginary * cosine,
                                 )
                         model, gradient, rest = gain * cycle, gain * change, ambient
+                        swing = gain * (cycle - 1.0)
                         if ti.static(not balance_first):
                             model, gradient, rest = matrix @ model, matrix @ gradient, matrix @ ambient
+                            swing = matrix @ swing
                         # Least squares over the pixel's brightness and a step of its phase.
                         light = seen - rest
                         size = 1.0 / ti.max(model.dot(model), 1e-12)
                         brightness = light.dot(model) * size
                         free = gradient - gradient.dot(model) * size * model
-                        steepness = ti.max(free.dot(free), 1e-12)
-                        step = light.dot(free) / (steepness * ti.max(brightness, 1e-6))
+                        fade = swing - swing.dot(model) * size * model
+                        strength = fade.dot(fade)
+                        doubt = contrast_doubt * brightness
+                        trust = doubt * doubt * free.dot(fade) / (1.0 + doubt * doubt * strength)
+                        sure = free - trust * fade
+                        steepness = ti.max(sure.dot(free), 1e-12)
+                        step = light.dot(sure) / (steepness * ti.max(brightness, 1e-6))
                         normal = model.cross(gradient)
                         misfit[k] = light.dot(normal) / ti.sqrt(ti.max(normal.dot(normal), 1e-20))
                         slope[k] = brightness * ti.sqrt(steepness)

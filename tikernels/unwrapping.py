@@ -13,9 +13,10 @@ best supported. The result does not depend on the number of threads. Nothing is 
 nothing connects to the rest becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from tikernels import _checks, runtime
 from tikernels._taichi import (
@@ -54,6 +55,7 @@ from tikernels.patches import (
     SHIFT,
     SUPPORT,
     TO,
+    VOTES,
     WEIGHT,
     collect_patches_kernel,
     grow_patches_kernel,
@@ -80,6 +82,17 @@ _REGION_PIXELS, _REGION_SCORE, _REGION_START, _REGION_ORDER = range(4)
 _DRAFT_BITS = 3
 # Trees in a cell: 14 on average, whatever the noise.
 _TREE_DRAFT_BITS = 5
+
+
+class PatchGraph(NamedTuple):
+    """Patches, and the contacts inside a region that agree with its orders."""
+
+    root: npt.NDArray[np.int32]  # (P,) the patch that stands for the region
+    offset: npt.NDArray[np.int32]  # (P,) what its orders lack to be the region's
+    pixels: npt.NDArray[np.int32]  # (P,)
+    first: npt.NDArray[np.int32]  # (P,) its first pixel, row * width + column
+    ends: npt.NDArray[np.int32]  # (2, C) the two patches of each contact
+    votes: npt.NDArray[np.int32]  # (C,) their weight
 
 
 strip_of_integers = ti.types.vector(STRIP, ti.i32)
@@ -176,8 +189,53 @@ class Unwrapper:
                 close_gaps_kernel(contacts, self.contacts, self.counters)
                 contacts = int(self.counters[N_CONTACTS])
         settle_patches_kernel(self._serial(patches), patches, self.patches)
-        choose_starts_kernel(self._serial(patches), patches, self.labels, self.patches, self.regions)
         self.patch_count = patches
+        self._choose_starts()
+
+    def _choose_starts(self) -> None:
+        count = self.patch_count
+        choose_starts_kernel(self._serial(count), count, self.labels, self.patches, self.regions)
+
+    def graph(self) -> PatchGraph:
+        """Return the patches, and where they touch, as the host sees them."""
+        patches = runtime.to_host(self.patches)[:, : self.patch_count]  # synchronises
+        firsts, drafts = runtime.to_host(self.firsts), runtime.to_host(self.draft_contacts)
+        counts = np.diff(firsts[1])
+        within = np.arange(firsts[1, -1]) - np.repeat(firsts[1, :-1], counts)
+        noted = drafts[:, (np.repeat(np.arange(self.cells), counts) << (self.draft_bits + 2)) + within]
+        ends = noted[[FROM, TO]]
+        ends = firsts[0, ends >> self.draft_bits] + (ends & ((1 << self.draft_bits) - 1))
+        agree = patches[OFFSET, ends[1]] == patches[OFFSET, ends[0]] + noted[SHIFT]
+        agree &= (patches[ROOT, ends[0]] == patches[ROOT, ends[1]]) & (ends[0] != ends[1])
+        return PatchGraph(
+            root=patches[ROOT],
+            offset=patches[OFFSET],
+            pixels=patches[PIXELS],
+            first=patches[FIRST],
+            ends=ends[:, agree],
+            votes=noted[VOTES, agree],
+        )
+
+    def split(self, roots: npt.NDArray[np.int32]) -> None:
+        """Make regions of the patches that share a root, which is one of them; their orders stay."""
+        patches = runtime.to_host(self.patches)
+        patches[ROOT, : self.patch_count] = roots
+        self._write_back(self.patches, patches)
+        self._choose_starts()
+
+    def set_orders(self, roots: npt.NDArray[np.integer], orders: npt.NDArray[np.integer]) -> None:
+        """Add these whole cycles to the orders that the regions with these roots had when they were joined."""
+        regions = runtime.to_host(self.regions)
+        regions[_REGION_ORDER, roots] = -orders
+        self._write_back(self.regions, regions)
+
+    def orders(self, roots: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+        """Return the whole cycles that are added to the orders of the regions with these roots."""
+        return -runtime.to_host(self.regions)[_REGION_ORDER, roots]
+
+    def _write_back(self, buffer: Any, host: npt.NDArray[np.int32]) -> None:
+        if buffer is not host:
+            buffer.from_numpy(host)
 
     def place(self, phase: Any, rays: Any, projector: ProjectorGeometry, depth_mm: float) -> None:
         """Give every region the orders that bring it nearest to a depth, instead of 0 at its start.
@@ -209,6 +267,7 @@ class Unwrapper:
         order = np.lexsort((table[_REGION_START, roots], -table[_REGION_PIXELS, roots]))
         numbers = np.zeros(max(self.patch_count, 1), np.int32)
         numbers[roots[order]] = np.arange(1, len(roots) + 1)
+        self.roots = roots[order]  # of regions 1, 2 ...
         columns = -(-self.shape[1] // CELL_WIDTH)
         tables = (self.patches, self.draft_contacts, self.regions, numbers)
         finish_patches_kernel(

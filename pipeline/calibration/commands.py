@@ -403,7 +403,10 @@ def _say_check(found: "CheckResult") -> None:
 
 
 def chosen_pattern(
-    known: Calibration | None, period: float | None, stripes: Literal["horizontal", "vertical"] | None
+    known: Calibration | None,
+    period: float | None,
+    stripes: Literal["horizontal", "vertical"] | None,
+    code: Literal["contrast"] | None = None,
 ) -> Pattern:
     """Return the pattern that frames are taken with: what was named, else the calibration's.
 
@@ -414,7 +417,8 @@ def chosen_pattern(
     """
     before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=768 / 44)
     values = before.model_dump()
-    values |= {name: value for name, value in (("period_px", period), ("stripes", stripes)) if value is not None}
+    chosen = (("period_px", period), ("stripes", stripes), ("code", code))
+    values |= {name: value for name, value in chosen if value is not None}
     return build(Pattern, values, SettingsError, "pattern")
 
 

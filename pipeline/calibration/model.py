@@ -71,7 +71,7 @@ class Pattern(Model):
 
     period_px: Annotated[float, Field(ge=4)]  # projector px a cycle
     stripes: Literal["horizontal", "vertical"] = "horizontal"
-    code: None = None
+    code: Literal["contrast"] | None = None  # "contrast": the modulation of each cycle tells which one it is
     compensated: bool | None = None  # whether the projector's response is undone in it; None: unknown
 
 
@@ -132,6 +132,12 @@ class Geometry:
             period_px=self.pattern.period_px,
             axis=axis,
         )
+
+    def pattern_cycles(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the pattern's phase, in cycles, at points (N, 3) in the camera's frame, mm."""
+        turn, lens = cv2.Rodrigues(self.rotation)[0], self.projector
+        pixels = cv2.projectPoints(points, turn, self.translation_mm, lens.matrix, lens.distortion)[0]
+        return np.asarray(pixels[:, 0, self.phase_axis] / self.pattern.period_px)
 
     def working_distance_mm(self) -> float | None:
         """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.
