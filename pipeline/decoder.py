@@ -46,8 +46,8 @@ _MAX_LOST = 0.02
 _MIN_CORRECTION = 1e-3
 # Every eighth column tells how far blur shifts the phase.
 _EVERY_COLUMN = 8
-# How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: within a surface it hardly
-# changes; a code changes it from cycle to cycle. Without a doubt the code would bend the phase by 0.02 rad.
+# How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
+# a surface, but a code changes it from cycle to cycle, and taken for constant it would bend the phase by 0.02 rad.
 _CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
 
 
