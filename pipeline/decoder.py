@@ -15,6 +15,7 @@ from pipeline.errors import CalibrationError, DecodeWarning, FootageError
 from pipeline.light_path import LightPath
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
+from pipeline.temporal_order import CarriedOrders, count_votes, split_by_votes
 from tikernels import runtime
 from tikernels.absolute_order import SLOTS as ORDER_SLOTS
 from tikernels.absolute_order import adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
@@ -27,6 +28,7 @@ from tikernels.linearization import WHITE_LEVELS, linearize
 from tikernels.phase_recovery import CLIPPED, recover_phase_kernel
 from tikernels.registration import align_channels
 from tikernels.statistics import count_out_of_range, measure_frame
+from tikernels.temporal_order import VOTES_A_CELL, vote_orders_kernel
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
 from tikernels.unwrapping import PatchGraph, Unwrapper
@@ -46,6 +48,8 @@ _MAX_LOST = 0.02
 _MIN_CORRECTION = 1e-3
 # Every eighth column tells how far blur shifts the phase.
 _EVERY_COLUMN = 8
+# What the phases of the frames before still count when the response is equalised, from frame to frame.
+_MEMORY = 0.9
 # How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
 # a surface, but a code changes it from cycle to cycle, and taken for constant it would bend the phase by 0.02 rad.
 _CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
@@ -120,13 +124,17 @@ class Decoder:
         self._last_buffers: dict[str, Any] = {}
         self.arch = runtime.init(arch)
 
-    def decode(self, image: Any, out: DecodedFrame | None = None) -> DecodedFrame:
+    def decode(self, image: Any, previous: DecodedFrame | None = None, out: DecodedFrame | None = None) -> DecodedFrame:
         """Decode one frame.
 
         Parameters
         ----------
         image : (H, W, 3) uint8, uint16 or float32
             RGB, levels from 0 to the white level (floats: 0..1); a NumPy array or a Taichi ndarray.
+        previous : DecodedFrame, optional
+            The frame before in a video, decoded with the same settings. Region by region its orders are carried on
+            where no code tells them, as long as a surface moves by less than a third of a cycle; and its phases count
+            when the response is equalised.
         out : DecodedFrame, optional
             An earlier result of the same size, whose arrays are used again: what was read from it changes.
 
@@ -138,7 +146,7 @@ class Decoder:
         Raises
         ------
         ShapeError
-            The image has another shape or type, or `out` another size.
+            The image has another shape or type, or `previous` or `out` another size.
         CalibrationError
             The calibration is for another image size.
         FootageError
@@ -172,11 +180,13 @@ class Decoder:
             intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
         if self.settings.min_modulation is None:
             modulation = max(modulation, _MODULATION_FRACTION * statistics.brightness)
-        doubt = self._run(image, scale, period, intensity, modulation, frame)
+        if previous is not None and previous.mask.shape != ((width, height) if vertical else (height, width)):
+            raise ShapeError(f"frame is {height}x{width} but the one before is {_size(previous.mask.shape)}")
+        doubt = self._run(image, scale, period, intensity, modulation, frame, previous)
         if self._path.unknown:
             self._path.unknown = False
             if self._learn_light(image, scale, period, frame):
-                doubt = self._run(image, scale, period, intensity, modulation, frame)
+                doubt = self._run(image, scale, period, intensity, modulation, frame, None)
         if doubt is not None:
             self._warn(frame, doubt)
         frame.constant_known = self._path.constant_known
@@ -196,9 +206,16 @@ class Decoder:
         return light.reliable
 
     def _run(
-        self, image: Any, scale: float, period: float, intensity: float, modulation: float, frame: DecodedFrame
+        self,
+        image: Any,
+        scale: float,
+        period: float,
+        intensity: float,
+        modulation: float,
+        frame: DecodedFrame,
+        previous: DecodedFrame | None,
     ) -> str | None:
-        """Decode, and return what the user should know of the code."""
+        """Decode, and return what the user should know of the orders."""
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period = float(2 ** (np.round(8 * np.log2(period)) / 8))
         key = (int(image.shape[0]), int(image.shape[1]), period)
@@ -211,7 +228,10 @@ class Decoder:
         work.model.recover_samples(path.weights, levels[1], CLIPPED * white)
         work.histogram.fill(0)
         count_phases_kernel(work.model.phases, 1, work.histogram)
-        correction = path.correction(work.histogram.sum(axis=0), period)
+        frame._histogram = work.histogram.sum(axis=0).astype(np.float64)
+        if previous is not None and previous._histogram is not None:
+            frame._histogram += _MEMORY * previous._histogram
+        correction = path.correction(frame._histogram, period)
         work.model.fit(correction, path.inverse if path.balance_first else np.eye(3, dtype=np.float32))
         recover_phase_kernel(path.balance_first)(
             image,
@@ -236,13 +256,19 @@ class Decoder:
         smooth_phase_kernel(pairs)(work.raw_phase, work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
         orders = self._read_code(image, work, buffers) if self._code == "contrast" else None
+        carried = None if previous is None else self._carry_orders(previous, work, buffers["phase"])
         if self._geometry is not None:
             work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
+        if carried is not None:
+            work.unwrapper.set_orders(carried.roots, carried.offsets)
         if orders is not None:
             work.unwrapper.set_orders(orders.parts[orders.absolute], orders.offsets[orders.absolute])
         outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
         work.unwrapper.write(buffers["phase"], work.rates, *outputs)
+        self._note_orders(orders, carried, previous, work, frame)
         doubt = None if orders is None else self._use_orders(orders, correction, work, frame)
+        if carried is not None and not carried.same_scene:
+            doubt = "nothing of the frame before is seen again: the orders start afresh"
         if self._geometry is not None:
             projector = self._projector.arguments()
             triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
@@ -272,6 +298,48 @@ class Decoder:
         rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
         return find_absolute_orders(runtime.to_host(sums), graph, width, rising, self._order_bounds(graph, width))
 
+    def _carry_orders(self, previous: DecodedFrame, work: _Workspace, phase: Any) -> CarriedOrders:
+        """Find the orders that agree with the frame before, and split the regions that it contradicts."""
+        unwrapper, before = work.unwrapper, previous._buffers
+        votes = runtime.empty((unwrapper.cells * VOTES_A_CELL, 4), np.int32)
+        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits, unwrapper.patches)
+        vote_orders_kernel(phase, *patches, before["unwrapped"], before["region"], votes)
+        counted = runtime.to_host(votes)
+        if self._code is None:  # a code has split them already, and knows better
+            graph = unwrapper.graph()
+            roots = split_by_votes(counted, graph)
+            if not np.array_equal(roots, graph.root):
+                unwrapper.split(roots)
+        return count_votes(counted, unwrapper.patch_roots())
+
+    def _note_orders(
+        self,
+        orders: AbsoluteOrders | None,
+        carried: CarriedOrders | None,
+        previous: DecodedFrame | None,
+        work: _Workspace,
+        frame: DecodedFrame,
+    ) -> None:
+        """Note of every region whether its orders are absolute, and how probably they are not."""
+        roots = work.unwrapper.roots
+        known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
+        if previous is not None and carried is not None and previous._placed is not None:
+            known_before, errors_before = previous._placed
+            place = {int(root): number for number, root in enumerate(carried.roots)}
+            for number, root in enumerate(roots, start=1):
+                if (found := place.get(int(root))) is not None:
+                    before = carried.before[found]
+                    known[number] = known_before[before]
+                    errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
+        if orders is not None and len(orders.parts):
+            part = np.searchsorted(orders.parts, roots)
+            by_code = orders.absolute[part]
+            by_error = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
+            known[1:] |= by_code
+            errors[1:] = np.where(by_code | ~known[1:], by_error, errors[1:])
+        errors[0] = np.nan
+        frame._placed = known, errors.astype(np.float32)
+
     def _order_bounds(self, graph: PatchGraph, width: int) -> npt.NDArray[np.float64] | None:
         """Return the absolute phases, in cycles, that the depth range allows the first pixel of each patch."""
         depths = None if self.calibration is None else self.calibration.depth_range_mm
@@ -288,11 +356,7 @@ class Decoder:
 
         Returns what the user should know.
         """
-        roots, buffers = work.unwrapper.roots, frame._buffers
-        part = np.searchsorted(orders.parts, roots)
-        known = np.append(np.False_, orders.absolute[part])
-        errors = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
-        frame._placed = known, np.append(np.nan, errors).astype(np.float32)
+        buffers, known = frame._buffers, frame.order_is_known
         if known.any():
             absolute = known.astype(np.int32)
             adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)

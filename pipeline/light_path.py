@@ -85,7 +85,7 @@ class LightPath:
         self._learned = light.correction
         self.constant_known = light.constant_known
 
-    def correction(self, histogram: npt.NDArray[np.int32], period_px: float) -> npt.NDArray[np.float32]:
+    def correction(self, histogram: FloatArray, period_px: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, rad to add to the arctangent, as a table over the cycle.
 
         What is known of the response is better than the assumption that a surface shows every phase equally often,

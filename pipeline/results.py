@@ -12,6 +12,10 @@ from tikernels import runtime
 from tikernels.transposing import transpose
 from tikernels.triangulation import ProjectorGeometry, triangulate
 
+# The window that the channels' model is fitted to, in cycles, and its error's share of a pixel's variance there: some
+# fifty samples for three channels' gains and offsets.
+_MODEL_WINDOW, _MODEL_ERROR = 0.85, 0.03
+
 
 @dataclass(eq=False)
 class DecodedFrame:
@@ -34,6 +38,8 @@ class DecodedFrame:
     _buffers: dict[str, Any] = field(repr=False)  # stripes along the rows, on the device
     _pairs: int = field(default=0, repr=False)  # neighbours on either side that the smoothing averages over
     _rig: tuple[Any, ProjectorGeometry] | None = field(default=None, repr=False)  # rays as the buffers lie, projector
+    _histogram: npt.NDArray[np.float64] | None = field(default=None, repr=False)  # of bare phases, earlier frames'
+    # too
     _placed: tuple[npt.NDArray[np.bool_], npt.NDArray[np.float32]] | None = field(default=None, repr=False)
     _reference: npt.NDArray[np.float32] | None = field(default=None, repr=False)
 
@@ -70,15 +76,18 @@ class DecodedFrame:
         """(H, W) int32: connected surfaces from 1, the largest first; 0: none."""
         return self._read("region")
 
+    @property
+    def order_is_known(self) -> npt.NDArray[np.bool_]:
+        """(regions + 1,) bool: by region, whether its orders are absolute; False for 0, no region."""
+        return np.zeros(1, np.bool_) if self._placed is None else self._placed[0]
+
     @cached_property
     def absolute(self) -> npt.NDArray[np.bool_]:
         """(H, W) bool: whether the order is known, not only relative to its region.
 
         A single frame of a plain pattern never tells; one of a coded pattern does where a region shows enough of it.
         """
-        if self._placed is None:
-            return np.zeros(self.mask.shape, np.bool_)
-        return self._placed[0][self.region]
+        return self.order_is_known[self.region]
 
     @cached_property
     def order_error_probability(self) -> npt.NDArray[np.float32]:
@@ -105,20 +114,33 @@ class DecodedFrame:
         # Only where all the neighbours are there does the smoothing average over all of them.
         whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
         averaged = np.where(whole, np.float32(1 / np.sqrt(2 * self._pairs + 1)), np.float32(1))
-        sigma[mask] = self.noise_levels * averaged / np.maximum(slope[mask], 1e-6)
+        noise = self.noise_levels / np.maximum(slope[mask], 1e-6)
+        sigma[mask] = noise * averaged
         sigma *= max(1.0, self._scatter(sigma))
+        # The model of the channels is fitted to a window of about a cycle, to less of it at an edge. Its error is the
+        # same over neighbouring pixels: they do not show it, and it does not average out.
+        window_px = _MODEL_WINDOW * (self.period_px or 1)
+        inside = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), window_px, borderType=cv2.BORDER_CONSTANT)[mask]
+        sigma[mask] = np.sqrt(sigma[mask] ** 2 + _MODEL_ERROR / inside**3 * noise**2)
         return sigma
 
     def _scatter(self, sigma: npt.NDArray[np.float32]) -> float:
-        """Return by how much more than sigma rows a quarter of a cycle apart differ from a smooth surface."""
+        """Return by how much more than sigma rows a quarter of a cycle apart differ from a smooth surface.
+
+        Third differences, because surfaces bend.
+        """
         phase, expected = self.unwrapped_phase, sigma
         if self._vertical:
             phase, expected = phase.T, expected.T
         step = max(2, round((self.period_px or 8) / 4))
-        if phase.shape[0] <= 2 * step:
+        rows = phase.shape[0] - 3 * step
+        if rows < 1:
             return 1.0
-        bend = np.abs(phase[2 * step :] - 2 * phase[step:-step] + phase[: -2 * step])
-        ratio = bend / (np.sqrt(6) * expected[step:-step])
+        weights = (1, -3, 3, -1)
+        parts = [np.s_[k * step : k * step + rows] for k in range(4)]
+        rest = sum(w * phase[part] for w, part in zip(weights, parts, strict=True))
+        variance = sum(w * w * expected[part] ** 2 for w, part in zip(weights, parts, strict=True))
+        ratio = np.abs(rest) / np.sqrt(variance)
         ratio = ratio[np.isfinite(ratio)]
         return float(np.median(ratio) / 0.6745) if len(ratio) else 1.0
 

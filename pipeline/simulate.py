@@ -47,6 +47,8 @@ class SimulationSettings(Model):
     camera_blur_px: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
     projector_shift_px: Shift = np.zeros((3, 2))  # lateral colour: x, y of R, G, B
     camera_shift_px: Shift = np.zeros((3, 2))
+    object_motion_mm: Triple = (0.0, 0.0, 0.0)  # where the objects, but not the wall behind them, have moved to
+    object_turn_deg: float = 0.0  # and turned, about an upright axis through them
     field_motion_mm: Triple = (0.0, 0.0, 0.0)  # objects' motion between sequential colour fields
     seed: int = 0
 
@@ -174,6 +176,8 @@ def simulate_frame(
         texture=settings.texture,
         ambient=settings.ambient,
         falloff_mm=float(np.hypot(_DISTANCE_MM, _BASELINE_MM)),
+        object_motion_mm=settings.object_motion_mm,
+        object_turn_deg=settings.object_turn_deg,
         field_motion_mm=settings.field_motion_mm,
         narrow_band=settings.reflectance_bands == "narrow",
     )

@@ -22,12 +22,12 @@ SLOTS = 32
 _MIN_COUNTS_A_BIN = 4
 
 
-def correction_table(histogram: npt.NDArray[np.integer[Any]], harmonics: int | None = None) -> npt.NDArray[np.float32]:
+def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) -> npt.NDArray[np.float32]:
     """Return what to add to a phase, at the edges of the histogram's bins.
 
     Parameters
     ----------
-    histogram : (bins,) integers
+    histogram : (bins,) numbers
         How often the wrapped phase fell into each part of [-pi, pi].
     harmonics : int, optional
         Keep the correction's harmonics up to this one. A fringe of P pixels that runs along the pixel rows shows only P
@@ -142,7 +142,7 @@ def response_table(
 
 
 def prefers_response(
-    histogram: npt.NDArray[np.integer[Any]],
+    histogram: npt.NDArray[Any],
     response: npt.NDArray[np.float64],
     lag: npt.NDArray[np.float64] | None = None,
 ) -> bool:

@@ -23,6 +23,8 @@ _NEAR_MM = 700.0
 _FAR_MM = 1200.0
 # A hit is refined below this distance: 1e-3 mm is 1e-4 rad of phase on a rig with a 180 mm baseline.
 _HIT_MM = 1e-3
+# Depth of the upright axis that objects turn about.
+_AXIS_MM = 880.0
 
 
 class SceneTruth(NamedTuple):
@@ -143,34 +145,42 @@ def surface_color(p: vec3, color: vec3, texture: f32) -> vec3:
     return color * (1.0 + texture * slow) * (1.0 - ti.min(4.0 * texture, 1.0) * tint)
 
 
+@ti.func
+def at_rest(p: vec3, motion: vec3, turn: f32) -> vec3:
+    """Carry a point back to before the objects turned (rad, about an upright axis through them) and moved."""
+    q = p - motion - vec3(0.0, 0.0, _AXIS_MM)
+    c, s = ti.cos(turn), ti.sin(turn)
+    return vec3(c * q.x - s * q.z, q.y, s * q.x + c * q.z + _AXIS_MM)
+
+
 def _scene(scene: str) -> Any:
     """Return a `ti.func`: the distance to a scene whose objects, but not its wall, have moved."""
     if scene == "bust":
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> f32:
-            return ti.min(bust(p - motion), wall(p, 985.0))
+        def distance_to(p: vec3, motion: vec3, turn: f32) -> f32:
+            return ti.min(bust(at_rest(p, motion, turn)), wall(p, 985.0))
 
     elif scene == "plane":
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> f32:
-            q = p - motion
+        def distance_to(p: vec3, motion: vec3, turn: f32) -> f32:
+            q = at_rest(p, motion, turn)
             return (900.0 + 0.25 * q.x + 0.2 * q.y - q.z) / ti.sqrt(1.0 + 0.0625 + 0.04)
 
     elif scene == "waves":
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> f32:
-            q = p - motion
+        def distance_to(p: vec3, motion: vec3, turn: f32) -> f32:
+            q = at_rest(p, motion, turn)
             height = 9.0 * ti.sin(q.x * 0.055) * ti.cos(q.y * 0.05) + 5.0 * ti.sin(q.x * 0.02 + q.y * 0.08)
             return (900.0 + height - q.z) * 0.75  # the slope stays under 0.8
 
     elif scene == "objects":
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> f32:
-            q = p - motion
+        def distance_to(p: vec3, motion: vec3, turn: f32) -> f32:
+            q = at_rest(p, motion, turn)
             ball = (q - vec3(-130.0, -60.0, 880.0)).norm() - 62.0
             egg = ellipsoid(q - vec3(120.0, 45.0, 930.0), vec3(85.0, 60.0, 50.0))
             box = ti.abs(q - vec3(-70.0, 100.0, 960.0) - vec3(0.2 * q.y, 0.0, 0.3 * q.x)) - vec3(70.0, 32.0, 40.0)
@@ -180,8 +190,8 @@ def _scene(scene: str) -> Any:
     else:
 
         @ti.func
-        def distance_to(p: vec3, motion: vec3) -> f32:
-            ball = (p - motion - vec3(0.0, 0.0, 880.0)).norm() - 85.0
+        def distance_to(p: vec3, motion: vec3, turn: f32) -> f32:
+            ball = (at_rest(p, motion, turn) - vec3(0.0, 0.0, 880.0)).norm() - 85.0
             return ti.min(ball, wall(p, 985.0))
 
     return distance_to
@@ -197,38 +207,38 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
     distance_to = _scene(scene)
 
     @ti.func
-    def trace(ray: vec3, motion: vec3) -> f32:
+    def trace(ray: vec3, motion: vec3, turn: f32) -> f32:
         """Depth of the first surface along a ray of unit depth; beyond _FAR_MM: none."""
         length = ray.norm()
         depth = _NEAR_MM
         gap = 1.0
         steps = 0
         while gap > _HIT_MM and depth < _FAR_MM and steps < 200:
-            gap = distance_to(ray * depth, motion)
+            gap = distance_to(ray * depth, motion, turn)
             depth += gap / length
             steps += 1
         return depth
 
     @ti.func
-    def shadowed(p: vec3, direction: vec3, motion: vec3) -> i32:
+    def shadowed(p: vec3, direction: vec3, motion: vec3, turn: f32) -> i32:
         """Whether something stands between a point and the projector."""
         hidden = 0
         # The surface's own tolerance must not shadow it: the first 2 mm are skipped.
         travelled = 2.0
         while hidden == 0 and p.z + travelled * direction.z > _NEAR_MM:
-            gap = distance_to(p + travelled * direction, motion)
+            gap = distance_to(p + travelled * direction, motion, turn)
             if gap < 0.01:
                 hidden = 1
             travelled += ti.max(gap, 0.5)
         return hidden
 
     @ti.func
-    def normal_at(p: vec3, motion: vec3) -> vec3:
+    def normal_at(p: vec3, motion: vec3, turn: f32) -> vec3:
         step = 0.25
         gradient = vec3(0.0)
         for k in ti.static(range(4)):
             corner = vec3((1, 1, -1, -1)[k], (1, -1, 1, -1)[k], (1, -1, -1, 1)[k])
-            gradient += corner * distance_to(p + step * corner, motion)
+            gradient += corner * distance_to(p + step * corner, motion, turn)
         return gradient.normalized()
 
     @ti.kernel
@@ -244,6 +254,8 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
         texture: f32,
         ambient: f32,
         falloff_mm: f32,  # distance at which the projector's light counts 1
+        place: vec3,  # mm that the objects, but not the wall, have moved
+        turn: f32,  # rad that they have turned
         field_motion: vec3,  # mm that the objects move from one colour field to the next
         out_light: F32Array3,
         out_projector_px: F32Array3,
@@ -265,15 +277,15 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
             for view in range(views):
                 ray = vec3(rays[view, y, x, 0], rays[view, y, x, 1], 1.0)
                 for field in range(fields):
-                    motion = field_motion * ti.cast(field, ti.f32)
-                    depth = trace(ray, motion)
+                    motion = place + field_motion * ti.cast(field, ti.f32)
+                    depth = trace(ray, motion, turn)
                     if depth < _FAR_MM:
                         p = ray * depth
                         towards = centre - p
                         distance = towards.norm()
                         direction = towards / distance
-                        slope = normal_at(p, motion).dot(direction)
-                        reflectance = surface_color(p - motion, color, texture)
+                        slope = normal_at(p, motion, turn).dot(direction)
+                        reflectance = surface_color(at_rest(p, motion, turn), color, texture)
                         # The projector's lens, as OpenCV distorts.
                         q = rotation @ p + translation
                         a, b = q.x / q.z, q.y / q.z
@@ -284,7 +296,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
                         inside = u >= -0.5 and u <= light.shape[1] - 0.5 and v >= -0.5 and v <= light.shape[0] - 0.5
                         lit = 0
                         if slope > 0.0 and inside:
-                            lit = 1 - shadowed(p, direction, motion)
+                            lit = 1 - shadowed(p, direction, motion, turn)
                         irradiance = vec3(ambient)
                         if lit == 1:
                             shade = slope * (falloff_mm / distance) ** 2
@@ -332,6 +344,8 @@ def render_scene(
     texture: float,
     ambient: float,
     falloff_mm: float,
+    object_motion_mm: tuple[float, float, float],
+    object_turn_deg: float,
     field_motion_mm: tuple[float, float, float],
     narrow_band: bool,
 ) -> SceneTruth:
@@ -355,6 +369,8 @@ def render_scene(
         Light that the projector does not send, relative to its white.
     falloff_mm : float
         Distance at which the projector's light counts one.
+    object_motion_mm, object_turn_deg : 3 floats, float
+        How far the objects, but not the wall behind them, have moved, and turned about an upright axis.
     field_motion_mm : 3 floats
         How far the objects move from one of the projector's colour fields to the next; zeros for a projector that shows
         all three at once. The truth is that of the first field.
@@ -396,6 +412,8 @@ def render_scene(
         texture,
         ambient,
         falloff_mm,
+        vec3(object_motion_mm),
+        float(np.radians(object_turn_deg)),
         vec3(field_motion_mm),
         *truth,
     )

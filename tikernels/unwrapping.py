@@ -196,6 +196,11 @@ class Unwrapper:
         count = self.patch_count
         choose_starts_kernel(self._serial(count), count, self.labels, self.patches, self.regions)
 
+    def patch_roots(self) -> npt.NDArray[np.int32]:
+        """Return (P,) int32: the patch that stands for the region of each patch."""
+        roots: npt.NDArray[np.int32] = runtime.to_host(self.patches)[ROOT, : self.patch_count]  # synchronises
+        return roots
+
     def graph(self) -> PatchGraph:
         """Return the patches, and where they touch, as the host sees them."""
         patches = runtime.to_host(self.patches)[:, : self.patch_count]  # synchronises

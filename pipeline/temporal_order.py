@@ -1,0 +1,116 @@
+"""Keep the orders of the frame before, region by region: an object keeps its depth while it moves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels.absolute_order import CANDIDATES, join_parts_kernel
+from tikernels.temporal_order import BEFORE, CYCLES, PATCH, REST
+from tikernels.unwrapping import PatchGraph
+
+# A region needs so many votes, and this share of them, to keep its order: fewer, and most of it is newly seen.
+_MIN_VOTES, _MIN_SHARE = 6, 0.6
+# Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close.
+_MAX_CHANGE = 0.35
+# Below this share of all votes the frame shows another scene.
+_SAME_SCENE = 0.5
+# A lead of so many votes halves the probability that the order is wrong: neighbouring pixels err together.
+_HALVING_LEAD = 8.0
+# A region is torn where a second offset has so many votes; its parts must each prefer their own by so many, and by this
+# share of their votes.
+_MIN_TORN_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
+
+
+@dataclass(frozen=True)
+class CarriedOrders:
+    """Whole cycles that regions lack to agree with the frame before."""
+
+    same_scene: bool  # False: a cut, or so much motion that nothing can be carried on
+    roots: npt.NDArray[np.int64]  # (n,) of the regions whose orders are carried on
+    offsets: npt.NDArray[np.int64]  # (n,) to be added to their orders
+    before: npt.NDArray[np.int64]  # (n,) the region of the frame before that they come from
+    error_probability: npt.NDArray[np.float64]  # (n,) that another order has the majority by chance
+
+
+def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> CarriedOrders:
+    """Count `vote_orders_kernel`'s votes.
+
+    Parameters
+    ----------
+    votes : (N, 4) int32
+        Patch, cycles, rest and region before.
+    roots : (P,) int32
+        The patch that stands for the region of each patch.
+    """
+    votes = votes[votes[:, PATCH] >= 0]
+    none = np.zeros(0, np.int64)
+    nothing = CarriedOrders(False, none, none, none, none.astype(float))
+    if len(votes) == 0:
+        return nothing
+    low = int(votes[:, CYCLES].min())
+    span = int(votes[:, CYCLES].max()) - low + 1
+    keys = roots[votes[:, PATCH]].astype(np.int64) * span + votes[:, CYCLES] - low
+    found, member, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    region, cycles = found // span, found % span + low
+    # The two offsets with the most votes of every region; ties go to the smaller one.
+    order = np.lexsort((cycles, -counts, region))
+    regions, firsts, totals = np.unique(region[order], return_index=True, return_counts=True)
+    best = order[firsts]
+    several = totals > 1
+    second = np.where(several, counts[order[np.minimum(firsts + 1, len(order) - 1)]], 0)
+    total = np.add.reduceat(counts[order], firsts)
+    change = np.bincount(member, np.abs(votes[:, REST]) / 64, len(found))[best] / counts[best]
+    before = np.zeros(len(found), np.int64)
+    before[member] = votes[:, BEFORE]  # one of those that agree: a surface that fell apart had one order
+    if counts[best].sum() < _SAME_SCENE * total.sum():
+        return nothing
+    kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (change < _MAX_CHANGE)
+    doubt = 0.5 ** ((counts[best] - second) / _HALVING_LEAD)
+    return CarriedOrders(True, regions[kept], cycles[best][kept], before[best][kept], doubt[kept])
+
+
+def split_by_votes(votes: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:
+    """Split regions that have joined surfaces which the frame before saw whole cycles apart.
+
+    A step of whole cycles leaves no trace in one frame's phase; the frame before knows what lies on either side.
+
+    Returns
+    -------
+    (P,) int32
+        The patch that stands for the part of each patch.
+    """
+    votes = votes[votes[:, PATCH] >= 0]
+    if len(votes) == 0:
+        return graph.root
+    # The offsets in use, the commonest first: hardly any frame has more than a few.
+    offsets, place, counts = np.unique(votes[:, CYCLES], return_inverse=True, return_counts=True)
+    rank = np.empty(len(offsets), np.int64)
+    rank[np.argsort(-counts, kind="stable")] = np.arange(len(offsets))
+    candidate = rank[place]
+    used = candidate < CANDIDATES
+    patch, candidate = votes[used, PATCH], candidate[used]
+    regions = np.bincount(
+        graph.root[patch].astype(np.int64) * CANDIDATES + candidate, minlength=len(graph.root) * CANDIDATES
+    )
+    second = np.partition(regions.reshape(-1, CANDIDATES), -2, axis=1)[:, -2]
+    torn = second >= _MIN_TORN_VOTES
+    if not torn.any():
+        return graph.root
+    # Fewer votes against an offset are better: what a part departs from each by is the votes that it gets less.
+    evidence = np.zeros((len(graph.root), CANDIDATES + 1), np.float32)
+    np.subtract.at(evidence, (patch, candidate), 1)
+    evidence[:, CANDIDATES] = -evidence[:, :CANDIDATES].sum(axis=1)
+    inside = torn[graph.root[graph.ends[0]]]
+    ends, weight = graph.ends[:, inside], graph.votes[inside]
+    best = np.where(evidence[:, CANDIDATES] > 0, np.argmin(evidence[:, :CANDIDATES], axis=1), -1)
+    # Contacts between patches that vote alike come first: then the parts are whole before they are asked to join.
+    differ = (best[ends[0]] != best[ends[1]]) & (np.minimum(best[ends[0]], best[ends[1]]) >= 0)
+    order = np.lexsort((np.arange(len(weight)), -weight, differ))
+    everywhere = np.tile(np.array([0, 1], np.int32), (len(graph.root), 1))
+    parents = np.zeros(len(graph.root), np.int32)
+    if len(order):
+        pairs = np.ascontiguousarray(ends[:, order])
+        join_parts_kernel(pairs, 0, _MIN_MARGIN, _MIN_MARGIN_SHARE, everywhere, evidence, parents)
+        return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
+    return graph.root

@@ -1,0 +1,48 @@
+"""Compare a frame's orders with those of the frame before, where both see a surface.
+
+Between two frames of a video a surface moves by less than half a cycle of phase, so the whole cycles that a pixel's
+phase lacks to that of the frame before are those that its region lacks to be absolute, wherever the pixel still sees
+the same surface. Where it does not, it votes for anything; most pixels of a region do.
+"""
+
+from tikernels._taichi import F32Array2, I32Array2, i32, ti
+from tikernels.patches import CELL_HEIGHT, CELL_WIDTH, OFFSET, ORDER_BITS, ORDER_MASK, ORDER_ZERO, patch_number
+from tikernels.phase_vector import PI
+
+#: Pixels of a cell that vote: every fourth both ways.
+VOTES_A_CELL = (CELL_HEIGHT // 4) * (CELL_WIDTH // 4)
+#: Columns of the votes: patch (-1: none), cycles lacking, what is left over in 64ths of a cycle, region there before.
+PATCH, CYCLES, REST, BEFORE = range(4)
+
+
+@ti.kernel
+def vote_orders_kernel(
+    phase: F32Array2,  # (H, W) rad
+    labels: I32Array2,  # (H, W) patch and order in it
+    firsts: I32Array2,
+    draft_bits: i32,
+    patches: I32Array2,
+    before: F32Array2,  # (H, W) rad, unwrapped phase of the frame before; NaN outside its mask
+    region_before: I32Array2,  # (H, W)
+    out_votes: I32Array2,  # (cells * VOTES_A_CELL, 4)
+):
+    height, width = phase.shape[0], phase.shape[1]
+    columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
+    for vote in range(out_votes.shape[0]):
+        cell, place = vote // VOTES_A_CELL, vote % VOTES_A_CELL
+        y = (cell // columns) * CELL_HEIGHT + 4 * (place // (CELL_WIDTH // 4)) + 1
+        x = (cell % columns) * CELL_WIDTH + 4 * (place % (CELL_WIDTH // 4)) + 1
+        patch, cycles, rest, region = -1, 0, 0, 0
+        if y < height and x < width:
+            label = labels[y, x]
+            region = region_before[y, x]
+            if label >= 0 and region > 0:
+                patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
+                order = (label & ORDER_MASK) - ORDER_ZERO + patches[OFFSET, patch]
+                lacking = (before[y, x] - phase[y, x]) / (2.0 * PI) - ti.cast(order, ti.f32)
+                cycles = ti.cast(ti.round(lacking), i32)
+                rest = ti.cast(ti.round(64.0 * (lacking - ti.cast(cycles, ti.f32))), i32)
+        out_votes[vote, 0] = patch
+        out_votes[vote, 1] = cycles
+        out_votes[vote, 2] = rest
+        out_votes[vote, 3] = region
