@@ -50,6 +50,8 @@ _MIN_CORRECTION = 1e-3
 _EVERY_COLUMN = 8
 # What the phases of the frames before still count when the response is equalised, from frame to frame.
 _MEMORY = 0.9
+# Noise below this share of full scale is not to be relied on.
+_LEAST_NOISE = 1e-5
 # How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
 # a surface, but a code changes it from cycle to cycle, and taken for constant it would bend the phase by 0.02 rad.
 _CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
@@ -223,7 +225,7 @@ class Decoder:
             self._workspace = _Workspace(*key, self.settings.unwrap_method)
         work, buffers = self._workspace, frame._buffers
         path, white = self._path, 1.0 / scale
-        levels = (intensity / scale, modulation / scale)
+        levels, noise = (intensity / scale, modulation / scale), max(frame.noise_levels, _LEAST_NOISE * white)
         work.gains.measure(image, path.inverse, path.matrix, *levels, balance_first=path.balance_first, lag=path.lag)
         work.model.recover_samples(path.weights, levels[1], CLIPPED * white)
         work.histogram.fill(0)
@@ -233,7 +235,7 @@ class Decoder:
             frame._histogram += _MEMORY * previous._histogram
         correction = path.correction(frame._histogram, period)
         work.model.fit(correction, path.inverse if path.balance_first else np.eye(3, dtype=np.float32))
-        recover_phase_kernel(path.balance_first)(
+        recover_phase_kernel(path.balance_first, work.gains.cell)(
             image,
             white,
             path.inverse,
@@ -242,11 +244,12 @@ class Decoder:
             correction,
             work.model.template,
             work.model.nodes,
-            work.gains.cell,
             *levels,
-            _CONTRAST_DOUBT[self._code] / max(frame.noise_levels, 1e-3),
+            noise,
+            _CONTRAST_DOUBT[self._code] / noise,
             work.raw_phase,
-            *(buffers[name] for name in ("modulation", "slope", "misfit")),
+            buffers["modulation"],
+            buffers["precision"],
         )
         pairs = self.settings.smoothing_px // 2
         frame._pairs = pairs
@@ -442,7 +445,7 @@ class Decoder:
         # A buffer that only the dictionary and this expression know of is free; the dictionary goes with its frame.
         free = bool(buffers) and sys.getrefcount(buffers) == 2 and buffers["mask"].shape == (height, width)
         if not free or any(sys.getrefcount(buffers[name]) > 2 for name in buffers):
-            floats = ("phase", "modulation", "slope", "misfit", "unwrapped")
+            floats = ("phase", "modulation", "precision", "unwrapped")
             buffers = {name: runtime.empty((height, width), np.float32) for name in floats}
             buffers["mask"] = runtime.empty((height, width), np.uint8)
             buffers["region"] = runtime.empty((height, width), np.int32)

@@ -107,14 +107,14 @@ class DecodedFrame:
         ripple that balance and crosstalk leave; what is the same over a whole cycle and more, as near an edge, is not
         in it.
         """
-        mask, slope = self.mask, self._read("slope")
+        mask = self.mask
         sigma = np.full(mask.shape, np.nan, np.float32)
         reach = (1, 2 * self._pairs + 1)
         window = np.ones(reach[::-1] if self._vertical else reach, np.uint8)
         # Only where all the neighbours are there does the smoothing average over all of them.
         whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
         averaged = np.where(whole, np.float32(1 / np.sqrt(2 * self._pairs + 1)), np.float32(1))
-        noise = self.noise_levels / np.maximum(slope[mask], 1e-6)
+        noise = 1 / np.sqrt(np.maximum(self._read("precision")[mask], 1e-6))
         sigma[mask] = noise * averaged
         sigma *= max(1.0, self._scatter(sigma))
         # The model of the channels is fitted to a window of about a cycle, to less of it at an edge. Its error is the

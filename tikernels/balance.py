@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, i32, mat3, ti, vec3
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, Static, U8Array2, f32, i32, mat3, ti, vec3
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.errors import ShapeError
 from tikernels.phase_vector import channel_waves, matrix_of
@@ -91,7 +91,7 @@ class Gains:
 
     def smooth_sums(self, sums: Any, half: Any, out: Any) -> None:
         """Add up (Hb, Wb, N) sums of the blocks over a Gaussian window at every node, (Hg, Wg, N)."""
-        smooth_blocks_kernel(sums, self.taps_across, self.taps_along, half, out)
+        smooth_blocks_kernel(int(sums.shape[2]), sums, self.taps_across, self.taps_along, half, out)
 
     def _find_gains(self, predicted: bool) -> None:
         self.smooth_sums(self.sums, self.half, self.smooth)
@@ -242,35 +242,44 @@ def sum_blocks_kernel(
 
 @ti.kernel
 def smooth_blocks_kernel(
+    channels: Static,  # N
     sums: F32Array3,  # (Hb, Wb, N) a block's sums
     taps_across: F32Array1,  # half a Gaussian, from its middle
     taps_along: F32Array1,
     half: F32Array3,  # (Hg, Wg, N) scratch: smoothed across the stripes
     out: F32Array3,  # (Hg, Wg, N)
 ):
-    blocks, channels = sums.shape[0], sums.shape[2]
+    blocks = sums.shape[0]
     for node in range(half.shape[0] * half.shape[1]):
         i, j = node // half.shape[1], node % half.shape[1]
-        for k in range(channels):
-            total = 0.0
-            for tap in range(taps_across.shape[0]):
-                above, below = 2 * i - tap, 2 * i + 1 + tap
-                if above >= 0:
-                    total += taps_across[tap] * sums[above, j, k]
-                if below < blocks:
-                    total += taps_across[tap] * sums[below, j, k]
-            half[i, j, k] = total
+        total = ti.Vector.zero(f32, channels)
+        for tap in range(taps_across.shape[0]):
+            weight = taps_across[tap]
+            above, below = 2 * i - tap, 2 * i + 1 + tap
+            if above >= 0:
+                for k in ti.static(range(channels)):
+                    total[k] += weight * sums[above, j, k]
+            if below < blocks:
+                for k in ti.static(range(channels)):
+                    total[k] += weight * sums[below, j, k]
+        for k in ti.static(range(channels)):
+            half[i, j, k] = total[k]
     for node in range(half.shape[0] * half.shape[1]):
         i, j = node // half.shape[1], node % half.shape[1]
-        for k in range(channels):
-            total = taps_along[0] * half[i, j, k]
-            for tap in range(1, taps_along.shape[0]):
-                left, right = j - tap, j + tap
-                if left >= 0:
-                    total += taps_along[tap] * half[i, left, k]
-                if right < half.shape[1]:
-                    total += taps_along[tap] * half[i, right, k]
-            out[i, j, k] = total
+        total = ti.Vector.zero(f32, channels)
+        for k in ti.static(range(channels)):
+            total[k] = taps_along[0] * half[i, j, k]
+        for tap in range(1, taps_along.shape[0]):
+            weight = taps_along[tap]
+            left, right = j - tap, j + tap
+            if left >= 0:
+                for k in ti.static(range(channels)):
+                    total[k] += weight * half[i, left, k]
+            if right < half.shape[1]:
+                for k in ti.static(range(channels)):
+                    total[k] += weight * half[i, right, k]
+        for k in ti.static(range(channels)):
+            out[i, j, k] = total[k]
 
 
 @ti.kernel

@@ -22,9 +22,11 @@ from tikernels.equalization import equalized
 from tikernels.phase_vector import arctangent, channel_waves, cosine_and_sine, matrix_of
 from tikernels.wrapped_phase import NO_PHASE
 
-#: Harmonics of a channel over one cycle: gamma 2 makes two, gamma 2.4 a little of the third.
-HARMONICS = 3
+#: Harmonics of a channel over one cycle: gamma 2 makes two, and a third changes nothing.
+HARMONICS = 2
 _TERMS = 1 + 2 * HARMONICS
+_UPPER = tuple((a, b) for a in range(_TERMS) for b in range(a, _TERMS))
+_CORNERS = len(_UPPER)
 # Samples that one thread adds up.
 _RUN = 64
 # The template starts from sinusoids with the weight of so many samples: nothing where there is a surface to learn from.
@@ -50,7 +52,7 @@ class ChannelModel:
         self.phases = runtime.empty((height, columns), np.float32)
         runs = height * -(-columns // _RUN)
         self._moments = runtime.empty((runs, 5), np.float32)
-        self._normal = runtime.empty((runs, _TERMS * (_TERMS + 3)), np.float32)
+        self._normal = runtime.empty((runs, _CORNERS + 3 * _TERMS), np.float32)
         self._sums = runtime.empty((*blocks, 13), np.float32)
         self._half = runtime.empty((*gains.grid, 13), np.float32)
         self._smooth = runtime.empty((*gains.grid, 13), np.float32)
@@ -98,16 +100,18 @@ class ChannelModel:
         gains = self._gains
         args = (gains.samples, self.phases, correction, gains.smooth, gains.cell, self._share)
         sum_template_kernel(*args, self._normal)
-        normal = runtime.to_host(self._normal).sum(axis=0, dtype=np.float64).reshape(_TERMS, _TERMS + 3)
+        normal = runtime.to_host(self._normal).sum(axis=0, dtype=np.float64)  # synchronises
+        gram = np.zeros((_TERMS, _TERMS))
+        gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
+        gram += np.triu(gram, 1).T
         matrix = np.linalg.inv(inverse.astype(np.float64))
         usual = np.zeros((_TERMS, 3))
         usual[[0, 1, 1 + HARMONICS]] = (matrix @ (channel_waves() * [1, _PRIOR_CONTRAST, _PRIOR_CONTRAST])).T
         usual /= usual[0]
-        weight = max(normal[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases) < NO_PHASE), 1)
-        gram = normal[:, :_TERMS] + _PRIOR_SAMPLES * weight * np.diag([1.0] + [0.5] * (2 * HARMONICS))
-        right = (
-            normal[:, _TERMS:] + _PRIOR_SAMPLES * weight * usual * np.array([1.0] + [0.5] * (2 * HARMONICS))[:, None]
-        )
+        weight = max(gram[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases) < NO_PHASE), 1)
+        prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
+        gram += np.diag(prior)
+        right = normal[_CORNERS:].reshape(_TERMS, 3) + prior[:, None] * usual
         solved = np.linalg.solve(gram, right)
         self.template[:] = (solved / solved[0]).T
         known = (gains.samples, self.phases, correction, self.template, gains.smooth, gains.rows, self._share)
@@ -179,13 +183,14 @@ def sum_template_kernel(
     smooth: F32Array3,  # (Hg, Wg, 8) background and count last
     cell: i32,
     share: f32,
-    out_normal: F32Array2,  # (runs, terms (terms + 3)) the normal equations, a row each
+    out_normal: F32Array2,  # (runs, terms) the normal equations: upper triangle, right sides
 ):
     columns = samples.shape[1]
     runs = (columns + _RUN - 1) // _RUN
     for run in range(samples.shape[0] * runs):
         y, first = run // runs, (run % runs) * _RUN
-        gram, right = ti.Matrix.zero(f32, _TERMS, _TERMS), ti.Matrix.zero(f32, _TERMS, 3)
+        # The upper triangle of the symmetric equations, row by row, and the right sides.
+        gram, right = ti.Vector.zero(f32, _TERMS * (_TERMS + 1) // 2), ti.Matrix.zero(f32, _TERMS, 3)
         for j in range(first, ti.min(first + _RUN, columns)):
             if phases[y, j] < 0.5 * NO_PHASE:
                 ambient = ambient_at(smooth, cell, share, y, j * cell)
@@ -193,13 +198,14 @@ def sum_template_kernel(
                 light = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2]) - ambient
                 # Each sample with its own brightness: bright ones count more, as they are more certain.
                 waves *= light.sum() / 3.0
-                gram += waves.outer_product(waves)
+                for place in ti.static(range(_CORNERS)):
+                    gram[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
                 right += waves.outer_product(light)
+        for place in ti.static(range(_CORNERS)):
+            out_normal[run, place] = gram[place]
         for a in ti.static(range(_TERMS)):
-            for b in ti.static(range(_TERMS)):
-                out_normal[run, a * (_TERMS + 3) + b] = gram[a, b]
             for k in ti.static(range(3)):
-                out_normal[run, a * (_TERMS + 3) + _TERMS + k] = right[a, k]
+                out_normal[run, _CORNERS + 3 * a + k] = right[a, k]
 
 
 @ti.kernel

@@ -6,7 +6,8 @@ M_i = A_i t_i and its derivative's part across M, D_i = M_i' - (M' M / M M) M_i,
 
     step = D (C - B) / (s D D),    s = M (C - B) / M M,
 
-and noise of so many levels a channel makes noise / (s |D|) of phase. What is left lies along M x M'.
+and noise of so many levels a channel makes noise / (s |D|) of phase. That the contrast may depart a little from its
+neighbourhood's is part of the fit. What is left lies along M x D: light that no model knows, as from another surface.
 """
 
 from functools import cache
@@ -21,8 +22,6 @@ from tikernels.wrapped_phase import NO_PHASE
 # Gain cells that one thread walks along a row: enough threads for a GPU, and more than the 512 iterations below which
 # the CPU runtime uses a single core.
 _CELLS_A_THREAD = 8
-# Pixels that are worked on at once.
-_LANES = 8
 #: Share of full scale beyond which a channel is clipped. A pixel with two such channels has lost its phase; one alone
 #: bends it by 0.03 rad at the most.
 CLIPPED = 0.998
@@ -31,9 +30,13 @@ _MAX_STEP = 0.3
 
 
 @cache
-def recover_phase_kernel(balance_first: bool) -> Any:
-    """Return the kernel from grey levels to phase: balance, crosstalk, arctangent, fit and masks in one pass."""
-    lanes = ti.types.vector(_LANES, ti.f32)
+def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
+    """Return the kernel from grey levels to phase: balance, crosstalk, arctangent, fit and masks in one pass.
+
+    `cell` is the distance of two nodes, px.
+    """
+    width_at_once = min(max(cell, 8), 16)
+    lanes = ti.types.vector(width_at_once, ti.f32)
 
     @ti.func
     def node_model(nodes: F32Array3, i: i32, i1: i32, fraction: f32, j: i32):
@@ -55,14 +58,13 @@ def recover_phase_kernel(balance_first: bool) -> Any:
         correction: F32Array1,  # (bins + 1,) rad to add to the arctangent
         template: F32Array2,  # (3, 1 + 2 harmonics) one cycle of each channel
         nodes: F32Array3,  # (Hg, Wg, 6) A and B
-        cell: i32,  # px between two nodes
         min_intensity: f32,  # levels
         min_modulation: f32,  # levels
-        contrast_doubt: f32,  # standard deviation of the model's contrast, over the noise in levels
+        noise: f32,  # standard deviation of a channel, levels
+        contrast_doubt: f32,  # standard deviation of the model's contrast, over the noise
         out_phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
         out_modulation: F32Array2,  # (H, W) levels
-        out_slope: F32Array2,  # (H, W) levels a rad: what noise is divided by
-        out_misfit: F32Array2,  # (H, W) levels: what neither phase nor brightness explain
+        out_precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
     ):
         height, width = image.shape[0], image.shape[1]
         half = cell // 2
@@ -71,6 +73,9 @@ def recover_phase_kernel(balance_first: bool) -> Any:
             y, stretch = t // stretches, t % stretches
             inverse, weights = matrix_of(inverse_matrix), matrix_of(phase_weights)
             matrix = matrix_of(crosstalk_matrix)
+            waves = ti.Matrix.zero(f32, 3, 2 * HARMONICS)
+            for c, n in ti.static(ti.ndrange(3, 2 * HARMONICS)):
+                waves[c, n] = template[c, 1 + n]
             v = ti.min(ti.max((y + 0.5) / cell - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             i = ti.cast(v, ti.i32)
             i1 = ti.min(i + 1, nodes.shape[0] - 1)
@@ -79,7 +84,7 @@ def recover_phase_kernel(balance_first: bool) -> Any:
             first = stretch * _CELLS_A_THREAD - 1
             right_gain, right_ambient = node_model(nodes, i, i1, fraction, first)
             red, green, blue, bend = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            bare, phase, modulation, slope, misfit = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            bare, phase, modulation, precision = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for j in range(first, ti.min(first + _CELLS_A_THREAD, nodes.shape[1])):
                 left_gain, left_ambient = right_gain, right_ambient
                 right_gain, right_ambient = node_model(nodes, i, i1, fraction, j + 1)
@@ -88,12 +93,12 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                 start = j * cell + half
                 x, stop = ti.max(start, 0), ti.min(start + cell, width)
                 while x < stop:
-                    count = ti.min(_LANES, stop - x)
+                    count = ti.min(width_at_once, stop - x)
                     for k in range(count):
                         red[k] = ti.cast(image[y, x + k, 0], ti.f32)
                         green[k] = ti.cast(image[y, x + k, 1], ti.f32)
                         blue[k] = ti.cast(image[y, x + k, 2], ti.f32)
-                    for k in range(_LANES):
+                    for k in range(width_at_once):
                         along = ti.cast(x + k - start, ti.f32) + 0.5
                         gain, ambient = left_gain + gain_slope * along, left_ambient + ambient_slope * along
                         channels = vec3(red[k], green[k], blue[k])
@@ -105,9 +110,9 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                         # In levels of the channels as they are, which the model has stretched to one contrast.
                         modulation[k] = ti.sqrt(vector.x * vector.x + vector.y * vector.y) * gain.sum() / 3.0
                         bare[k] = arctangent(vector.y, vector.x)
-                    for k in range(_LANES):
+                    for k in range(width_at_once):
                         bend[k] = equalized(bare[k], correction)
-                    for k in range(_LANES):
+                    for k in range(width_at_once):
                         along = ti.cast(x + k - start, ti.f32) + 0.5
                         gain, ambient = left_gain + gain_slope * along, left_ambient + ambient_slope * along
                         seen = vec3(red[k], green[k], blue[k])
@@ -116,7 +121,7 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                         real, imaginary = cosine, sine
                         for n in ti.static(range(1, HARMONICS + 1)):
                             for c in ti.static(range(3)):
-                                across, along_wave = template[c, n], template[c, HARMONICS + n]
+                                across, along_wave = waves[c, n - 1], waves[c, HARMONICS + n - 1]
                                 cycle[c] += across * real + along_wave * imaginary
                                 change[c] += n * (along_wave * real - across * imaginary)
                             if ti.static(n < HARMONICS):
@@ -129,21 +134,24 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                         if ti.static(not balance_first):
                             model, gradient, rest = matrix @ model, matrix @ gradient, matrix @ ambient
                             swing = matrix @ swing
-                        # Least squares over the pixel's brightness and a step of its phase.
+                        # Least squares over the pixel's brightness, a step of its phase, and its contrast as far as it
+                        # is in doubt. Divisions cost most: reciprocals come from one of their product.
                         light = seen - rest
-                        size = 1.0 / ti.max(model.dot(model), 1e-12)
-                        brightness = light.dot(model) * size
-                        free = gradient - gradient.dot(model) * size * model
-                        fade = swing - swing.dot(model) * size * model
-                        strength = fade.dot(fade)
+                        inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
+                        brightness = ti.max(light.dot(model) * inverse_square, 1e-6)
+                        free = gradient - gradient.dot(model) * inverse_square * model
+                        fade = swing - swing.dot(model) * inverse_square * model
                         doubt = contrast_doubt * brightness
-                        trust = doubt * doubt * free.dot(fade) / (1.0 + doubt * doubt * strength)
-                        sure = free - trust * fade
-                        steepness = ti.max(sure.dot(free), 1e-12)
-                        step = light.dot(sure) / (steepness * ti.max(brightness, 1e-6))
-                        normal = model.cross(gradient)
-                        misfit[k] = light.dot(normal) / ti.sqrt(ti.max(normal.dot(normal), 1e-20))
-                        slope[k] = brightness * ti.sqrt(steepness)
+                        widened = 1.0 + doubt * doubt * fade.dot(fade)
+                        sure = widened * free - doubt * doubt * free.dot(fade) * fade
+                        steep, square = ti.max(sure.dot(free), 1e-12), ti.max(free.dot(free), 1e-12)
+                        reciprocal = 1.0 / (steep * widened * brightness * square)
+                        step = light.dot(sure) * widened * square * reciprocal
+                        left = light.dot(model.cross(free))
+                        misfit = left * left * inverse_square * steep * brightness * reciprocal
+                        information = brightness * brightness * brightness * steep * steep * square * reciprocal
+                        # What fits worse than by three standard deviations is so much less certain.
+                        precision[k] = information / ti.max(noise * noise, misfit / 9.0)
                         # The second brightest channel at full scale: two are.
                         low, high = ti.min(seen.x, seen.y), ti.max(seen.x, seen.y)
                         second = ti.max(low, ti.min(high, seen.z))
@@ -154,8 +162,7 @@ def recover_phase_kernel(balance_first: bool) -> Any:
                     for k in range(count):
                         out_phase[y, x + k] = phase[k]
                         out_modulation[y, x + k] = modulation[k]
-                        out_slope[y, x + k] = slope[k]
-                        out_misfit[y, x + k] = misfit[k]
-                    x += _LANES
+                        out_precision[y, x + k] = precision[k]
+                    x += width_at_once
 
     return recover_phase
