@@ -15,7 +15,7 @@ from pipeline.errors import CalibrationError, DecodeWarning, FootageError
 from pipeline.light_path import LightPath
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
-from pipeline.temporal_order import CarriedOrders, count_votes, split_by_votes
+from pipeline.temporal_order import MAX_ERROR_PROBABILITY, CarriedOrders, count_votes, split_by_votes
 from tikernels import runtime
 from tikernels.absolute_order import SLOTS as ORDER_SLOTS
 from tikernels.absolute_order import adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
@@ -234,7 +234,7 @@ class Decoder:
         if previous is not None and previous._histogram is not None:
             frame._histogram += _MEMORY * previous._histogram
         correction = path.correction(frame._histogram, period)
-        work.model.fit(correction, path.inverse if path.balance_first else np.eye(3, dtype=np.float32))
+        work.model.fit(correction, path.template())
         recover_phase_kernel(path.balance_first, work.gains.cell)(
             image,
             white,
@@ -332,8 +332,8 @@ class Decoder:
             for number, root in enumerate(roots, start=1):
                 if (found := place.get(int(root))) is not None:
                     before = carried.before[found]
-                    known[number] = known_before[before]
                     errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
+                    known[number] = known_before[before] and errors[number] < MAX_ERROR_PROBABILITY
         if orders is not None and len(orders.parts):
             part = np.searchsorted(orders.parts, roots)
             by_code = orders.absolute[part]

@@ -10,6 +10,7 @@ from pipeline.calibration.board_free import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import FloatArray
 from pipeline.settings import DecodeSettings
+from tikernels.channel_model import flat_template, known_template
 from tikernels.crosstalk import invert_crosstalk
 from tikernels.equalization import correction_table, pattern_light, prefers_response, response_table
 from tikernels.linearization import Transfer
@@ -84,6 +85,15 @@ class LightPath:
         self._use(light.crosstalk_matrix)
         self._learned = light.correction
         self.constant_known = light.constant_known
+
+    def template(self) -> npt.NDArray[np.float32]:
+        """Return one cycle of each balanced channel as far as it is known; see `ChannelModel.fit`."""
+        response = self._response if self._compensated is False else None
+        if self._compensated:
+            response = np.array([[0.0, 1.0]] * 3)
+        if response is None:
+            return flat_template()
+        return known_template(self.matrix if self.balance_first else np.eye(3), response, self.lag)
 
     def correction(self, histogram: FloatArray, period_px: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, rad to add to the arctangent, as a table over the cycle.

@@ -16,10 +16,12 @@ _MAX_CHANGE = 0.35
 # Below this share of all votes the frame shows another scene.
 _SAME_SCENE = 0.5
 # A lead of so many votes halves the probability that the order is wrong: neighbouring pixels err together.
-_HALVING_LEAD = 8.0
+_HALVING_LEAD = 4.0
 # A region is torn where a second offset has so many votes; its parts must each prefer their own by so many, and by this
 # share of their votes.
 _MIN_TORN_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
+#: An order that was absolute stays so where it is wrong with a smaller probability than this.
+MAX_ERROR_PROBABILITY = 1e-2
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ def split_by_votes(votes: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArr
     everywhere = np.tile(np.array([0, 1], np.int32), (len(graph.root), 1))
     parents = np.zeros(len(graph.root), np.int32)
     if len(order):
-        pairs = np.ascontiguousarray(ends[:, order])
+        pairs = np.ascontiguousarray(ends[:, order], np.int32)
         join_parts_kernel(pairs, 0, _MIN_MARGIN, _MIN_MARGIN_SHARE, everywhere, evidence, parents)
         return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
     return graph.root

@@ -517,3 +517,52 @@ def correct_by_modulation(phase: Array, departures: Array, tables: Array, shift:
     edges = np.linspace(-np.pi, np.pi, tables.shape[1])
     linear, square = (np.interp(wrapped(phase), edges, table) for table in tables.astype(np.float64))
     return phase + here * linear + ((1 + here) ** 2 - 1) * square - shift * (high - low) / (2 * reach * (1 + here))
+
+
+def fit_phase(
+    image: Array,
+    phase: Array,
+    template: Array,
+    gain: Array,
+    ambient: Array,
+    noise: float,
+    contrast_doubt: float,
+    matrix: Array | None = None,
+) -> tuple[Array, Array]:
+    """Fit brightness, phase step and contrast of every pixel by least squares; return the phase and its precision.
+
+    image (H, W, 3) levels, phase (H, W) where to start, template (3, 1 + 2 N), gain and ambient (H, W, 3) of the
+    template's channels, which `matrix` mixes. The contrast's change is known to be 0 +- contrast_doubt * noise.
+    """
+    harmonics = template.shape[1] // 2
+    n = np.arange(1, harmonics + 1)
+    turns = np.exp(1j * phase[..., None] * n)
+    cycle = 1 + turns.real @ template[:, 1 : harmonics + 1].T + turns.imag @ template[:, harmonics + 1 :].T
+    change = (n * turns.real) @ template[:, harmonics + 1 :].T - (n * turns.imag) @ template[:, 1 : harmonics + 1].T
+    columns = np.stack([gain * cycle, gain * change, gain * (cycle - 1)], axis=-1)
+    rest = ambient
+    if matrix is not None:
+        columns, rest = np.einsum("ij,hwjk->hwik", matrix, columns), ambient @ matrix.T
+    light = image - rest
+    brightness = np.einsum("hwi,hwi->hw", light, columns[..., 0]) / (columns[..., 0] ** 2).sum(-1)
+    stepped, precision = np.empty(phase.shape), np.empty(phase.shape)
+    for place in np.ndindex(phase.shape):
+        s = brightness[place]
+        design = np.vstack([columns[place] * [1, s, s], [0, 0, 1 / contrast_doubt]])  # with the contrast's prior
+        weighted = np.linalg.lstsq(design, np.append(light[place], 0), rcond=None)[0]
+        covariance = np.linalg.inv(design.T @ design)
+        free = columns[place][:, 1] - columns[place][:, 0] * (
+            columns[place][:, 0] @ columns[place][:, 1] / (columns[place][:, 0] @ columns[place][:, 0])
+        )
+        normal = np.cross(columns[place][:, 0], free)
+        normal /= np.linalg.norm(normal)
+        fade = columns[place][:, 2] @ normal * s
+        fade_all = columns[place][:, 2] - columns[place][:, 0] * (
+            columns[place][:, 0] @ columns[place][:, 2] / (columns[place][:, 0] @ columns[place][:, 0])
+        )
+        widened = 1 + (contrast_doubt * s) ** 2 * (fade_all @ fade_all)
+        assert abs(fade) <= s * np.linalg.norm(fade_all) + 1e-9
+        misfit = (light[place] @ normal) ** 2 / widened
+        stepped[place] = phase[place] + weighted[1]
+        precision[place] = 1 / covariance[1, 1] / max(noise**2, misfit / 9)
+    return stepped, precision

@@ -12,6 +12,8 @@ arctangent's (`wrapped_phase.py`), and the one combination that neither of the t
 fits.
 """
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 
@@ -19,7 +21,7 @@ from tikernels import runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
 from tikernels.balance import Gains, gain_at
 from tikernels.equalization import equalized
-from tikernels.phase_vector import arctangent, channel_waves, cosine_and_sine, matrix_of
+from tikernels.phase_vector import arctangent, cosine_and_sine, matrix_of
 from tikernels.wrapped_phase import NO_PHASE
 
 #: Harmonics of a channel over one cycle: gamma 2 makes two, and a third changes nothing.
@@ -29,8 +31,8 @@ _UPPER = tuple((a, b) for a in range(_TERMS) for b in range(a, _TERMS))
 _CORNERS = len(_UPPER)
 # Samples that one thread adds up.
 _RUN = 64
-# The template starts from sinusoids with the weight of so many samples: nothing where there is a surface to learn from.
-_PRIOR_SAMPLES, _PRIOR_CONTRAST = 30, 0.9
+# The template starts from what is known with the weight of so many samples: nothing where there is a surface.
+_PRIOR_SAMPLES = 30
 # Ambient light is at most this share of a surface's; more, and it is the contrast that is read wrongly.
 _MAX_AMBIENT = 0.6
 # Surfaces that vary less in brightness than this, as a fraction, do not tell ambient light from a low contrast.
@@ -39,6 +41,37 @@ _MIN_VARIATION = 0.03
 _RIDGE = 1e-3
 # Per-channel corrections beyond a factor of two are a fit gone wrong, at a speck of a few samples.
 _MIN_FACTOR, _MAX_FACTOR = 0.5, 2.0
+
+
+def known_template(
+    matrix: npt.NDArray[np.floating[Any]],
+    response: npt.NDArray[np.float64],
+    lag: npt.NDArray[np.float64] | None = None,
+) -> npt.NDArray[np.float32]:
+    """Return (3, terms) float32: one cycle of each channel of a rig that is known.
+
+    Parameters
+    ----------
+    matrix : (3, 3)
+        What takes the projector's balanced channels to the template's.
+    response : (3, N)
+        Light of N evenly spaced codes of R, G, B.
+    lag : (3,), optional
+        See `channel_waves`.
+    """
+    codes = 0.5 + 0.5 * np.cos(np.linspace(0, 2 * np.pi, 1024, endpoint=False))
+    light = np.stack([np.interp(codes, np.linspace(0, 1, response.shape[1]), row) for row in response])
+    n = np.arange(1, HARMONICS + 1)
+    spectrum = np.fft.rfft(light, axis=1).real
+    delays = np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag)
+    waves = 2 * spectrum[:, 1 : HARMONICS + 1] / spectrum[:, :1] * np.exp(1j * n * delays[:, None])
+    mixed = matrix @ np.concatenate([np.ones((3, 1)), waves.real, -waves.imag], axis=1)
+    return np.asarray(mixed / mixed[:, :1], np.float32)
+
+
+def flat_template() -> npt.NDArray[np.float32]:
+    """Return (3, terms) float32: the template of a rig of which nothing is known."""
+    return np.eye(1, _TERMS, dtype=np.float32).repeat(3, axis=0)
 
 
 class ChannelModel:
@@ -86,36 +119,31 @@ class ChannelModel:
             if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
                 self._share = float(np.clip(1 - modulation * variance / (covariance * background), 0, _MAX_AMBIENT))
 
-    def fit(self, correction: npt.NDArray[np.float32], inverse: npt.NDArray[np.float32]) -> None:
+    def fit(self, correction: npt.NDArray[np.float32], known: npt.NDArray[np.float32]) -> None:
         """Fit the template to the samples, then A and B around every node.
 
         Parameters
         ----------
         correction : (bins + 1,) float32
             rad, to be added to the bare phase; see `equalization.correction_table`.
-        inverse : (3, 3)
-            What took the template's channels to the projector's: where there are hardly any samples to learn from, the
-            template is that of sinusoids.
+        known : (3, terms) float32
+            The template as far as it is known: it tells the samples' brightness, and stays where there are hardly any.
         """
         gains = self._gains
-        args = (gains.samples, self.phases, correction, gains.smooth, gains.cell, self._share)
+        args = (gains.samples, self.phases, correction, known, gains.smooth, gains.cell, self._share)
         sum_template_kernel(*args, self._normal)
         normal = runtime.to_host(self._normal).sum(axis=0, dtype=np.float64)  # synchronises
         gram = np.zeros((_TERMS, _TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
         gram += np.triu(gram, 1).T
-        matrix = np.linalg.inv(inverse.astype(np.float64))
-        usual = np.zeros((_TERMS, 3))
-        usual[[0, 1, 1 + HARMONICS]] = (matrix @ (channel_waves() * [1, _PRIOR_CONTRAST, _PRIOR_CONTRAST])).T
-        usual /= usual[0]
         weight = max(gram[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases) < NO_PHASE), 1)
         prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
         gram += np.diag(prior)
-        right = normal[_CORNERS:].reshape(_TERMS, 3) + prior[:, None] * usual
+        right = normal[_CORNERS:].reshape(_TERMS, 3) + prior[:, None] * known.T
         solved = np.linalg.solve(gram, right)
         self.template[:] = (solved / solved[0]).T
-        known = (gains.samples, self.phases, correction, self.template, gains.smooth, gains.rows, self._share)
-        sum_model_kernel(*known, self._sums)
+        fitted = (gains.samples, self.phases, correction, self.template, gains.smooth, gains.rows, self._share)
+        sum_model_kernel(*fitted, self._sums)
         gains.smooth_sums(self._sums, self._half, self._smooth)
         fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, self._share, self.nodes)
 
@@ -180,6 +208,7 @@ def sum_template_kernel(
     samples: F32Array3,  # (H, Wb, 3) balanced, levels
     phases: F32Array2,  # (H, Wb) rad
     correction: F32Array1,  # (bins + 1,) rad
+    known: F32Array2,  # (3, terms)
     smooth: F32Array3,  # (Hg, Wg, 8) background and count last
     cell: i32,
     share: f32,
@@ -196,8 +225,11 @@ def sum_template_kernel(
                 ambient = ambient_at(smooth, cell, share, y, j * cell)
                 waves = waves_of(equalized(phases[y, j], correction))
                 light = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2]) - ambient
+                cycle = vec3(0.0)
+                for n in ti.static(range(_TERMS)):
+                    cycle += waves[n] * vec3(known[0, n], known[1, n], known[2, n])
                 # Each sample with its own brightness: bright ones count more, as they are more certain.
-                waves *= light.sum() / 3.0
+                waves *= light.dot(cycle) / cycle.dot(cycle)
                 for place in ti.static(range(_CORNERS)):
                     gram[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
                 right += waves.outer_product(light)

@@ -1,0 +1,143 @@
+"""Orders that are carried from frame to frame."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from pipeline import Decoder, DecodeSettings, DecodeWarning
+from pipeline.simulate import SimulationSettings, simulate_frame, simulated_rig
+from pipeline.temporal_order import count_votes, split_by_votes
+from tikernels import runtime
+from tikernels.errors import ShapeError
+from tikernels.unwrapping import PatchGraph
+
+SIZE = (320, 240)
+
+
+def votes_of(*rows: tuple[int, int, int, int, int]) -> np.ndarray:
+    """Rows of how many, patch, cycles, rest, region before."""
+    return np.concatenate([np.tile(np.array(row[1:], np.int32), (row[0], 1)) for row in rows])
+
+
+def test_the_majority_of_a_region_decides():
+    roots = np.array([0, 0, 2], np.int32)
+    votes = votes_of((40, 0, 2, 3, 1), (30, 1, 2, -3, 1), (20, 1, 5, 0, 2), (50, 2, 0, 1, 3), (9, -1, 7, 0, 0))
+    carried = count_votes(votes, roots)
+    assert carried.same_scene
+    np.testing.assert_array_equal(carried.roots, [0, 2])
+    np.testing.assert_array_equal(carried.offsets, [2, 0])
+    np.testing.assert_array_equal(carried.before, [1, 3])
+    assert (carried.error_probability < 0.02).all()
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [(5, 0, 1, 0, 1)],  # too few
+        [(30, 0, 1, 0, 1), (28, 0, 2, 0, 1)],  # no majority to speak of
+        [(50, 0, 1, 29, 1)],  # 0.45 cycles away: the next order is nearly as near
+    ],
+)
+def test_a_doubtful_vote_carries_nothing(rows):
+    carried = count_votes(votes_of(*rows), np.zeros(1, np.int32))
+    assert len(carried.roots) == 0
+
+
+def test_a_cut_is_noticed():
+    rows = [(10, patch, int(k), 0, 1) for patch in range(4) for k in range(5)]
+    assert not count_votes(votes_of(*rows), np.arange(4, dtype=np.int32)).same_scene
+    assert not count_votes(np.zeros((0, 4), np.int32), np.zeros(1, np.int32)).same_scene
+
+
+def test_surfaces_that_lay_apart_are_split():
+    """Four patches in a row, joined to one region; the frame before saw the last two a cycle behind."""
+    graph = PatchGraph(
+        root=np.zeros(4, np.int32),
+        offset=np.zeros(4, np.int32),
+        pixels=np.full(4, 128, np.int32),
+        first=np.arange(4, dtype=np.int32),
+        ends=np.array([[0, 1, 2], [1, 2, 3]]),
+        votes=np.array([16, 16, 16], np.int32),
+    )
+    runtime.init("cpu")
+    torn = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)))
+    np.testing.assert_array_equal(split_by_votes(torn, graph), [0, 0, 2, 2])
+    whole = votes_of(*((8, patch, 0, 0, 1) for patch in range(4)))
+    np.testing.assert_array_equal(split_by_votes(whole, graph), graph.root)
+
+
+def moved(rig, scene: str, frame: int, **settings):
+    """Return one frame of objects that swing and turn."""
+    angle = 2 * np.pi * frame / 40
+    return simulate_frame(
+        rig,
+        SimulationSettings(
+            scene=scene,
+            object_motion_mm=(30 * np.sin(angle), 5 * np.sin(2 * angle), -40 * np.sin(angle) ** 2),
+            object_turn_deg=20 * np.sin(angle),
+            seed=frame,
+            **settings,
+        ),
+    )
+
+
+@pytest.mark.parametrize("scene", ["ball", "objects"])
+def test_moving_objects_keep_their_orders(arch, scene):
+    rig = simulated_rig(SIZE, period_px=1.5 * 768 / 44)
+    decoder = Decoder(DecodeSettings(), rig, arch=arch)
+    runtime.init(arch)
+    frame = offset = surface = None
+    for number in range(8):
+        truth = moved(rig, scene, number, gamma=1.0)
+        frame = decoder.decode(truth.image, previous=frame)
+        seen = frame.mask & truth.mask
+        now = np.where(seen, np.rint((frame.unwrapped_phase - truth.phase) / (2 * np.pi)), 0)
+        if offset is not None:
+            same = seen & surface[0] & (np.abs(truth.points[..., 2] - surface[1]) < 8)
+            # What a region of 20 px could be is slivers along a step, where pixels see two surfaces.
+            assert np.mean(now[same] != offset[same]) < 0.003
+        offset, surface = now, (seen, truth.points[..., 2])
+    assert not frame.absolute.any()  # nothing has told the absolute order
+
+
+def test_absolute_orders_are_carried_where_the_code_is_not_seen(arch):
+    """The second frame shows the plain pattern: without the first its orders would be relative."""
+    coded = simulated_rig((640, 480), code="contrast")
+    plain = simulated_rig((640, 480))
+    first = Decoder(DecodeSettings(), coded, arch=arch).decode(moved(coded, "ball", 0).image)
+    assert first.absolute[first.mask].mean() > 0.99
+    truth = moved(plain, "ball", 1)
+    decoder = Decoder(DecodeSettings(), plain, arch=arch)
+    alone = decoder.decode(truth.image)
+    assert not alone.absolute.any()
+    assert (alone.order_error_probability[alone.mask] == 1).all()
+    frame = decoder.decode(truth.image, previous=first)
+    known = frame.absolute & truth.mask
+    assert known.sum() > 0.95 * frame.mask.sum()
+    # Slivers of the ball's rim join the wall over a step of a whole cycle, which the plain pattern does not show.
+    assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 4e-3
+    assert frame.order_error_probability[known].max() < 0.1
+
+
+def test_a_cut_starts_afresh():
+    rig = simulated_rig(SIZE, period_px=768 / 44)
+    decoder = Decoder(DecodeSettings(), rig, arch="cpu")
+    before = decoder.decode(simulate_frame(rig, SimulationSettings(scene="plane")).image)
+    other = simulate_frame(
+        rig, SimulationSettings(scene="waves", object_motion_mm=(0.0, 0.0, -150.0), object_turn_deg=40)
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        frame = decoder.decode(other.image, previous=before)
+    assert frame.mask.mean() > 0.5
+    assert not frame.absolute.any()
+    assert all(issubclass(w.category, DecodeWarning) for w in caught)
+
+
+def test_previous_must_have_the_same_size():
+    rig = simulated_rig(SIZE)
+    decoder = Decoder(DecodeSettings(), arch="cpu")
+    before = decoder.decode(simulate_frame(rig).image)
+    with pytest.raises(ShapeError, match="but the one before is 240x320"):
+        decoder.decode(simulate_frame(simulated_rig((160, 120), period_px=768 / 22)).image, previous=before)
