@@ -21,11 +21,11 @@ from tikernels.absolute_order import SLOTS as ORDER_SLOTS
 from tikernels.absolute_order import adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
 from tikernels.balance import Gains
 from tikernels.channel_model import ChannelModel
-from tikernels.equalization import SLOTS, count_phases_kernel, modulation_tables
+from tikernels.equalization import modulation_tables
 from tikernels.errors import ShapeError
 from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
 from tikernels.linearization import WHITE_LEVELS, linearize
-from tikernels.phase_recovery import CLIPPED, recover_phase_kernel
+from tikernels.phase_recovery import CLIPPED, count_bare_phases, recover_phase_kernel
 from tikernels.registration import align_channels
 from tikernels.statistics import count_out_of_range, measure_frame
 from tikernels.temporal_order import VOTES_A_CELL, vote_orders_kernel
@@ -35,7 +35,6 @@ from tikernels.unwrapping import PatchGraph, Unwrapper
 
 # Smaller pictures hold no surface.
 _MIN_SIZE_PX = 16
-_BINS = 256
 # The fringe must stand out of the noise by five standard deviations, where chance makes one pixel in 300,000 valid, and
 # reach this fraction of the picture's brightness, below which ambient light and stray light decide.
 _MODULATION_SIGMAS = 5.0
@@ -66,7 +65,6 @@ class _Workspace:
         self.model = ChannelModel(self.gains)
         self.rates = rates_buffer(height)
         self.raw_phase = runtime.empty((height, width), np.float32)
-        self.histogram = np.zeros((SLOTS, _BINS), np.int32)
         self.unwrapper = Unwrapper(height, width, unwrap_method)
 
 
@@ -227,10 +225,9 @@ class Decoder:
         path, white = self._path, 1.0 / scale
         levels, noise = (intensity / scale, modulation / scale), max(frame.noise_levels, _LEAST_NOISE * white)
         work.gains.measure(image, path.inverse, path.matrix, *levels, balance_first=path.balance_first, lag=path.lag)
+        counting = (path.inverse, path.weights, work.gains, (*levels, CLIPPED * white), path.balance_first)
+        frame._histogram = count_bare_phases(image, *counting).astype(np.float64)
         work.model.recover_samples(path.weights, levels[1], CLIPPED * white)
-        work.histogram.fill(0)
-        count_phases_kernel(work.model.phases, 1, work.histogram)
-        frame._histogram = work.histogram.sum(axis=0).astype(np.float64)
         if previous is not None and previous._histogram is not None:
             frame._histogram += _MEMORY * previous._histogram
         correction = path.correction(frame._histogram, period)

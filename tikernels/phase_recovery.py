@@ -13,10 +13,15 @@ neighbourhood's is part of the fit. What is left lies along M x D: light that no
 from functools import cache
 from typing import Any
 
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import runtime
+from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array2, f32, i32, ti, vec3
+from tikernels.balance import Gains, gain_at
 from tikernels.channel_model import HARMONICS
-from tikernels.equalization import equalized
-from tikernels.phase_vector import arctangent, cosine_and_sine, matrix_of
+from tikernels.equalization import SLOTS, equalized
+from tikernels.phase_vector import PI, arctangent, cosine_and_sine, matrix_of
 from tikernels.wrapped_phase import NO_PHASE
 
 # Gain cells that one thread walks along a row: enough threads for a GPU, and more than the 512 iterations below which
@@ -27,6 +32,13 @@ _CELLS_A_THREAD = 8
 CLIPPED = 0.998
 # The arctangent is never further off than this; a model that says so is wrong there.
 _MAX_STEP = 0.3
+
+
+@ti.func
+def second_brightest(light: vec3) -> f32:
+    """Return the middle one of three channels."""
+    low, high = ti.min(light.x, light.y), ti.max(light.x, light.y)
+    return ti.max(low, ti.min(high, light.z))
 
 
 @cache
@@ -153,9 +165,7 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
                         # What fits worse than by three standard deviations is so much less certain.
                         precision[k] = information / ti.max(noise * noise, misfit / 9.0)
                         # The second brightest channel at full scale: two are.
-                        low, high = ti.min(seen.x, seen.y), ti.max(seen.x, seen.y)
-                        second = ti.max(low, ti.min(high, seen.z))
-                        bright = (seen.sum() > 3.0 * min_intensity) & (second < CLIPPED * white)
+                        bright = (seen.sum() > 3.0 * min_intensity) & (second_brightest(seen) < CLIPPED * white)
                         valid = bright & (modulation[k] > min_modulation)
                         value = bend[k] + ti.min(ti.max(step, -_MAX_STEP), _MAX_STEP)
                         phase[k] = ti.select(valid, value, NO_PHASE)
@@ -166,3 +176,80 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
                     x += width_at_once
 
     return recover_phase
+
+
+_BINS = 256
+# So many pixels pin the equalisation down: the cumulative distribution of N phases errs by up to pi / sqrt(N).
+_COUNTED = 2**17
+
+
+@cache
+def _count_bare_phases_kernel(balance_first: bool) -> Any:
+    @ti.kernel
+    def count_bare_phases(
+        image: AnyArray3,  # (H, W, 3) levels
+        inverse_matrix: F32Array2,  # (3, 3)
+        phase_weights: F32Array2,  # (3, 3)
+        gains: F32Array3,  # (Hg, Wg, 3)
+        cell: i32,
+        step: i32,  # px between two that are counted
+        min_intensity: f32,  # levels
+        min_modulation: f32,  # levels
+        max_level: f32,
+        out_histogram: I32Array2,  # (SLOTS, bins), to be added to
+    ):
+        height, width, bins = image.shape[0], image.shape[1], out_histogram.shape[1]
+        columns = (width + step - 1) // step
+        for sample in range(height * columns):
+            y, x = sample // columns, (sample % columns) * step
+            seen = vec3(
+                ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
+            )
+            # Leaving out whatever has a single clipped channel would leave out the phases at which that one is bright.
+            if seen.sum() > 3.0 * min_intensity and second_brightest(seen) < max_level:
+                channels = seen
+                if ti.static(not balance_first):
+                    channels = matrix_of(inverse_matrix) @ seen
+                vector = matrix_of(phase_weights) @ (channels * gain_at(gains, cell, y, x))
+                if vector.x * vector.x + vector.y * vector.y > min_modulation * min_modulation:
+                    place = (arctangent(vector.y, vector.x) + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
+                    slot = y % out_histogram.shape[0]
+                    out_histogram[slot, ti.min(ti.max(ti.cast(place, i32), 0), bins - 1)] += 1
+
+    return count_bare_phases
+
+
+def count_bare_phases(
+    image: Any,
+    inverse: npt.NDArray[np.float32],
+    weights: npt.NDArray[np.float32],
+    gains: Gains,
+    thresholds: tuple[float, float, float],
+    balance_first: bool,
+) -> npt.NDArray[np.int64]:
+    """Count how often the arctangent's phases fall into each part of the cycle.
+
+    Parameters
+    ----------
+    image : (H, W, 3)
+        Levels.
+    inverse, weights : (3, 3) float32
+        What undoes the crosstalk, and `phase_weights`.
+    gains : Gains
+        The frame's, measured.
+    thresholds : 3 floats
+        Least intensity, least modulation and largest level of a pixel that counts.
+    balance_first : bool
+        See `Gains.measure`.
+
+    Returns
+    -------
+    (bins,) int64
+        From -pi to pi.
+    """
+    histogram = np.zeros((SLOTS, _BINS), np.int32)
+    step = max(1, int(image.shape[0]) * int(image.shape[1]) // _COUNTED)
+    kernel = _count_bare_phases_kernel(balance_first)
+    kernel(image, inverse, weights, gains.gains, gains.cell, step, *thresholds, histogram)
+    runtime.synchronize()
+    return histogram.sum(axis=0, dtype=np.int64)
