@@ -186,7 +186,9 @@ class Decoder:
         if self._path.unknown:
             self._path.unknown = False
             if self._learn_light(image, scale, period, frame):
-                doubt = self._run(image, scale, period, intensity, modulation, frame, None)
+                # What the first run has said of the code holds; the frame before is gone if `out` was its buffers.
+                before = None if out is previous else previous
+                doubt = self._run(image, scale, period, intensity, modulation, frame, before) or doubt
         if doubt is not None:
             self._warn(frame, doubt)
         frame.constant_known = self._path.constant_known

@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3
 from tikernels.balance import Gains, gain_at
 from tikernels.equalization import equalized
 from tikernels.phase_vector import arctangent, cosine_and_sine, matrix_of
@@ -162,6 +162,15 @@ def waves_of(phase: f32):
     return result
 
 
+@ti.func
+def cycle_at(template: F32Array2, waves: Static) -> vec3:
+    """Return the template's three channels, given `waves_of` the phase."""
+    result = vec3(0.0)
+    for n in ti.static(range(_TERMS)):
+        result += waves[n] * vec3(template[0, n], template[1, n], template[2, n])
+    return result
+
+
 @ti.kernel
 def recover_samples_kernel(
     samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to, levels; they are balanced
@@ -219,15 +228,13 @@ def sum_template_kernel(
     for run in range(samples.shape[0] * runs):
         y, first = run // runs, (run % runs) * _RUN
         # The upper triangle of the symmetric equations, row by row, and the right sides.
-        gram, right = ti.Vector.zero(f32, _TERMS * (_TERMS + 1) // 2), ti.Matrix.zero(f32, _TERMS, 3)
+        gram, right = ti.Vector.zero(f32, _CORNERS), ti.Matrix.zero(f32, _TERMS, 3)
         for j in range(first, ti.min(first + _RUN, columns)):
             if phases[y, j] < 0.5 * NO_PHASE:
                 ambient = ambient_at(smooth, cell, share, y, j * cell)
                 waves = waves_of(equalized(phases[y, j], correction))
                 light = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2]) - ambient
-                cycle = vec3(0.0)
-                for n in ti.static(range(_TERMS)):
-                    cycle += waves[n] * vec3(known[0, n], known[1, n], known[2, n])
+                cycle = cycle_at(known, waves)
                 # Each sample with its own brightness: bright ones count more, as they are more certain.
                 waves *= light.dot(cycle) / cycle.dot(cycle)
                 for place in ti.static(range(_CORNERS)):
@@ -261,9 +268,7 @@ def sum_model_kernel(
             if phases[y, j] < 0.5 * NO_PHASE:
                 waves = waves_of(equalized(phases[y, j], correction))
                 light = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2]) - ambient
-                cycle = vec3(0.0)
-                for n in ti.static(range(_TERMS)):
-                    cycle += waves[n] * vec3(template[0, n], template[1, n], template[2, n])
+                cycle = cycle_at(template, waves)
                 expected = light.dot(cycle) / cycle.dot(cycle) * cycle
                 count += 1.0
                 model += expected

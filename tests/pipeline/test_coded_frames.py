@@ -102,6 +102,13 @@ def test_a_frame_without_the_code():
     assert frame.order_error_probability[frame.mask].min() > 1e-3
 
 
+def test_a_code_that_nobody_told_of_in_unknown_light():
+    """The frame is decoded twice, to learn the light; what the first run said of the code is not lost."""
+    truth, _ = simulated("bust")
+    with pytest.warns(DecodeWarning, match=r'shows a contrast code: set code = "contrast"'):
+        Decoder(DecodeSettings(), arch="cpu").decode(truth.image)
+
+
 def test_a_code_that_nobody_told_of():
     truth, calibration = simulated("bust")
     decoder = Decoder(DecodeSettings(), said(calibration, None), arch="cpu")
