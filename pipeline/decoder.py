@@ -5,33 +5,24 @@ import warnings
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from pipeline.absolute_order import AbsoluteOrders, blur_shift, find_absolute_orders
 from pipeline.calibration import Calibration, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
-from pipeline.contrast_code import cycle_modulations
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError
 from pipeline.light_path import LightPath
+from pipeline.region_orders import OrderFinder
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
-from pipeline.temporal_order import MAX_ERROR_PROBABILITY, CarriedOrders, count_votes, split_by_votes
+from pipeline.workspace import Workspace
 from tikernels import runtime
-from tikernels.absolute_order import SLOTS as ORDER_SLOTS
-from tikernels.absolute_order import adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
-from tikernels.balance import Gains
-from tikernels.channel_model import ChannelModel
-from tikernels.equalization import modulation_tables
 from tikernels.errors import ShapeError
-from tikernels.filtering import measure_rates_kernel, rates_buffer, smooth_phase_kernel
+from tikernels.filtering import measure_rates_kernel, smooth_phase_kernel
 from tikernels.linearization import WHITE_LEVELS, linearize
 from tikernels.phase_recovery import CLIPPED, count_bare_phases, recover_phase_kernel
 from tikernels.registration import align_channels
 from tikernels.statistics import count_out_of_range, measure_frame
-from tikernels.temporal_order import VOTES_A_CELL, vote_orders_kernel
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
-from tikernels.unwrapping import PatchGraph, Unwrapper
 
 # Smaller pictures hold no surface.
 _MIN_SIZE_PX = 16
@@ -41,12 +32,6 @@ _MODULATION_SIGMAS = 5.0
 _MODULATION_FRACTION = 0.03
 _INTENSITY_SIGMAS = 3.0
 _INTENSITY_FRACTION = 0.02
-# With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
-# (rad) that is worth a pass over the image.
-_MAX_LOST = 0.02
-_MIN_CORRECTION = 1e-3
-# Every eighth column tells how far blur shifts the phase.
-_EVERY_COLUMN = 8
 # What the phases of the frames before still count when the response is equalised, from frame to frame.
 _MEMORY = 0.9
 # Noise below this share of full scale is not to be relied on.
@@ -54,18 +39,6 @@ _LEAST_NOISE = 1e-5
 # How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
 # a surface, but a code changes it from cycle to cycle, and taken for constant it would bend the phase by 0.02 rad.
 _CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
-
-
-class _Workspace:
-    """Device buffers for one image size and fringe period."""
-
-    def __init__(self, height: int, width: int, period_px: float, unwrap_method: str) -> None:
-        self.key = (height, width, period_px)
-        self.gains = Gains(height, width, period_px)
-        self.model = ChannelModel(self.gains)
-        self.rates = rates_buffer(height)
-        self.raw_phase = runtime.empty((height, width), np.float32)
-        self.unwrapper = Unwrapper(height, width, unwrap_method)
 
 
 class Decoder:
@@ -114,13 +87,13 @@ class Decoder:
         self._rays: Any = None
         if calibration is not None and calibration.has_geometry:
             self._geometry = calibration.geometry()
-            self._depth_mm = _expected_depth(self._geometry, calibration.depth_range_mm)
             self._projector = self._geometry.for_triangulation()
         self._code = self.settings.code
         if calibration is not None and calibration.pattern is not None:
             self._code = calibration.pattern.code
-        self._code_looked_for = False
-        self._workspace: _Workspace | None = None
+        depth_range_mm = None if calibration is None else calibration.depth_range_mm
+        self._orders = OrderFinder(self._code, self._path, self._geometry, depth_range_mm)
+        self._workspace: Workspace | None = None
         self._last_buffers: dict[str, Any] = {}
         self.arch = runtime.init(arch)
 
@@ -222,7 +195,7 @@ class Decoder:
         period = float(2 ** (np.round(8 * np.log2(period)) / 8))
         key = (int(image.shape[0]), int(image.shape[1]), period)
         if self._workspace is None or self._workspace.key != key:
-            self._workspace = _Workspace(*key, self.settings.unwrap_method)
+            self._workspace = Workspace(*key, self.settings.unwrap_method)
         work, buffers = self._workspace, frame._buffers
         path, white = self._path, 1.0 / scale
         levels, noise = (intensity / scale, modulation / scale), max(frame.noise_levels, _LEAST_NOISE * white)
@@ -257,131 +230,11 @@ class Decoder:
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
         smooth_phase_kernel(pairs)(work.raw_phase, work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
-        orders = self._read_code(image, work, buffers) if self._code == "contrast" else None
-        carried = None if previous is None else self._carry_orders(previous, work, buffers["phase"])
-        if self._geometry is not None:
-            work.unwrapper.place(buffers["phase"], self._rays, self._projector, self._depth_mm)
-        if carried is not None:
-            work.unwrapper.set_orders(carried.roots, carried.offsets)
-        if orders is not None:
-            work.unwrapper.set_orders(orders.parts[orders.absolute], orders.offsets[orders.absolute])
-        outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-        work.unwrapper.write(buffers["phase"], work.rates, *outputs)
-        self._note_orders(orders, carried, previous, work, frame)
-        doubt = None if orders is None else self._use_orders(orders, correction, work, frame)
-        if carried is not None and not carried.same_scene:
-            doubt = "nothing of the frame before is seen again: the orders start afresh"
+        doubt = self._orders.find(image, work, frame, previous, correction)
         if self._geometry is not None:
             projector = self._projector.arguments()
             triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
-        if self._code is None and not self._code_looked_for:
-            self._code_looked_for = True
-            graph = work.unwrapper.graph()
-            found = self._find_orders(image, work, buffers, graph)
-            if graph.pixels[np.isin(found.roots, found.parts[found.absolute])].sum() > graph.pixels.sum() / 2:
-                doubt = 'the frame shows a contrast code: set code = "contrast" to use it'
         return doubt
-
-    def _read_code(self, image: Any, work: _Workspace, buffers: dict[str, Any]) -> AbsoluteOrders:
-        """Find the absolute orders, and split the regions that the code contradicts."""
-        graph = work.unwrapper.graph()
-        orders = self._find_orders(image, work, buffers, graph)
-        if not np.array_equal(orders.roots, graph.root):
-            work.unwrapper.split(orders.roots)
-        return orders
-
-    def _find_orders(self, image: Any, work: _Workspace, buffers: dict[str, Any], graph: PatchGraph) -> AbsoluteOrders:
-        unwrapper = work.unwrapper
-        sums = runtime.empty((unwrapper.patch_count, ORDER_SLOTS, 4), np.float32)
-        light = (image, self._path.inverse, work.gains.gains, work.gains.cell, buffers["phase"], buffers["modulation"])
-        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits)
-        measure_contrast_kernel(self._path.balance_first)(*light, *patches, sums)
-        width = int(image.shape[1])
-        rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
-        return find_absolute_orders(runtime.to_host(sums), graph, width, rising, self._order_bounds(graph, width))
-
-    def _carry_orders(self, previous: DecodedFrame, work: _Workspace, phase: Any) -> CarriedOrders:
-        """Find the orders that agree with the frame before, and split the regions that it contradicts."""
-        unwrapper, before = work.unwrapper, previous._buffers
-        votes = runtime.empty((unwrapper.cells * VOTES_A_CELL, 4), np.int32)
-        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits, unwrapper.patches)
-        vote_orders_kernel(phase, *patches, before["unwrapped"], before["region"], votes)
-        counted = runtime.to_host(votes)
-        if self._code is None:  # a code has split them already, and knows better
-            graph = unwrapper.graph()
-            roots = split_by_votes(counted, graph)
-            if not np.array_equal(roots, graph.root):
-                unwrapper.split(roots)
-        return count_votes(counted, unwrapper.patch_roots())
-
-    def _note_orders(
-        self,
-        orders: AbsoluteOrders | None,
-        carried: CarriedOrders | None,
-        previous: DecodedFrame | None,
-        work: _Workspace,
-        frame: DecodedFrame,
-    ) -> None:
-        """Note of every region whether its orders are absolute, and how probably they are not."""
-        roots = work.unwrapper.roots
-        known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
-        if previous is not None and carried is not None and previous._placed is not None:
-            known_before, errors_before = previous._placed
-            place = {int(root): number for number, root in enumerate(carried.roots)}
-            for number, root in enumerate(roots, start=1):
-                if (found := place.get(int(root))) is not None:
-                    before = carried.before[found]
-                    errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
-                    known[number] = known_before[before] and errors[number] < MAX_ERROR_PROBABILITY
-        if orders is not None and len(orders.parts):
-            part = np.searchsorted(orders.parts, roots)
-            by_code = orders.absolute[part]
-            by_error = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
-            known[1:] |= by_code
-            errors[1:] = np.where(by_code | ~known[1:], by_error, errors[1:])
-        errors[0] = np.nan
-        frame._placed = known, errors.astype(np.float32)
-
-    def _order_bounds(self, graph: PatchGraph, width: int) -> npt.NDArray[np.float64] | None:
-        """Return the absolute phases, in cycles, that the depth range allows the first pixel of each patch."""
-        depths = None if self.calibration is None else self.calibration.depth_range_mm
-        if self._geometry is None or depths is None:
-            return None
-        rays = runtime.to_host(self._rays)[graph.first // width, graph.first % width]
-        ends = [self._geometry.pattern_cycles(np.column_stack([rays, np.ones(len(rays))]) * z) for z in depths]
-        return np.sort(np.stack(ends, axis=1), axis=1)
-
-    def _use_orders(
-        self, orders: AbsoluteOrders, correction: npt.NDArray[np.float32], work: _Workspace, frame: DecodedFrame
-    ) -> str | None:
-        """Note what is known of each region, and correct the phases by the modulation that their cycles have.
-
-        Returns what the user should know.
-        """
-        buffers, known = frame._buffers, frame.order_is_known
-        if known.any():
-            absolute = known.astype(np.int32)
-            adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
-            outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            adopt_pixels_kernel(
-                buffers["phase"], work.raw_phase, buffers["modulation"], work.rates, absolute, adopted, *outputs
-            )
-        # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
-        usual = 0.5 if self._path.response_is_full else cycle_modulations().mean()
-        departures, tables = modulation_tables(correction, cycle_modulations() / usual - 1)
-        columns = (slice(None), slice(None, None, _EVERY_COLUMN))
-        sampled = runtime.to_host(buffers["unwrapped"])[columns], runtime.to_host(buffers["region"])[columns]
-        shift = blur_shift(*sampled, known, departures, frame.period_px or 0.0)
-        if max(np.abs(tables).max(), abs(shift)) > _MIN_CORRECTION and known.any():
-            arguments = (buffers["region"], known.astype(np.int32), departures, tables, shift)
-            correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
-        pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
-        lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
-        if not orders.readable:
-            return "the frame does not show the contrast code: project a pattern made with --code contrast"
-        if lost > _MAX_LOST:
-            return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
-        return None
 
     def _read_image(self, image: Any) -> tuple[Any, float]:
         """Return linear light in levels, and the factor that takes them to 0..1."""
@@ -464,17 +317,6 @@ class Decoder:
     def _warn(self, frame: DecodedFrame, message: str) -> None:
         frame.warnings = (*frame.warnings, message)
         warnings.warn(message, DecodeWarning, stacklevel=4)
-
-
-def _expected_depth(geometry: Geometry, depth_range_mm: tuple[float, float] | None) -> float:
-    if depth_range_mm is not None:
-        return float(np.mean(depth_range_mm))
-    depth = geometry.working_distance_mm()
-    if depth is None:
-        raise CalibrationError(
-            "camera and projector look in parallel, so nothing tells how far the object is: give depth_range_mm"
-        )
-    return depth
 
 
 def _no_fringe(image: Any, white_level: float, stripes: str) -> str:
