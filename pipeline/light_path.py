@@ -109,7 +109,7 @@ class LightPath:
             if not self._equalize:
                 return _NO_CORRECTION
             return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
-        if self._compensated is False or prefers_response(histogram, self._response, self.lag):
+        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self.lag):
             return response_table(self._response, self.lag)
         return _NO_CORRECTION
 
@@ -123,7 +123,7 @@ class LightPath:
         inverse = invert_crosstalk(matrix, normalize_rows=self.balance_first)
         self.inverse, self.matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
         self.weights = phase_weights(inverse if self.balance_first else np.eye(3), self.lag).astype(np.float32)
-        self.noise_gain = float(np.sqrt((phase_weights(inverse) ** 2).sum() / 2))
+        self.noise_gain = float(np.sqrt((phase_weights(inverse)[:2] ** 2).sum() / 2))
 
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:

@@ -94,6 +94,7 @@ class ChannelModel:
         #: (3, terms) t_i: 1, cosines, sines.
         self.template = np.zeros((3, _TERMS), np.float32)
         self._share = 0.0
+        self._weights = np.zeros((3, 3), np.float32)
 
     def recover_samples(self, weights: npt.NDArray[np.float32], min_modulation: float, max_level: float) -> None:
         """Balance the samples by the gains, and find their bare phase, the arctangent's.
@@ -108,6 +109,7 @@ class ChannelModel:
             Brighter samples are clipped and say nothing.
         """
         gains = self._gains
+        self._weights = weights
         args = (gains.samples, gains.gains, gains.cell, weights, min_modulation, max_level)
         recover_samples_kernel(*args, self.phases, self._moments)
         count, modulation, background, square, product = runtime.to_host(self._moments).sum(axis=0, dtype=np.float64)
@@ -127,10 +129,11 @@ class ChannelModel:
         correction : (bins + 1,) float32
             rad, to be added to the bare phase; see `equalization.correction_table`.
         known : (3, terms) float32
-            The template as far as it is known: it tells the samples' brightness, and stays where there are hardly any.
+            The template as far as it is known: it helps to tell the samples' brightness, and stays where there are
+            hardly any.
         """
         gains = self._gains
-        args = (gains.samples, self.phases, correction, known, gains.smooth, gains.cell, self._share)
+        args = (gains.samples, self.phases, correction, self._weights, known, gains.smooth, gains.cell, self._share)
         sum_template_kernel(*args, self._normal)
         normal = runtime.to_host(self._normal).sum(axis=0, dtype=np.float64)  # synchronises
         gram = np.zeros((_TERMS, _TERMS))
@@ -192,7 +195,7 @@ def recover_samples_kernel(
             seen = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
             balanced = seen * gain_at(gains, cell, y, j * cell + cell // 2)
             vector = weights @ balanced
-            modulation, background = ti.sqrt(vector.x * vector.x + vector.y * vector.y), balanced.sum() / 3.0
+            modulation, background = ti.sqrt(vector.x * vector.x + vector.y * vector.y), vector.z
             phase = NO_PHASE
             if modulation > min_modulation and seen.max() < max_level:
                 phase = arctangent(vector.y, vector.x)
@@ -217,6 +220,7 @@ def sum_template_kernel(
     samples: F32Array3,  # (H, Wb, 3) balanced, levels
     phases: F32Array2,  # (H, Wb) rad
     correction: F32Array1,  # (bins + 1,) rad
+    phase_weights: F32Array2,  # (3, 3)
     known: F32Array2,  # (3, terms)
     smooth: F32Array3,  # (Hg, Wg, 8) background and count last
     cell: i32,
@@ -229,14 +233,15 @@ def sum_template_kernel(
         y, first = run // runs, (run % runs) * _RUN
         # The upper triangle of the symmetric equations, row by row, and the right sides.
         gram, right = ti.Vector.zero(f32, _CORNERS), ti.Matrix.zero(f32, _TERMS, 3)
+        brightness = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
         for j in range(first, ti.min(first + _RUN, columns)):
             if phases[y, j] < 0.5 * NO_PHASE:
                 ambient = ambient_at(smooth, cell, share, y, j * cell)
                 waves = waves_of(equalized(phases[y, j], correction))
                 light = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2]) - ambient
-                cycle = cycle_at(known, waves)
-                # Each sample with its own brightness: bright ones count more, as they are more certain.
-                waves *= light.dot(cycle) / cycle.dot(cycle)
+                # Each sample with its own brightness: bright ones count more, as they are more certain. The background
+                # tells it whatever the phase, but for what is known of the response and lateral colour.
+                waves *= light.dot(brightness) / cycle_at(known, waves).dot(brightness)
                 for place in ti.static(range(_CORNERS)):
                     gram[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
                 right += waves.outer_product(light)

@@ -3,6 +3,9 @@
 Over many cycles a surface shows every phase equally often; a response that is not linear crowds them (section 3.2 of
 Je, Lee and Park 2004). The cumulative distribution, interpolated, is the map that spreads them again. Its free
 constant is set so that the mean correction is zero; otherwise the whole phase would shift with the branch cut.
+
+The assumption fails where few cycles are in view. But a response is the same everywhere, and what a surface shows too
+often is not: histograms of parts of the picture tell the two apart, harmonic by harmonic.
 """
 
 from typing import Any
@@ -27,8 +30,9 @@ def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) 
 
     Parameters
     ----------
-    histogram : (bins,) numbers
-        How often the wrapped phase fell into each part of [-pi, pi].
+    histogram : (bins,) or (parts, bins) numbers
+        How often the wrapped phase fell into each part of [-pi, pi], in all or in parts of the picture. A harmonic in
+        which the parts differ counts less: by the variance of its mean over its square, as Wiener's filter has it.
     harmonics : int, optional
         Keep the correction's harmonics up to this one. A fringe of P pixels that runs along the pixel rows shows only P
         phases, which the plain distribution mistakes for a distortion of harmonic P: keep it below P.
@@ -38,19 +42,33 @@ def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) 
     (bins + 1,) float32
         rad; zero where there are too few counts.
     """
-    counts = histogram.astype(np.float64)
+    parts = np.atleast_2d(histogram).astype(np.float64)
+    counts = parts.sum(axis=0)
     bins, total = len(counts), counts.sum()
     if total < _MIN_COUNTS_A_BIN * bins:
         return np.zeros(bins + 1, np.float32)
     edges = np.linspace(-np.pi, np.pi, bins + 1)
     correction = 2 * np.pi * np.concatenate([[0.0], np.cumsum(counts)]) / total - np.pi - edges
+    spectrum = np.fft.rfft(correction[:-1])
+    spectrum[1:] *= _certainty(parts)[1:]
     if harmonics is not None:
-        spectrum = np.fft.rfft(correction[:-1])
         spectrum[harmonics + 1 :] = 0
-        correction[:-1] = np.fft.irfft(spectrum, bins)
-        correction[-1] = correction[0]
+    correction[:-1] = np.fft.irfft(spectrum, bins)
+    correction[-1] = correction[0]
     mean = counts @ (correction[1:] + correction[:-1]) / (2 * total)
     return (correction - mean).astype(np.float32)
+
+
+def _certainty(parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return by harmonic which share of it all (parts, bins) have in common; 1 where there is only one."""
+    totals = parts.sum(axis=1)
+    spectra, seen = np.fft.rfft(parts[totals > 0], axis=1), totals[totals > 0]
+    if len(seen) < 2:
+        return np.ones(spectra.shape[1])
+    mean = spectra.sum(axis=0) / seen.sum()
+    departures = np.abs(spectra - seen[:, None] * mean) ** 2
+    variance = departures.sum(axis=0) / seen.sum() ** 2 * len(seen) / (len(seen) - 1)
+    return np.asarray(np.maximum(1 - variance / np.maximum(np.abs(mean) ** 2, 1e-20), 0))
 
 
 def modulation_tables(

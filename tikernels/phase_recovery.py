@@ -20,7 +20,7 @@ from tikernels import runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array2, f32, i32, ti, vec3
 from tikernels.balance import Gains, gain_at
 from tikernels.channel_model import HARMONICS
-from tikernels.equalization import SLOTS, equalized
+from tikernels.equalization import equalized
 from tikernels.phase_vector import PI, arctangent, cosine_and_sine, matrix_of
 from tikernels.wrapped_phase import NO_PHASE
 
@@ -66,7 +66,7 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
         white: f32,  # level of full scale
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk; used where the model's channels come after it
         crosstalk_matrix: F32Array2,  # (3, 3)
-        phase_weights: F32Array2,  # (3, 3) takes the model's balanced channels to b (cos phi, sin phi), 0
+        phase_weights: F32Array2,  # (3, 3) takes the model's balanced channels to b (cos phi, sin phi), a
         correction: F32Array1,  # (bins + 1,) rad to add to the arctangent
         template: F32Array2,  # (3, 1 + 2 harmonics) one cycle of each channel
         nodes: F32Array3,  # (Hg, Wg, 6) A and B
@@ -179,6 +179,8 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
 
 
 _BINS = 256
+# The picture's histograms are those of so many parts both ways.
+_PARTS = 6
 # So many pixels pin the equalisation down: the cumulative distribution of N phases errs by up to pi / sqrt(N).
 _COUNTED = 2**17
 
@@ -196,7 +198,7 @@ def _count_bare_phases_kernel(balance_first: bool) -> Any:
         min_intensity: f32,  # levels
         min_modulation: f32,  # levels
         max_level: f32,
-        out_histogram: I32Array2,  # (SLOTS, bins), to be added to
+        out_histogram: I32Array2,  # (parts, bins), to be added to
     ):
         height, width, bins = image.shape[0], image.shape[1], out_histogram.shape[1]
         columns = (width + step - 1) // step
@@ -213,8 +215,8 @@ def _count_bare_phases_kernel(balance_first: bool) -> Any:
                 vector = matrix_of(phase_weights) @ (channels * gain_at(gains, cell, y, x))
                 if vector.x * vector.x + vector.y * vector.y > min_modulation * min_modulation:
                     place = (arctangent(vector.y, vector.x) + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
-                    slot = y % out_histogram.shape[0]
-                    out_histogram[slot, ti.min(ti.max(ti.cast(place, i32), 0), bins - 1)] += 1
+                    part = (y * _PARTS // height) * _PARTS + x * _PARTS // width
+                    out_histogram[part, ti.min(ti.max(ti.cast(place, i32), 0), bins - 1)] += 1
 
     return count_bare_phases
 
@@ -227,7 +229,7 @@ def count_bare_phases(
     thresholds: tuple[float, float, float],
     balance_first: bool,
 ) -> npt.NDArray[np.int64]:
-    """Count how often the arctangent's phases fall into each part of the cycle.
+    """Count how often the arctangent's phases fall into each part of the cycle, all over the picture.
 
     Parameters
     ----------
@@ -244,12 +246,12 @@ def count_bare_phases(
 
     Returns
     -------
-    (bins,) int64
-        From -pi to pi.
+    (parts, bins) int64
+        From -pi to pi; by part of the picture.
     """
-    histogram = np.zeros((SLOTS, _BINS), np.int32)
+    histogram = np.zeros((_PARTS**2, _BINS), np.int32)
     step = max(1, int(image.shape[0]) * int(image.shape[1]) // _COUNTED)
     kernel = _count_bare_phases_kernel(balance_first)
     kernel(image, inverse, weights, gains.gains, gains.cell, step, *thresholds, histogram)
     runtime.synchronize()
-    return histogram.sum(axis=0, dtype=np.int64)
+    return histogram.astype(np.int64)

@@ -23,7 +23,7 @@ STEP_PHASE = 2.0 * NO_PHASE
 def phase_weights(
     inverse: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
 ) -> npt.NDArray[np.float64]:
-    """Return the (3, 3) weights that take balanced camera channels to b (cos phi, sin phi) and 0.
+    """Return the (3, 3) weights that take balanced camera channels to b (cos phi, sin phi) and the background a.
 
     Parameters
     ----------
@@ -32,9 +32,7 @@ def phase_weights(
     lag : (3,), optional
         See `channel_waves`.
     """
-    weights: npt.NDArray[np.float64] = np.linalg.inv(channel_waves(lag))[[1, 2, 0]] @ inverse
-    weights[2] = 0
-    return weights
+    return np.asarray(np.linalg.inv(channel_waves(lag))[[1, 2, 0]] @ inverse)
 
 
 @ti.kernel
