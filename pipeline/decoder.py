@@ -139,6 +139,7 @@ class Decoder:
         frame.noise_levels = noise / scale
         frame.period_px = period
         frame.warnings = ()
+        frame._constant_sigma = np.nan
         if statistics.period_px is None:
             self._warn(frame, _no_fringe(image, 1.0 / scale, self._stripes))
             period = None
@@ -207,6 +208,7 @@ class Decoder:
             frame._histogram += _MEMORY * previous._histogram
         correction = path.correction(frame._histogram, period)
         work.model.fit(correction, path.template())
+        frame._constant_sigma = float(np.hypot(path.constant_sigma, work.model.mismatch))
         recover_phase_kernel(path.balance_first, work.gains.cell)(
             image,
             white,

@@ -20,6 +20,8 @@ from tikernels.wrapped_phase import phase_weights
 # one.
 _HARMONICS_A_PIXEL = 0.8
 _NO_CORRECTION = np.zeros(2, np.float32)
+# Crosstalk of which nothing is known turns the phase about grey; leaks of up to a fifth do it by some 0.05 rad.
+_UNKNOWN_CONSTANT = 0.05
 
 
 class LightPath:
@@ -43,6 +45,8 @@ class LightPath:
         The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
     constant_known : bool
         Whether the phase is known, not only but for a constant.
+    constant_sigma : float
+        Standard deviation of that constant as far as settings, calibration or a frame's light tell it, rad.
     unknown : bool
         Whether nothing is known of the light, so that a frame is to tell it.
     """
@@ -78,6 +82,7 @@ class LightPath:
         # channels are to each other, which matters where the crosstalk is undone before the balance.
         self.unknown = matrix is None and self.balance_first
         self.constant_known = matrix is not None
+        self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
         self._use(np.eye(3) if matrix is None else matrix @ np.diag(light))
 
     def learn(self, light: LightEstimate) -> None:
@@ -85,6 +90,7 @@ class LightPath:
         self._use(light.crosstalk_matrix)
         self._learned = light.correction
         self.constant_known = light.constant_known
+        self.constant_sigma = light.constant_sigma if light.constant_known else _UNKNOWN_CONSTANT
 
     def template(self) -> npt.NDArray[np.float32]:
         """Return one cycle of each balanced channel as far as it is known; see `ChannelModel.fit`."""

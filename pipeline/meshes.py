@@ -23,9 +23,9 @@ def frame_mesh(frame: DecodedFrame) -> Mesh:
     Returns
     -------
     Mesh
-        With a calibration in mm; without one x and y in px and z the relative phase in rad. The modulation and the
-        standard deviation go along as vertex properties. Pixels without a range are left out, so the mesh of an empty
-        frame has no vertices.
+        With a calibration in mm; without one x and y in px and z the relative phase in rad. Modulation, standard
+        deviations and the probability of a wrong order go along as vertex properties. Pixels without a range are left
+        out, so the mesh of an empty frame has no vertices.
     """
     values = frame.range_image
     mask = frame.mask & np.isfinite(values)
@@ -41,10 +41,16 @@ def frame_mesh(frame: DecodedFrame) -> Mesh:
         points = np.stack([x, y, values], axis=-1)
         max_step = _MAX_STEP_RAD
     faces = triangulate_mesh(np.where(mask[..., None], points, np.float32(0)), mask, max_step)
-    name, sigma = ("sigma_rad", frame.phase_sigma) if frame.point_sigma is None else ("sigma_mm", frame.point_sigma)
+    properties = {
+        "modulation": frame.modulation,
+        "sigma_rad": frame.phase_sigma,
+        "order_error_probability": frame.order_error_probability,
+    }
+    if frame.point_sigma is not None:
+        properties["sigma_mm"] = frame.point_sigma
     return Mesh(
         vertices=np.ascontiguousarray(points[mask]),
         faces=faces,
-        properties={"modulation": frame.modulation[mask], name: sigma[mask]},
+        properties={name: values[mask] for name, values in properties.items()},
         unit="mm" if frame.points is not None else "rad",
     )

@@ -43,6 +43,7 @@ def frame_report(
         "range_unit": "mm" if frame.calibrated else "rad",
         "range_percentiles_1_50_99": np.percentile(values, (1, 50, 99)).tolist() if len(values) else None,
         "phase_constant_known": frame.constant_known,
+        "phase_constant_sigma_rad": float(frame.constant_sigma) if np.isfinite(frame.constant_sigma) else None,
         "warnings": list(frame.warnings),
     }
 

@@ -12,9 +12,16 @@ from tikernels import runtime
 from tikernels.transposing import transpose
 from tikernels.triangulation import ProjectorGeometry, triangulate
 
+# A frame's constant is never known better, rad: what balance and ambient light leave of it on clean frames.
+_LEAST_CONSTANT = 0.0006
+# The smoothing's bias is taken from second differences over so many px, most of whose noise averages out.
+_BEND_PX = 6
 # The window that the channels' model is fitted to, in cycles, and its error's share of a pixel's variance there: some
-# fifty samples for three channels' gains and offsets.
-_MODEL_WINDOW, _MODEL_ERROR = 0.85, 0.03
+# fifty samples for three channels' gains and offsets. Where part of the window is empty, as near an edge, the model
+# follows the other side's shading: an error in rad, whatever the noise, that grows with the root of that part.
+_MODEL_WINDOW, _MODEL_ERROR, _EDGE_ERROR = 0.85, 0.03, 0.025
+# Rows differ by less than the noise where it was overrated, but not by less than half of it.
+_LEAST_SCATTER = 0.5
 
 
 @dataclass(eq=False)
@@ -36,6 +43,7 @@ class DecodedFrame:
     """Whether the phase is known, not only but for one constant: crosstalk that is not known turns it about grey."""
     _vertical: bool
     _buffers: dict[str, Any] = field(repr=False)  # stripes along the rows, on the device
+    _constant_sigma: float = field(default=np.nan, repr=False)  # rad, by the light
     _pairs: int = field(default=0, repr=False)  # neighbours on either side that the smoothing averages over
     _rig: tuple[Any, ProjectorGeometry] | None = field(default=None, repr=False)  # rays as the buffers lie, projector
     _histogram: npt.NDArray[np.float64] | None = field(default=None, repr=False)  # of bare phases, earlier frames'
@@ -113,16 +121,32 @@ class DecodedFrame:
         window = np.ones(reach[::-1] if self._vertical else reach, np.uint8)
         # Only where all the neighbours are there does the smoothing average over all of them.
         whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
-        averaged = np.where(whole, np.float32(1 / np.sqrt(2 * self._pairs + 1)), np.float32(1))
-        noise = 1 / np.sqrt(np.maximum(self._read("precision")[mask], 1e-6))
-        sigma[mask] = noise * averaged
-        sigma *= max(1.0, self._scatter(sigma))
-        # The model of the channels is fitted to a window of about a cycle, to less of it at an edge. Its error is the
-        # same over neighbouring pixels: they do not show it, and it does not average out.
+        averaged = np.where(whole, np.float32(1 / (2 * self._pairs + 1)), np.float32(1))
+        # The model's error is the same over neighbouring pixels: it does not average out.
+        sigma[mask] = np.sqrt((averaged + _MODEL_ERROR) / np.maximum(self._read("precision")[mask], 1e-6))
+        sigma *= max(_LEAST_SCATTER, self._scatter(sigma))
         window_px = _MODEL_WINDOW * (self.period_px or 1)
         inside = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), window_px, borderType=cv2.BORDER_CONSTANT)[mask]
-        sigma[mask] = np.sqrt(sigma[mask] ** 2 + _MODEL_ERROR / inside**3 * noise**2)
+        sigma[mask] = np.sqrt(sigma[mask] ** 2 + _EDGE_ERROR**2 * np.maximum(1 - inside, 0))
         return sigma
+
+    @cached_property
+    def constant_sigma(self) -> np.float32:
+        """Standard deviation of the constant by which all phases may be wrong, rad; it is not in `phase_sigma`.
+
+        Crosstalk that is not as calibrated, or channels that respond differently, show in the channels' waves: they
+        turn the phase by about as much as these differ from what they should be. Only what turns all three colours
+        alike leaves no trace. Smoothing adds its bias on surfaces that bend along the stripes. NaN without fringes.
+        """
+        phase = self.unwrapped_phase.T if self._vertical else self.unwrapped_phase
+        bias = 0.0
+        if self._pairs and phase.shape[1] > 2 * _BEND_PX:
+            bend = phase[:, 2 * _BEND_PX :] - 2 * phase[:, _BEND_PX:-_BEND_PX] + phase[:, : -2 * _BEND_PX]
+            smooth = np.abs(bend) < 1  # more is a step
+            if smooth.any():
+                # A window of n px has a variance of (n^2 - 1) / 12, and n = 2 pairs + 1.
+                bias = float(bend[smooth].mean()) / _BEND_PX**2 * self._pairs * (self._pairs + 1) / 6
+        return np.float32(np.sqrt(_LEAST_CONSTANT**2 + bias**2 + self._constant_sigma**2))
 
     def _scatter(self, sigma: npt.NDArray[np.float32]) -> float:
         """Return by how much more than sigma rows a quarter of a cycle apart differ from a smooth surface.

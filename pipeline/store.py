@@ -22,6 +22,7 @@ FIELDS = (
     "absolute",
     "order_error_probability",
     "phase_sigma",
+    "constant_sigma",
     "points",
     "point_sigma",
     "range_image",
@@ -61,9 +62,9 @@ def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calib
     compressor = BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle")
     group = zarr.open_group(path, mode="w-", attributes=result_attributes(settings, calibration))
     for name in FIELDS:
-        values = getattr(frame, name)
-        if values is None:
+        if getattr(frame, name) is None:
             continue
+        values = np.asarray(getattr(frame, name))
         array = group.create_array(
             name,
             shape=(1, *values.shape),

@@ -74,6 +74,16 @@ def flat_template() -> npt.NDArray[np.float32]:
     return np.eye(1, _TERMS, dtype=np.float32).repeat(3, axis=0)
 
 
+def _mismatch(template: npt.NDArray[np.float32], weights: npt.NDArray[np.float32]) -> float:
+    """Return by how much the channels' fundamentals differ from those that `phase_weights` are made for.
+
+    What all three have in common, a phase and a modulation, is the surface's and the response's.
+    """
+    waves = np.linalg.inv(weights.astype(np.float64))
+    ratio = (template[:, 1] - 1j * template[:, 1 + HARMONICS]) / (waves[:, 0] - 1j * waves[:, 1])
+    return float(np.sqrt((np.abs(ratio / ratio.mean() - 1) ** 2).sum() / 2))
+
+
 class ChannelModel:
     """The model of one frame, and the buffers to fit it, for the grid of `gains`."""
 
@@ -93,6 +103,8 @@ class ChannelModel:
         self.nodes = runtime.empty((*gains.grid, 6), np.float32)
         #: (3, terms) t_i: 1, cosines, sines.
         self.template = np.zeros((3, _TERMS), np.float32)
+        #: How far the template's fundamentals are from those that crosstalk and lateral colour make, as a fraction.
+        self.mismatch = np.nan
         self._share = 0.0
         self._weights = np.zeros((3, 3), np.float32)
 
@@ -145,6 +157,7 @@ class ChannelModel:
         right = normal[_CORNERS:].reshape(_TERMS, 3) + prior[:, None] * known.T
         solved = np.linalg.solve(gram, right)
         self.template[:] = (solved / solved[0]).T
+        self.mismatch = _mismatch(self.template, self._weights)
         fitted = (gains.samples, self.phases, correction, self.template, gains.smooth, gains.rows, self._share)
         sum_model_kernel(*fitted, self._sums)
         gains.smooth_sums(self._sums, self._half, self._smooth)

@@ -17,6 +17,10 @@ _COLUMNS = 16
 # A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
 # far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
 _MIN_SHARE = 0.15
+# What is darker than this share of the brightest is not lit.
+_LIT_SHARE = 0.3
+# Mean of the middle fifth of a normal distribution's absolute values, in standard deviations.
+_MIDDLE = 0.6776
 
 
 @dataclass(frozen=True)
@@ -77,10 +81,14 @@ def measure_frame(image: Any, white_level: float | None = None) -> FrameStatisti
     samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
     probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), samples)
     light = samples[..., 3]
-    lit = light >= np.median(light)  # dark pixels are clipped at zero and show half the noise
-    # The second difference of a sum of three channels has 3 (1 + 4 + 1) times a channel's variance.
-    noise = float(np.median(np.abs(samples[..., 2][lit])) / (0.6745 * np.sqrt(18)))
-    return FrameStatistics(_period(samples[..., 0] + 1j * samples[..., 1]), noise, float(np.percentile(light, 95)))
+    bright = float(np.percentile(light, 95))
+    # Dark pixels are clipped at zero and show half the noise.
+    lit = light >= max(float(np.median(light)), _LIT_SHARE * bright)
+    # The channels' sum has second differences of 3 (1 + 4 + 1) times a channel's variance. Their middle fifth instead
+    # of the median: that of whole levels is one or the next.
+    middle = np.percentile(np.abs(samples[..., 2][lit]), np.linspace(40, 60, 21)).mean()
+    noise = float(middle / (_MIDDLE * np.sqrt(18)))
+    return FrameStatistics(_period(samples[..., 0] + 1j * samples[..., 1]), noise, bright)
 
 
 def _period(signal: npt.NDArray[np.complex64]) -> float | None:

@@ -320,3 +320,24 @@ def test_lateral_colour_is_undone():
         errors.append(np.sqrt((np.angle(error / error.mean()) ** 2).mean()))
     assert errors[0] > 0.1
     assert errors[1] < 0.03
+
+
+@pytest.mark.parametrize("leak, bound", [(0.0, 0.004), (0.05, 0.08)])
+def test_the_constant_says_how_far_it_may_be_off(arch, leak, bound):
+    """Crosstalk that is not as calibrated turns the phase, and shows in the channels' waves."""
+    truth, calibration = simulated("plane", "horizontal")
+    matrix = SimulationSettings().crosstalk_matrix + leak * np.array([[0, 1, 0], [0, 0, 0], [0, 0, 0]])
+    known = calibration.model_copy(update={"crosstalk_matrix": matrix})
+    frame = Decoder(DecodeSettings(), known, arch=arch).decode(truth.image)
+    constant = np.angle(np.exp(1j * (frame.wrapped_phase - truth.phase)[frame.mask]).mean())
+    assert abs(constant) < 2 * frame.constant_sigma < bound
+    assert (abs(constant) > 0.008) == (leak > 0)
+
+
+def test_without_crosstalk_the_constant_is_open(arch):
+    truth, calibration = simulated("plane", "horizontal")
+    known = calibration.model_copy(update={"crosstalk_matrix": None})
+    settings = DecodeSettings(reflectance_bands="narrow")
+    assert Decoder(settings, known, arch=arch).decode(truth.image).constant_sigma > 0.05
+    with pytest.warns(DecodeWarning, match="no fringe"):
+        assert np.isnan(Decoder(settings, known, arch=arch).decode(np.zeros_like(truth.image)).constant_sigma)
