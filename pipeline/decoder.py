@@ -2,6 +2,7 @@
 
 import sys
 import warnings
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,12 +16,13 @@ from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
 from pipeline.workspace import Workspace
 from tikernels import runtime
+from tikernels.channel_model import ChannelModel
 from tikernels.errors import ShapeError
 from tikernels.filtering import measure_rates_kernel, smooth_phase_kernel
 from tikernels.linearization import WHITE_LEVELS, linearize
 from tikernels.phase_recovery import CLIPPED, count_bare_phases, recover_phase_kernel
 from tikernels.registration import align_channels
-from tikernels.statistics import count_out_of_range, measure_frame
+from tikernels.statistics import FrameStatistics, count_out_of_range, measure_frame
 from tikernels.transposing import transpose
 from tikernels.triangulation import triangulate_kernel
 
@@ -32,6 +34,10 @@ _MODULATION_SIGMAS = 5.0
 _MODULATION_FRACTION = 0.03
 _INTENSITY_SIGMAS = 3.0
 _INTENSITY_FRACTION = 0.02
+# Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
+_MIN_CONTRAST = 0.12
+# A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
+_MAX_MISMATCH = 0.12
 # What the phases of the frames before still count when the response is equalised, from frame to frame.
 _MEMORY = 0.9
 # Noise below this share of full scale is not to be relied on.
@@ -39,6 +45,18 @@ _LEAST_NOISE = 1e-5
 # How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
 # a surface, but a code changes it from cycle to cycle, and taken for constant it would bend the phase by 0.02 rad.
 _CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
+
+
+@dataclass(frozen=True)
+class _Levels:
+    """Noise and thresholds of a frame, in its levels of linear light."""
+
+    white: float  # full scale
+    read_noise: float  # standard deviation of a dark channel
+    noise_gain: float  # by how much the variance grows with the light
+    noise: float  # standard deviation at half of the brightest
+    intensity: float  # least mean of the channels
+    modulation: float  # least modulation
 
 
 class Decoder:
@@ -125,7 +143,7 @@ class Decoder:
         FootageError
             The image holds NaN, or values outside 0..white level.
         """
-        image, scale = self._read_image(image)
+        image, white = self._read_image(image)
         if self._path.camera_shift_px is not None:
             image = align_channels(image, self._path.camera_shift_px)
         vertical = self._stripes == "vertical"
@@ -133,47 +151,62 @@ class Decoder:
             image = transpose(image)
         height, width = int(image.shape[0]), int(image.shape[1])
         frame = self._frame(height, width, vertical, out)
-        statistics = measure_frame(image, 1.0 / scale)
+        statistics = measure_frame(image, white)
         period = self.settings.camera_period_px or statistics.period_px
-        noise = statistics.noise if self.settings.noise is None else self.settings.noise[0] * scale
-        frame.noise_levels = noise / scale
+        levels = self._levels(statistics, white)
+        frame.noise_levels = levels.noise
         frame.period_px = period
         frame.warnings = ()
         frame._constant_sigma = np.nan
         if statistics.period_px is None:
-            self._warn(frame, _no_fringe(image, 1.0 / scale, self._stripes))
+            self._warn(frame, _no_fringe(image, white, self._stripes))
             period = None
         if period is None:
             self._clear(frame)
             frame._placed = None
             return frame
-        intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
-        least = _MODULATION_SIGMAS * self._path.noise_gain * noise
-        modulation = self._threshold(self.settings.min_modulation, scale, least)
-        if self.settings.min_intensity is None:
-            intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
-        if self.settings.min_modulation is None:
-            modulation = max(modulation, _MODULATION_FRACTION * statistics.brightness)
         if previous is not None and previous.mask.shape != ((width, height) if vertical else (height, width)):
             raise ShapeError(f"frame is {height}x{width} but the one before is {_size(previous.mask.shape)}")
-        doubt = self._run(image, scale, period, intensity, modulation, frame, previous)
+        # A few per cent of period change nothing; the buffers stay while it drifts.
+        period = float(2 ** (np.round(8 * np.log2(period)) / 8))
+        work = self._workspace
+        if work is None or work.key != (height, width, period):
+            work = self._workspace = Workspace(height, width, period, self.settings.unwrap_method)
+        doubt = self._run(image, work, levels, period, frame, previous)
         if self._path.unknown:
             self._path.unknown = False
-            if self._learn_light(image, scale, period, frame):
+            if self._learn_light(image, levels.white, period, frame):
                 # What the first run has said of the code holds; the frame before is gone if `out` was its buffers.
                 before = None if out is previous else previous
-                doubt = self._run(image, scale, period, intensity, modulation, frame, before) or doubt
+                again = self._run(image, work, levels, period, frame, before)
+                doubt = again or doubt
         if doubt is not None:
             self._warn(frame, doubt)
+        self._warn_of_light(frame, work.model)
         frame.constant_known = self._path.constant_known
         return frame
 
-    def _learn_light(self, image: Any, scale: float, period: float, frame: DecodedFrame) -> bool:
+    def _warn_of_light(self, frame: DecodedFrame, model: ChannelModel) -> None:
+        """Say where the light is not what decoding takes it for."""
+        if model.contrast < _MIN_CONTRAST:
+            self._warn(
+                frame,
+                f"the fringe's contrast is only {model.contrast:.0%}: less motion blur, a sharper focus or less other "
+                "light would make it certain",
+            )
+        if self._path.constant_known and model.mismatch > _MAX_MISMATCH:
+            self._warn(
+                frame,
+                f"the colours' fringes differ by {model.mismatch:.0%} from what the crosstalk matrix makes of them: "
+                "calibrate the light anew (colorphase calibrate check says what is wrong)",
+            )
+
+    def _learn_light(self, image: Any, white: float, period: float, frame: DecodedFrame) -> bool:
         """Learn crosstalk and response from a frame that was decoded without; return whether it told them."""
         unwrapped = runtime.to_host(frame._buffers["unwrapped"])  # synchronises
         mask = runtime.to_host(frame._buffers["mask"]) != 0
         try:
-            light = estimate_light([runtime.to_host(image)], 1.0 / scale, [unwrapped], [mask], period)
+            light = estimate_light([runtime.to_host(image)], white, [unwrapped], [mask], period)
         except CalibrationError:
             return False
         if light.reliable:
@@ -184,26 +217,19 @@ class Decoder:
     def _run(
         self,
         image: Any,
-        scale: float,
+        work: Workspace,
+        levels: _Levels,
         period: float,
-        intensity: float,
-        modulation: float,
         frame: DecodedFrame,
         previous: DecodedFrame | None,
     ) -> str | None:
         """Decode, and return what the user should know of the orders."""
-        # A few per cent of period change nothing; the buffers stay while it drifts.
-        period = float(2 ** (np.round(8 * np.log2(period)) / 8))
-        key = (int(image.shape[0]), int(image.shape[1]), period)
-        if self._workspace is None or self._workspace.key != key:
-            self._workspace = Workspace(*key, self.settings.unwrap_method)
-        work, buffers = self._workspace, frame._buffers
-        path, white = self._path, 1.0 / scale
-        levels, noise = (intensity / scale, modulation / scale), max(frame.noise_levels, _LEAST_NOISE * white)
-        work.gains.measure(image, path.inverse, path.matrix, *levels, balance_first=path.balance_first, lag=path.lag)
-        counting = (path.inverse, path.weights, work.gains, (*levels, CLIPPED * white), path.balance_first)
+        buffers, path = frame._buffers, self._path
+        least = (levels.intensity, levels.modulation)
+        work.gains.measure(image, path.inverse, path.matrix, *least, balance_first=path.balance_first, lag=path.lag)
+        counting = (path.inverse, path.weights, work.gains, (*least, CLIPPED * levels.white), path.balance_first)
         frame._histogram = count_bare_phases(image, *counting).astype(np.float64)
-        work.model.recover_samples(path.weights, levels[1], CLIPPED * white)
+        work.model.recover_samples(path.weights, levels.modulation, CLIPPED * levels.white)
         if previous is not None and previous._histogram is not None:
             frame._histogram += _MEMORY * previous._histogram
         correction = path.correction(frame._histogram, period)
@@ -211,16 +237,17 @@ class Decoder:
         frame._constant_sigma = float(np.hypot(path.constant_sigma, work.model.mismatch))
         recover_phase_kernel(path.balance_first, work.gains.cell)(
             image,
-            white,
+            levels.white,
             path.inverse,
             path.matrix,
             path.weights,
             correction,
             work.model.template,
             work.model.nodes,
-            *levels,
-            noise,
-            _CONTRAST_DOUBT[self._code] / noise,
+            *least,
+            levels.read_noise,
+            levels.noise_gain,
+            _CONTRAST_DOUBT[self._code],
             work.raw_phase,
             buffers["modulation"],
             buffers["precision"],
@@ -239,7 +266,7 @@ class Decoder:
         return doubt
 
     def _read_image(self, image: Any) -> tuple[Any, float]:
-        """Return linear light in levels, and the factor that takes them to 0..1."""
+        """Return linear light in levels, and their full scale."""
         if not isinstance(image, np.ndarray) and not runtime.is_device_array(image):
             raise ShapeError(f"image is a {type(image).__name__}: pass a NumPy array of shape (H, W, 3)")
         shape = tuple(image.shape)
@@ -274,8 +301,21 @@ class Decoder:
                 )
         transfer = self._path.transfer
         if not isinstance(transfer, str) or transfer != "linear":
-            return linearize(image, transfer, white), 1.0
-        return image, 1.0 / white
+            image = linearize(image, transfer, white, white)
+        return image, white
+
+    def _levels(self, statistics: FrameStatistics, white: float) -> _Levels:
+        """Return noise and thresholds: the settings', and what they leave open from the frame."""
+        settings, brightness = self.settings, statistics.brightness * white
+        read, gain = settings.noise or (statistics.noise[0] * white, statistics.noise[1] * white)
+        read = max(read, _LEAST_NOISE * white)
+        noise = float(np.sqrt(read**2 + gain * brightness / 2))
+        intensity, modulation = settings.min_intensity, settings.min_modulation
+        if intensity is None:
+            intensity = max(_INTENSITY_SIGMAS * noise, _INTENSITY_FRACTION * brightness)
+        if modulation is None:
+            modulation = max(_MODULATION_SIGMAS * self._path.noise_gain * noise, _MODULATION_FRACTION * brightness)
+        return _Levels(white, read, gain, noise, intensity, modulation)
 
     def _frame(self, height: int, width: int, vertical: bool, out: DecodedFrame | None) -> DecodedFrame:
         if self._geometry is not None and self._rays is None:
@@ -312,9 +352,6 @@ class Decoder:
         empty = {"mask": 0, "region": 0, "modulation": 0.0}
         for name, buffer in frame._buffers.items():
             buffer.fill(empty.get(name, np.nan))
-
-    def _threshold(self, level: float | None, scale: float, automatic: float) -> float:
-        return automatic if level is None else level * scale
 
     def _warn(self, frame: DecodedFrame, message: str) -> None:
         frame.warnings = (*frame.warnings, message)

@@ -34,7 +34,7 @@ class DecodedFrame:
     period_px: float | None
     """Camera px a cycle that the frame was decoded with; None: no fringe was found."""
     noise_levels: float
-    """Standard deviation of a channel, grey levels of the input."""
+    """Standard deviation of a channel where the frame is half as bright as at its brightest, grey levels."""
     warnings: tuple[str, ...]
     """What the user should know about this frame."""
     calibrated: bool

@@ -54,8 +54,8 @@ class DecodeSettings(Model):
     """The pattern's code, by which orders become absolute; a calibration's pattern wins. "contrast": the modulation of
     each cycle tells which one it is (`colorphase pattern --code contrast`)."""
     noise: tuple[NonNegative, NonNegative] | None = None
-    """Read noise's standard deviation and gain, in grey levels; None: estimated from the frame. So far the thresholds
-    use the first; the gain will matter for errors a pixel."""
+    """Read noise's standard deviation s and gain g, in grey levels: a channel's variance is s^2 + g times its level.
+    None: estimated from the frame."""
     white_level: Positive | None = None
     """Full scale of the input; None: the type's (1.0 for floats)."""
     min_intensity: NonNegative | None = None

@@ -525,14 +525,15 @@ def fit_phase(
     template: Array,
     gain: Array,
     ambient: Array,
-    noise: float,
+    noise: tuple[float, float],
     contrast_doubt: float,
     matrix: Array | None = None,
 ) -> tuple[Array, Array]:
     """Fit brightness, phase step and contrast of every pixel by least squares; return the phase and its precision.
 
     image (H, W, 3) levels, phase (H, W) where to start, template (3, 1 + 2 N), gain and ambient (H, W, 3) of the
-    template's channels, which `matrix` mixes. The contrast's change is known to be 0 +- contrast_doubt * noise.
+    template's channels, which `matrix` mixes. A channel's variance is noise[0]^2 + noise[1] * light; the contrast's
+    change is known to be 0 +- contrast_doubt.
     """
     harmonics = template.shape[1] // 2
     n = np.arange(1, harmonics + 1)
@@ -543,7 +544,8 @@ def fit_phase(
     rest = ambient
     if matrix is not None:
         columns, rest = np.einsum("ij,hwjk->hwik", matrix, columns), ambient @ matrix.T
-    light = image - rest
+    sigma = np.sqrt(noise[0] ** 2 + noise[1] * np.maximum(image, 0))
+    light, columns = (image - rest) / sigma, columns / sigma[..., None]
     brightness = np.einsum("hwi,hwi->hw", light, columns[..., 0]) / (columns[..., 0] ** 2).sum(-1)
     stepped, precision = np.empty(phase.shape), np.empty(phase.shape)
     for place in np.ndindex(phase.shape):
@@ -564,5 +566,5 @@ def fit_phase(
         assert abs(fade) <= s * np.linalg.norm(fade_all) + 1e-9
         misfit = (light[place] @ normal) ** 2 / widened
         stepped[place] = phase[place] + weighted[1]
-        precision[place] = 1 / covariance[1, 1] / max(noise**2, misfit / 9)
+        precision[place] = 1 / covariance[1, 1] / max(1, misfit / 9)
     return stepped, precision

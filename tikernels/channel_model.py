@@ -105,6 +105,8 @@ class ChannelModel:
         self.template = np.zeros((3, _TERMS), np.float32)
         #: How far the template's fundamentals are from those that crosstalk and lateral colour make, as a fraction.
         self.mismatch = np.nan
+        #: The samples' mean modulation over their mean background; NaN without samples.
+        self.contrast = np.nan
         self._share = 0.0
         self._weights = np.zeros((3, 3), np.float32)
 
@@ -127,7 +129,7 @@ class ChannelModel:
         count, modulation, background, square, product = runtime.to_host(self._moments).sum(axis=0, dtype=np.float64)
         # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
         # light in it, too.
-        self._share = 0.0
+        self._share, self.contrast = 0.0, float(modulation / background) if background > 0 else np.nan
         if count > 0:
             variance, covariance = square - background**2 / count, product - background * modulation / count
             if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:

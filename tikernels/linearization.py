@@ -55,13 +55,14 @@ def _linearize_kernel(transfer: str) -> Any:
     def linearize_kernel(
         image: AnyArray3,  # (H, W, 3) encoded, 0..white_level
         scale: f32,  # 1 / white_level
-        out: F32Array3,  # (H, W, 3) linear light, 0..1
+        full_scale: f32,  # light of the white level
+        out: F32Array3,  # (H, W, 3) linear light
     ):
         for y, x in ti.ndrange(image.shape[0], image.shape[1]):
             for i in ti.static(range(3)):
                 value = ti.cast(image[y, x, i], ti.f32) * scale
                 # A GPU's pow turns NaN into a number.
-                out[y, x, i] = ti.select(ti.math.isnan(value), ti.math.nan, to_linear(value))
+                out[y, x, i] = ti.select(ti.math.isnan(value), ti.math.nan, full_scale * to_linear(value))
 
     return linearize_kernel
 
@@ -70,8 +71,9 @@ def _linearize_kernel(transfer: str) -> Any:
 def _linearize_by_table_kernel(
     image: AnyArray3,  # (H, W, 3) encoded, 0..white_level
     scale: f32,  # 1 / white_level
+    full_scale: f32,  # light of the white level
     table: F32Array1,  # linear light of evenly spaced levels, 0..1
-    out: F32Array3,  # (H, W, 3) linear light, 0..1
+    out: F32Array3,  # (H, W, 3) linear light
 ):
     steps = ti.cast(table.shape[0] - 1, ti.f32)
     for y, x in ti.ndrange(image.shape[0], image.shape[1]):
@@ -79,7 +81,7 @@ def _linearize_by_table_kernel(
             place = ti.cast(image[y, x, i], ti.f32) * scale * steps
             low = ti.min(ti.max(ti.cast(place, ti.i32), 0), table.shape[0] - 2)
             value = table[low] + (place - low) * (table[low + 1] - table[low])
-            out[y, x, i] = ti.select(ti.math.isnan(place), ti.math.nan, value)
+            out[y, x, i] = ti.select(ti.math.isnan(place), ti.math.nan, full_scale * value)
 
 
 def linear_values(encoded: npt.ArrayLike, transfer: Transfer) -> npt.NDArray[np.float64]:
@@ -103,7 +105,11 @@ def linear_values(encoded: npt.ArrayLike, transfer: Transfer) -> npt.NDArray[np.
 
 
 def linearize(
-    image: Any, transfer: Transfer = "linear", white_level: float | None = None, out: Any | None = None
+    image: Any,
+    transfer: Transfer = "linear",
+    white_level: float | None = None,
+    full_scale: float = 1.0,
+    out: Any | None = None,
 ) -> Any:
     """Turn grey levels into linear light.
 
@@ -115,13 +121,15 @@ def linearize(
         How the camera encoded light; or the linear light of N evenly spaced levels.
     white_level : float, optional
         Full scale; None: the type's (255, 65535, 1.0).
+    full_scale : float
+        The light that the white level becomes.
     out : (H, W, 3) float32, optional
         Where the result goes.
 
     Returns
     -------
     (H, W, 3) float32
-        Linear light, 0..1.
+        Linear light, 0..full scale.
 
     Raises
     ------
@@ -142,7 +150,7 @@ def linearize(
     out = _checks.out_array("out", out, tuple(image.shape), np.float32)
     scale = 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)])
     if isinstance(transfer, str):
-        _linearize_kernel(transfer)(image, scale, out)
+        _linearize_kernel(transfer)(image, scale, full_scale, out)
     else:
-        _linearize_by_table_kernel(image, scale, np.ascontiguousarray(transfer, np.float32), out)
+        _linearize_by_table_kernel(image, scale, full_scale, np.ascontiguousarray(transfer, np.float32), out)
     return out

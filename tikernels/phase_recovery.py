@@ -1,13 +1,14 @@
 """From the camera's levels to the phase: the arctangent, and from there the phase that the channel model fits best.
 
 The arctangent weighs the channels as if all were equally bright, and takes the projector's light for a sinusoid. With
-`channel_model.py`'s C_i = s A_i t_i(phi) + B_i a step of Gauss and Newton weighs them by what they say: with
-M_i = A_i t_i and its derivative's part across M, D_i = M_i' - (M' M / M M) M_i, the least squares over s and phi are
+`channel_model.py`'s C_i = s A_i t_i(phi) + B_i a step of Gauss and Newton weighs them by what they say. Each channel
+is divided by its noise, whose variance is the read noise's and a gain times the light; then with M_i = A_i t_i and its
+derivative's part across M, D_i = M_i' - (M' M / M M) M_i, the least squares over s and phi are
 
     step = D (C - B) / (s D D),    s = M (C - B) / M M,
 
-and noise of so many levels a channel makes noise / (s |D|) of phase. That the contrast may depart a little from its
-neighbourhood's is part of the fit. What is left lies along M x D: light that no model knows, as from another surface.
+and the phase's standard deviation is 1 / (s |D|). That the contrast may depart a little from its neighbourhood's is
+part of the fit. What is left lies along M x D: light that no model knows, as from another surface.
 """
 
 from functools import cache
@@ -72,8 +73,9 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
         nodes: F32Array3,  # (Hg, Wg, 6) A and B
         min_intensity: f32,  # levels
         min_modulation: f32,  # levels
-        noise: f32,  # standard deviation of a channel, levels
-        contrast_doubt: f32,  # standard deviation of the model's contrast, over the noise
+        read_noise: f32,  # standard deviation of a dark channel, levels
+        noise_gain: f32,  # by how much the variance grows with the light, levels
+        contrast_doubt: f32,  # standard deviation of the model's contrast
         out_phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
         out_modulation: F32Array2,  # (H, W) levels
         out_precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
@@ -146,9 +148,11 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
                         if ti.static(not balance_first):
                             model, gradient, rest = matrix @ model, matrix @ gradient, matrix @ ambient
                             swing = matrix @ swing
+                        sure_of = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
+                        model, gradient, swing = sure_of * model, sure_of * gradient, sure_of * swing
                         # Least squares over the pixel's brightness, a step of its phase, and its contrast as far as it
                         # is in doubt. Divisions cost most: reciprocals come from one of their product.
-                        light = seen - rest
+                        light = sure_of * (seen - rest)
                         inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
                         brightness = ti.max(light.dot(model) * inverse_square, 1e-6)
                         free = gradient - gradient.dot(model) * inverse_square * model
@@ -163,7 +167,7 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
                         misfit = left * left * inverse_square * steep * brightness * reciprocal
                         information = brightness * brightness * brightness * steep * steep * square * reciprocal
                         # What fits worse than by three standard deviations is so much less certain.
-                        precision[k] = information / ti.max(noise * noise, misfit / 9.0)
+                        precision[k] = information / ti.max(1.0, misfit / 9.0)
                         # The second brightest channel at full scale: two are.
                         bright = (seen.sum() > 3.0 * min_intensity) & (second_brightest(seen) < CLIPPED * white)
                         valid = bright & (modulation[k] > min_modulation)

@@ -19,6 +19,10 @@ _COLUMNS = 16
 _MIN_SHARE = 0.15
 # What is darker than this share of the brightest is not lit.
 _LIT_SHARE = 0.3
+# Groups of pixels, equally bright within each, that tell how the noise grows with the light.
+_NOISE_GROUPS = 6
+# Groups that differ by less than this share of their brightness do not tell read noise from the light's.
+_MIN_SPREAD = 0.05
 # Mean of the middle fifth of a normal distribution's absolute values, in standard deviations.
 _MIDDLE = 0.6776
 
@@ -28,7 +32,7 @@ class FrameStatistics:
     """What `measure_frame` found; light in 0..1 of full scale."""
 
     period_px: float | None  # camera px a cycle across the stripes; None: no fringe stands out
-    noise: float  # standard deviation of one channel
+    noise: tuple[float, float]  # read noise and gain: a channel's variance is read^2 + gain * light
     brightness: float  # 95th percentile of the channels' mean
 
 
@@ -69,7 +73,7 @@ def measure_frame(image: Any, white_level: float | None = None) -> FrameStatisti
     Returns
     -------
     FrameStatistics
-        The period to a few per cent, the noise to some 20 %.
+        The period to a few per cent, the noise at any brightness to some 20 %.
 
     Raises
     ------
@@ -82,13 +86,35 @@ def measure_frame(image: Any, white_level: float | None = None) -> FrameStatisti
     probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), samples)
     light = samples[..., 3]
     bright = float(np.percentile(light, 95))
+    period = _period(samples[..., 0] + 1j * samples[..., 1])
+    return FrameStatistics(period, _noise(samples[..., 2], light, bright), bright)
+
+
+def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float) -> tuple[float, float]:
+    """Return read noise and gain, given second differences of the channels' sum and the channels' mean."""
     # Dark pixels are clipped at zero and show half the noise.
     lit = light >= max(float(np.median(light)), _LIT_SHARE * bright)
-    # The channels' sum has second differences of 3 (1 + 4 + 1) times a channel's variance. Their middle fifth instead
-    # of the median: that of whole levels is one or the next.
-    middle = np.percentile(np.abs(samples[..., 2][lit]), np.linspace(40, 60, 21)).mean()
-    noise = float(middle / (_MIDDLE * np.sqrt(18)))
-    return FrameStatistics(_period(samples[..., 0] + 1j * samples[..., 1]), noise, bright)
+    # Sorted by the pixel above, whose own noise is another one.
+    light, changes = np.roll(light, 1, axis=1)[lit], changes[lit]
+    order = np.argsort(light)
+    levels, variances = [], []
+    for group in np.array_split(order, _NOISE_GROUPS):
+        if len(group):
+            # The middle fifth instead of the median: that of whole levels is one or the next.
+            middle = np.percentile(np.abs(changes[group]), np.linspace(40, 60, 21)).mean()
+            # The sum of three channels has second differences of 3 (1 + 4 + 1) times a channel's variance.
+            levels.append(light[group].mean())
+            variances.append((middle / _MIDDLE) ** 2 / 18)
+    x, y = np.array(levels, np.float64), np.array(variances, np.float64)
+    # A straight line, each variance as sure as it is small; neither end may be negative.
+    weights = 1 / np.maximum(y, 1e-12) ** 2
+    mean_x, mean_y = np.average(x, weights=weights), np.average(y, weights=weights)
+    spread = np.average((x - mean_x) ** 2, weights=weights)
+    gain = 0.0
+    if spread > (_MIN_SPREAD * mean_x) ** 2:
+        gain = np.average((x - mean_x) * (y - mean_y), weights=weights) / spread
+        gain = min(max(gain, 0.0), mean_y / mean_x)
+    return float(np.sqrt(mean_y - gain * mean_x)), float(gain)
 
 
 def _period(signal: npt.NDArray[np.complex64]) -> float | None:

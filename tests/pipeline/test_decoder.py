@@ -1,5 +1,6 @@
 """One frame through the decoder: accuracy against exact truth, inputs of every kind, and what it refuses."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -341,3 +342,38 @@ def test_without_crosstalk_the_constant_is_open(arch):
     assert Decoder(settings, known, arch=arch).decode(truth.image).constant_sigma > 0.05
     with pytest.warns(DecodeWarning, match="no fringe"):
         assert np.isnan(Decoder(settings, known, arch=arch).decode(np.zeros_like(truth.image)).constant_sigma)
+
+
+def test_levels_are_those_of_the_input(arch):
+    """A frame that the camera has encoded gives its modulation in the same levels as one that it has not."""
+    truth, calibration = simulated("plane", "horizontal", gamma=1.0, noise_levels=0.0)
+    encoded, _ = simulated("plane", "horizontal", gamma=1.0, noise_levels=0.0, transfer="srgb")
+    plain = Decoder(DecodeSettings(), calibration, arch=arch).decode(truth.image)
+    linear = Decoder(DecodeSettings(transfer="srgb"), calibration, arch=arch).decode(encoded.image)
+    assert np.median(linear.modulation) == pytest.approx(np.median(plain.modulation), rel=0.05)
+
+
+@pytest.mark.parametrize(("given", "low", "high"), [(False, 0.54, 0.82), (True, 0.6, 0.76)])
+def test_sigma_of_photons(arch, given, low, high):
+    """Noise that grows with the light: sigma holds for dark pixels as for bright ones."""
+    truth, calibration = simulated("ball", "horizontal", noise_levels=0.0, bits=16, ambient=0.02)
+    light = truth.image / 257.0
+    noisy = light + np.sqrt(0.5**2 + 0.1 * light) * np.random.default_rng(4).standard_normal(light.shape)
+    settings = DecodeSettings(smoothing_px=0, noise=(0.58, 0.1) if given else None)
+    frame = Decoder(settings, calibration, arch=arch).decode(np.clip(np.rint(noisy), 0, 255).astype(np.uint8))
+    inside = cv2.erode((frame.mask & truth.mask).astype(np.uint8), np.ones((9, 9))) > 0
+    error = np.angle(np.exp(1j * (frame.wrapped_phase - truth.phase)))
+    pull = np.abs(error - np.median(error[inside])) / frame.phase_sigma
+    dark = frame.modulation < np.quantile(frame.modulation[inside], 0.25)
+    for part in (inside & dark, inside & ~dark):
+        assert low < (pull[part] < 1).mean() < high
+
+
+def test_what_the_light_gives_away(arch):
+    truth, calibration = simulated("plane", "horizontal", ambient=8.0)
+    with pytest.warns(DecodeWarning, match="contrast is only"):
+        Decoder(DecodeSettings(), calibration, arch=arch).decode(truth.image)
+    truth, calibration = simulated("plane", "horizontal")
+    wrong = calibration.model_copy(update={"crosstalk_matrix": np.eye(3)})
+    with pytest.warns(DecodeWarning, match="calibrate the light anew"):
+        Decoder(DecodeSettings(), wrong, arch=arch).decode(truth.image)

@@ -32,7 +32,7 @@ def noisy_frame(gamma: float, ambient: float, shape=(120, 160)) -> tuple[np.ndar
     return (clean_light(phase, gamma, ambient) + noise).astype(np.float32), phase
 
 
-def recover(image: np.ndarray, *, balance_first=True, doubt=0.02, fitted=True):
+def recover(image: np.ndarray, *, balance_first=True, doubt=0.02, gain=0.0, fitted=True):
     """Run the stages from levels to phase; return phase, modulation, precision and the model."""
     height, width = image.shape[:2]
     inverse = invert_crosstalk(MATRIX, normalize_rows=balance_first).astype(np.float32)
@@ -50,7 +50,7 @@ def recover(image: np.ndarray, *, balance_first=True, doubt=0.02, fitted=True):
         model.template[:, 1:] *= 0
     out = [runtime.empty((height, width), np.float32) for _ in range(3)]
     light = (image, 255.0, inverse, matrix, weights, correction, model.template, model.nodes)
-    recover_phase_kernel(balance_first, gains.cell)(*light, 5.0, 5.0, NOISE, doubt / NOISE, *out)
+    recover_phase_kernel(balance_first, gains.cell)(*light, 5.0, 5.0, NOISE, gain, doubt, *out)
     return *(runtime.to_host(o) for o in out), model, correction
 
 
@@ -93,13 +93,14 @@ def test_modulation_in_levels(arch):
     assert np.abs(middle / expected - 1)[20:140].max() < 0.1
 
 
-@pytest.mark.parametrize("balance_first", [True, False])
-def test_as_the_twin(arch, balance_first):
+@pytest.mark.parametrize(("balance_first", "gain"), [(True, 0.0), (False, 0.0), (True, 0.05)])
+def test_as_the_twin(arch, balance_first, gain):
     image, _ = noisy_frame(2.0, 0.05, (36, 48))
     image[20, 30] += 0.6 * (image[14:27, 30].mean(axis=0) - image[20, 30])  # no such contrast in the model
-    doubt = 0.02 / NOISE
-    phase, _, precision, model, correction = recover(image, balance_first=balance_first)
-    start = recover(image, balance_first=balance_first, fitted=False)[0]  # without a template there is no step
+    phase, _, precision, model, correction = recover(image, balance_first=balance_first, gain=gain)
+    start = recover(image, balance_first=balance_first, gain=gain, fitted=False)[
+        0
+    ]  # without a template there is no step
     nodes = runtime.to_host(model.nodes).astype(np.float64)
     cell = model._gains.cell
     y, x = (np.clip((np.arange(n) + 0.5) / cell - 0.5, 0, m - 1) for n, m in ((36, len(nodes)), (48, nodes.shape[1])))
@@ -110,7 +111,7 @@ def test_as_the_twin(arch, balance_first):
     mixing = None if balance_first else MATRIX
     template = model.template.astype(np.float64)
     expected, sharp = reference.fit_phase(
-        image.astype(float), start.astype(float), template, at[..., :3], at[..., 3:], NOISE, doubt, mixing
+        image.astype(float), start.astype(float), template, at[..., :3], at[..., 3:], (NOISE, gain), 0.02, mixing
     )
     close = np.abs(expected - start) < 0.29  # further off the step is cut
     np.testing.assert_allclose(reference.wrapped_difference(phase, expected)[close], 0, atol=2e-3)
