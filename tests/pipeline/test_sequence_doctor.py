@@ -9,6 +9,9 @@ from pipeline.pattern import make_pattern
 from pipeline.simulate import SKIN, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
 
+# Frames of rigs that are not what they are taken for.
+pytestmark = pytest.mark.filterwarnings("ignore:the colours' fringes differ")
+
 COUNT = 16
 
 
