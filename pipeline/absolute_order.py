@@ -7,12 +7,13 @@ tell apart are not joined (`tikernels.absolute_order`), and every part that is l
 """
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.contrast_code import CYCLES, contrast_steps
+from pipeline.contrast_code import CYCLES, contrast_steps, modulation_at
 from pipeline.region_posterior import NOTHING_KNOWN, AbsoluteOrders, Floats, Integers, OrderRange, Posterior
 from tikernels.absolute_order import (
     BACKGROUND,
@@ -21,8 +22,10 @@ from tikernels.absolute_order import (
     PHASE,
     SLOPE_REACH,
     SLOTS,
+    TABLED,
     TOTAL,
     join_parts_kernel,
+    match_stretches_kernel,
 )
 from tikernels.patches import CELL_HEIGHT, CELL_WIDTH
 from tikernels.unwrapping import MIN_REGION_PX, PatchGraph
@@ -47,8 +50,6 @@ _NOWHERE = 5.5
 # A stretch votes if it fits, and if the next best place is less likely by exp(-5).
 _MIN_LEAD = 10.0
 _MIN_VOTES = 3
-# A region of whose stretches so many agree on the offset is whole.
-_AGREED = 0.98
 # Offsets with less than this share of a region's votes are chance, or too small a part to keep others from joining.
 _MIN_SHARE = 0.02
 # Two parts stay apart if both show five cycles and prefer different offsets by so much, in all and for each step: the
@@ -199,15 +200,9 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
     without = np.eye(_STRETCH) - common / _STRETCH
     windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
     seen = steps.rise[stretches] @ without
-    own = (seen**2).sum(axis=1)
-    # Single precision tells a ten-thousandth of a step.
-    departure = seen.astype(np.float32) @ (-2 * strength * windows.T).astype(np.float32)
-    departure += (strength**2 * (windows**2).sum(axis=1)).astype(np.float32)
-    rows = np.arange(len(stretches))
-    best = departure.argmin(axis=1)
-    least = own + departure[rows, best]
-    departure[rows, best] = np.inf
-    second = own + departure.min(axis=1)
+    matches = np.empty((len(seen), 3), np.float32)
+    match_stretches_kernel(seen.astype(np.float32), (strength * windows).astype(np.float32), matches)
+    best, least, second = matches[:, 0].astype(np.int64), matches[:, 1], matches[:, 2]
     clear = least < 0.25 * second
     sigma = _MIN_SIGMA
     if clear.any():
@@ -223,22 +218,19 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
 def _split(
     steps: _Steps, graph: PatchGraph, stretches: Integers, offsets: Integers, strength: float, sigma: float
 ) -> npt.NDArray[np.int32]:
-    """Return the root of every patch's part: regions whose stretches agree stay whole."""
+    """Return the root of every patch's part: regions whose stretches name one offset stay whole."""
     sure = offsets > -CYCLES
     owner = graph.root[steps.low[stretches[sure, 0]]] if len(stretches) else np.zeros(0, np.int32)
     ballots = _ballots(owner, offsets[sure])
     ballot, votes = np.unique(ballots, return_counts=True)
     ballot, votes = ballot[votes >= _MIN_VOTES], votes[votes >= _MIN_VOTES]
     named = _counted(ballot)
-    everything = np.bincount(graph.root[steps.low[stretches[:, 0]]], minlength=len(graph.root))
-    agreeing = np.zeros(len(graph.root))
-    np.maximum.at(agreeing, named[0], votes)
-    torn = np.unique(named[0, agreeing[named[0]] < _AGREED * everything[named[0]]])
-    if len(torn) == 0:
+    torn = np.bincount(named[0], minlength=len(graph.root)) > 1
+    if not torn.any():
         return graph.root
     evidence = np.zeros((len(graph.root), CANDIDATES + 1))
     code = contrast_steps()
-    for root in torn:
+    for root in np.flatnonzero(torn):
         mine = named[0] == root
         candidates = named[1, mine][np.argsort(-votes[mine], kind="stable")][: CANDIDATES - 1]
         own = np.flatnonzero(graph.root[steps.low] == root)
@@ -257,7 +249,7 @@ def _split(
     for end in (steps.low, steps.high):
         np.minimum.at(orders[:, 0], end, steps.order)
         np.maximum.at(orders[:, 1], end, steps.order + 1)
-    inside = np.isin(graph.root, torn)[graph.ends[0]]
+    inside = torn[graph.root[graph.ends[0]]]
     ends, weight = graph.ends[:, inside], graph.votes[inside]
     # Votes within a fifth count alike, and chance decides between them: parts then grow round, not in rows.
     shuffled = (np.arange(len(weight), dtype=np.uint32) * np.uint32(2654435769)).astype(np.int64)
@@ -278,7 +270,7 @@ def _split(
             evidence.astype(np.float32),
             parents,
         )
-    return np.where(np.isin(graph.root, torn), parents, graph.root).astype(np.int32)
+    return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
 
 
 def _ballots(voters: npt.NDArray[np.integer], offsets: Integers) -> Integers:
@@ -391,11 +383,51 @@ def _evidence(likelihood: Floats) -> Floats:
     return np.asarray(np.logaddexp.reduce(likelihood, axis=-1) - np.log(likelihood.shape[-1]))
 
 
+@cache
+def code_departures(usual: float) -> tuple[Floats, Floats]:
+    """Return how the code's modulation departs from the usual one, and the slope of its logarithm.
+
+    Parameters
+    ----------
+    usual : float
+        Fraction of full scale.
+
+    Returns
+    -------
+    two (TABLED (CYCLES - 1) + 1,) float64
+        Departures as a fraction of the usual one, and slopes a cycle, TABLED a cycle from the first cycle's middle on.
+    """
+    place = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
+    low, here, high = (modulation_at(place + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
+    return here / usual - 1, (high - low) / (2 * SLOPE_REACH * here)
+
+
+def modulation_corrections(departures: Floats, tables: npt.NDArray[np.floating]) -> Floats:
+    """Return what the response's correction lacks where the modulation is not the usual one.
+
+    Parameters
+    ----------
+    departures : (N,) float64
+        Of the modulation from the usual one, as a fraction of it, TABLED a cycle from the middle of a cycle on.
+    tables : (2, bins + 1)
+        rad over a cycle from -pi on: what of the correction goes with the modulation, and with its square.
+
+    Returns
+    -------
+    (N,) float64
+        rad.
+    """
+    edges = np.linspace(-0.5, 0.5, tables.shape[1])
+    around = [np.interp(np.arange(TABLED) / TABLED, edges, row, period=1) for row in tables]
+    linear, square = (np.resize(row, len(departures)) for row in around)
+    return np.asarray(departures * (linear + (2 + departures) * square))
+
+
 def blur_shift(
     unwrapped: npt.NDArray[np.float32],
     region: npt.NDArray[np.int32],
     absolute: npt.NDArray[np.bool_],
-    departures: npt.NDArray[np.float32],
+    slopes: Floats,
     period_px: float,
 ) -> float:
     """Return how far blur shifts the phase where the modulation rises e-fold a cycle, rad.
@@ -411,8 +443,8 @@ def blur_shift(
         Number of each pixel's region; 0 outside.
     absolute : (regions + 1,) bool
         Whether a region's orders are absolute.
-    departures : (cycles,) float32
-        Modulation of each cycle, less the usual one, as a fraction of it.
+    slopes : (N,) float64
+        Of the modulation's logarithm, a cycle; see `code_departures`.
     period_px : float
         Rows a cycle.
 
@@ -429,13 +461,8 @@ def blur_shift(
         return 0.0
     rows, columns = np.nonzero(inside)
     phases = [unwrapped[4 * rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
-    indices = np.arange(len(departures))
-    slopes = []
-    for phase in phases:
-        cycles = phase / (2 * np.pi)
-        low, here, high = (np.interp(cycles + reach, indices, departures) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
-        slopes.append((high - low) / (2 * SLOPE_REACH * (1 + here)))
+    places = [np.clip(np.rint(phase * (TABLED / (2 * np.pi))), 0, len(slopes) - 1).astype(int) for phase in phases]
     # A smooth surface hardly bends within a cycle; what it bends has nothing to do with the code.
-    bend, expected = (a[0] - 2 * a[1] + a[2] for a in (phases, slopes))
+    bend, expected = (a[0] - 2 * a[1] + a[2] for a in (phases, [slopes[place] for place in places]))
     smooth = np.abs(bend) < _MAX_BEND
     return float(bend[smooth] @ expected[smooth] / max(float(expected[smooth] @ expected[smooth]), 1e-9))

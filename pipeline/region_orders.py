@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.absolute_order import blur_shift, find_absolute_orders
+from pipeline.absolute_order import blur_shift, code_departures, find_absolute_orders, modulation_corrections
 from pipeline.calibration import Geometry
 from pipeline.contrast_code import cycle_modulations
 from pipeline.errors import CalibrationError
@@ -197,22 +197,21 @@ class OrderFinder:
         """
         buffers, known = frame._buffers, frame.order_is_known
         if known.any():
-            absolute = known.astype(np.int32)
             adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
             outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            adopt_pixels_kernel(
-                buffers["phase"], work.raw_phase, buffers["modulation"], work.rates, absolute, adopted, *outputs
-            )
+            inputs = (buffers["phase"], work.raw_phase, buffers["modulation"], work.rates, known.astype(np.int32))
+            adopt_pixels_kernel(work.unwrapper.final, *inputs, adopted, *outputs)
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
-        usual = 0.5 if self._path.response_is_full else cycle_modulations().mean()
-        departures, tables = modulation_tables(correction, cycle_modulations() / usual - 1)
+        usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
+        departures, slopes = code_departures(usual)
         columns = (slice(None), slice(None, None, _EVERY_COLUMN))
         sampled = runtime.to_host(buffers["unwrapped"])[columns], runtime.to_host(buffers["region"])[columns]
-        shift = blur_shift(*sampled, known, departures, frame.period_px or 0.0)
-        if max(np.abs(tables).max(), abs(shift)) > _MIN_CORRECTION and known.any():
-            arguments = (buffers["region"], known.astype(np.int32), departures, tables, shift)
+        corrections = modulation_corrections(departures, modulation_tables(correction))
+        corrections -= blur_shift(*sampled, known, slopes, frame.period_px or 0.0) * slopes
+        if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
+            arguments = (buffers["region"], known.astype(np.int32), corrections.astype(np.float32))
             correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
-        pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
+        pixels = work.unwrapper.region_pixels()
         lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
         if not readable:
             return "the frame does not show the contrast code: project a pattern made with --code contrast"
