@@ -122,7 +122,8 @@ def find_absolute_orders(
         Whether the frame shows the code at all.
     """
     steps = _contrast_steps(sums, graph, width, rising)
-    strength = float(np.sqrt(np.mean(steps.rise**2) / np.mean(contrast_steps() ** 2))) if len(steps.rise) else 0.0
+    # By medians: the steps at edges are many times too large.
+    strength = float(np.median(np.abs(steps.rise)) / np.median(np.abs(contrast_steps()))) if len(steps.rise) else 0.0
     roots = graph.root
     if strength >= _MIN_STRENGTH:
         stretches = _stretches(steps)
@@ -130,7 +131,12 @@ def find_absolute_orders(
         roots = _split(steps, graph, stretches, offsets, strength, sigma)
     parts = np.flatnonzero(np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX)
     seen = _seen_steps(steps, roots, parts)
-    posteriors, readable = _posteriors([_log_likelihood(part) for part in seen])
+    # A cut is free to choose its place, and chance has as many places to look like the code.
+    cut = np.zeros(len(roots), np.bool_)
+    cut[graph.root[roots != graph.root]] = True
+    places = np.ptp(steps.order) if len(steps.order) else 1
+    luck = np.where(cut[graph.root[parts]], np.log(max(places, 1)), 0.0)
+    posteriors, readable = _posteriors([_log_likelihood(part) for part in seen], luck)
     if order_range is not None:
         ranges = order_range.by_part(roots, parts, graph.pixels)
         posteriors = [
@@ -355,12 +361,15 @@ def _log_likelihood(part: _PartSteps) -> tuple[int, Floats]:
     return int(-levels[0]), -0.5 * (_FREEDOM + 1) * fit - 0.5 * constant[:, None]
 
 
-def _posteriors(likelihoods: list[tuple[int, Floats]]) -> tuple[list[Posterior], bool]:
+def _posteriors(likelihoods: list[tuple[int, Floats]], luck: Floats) -> tuple[list[Posterior], bool]:
     """Return the posterior of every part, and whether the frame shows the code.
 
-    Strength and spread of the steps are integrated over. What the other parts say of them is each part's prior.
+    Strength and spread of the steps are integrated over. What the other parts say of them is each part's prior; luck is
+    the logarithm by how much likelier than it seems each part shows no code at all.
     """
     alone = np.log(_STRENGTH_PRIOR / len(_SPREADS))[:, None] + np.zeros(len(_SPREADS))
+    for (_, likelihood), more in zip(likelihoods, luck, strict=True):
+        likelihood[_STRENGTHS == 0] += more
     told = [part for _, part in likelihoods if part.shape[-1]]
     together = alone + sum(_evidence(part) for part in told)
     posteriors = []
