@@ -14,6 +14,7 @@ from tikernels.absolute_order import (
     adopt_pixels_kernel,
     correct_by_modulation_kernel,
     join_parts_kernel,
+    match_stretches_kernel,
     measure_contrast_kernel,
 )
 from tikernels.equalization import modulation_tables
@@ -53,6 +54,18 @@ def test_contrast_as_the_twin(arch, shape):
         patch = firsts[0, draft >> bits] + (draft & ((1 << bits) - 1))
         np.testing.assert_allclose(sums[patch], own, rtol=1e-4, atol=1e-2)
     assert (sums[..., 0] > 0).any(axis=1).sum() == len([own for own in expected.values() if own[:, 0].max() > 0])
+
+
+@pytest.mark.parametrize("count", [1, 700])
+def test_stretches_find_their_windows(arch, count):
+    rng = np.random.default_rng(count)
+    windows = rng.normal(0, 0.2, (90, 5)).astype(np.float32)
+    stretches = (windows[rng.integers(90, size=count)] + rng.normal(0, 0.03, (count, 5))).astype(np.float32)
+    matches = np.empty((count, 3), np.float32)
+    match_stretches_kernel(stretches, windows, matches)
+    departures = ((stretches[:, None].astype(np.float64) - windows) ** 2).sum(axis=-1)
+    np.testing.assert_array_equal(matches[:, 0], departures.argmin(axis=1))
+    np.testing.assert_allclose(matches[:, 1:], np.sort(departures, axis=1)[:, :2], rtol=1e-4, atol=1e-6)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
