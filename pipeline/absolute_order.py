@@ -7,11 +7,14 @@ tell apart are not joined (`tikernels.absolute_order`), and every part that is l
 """
 
 from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.contrast_code import CYCLES, contrast_steps
+from pipeline.contrast_code import CYCLES, contrast_steps, modulation_at
+from pipeline.region_posterior import NOTHING_KNOWN, AbsoluteOrders, Floats, Integers, OrderRange, Posterior
 from tikernels.absolute_order import (
     BACKGROUND,
     CANDIDATES,
@@ -19,17 +22,14 @@ from tikernels.absolute_order import (
     PHASE,
     SLOPE_REACH,
     SLOTS,
+    TABLED,
     TOTAL,
     join_parts_kernel,
+    match_stretches_kernel,
 )
 from tikernels.patches import CELL_HEIGHT, CELL_WIDTH
 from tikernels.unwrapping import MIN_REGION_PX, PatchGraph
 
-Floats = npt.NDArray[np.float64]
-Integers = npt.NDArray[np.int64]
-
-#: An order is absolute where it is wrong with a smaller probability than this.
-MAX_ERROR_PROBABILITY = 1e-3
 # Below this share of the code's steps the frame does not show the code; a response of gamma 2.4 leaves half of them.
 _MIN_STRENGTH = 0.25
 # Steps in a stretch: those of six cycles.
@@ -50,25 +50,25 @@ _NOWHERE = 5.5
 # A stretch votes if it fits, and if the next best place is less likely by exp(-5).
 _MIN_LEAD = 10.0
 _MIN_VOTES = 3
-# A region of whose stretches so many agree on the offset is whole.
-_AGREED = 0.98
 # Offsets with less than this share of a region's votes are chance, or too small a part to keep others from joining.
 _MIN_SHARE = 0.02
 # Two parts stay apart if both show five cycles and prefer different offsets by so much, in all and for each step: the
 # steps of one cycle share their errors, so many of them are worth little more than one.
 _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP = 4, 60.0, 1.5
-# Steps of the same two cycles that are worth one without their common error.
-_ALIKE = 1.0
-# Tails of a Student distribution: some cycles are spoiled by edges.
+# What a frame's code may look like: the strength of its steps (0: it shows none; a response of gamma 2.4 and ambient
+# light leave a third), and by how much steps depart from it, blemishes, slopes and blur included (natural logarithm).
+_STRENGTHS = np.array([0.0, 0.35, 0.5, 0.71, 1.0])
+_STRENGTH_PRIOR = np.array([0.1, 0.225, 0.225, 0.225, 0.225])
+_SPREADS = np.array([0.006, 0.015, 0.04, 0.1])
+# Parts are mostly alike, but this share of them is as if nothing else were known of the frame.
+_UNALIKE = 0.1
+# Tails of a Student distribution: edges spoil some cycles.
 _FREEDOM = 4.0
-# Blur and ambient light change the strength of the steps from part to part.
-_STRENGTHS = (0.85, 1.0, 1.18)
-# An order may lie outside the depth range's by so many cycles: half of one for rounding, the rest for the calibration.
-_SLACK = 0.75
+# A median of n values scatters 1.25 / sqrt(n) as much as they do; what a part's own few columns show of their scatter
+# counts as much as the frame's once it has so many.
+_MEDIAN_SCATTER, _SCATTER_PRIOR = 1.2533, 8.0
 # Where the phase bends by more (rad) within a cycle, the surface does.
 _MAX_BEND = 0.3
-# Share of a part's cycles that must fit within three standard deviations.
-_MIN_FIT = 0.6
 
 
 @dataclass(frozen=True)
@@ -84,24 +84,12 @@ class _Steps:
 
 
 @dataclass(frozen=True)
-class AbsoluteOrders:
-    """What the code says of a frame's parts."""
+class _PartSteps:
+    """What all columns of a part show of its steps, order by order."""
 
-    strength: float  # of the code's steps in the frame; 1 where light is proportional to the codes
-    roots: npt.NDArray[np.int32]  # (P,) the patch that stands for each patch's part
-    parts: Integers  # (n,) the roots of the parts that are large enough
-    offsets: Integers  # (n,) whole cycles to add to a part's orders to make them absolute
-    absolute: npt.NDArray[np.bool_]  # (n,) whether that is beyond doubt
-    posterior: tuple[dict[int, float], ...]  # by part: probability of each offset above 1e-9
-
-    @property
-    def readable(self) -> bool:
-        """Whether the frame shows the code at all."""
-        return self.strength >= _MIN_STRENGTH
-
-    def error_probability(self, orders: Integers) -> Floats:
-        """Return how probably these offsets of the parts are wrong."""
-        return np.array([1.0 - p.get(int(k), 0.0) for p, k in zip(self.posterior, orders, strict=True)])
+    levels: Integers  # (n,) the lower cycle's order
+    middle: Floats  # (n,) median rise
+    noise: Floats  # (n,) its variance, by the columns' scatter
 
 
 def find_absolute_orders(
@@ -109,8 +97,8 @@ def find_absolute_orders(
     graph: PatchGraph,
     width: int,
     rising: bool,
-    bounds: Floats | None = None,
-) -> AbsoluteOrders:
+    order_range: OrderRange | None = None,
+) -> tuple[AbsoluteOrders, bool]:
     """Split regions where the code contradicts them, and place every part.
 
     Parameters
@@ -123,47 +111,39 @@ def find_absolute_orders(
         The image's, px.
     rising : bool
         Whether the orders grow with the rows.
-    bounds : (P, 2) float64, optional
-        Smallest and largest absolute phase that the first pixel of each patch may have, in cycles.
+    order_range : OrderRange, optional
+        What else is known of the orders.
 
     Returns
     -------
     AbsoluteOrders
-        Parts, their offsets and posteriors.
+        Parts and their posteriors.
+    bool
+        Whether the frame shows the code at all.
     """
     steps = _contrast_steps(sums, graph, width, rising)
-    code = contrast_steps()
-    strength = float(np.sqrt(np.mean(steps.rise**2) / np.mean(code**2))) if len(steps.rise) else 0.0
-    roots, sigma = graph.root, _MIN_SIGMA
+    # By medians: the steps at edges are many times too large.
+    strength = float(np.median(np.abs(steps.rise)) / np.median(np.abs(contrast_steps()))) if len(steps.rise) else 0.0
+    roots = graph.root
     if strength >= _MIN_STRENGTH:
         stretches = _stretches(steps)
         offsets, sigma, strength = _local_offsets(steps, stretches, strength)
         roots = _split(steps, graph, stretches, offsets, strength, sigma)
-    sizes = np.bincount(roots, graph.pixels, len(roots))
-    parts = np.flatnonzero(sizes >= MIN_REGION_PX)
-    found: list[tuple[int, bool, dict[int, float]]] = []
-    order_of_part = np.argsort(roots[steps.low], kind="stable")
-    starts = np.searchsorted(roots[steps.low][order_of_part], parts)
-    stops = np.searchsorted(roots[steps.low][order_of_part], parts, side="right")
-    for part, start, stop in zip(parts, starts, stops, strict=True):
-        own = order_of_part[start:stop]
-        own = own[roots[steps.high[own]] == part]
-        within = None
-        if bounds is not None:
-            own_bounds = (bounds - graph.offset[:, None])[roots == part]
-            within = np.median(own_bounds, axis=0) + _SLACK * np.array([-1.0, 1.0])
-        if strength < _MIN_STRENGTH or len(own) == 0:
-            found.append((0, False, {}))
-        else:
-            found.append(_posterior(steps.order[own], steps.rise[own], strength, sigma, within))
-    return AbsoluteOrders(
-        strength,
-        roots,
-        parts,
-        np.array([offset for offset, _, _ in found], np.int64),
-        np.array([absolute for _, absolute, _ in found], np.bool_),
-        tuple(posterior for _, _, posterior in found),
-    )
+    parts = np.flatnonzero(np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX)
+    seen = _seen_steps(steps, roots, parts)
+    # A cut is free to choose its place, and chance has as many places to look like the code.
+    cut = np.zeros(len(roots), np.bool_)
+    cut[graph.root[roots != graph.root]] = True
+    places = np.ptp(steps.order) if len(steps.order) else 1
+    luck = np.where(cut[graph.root[parts]], np.log(max(places, 1)), 0.0)
+    posteriors, readable = _posteriors([_log_likelihood(part) for part in seen], luck)
+    if order_range is not None:
+        ranges = order_range.by_part(roots, parts, graph.pixels)
+        posteriors = [
+            within.narrow(posterior) if posterior is not NOTHING_KNOWN else within.alone()
+            for within, posterior in zip(ranges, posteriors, strict=True)
+        ]
+    return AbsoluteOrders(roots, parts, tuple(posteriors)), readable
 
 
 def _contrast_steps(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, rising: bool) -> _Steps:
@@ -226,15 +206,9 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
     without = np.eye(_STRETCH) - common / _STRETCH
     windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
     seen = steps.rise[stretches] @ without
-    own = (seen**2).sum(axis=1)
-    # Single precision tells a ten-thousandth of a step.
-    departure = seen.astype(np.float32) @ (-2 * strength * windows.T).astype(np.float32)
-    departure += (strength**2 * (windows**2).sum(axis=1)).astype(np.float32)
-    rows = np.arange(len(stretches))
-    best = departure.argmin(axis=1)
-    least = own + departure[rows, best]
-    departure[rows, best] = np.inf
-    second = own + departure.min(axis=1)
+    matches = np.empty((len(seen), 3), np.float32)
+    match_stretches_kernel(seen.astype(np.float32), (strength * windows).astype(np.float32), matches)
+    best, least, second = matches[:, 0].astype(np.int64), matches[:, 1], matches[:, 2]
     clear = least < 0.25 * second
     sigma = _MIN_SIGMA
     if clear.any():
@@ -250,22 +224,19 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
 def _split(
     steps: _Steps, graph: PatchGraph, stretches: Integers, offsets: Integers, strength: float, sigma: float
 ) -> npt.NDArray[np.int32]:
-    """Return the root of every patch's part: regions whose stretches agree stay whole."""
+    """Return the root of every patch's part: regions whose stretches name one offset stay whole."""
     sure = offsets > -CYCLES
     owner = graph.root[steps.low[stretches[sure, 0]]] if len(stretches) else np.zeros(0, np.int32)
     ballots = _ballots(owner, offsets[sure])
     ballot, votes = np.unique(ballots, return_counts=True)
     ballot, votes = ballot[votes >= _MIN_VOTES], votes[votes >= _MIN_VOTES]
     named = _counted(ballot)
-    everything = np.bincount(graph.root[steps.low[stretches[:, 0]]], minlength=len(graph.root))
-    agreeing = np.zeros(len(graph.root))
-    np.maximum.at(agreeing, named[0], votes)
-    torn = np.unique(named[0, agreeing[named[0]] < _AGREED * everything[named[0]]])
-    if len(torn) == 0:
+    torn = np.bincount(named[0], minlength=len(graph.root)) > 1
+    if not torn.any():
         return graph.root
     evidence = np.zeros((len(graph.root), CANDIDATES + 1))
     code = contrast_steps()
-    for root in torn:
+    for root in np.flatnonzero(torn):
         mine = named[0] == root
         candidates = named[1, mine][np.argsort(-votes[mine], kind="stable")][: CANDIDATES - 1]
         own = np.flatnonzero(graph.root[steps.low] == root)
@@ -284,7 +255,7 @@ def _split(
     for end in (steps.low, steps.high):
         np.minimum.at(orders[:, 0], end, steps.order)
         np.maximum.at(orders[:, 1], end, steps.order + 1)
-    inside = np.isin(graph.root, torn)[graph.ends[0]]
+    inside = torn[graph.root[graph.ends[0]]]
     ends, weight = graph.ends[:, inside], graph.votes[inside]
     # Votes within a fifth count alike, and chance decides between them: parts then grow round, not in rows.
     shuffled = (np.arange(len(weight), dtype=np.uint32) * np.uint32(2654435769)).astype(np.int64)
@@ -305,7 +276,7 @@ def _split(
             evidence.astype(np.float32),
             parents,
         )
-    return np.where(np.isin(graph.root, torn), parents, graph.root).astype(np.int32)
+    return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
 
 
 def _ballots(voters: npt.NDArray[np.integer], offsets: Integers) -> Integers:
@@ -332,47 +303,140 @@ def _named_offsets(steps: _Steps, stretches: Integers, offsets: Integers, patche
     return named
 
 
-def _posterior(
-    order: Integers, rise: Floats, strength: float, sigma: float, within: Floats | None
-) -> tuple[int, bool, dict[int, float]]:
-    """Return a part's likeliest offset, whether it is beyond doubt, and the probability of every offset."""
-    code = contrast_steps()
-    levels, inverse, counts = np.unique(order, return_inverse=True, return_counts=True)
-    sort = np.lexsort((rise, inverse))
-    middle = rise[sort][np.cumsum(counts) - (counts + 1) // 2]
-    weight = np.minimum(counts / _ALIKE, 1.0)
-    offsets = np.arange(-levels[0], len(code) - levels[-1])
-    if len(offsets) == 0:
-        return 0, False, {}
-    expected = code[levels + offsets[:, None]]
-    # The slow change of the contrast, as a straight line that is expected to be flat.
+def _seen_steps(steps: _Steps, roots: npt.NDArray[np.int32], parts: Integers) -> list[_PartSteps]:
+    """Put together what all columns of each part show of its steps."""
+    within = np.flatnonzero(roots[steps.low] == roots[steps.high])
+    part = np.searchsorted(parts, roots[steps.low[within]])
+    large = parts[np.minimum(part, len(parts) - 1)] == roots[steps.low[within]] if len(parts) else np.zeros(0, np.bool_)
+    part, order, rise = part[large], steps.order[within[large]], steps.rise[within[large]]
+    sort = np.lexsort((rise, order, part))
+    part, order, rise = part[sort], order[sort], rise[sort]
+    fresh = np.ones(len(part), np.bool_)
+    fresh[1:] = (np.diff(part) != 0) | (np.diff(order) != 0)
+    starts = np.flatnonzero(fresh)
+    counts = np.diff(np.append(starts, len(part)))
+    middle = 0.5 * (rise[starts + (counts - 1) // 2] + rise[starts + counts // 2])
+    group = np.repeat(np.arange(len(starts)), counts)
+    # The scatter of columns about their median, which hangs on each of a few of them.
+    departure = np.abs(rise - middle[group]) * np.sqrt(counts / np.maximum(counts - 1, 1))[group]
+    several = counts[group] > 1
+    usual = _scatter(departure[several])
+    bounds = np.searchsorted(part[starts], np.arange(len(parts) + 1))
+    found = []
+    for first, last in pairwise(bounds):
+        own = slice(starts[first], starts[last] if last < len(starts) else len(part)) if last > first else slice(0, 0)
+        shown = departure[own][several[own]]
+        known = len(shown) / (len(shown) + _SCATTER_PRIOR)
+        variance = known * _scatter(shown) ** 2 + (1 - known) * usual**2
+        noise = _MEDIAN_SCATTER**2 * variance / counts[first:last]
+        found.append(_PartSteps(order[starts[first:last]], middle[first:last], noise))
+    return found
+
+
+def _scatter(departures: Floats) -> float:
+    return 1.4826 * float(np.median(departures)) if len(departures) else 0.0
+
+
+def _log_likelihood(part: _PartSteps) -> tuple[int, Floats]:
+    """Return the smallest offset, and the (strengths, spreads, offsets) logarithm of how probable a part's steps are.
+
+    A step is Student-distributed about the code's. What all steps have in common, and a trend, is the contrast's own
+    slow change; it is of the order of the spread, and integrated over.
+    """
+    levels = part.levels
+    if len(levels) == 0:
+        return 0, np.zeros((len(_STRENGTHS), len(_SPREADS), 0))
+    offsets = np.arange(-levels[0], len(contrast_steps()) - levels[-1])
+    variance = _SPREADS[:, None] ** 2 + part.noise
     line = np.stack([np.ones(len(levels)), np.linspace(-1, 1, len(levels))])
-    stiff = line.T @ np.linalg.solve(line @ line.T + (sigma / _DRIFT) ** 2 * np.eye(2), line)
-    departures = [middle - s * strength * expected for s in _STRENGTHS]
-    departures = [departure - departure @ stiff for departure in departures]
-    likelihoods = [
-        -0.5 * (_FREEDOM + 1) * np.log1p(departure**2 / (_FREEDOM * sigma**2)) @ weight for departure in departures
-    ]
-    logarithm = np.logaddexp.reduce(likelihoods, axis=0)
-    if within is not None:
-        logarithm[(offsets < within[0]) | (offsets > within[1])] = -np.inf
-        if np.isneginf(logarithm).all():
-            return 0, False, {}
-    probability = np.exp(logarithm - logarithm.max())
-    probability /= probability.sum()
-    best = int(probability.argmax())
-    departure = departures[int(np.argmax([likelihood[best] for likelihood in likelihoods]))][best]
-    fit = float(weight @ (np.abs(departure) < 3 * sigma) / weight.sum())
-    sure = bool(probability.sum() - probability[best] < MAX_ERROR_PROBABILITY and fit >= _MIN_FIT)
-    kept = np.flatnonzero(probability > 1e-9)
-    return int(offsets[best]), sure, {int(offsets[i]): float(probability[i]) for i in kept}
+    weighted = line / variance[:, None]
+    normal = weighted @ line.T + np.eye(2) / _SPREADS[:, None, None] ** 2
+    remains = np.eye(len(levels)) - line.T @ np.linalg.solve(normal, weighted)  # (spreads, levels, levels)
+    remains /= np.sqrt(_FREEDOM * variance)[..., None]
+    expected = contrast_steps()[levels + offsets[:, None]]
+    seen, due = remains @ part.middle, expected @ remains.transpose(0, 2, 1)
+    departures = (seen[:, None] - _STRENGTHS[:, None, None, None] * due).astype(np.float32)
+    fit = np.log(1 + departures**2).sum(axis=-1, dtype=np.float64)
+    constant = np.log(variance).sum(axis=-1) + np.linalg.slogdet(normal)[1] + 4 * np.log(_SPREADS)
+    return int(-levels[0]), -0.5 * (_FREEDOM + 1) * fit - 0.5 * constant[:, None]
+
+
+def _posteriors(likelihoods: list[tuple[int, Floats]], luck: Floats) -> tuple[list[Posterior], bool]:
+    """Return the posterior of every part, and whether the frame shows the code.
+
+    Strength and spread of the steps are integrated over. What the other parts say of them is each part's prior; luck is
+    the logarithm by how much likelier than it seems each part shows no code at all.
+    """
+    alone = np.log(_STRENGTH_PRIOR / len(_SPREADS))[:, None] + np.zeros(len(_SPREADS))
+    for (_, likelihood), more in zip(likelihoods, luck, strict=True):
+        likelihood[_STRENGTHS == 0] += more
+    told = [part for _, part in likelihoods if part.shape[-1]]
+    together = alone + sum(_evidence(part) for part in told)
+    posteriors = []
+    for first, likelihood in likelihoods:
+        if likelihood.shape[-1] == 0:
+            posteriors.append(NOTHING_KNOWN)
+            continue
+        others = together - _evidence(likelihood)
+        others -= np.logaddexp.reduce(others, axis=None)
+        prior = np.logaddexp(np.log(1 - _UNALIKE) + others, np.log(_UNALIKE) + alone)
+        logarithm = np.logaddexp.reduce(prior[..., None] + likelihood, axis=(0, 1))
+        probability = np.exp(logarithm - logarithm.max())
+        posteriors.append(Posterior(first, probability / probability.sum()))
+    without = np.logaddexp.reduce(together[_STRENGTHS == 0], axis=None)
+    return posteriors, bool(without < np.logaddexp.reduce(together[_STRENGTHS > 0], axis=None))
+
+
+def _evidence(likelihood: Floats) -> Floats:
+    """Return how probable each strength and spread is by a part whose offset may be any."""
+    return np.asarray(np.logaddexp.reduce(likelihood, axis=-1) - np.log(likelihood.shape[-1]))
+
+
+@cache
+def code_departures(usual: float) -> tuple[Floats, Floats]:
+    """Return how the code's modulation departs from the usual one, and the slope of its logarithm.
+
+    Parameters
+    ----------
+    usual : float
+        Fraction of full scale.
+
+    Returns
+    -------
+    two (TABLED (CYCLES - 1) + 1,) float64
+        Departures as a fraction of the usual one, and slopes a cycle, TABLED a cycle from the first cycle's middle on.
+    """
+    place = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
+    low, here, high = (modulation_at(place + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
+    return here / usual - 1, (high - low) / (2 * SLOPE_REACH * here)
+
+
+def modulation_corrections(departures: Floats, tables: npt.NDArray[np.floating]) -> Floats:
+    """Return what the response's correction lacks where the modulation is not the usual one.
+
+    Parameters
+    ----------
+    departures : (N,) float64
+        Of the modulation from the usual one, as a fraction of it, TABLED a cycle from the middle of a cycle on.
+    tables : (2, bins + 1)
+        rad over a cycle from -pi on: what of the correction goes with the modulation, and with its square.
+
+    Returns
+    -------
+    (N,) float64
+        rad.
+    """
+    edges = np.linspace(-0.5, 0.5, tables.shape[1])
+    around = [np.interp(np.arange(TABLED) / TABLED, edges, row, period=1) for row in tables]
+    linear, square = (np.resize(row, len(departures)) for row in around)
+    return np.asarray(departures * (linear + (2 + departures) * square))
 
 
 def blur_shift(
     unwrapped: npt.NDArray[np.float32],
     region: npt.NDArray[np.int32],
     absolute: npt.NDArray[np.bool_],
-    departures: npt.NDArray[np.float32],
+    slopes: Floats,
     period_px: float,
 ) -> float:
     """Return how far blur shifts the phase where the modulation rises e-fold a cycle, rad.
@@ -388,8 +452,8 @@ def blur_shift(
         Number of each pixel's region; 0 outside.
     absolute : (regions + 1,) bool
         Whether a region's orders are absolute.
-    departures : (cycles,) float32
-        Modulation of each cycle, less the usual one, as a fraction of it.
+    slopes : (N,) float64
+        Of the modulation's logarithm, a cycle; see `code_departures`.
     period_px : float
         Rows a cycle.
 
@@ -406,13 +470,8 @@ def blur_shift(
         return 0.0
     rows, columns = np.nonzero(inside)
     phases = [unwrapped[4 * rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
-    indices = np.arange(len(departures))
-    slopes = []
-    for phase in phases:
-        cycles = phase / (2 * np.pi)
-        low, here, high = (np.interp(cycles + reach, indices, departures) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
-        slopes.append((high - low) / (2 * SLOPE_REACH * (1 + here)))
+    places = [np.clip(np.rint(phase * (TABLED / (2 * np.pi))), 0, len(slopes) - 1).astype(int) for phase in phases]
     # A smooth surface hardly bends within a cycle; what it bends has nothing to do with the code.
-    bend, expected = (a[0] - 2 * a[1] + a[2] for a in (phases, slopes))
+    bend, expected = (a[0] - 2 * a[1] + a[2] for a in (phases, [slopes[place] for place in places]))
     smooth = np.abs(bend) < _MAX_BEND
     return float(bend[smooth] @ expected[smooth] / max(float(expected[smooth] @ expected[smooth]), 1e-9))

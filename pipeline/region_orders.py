@@ -5,19 +5,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.absolute_order import AbsoluteOrders, blur_shift, find_absolute_orders
+from pipeline.absolute_order import blur_shift, code_departures, find_absolute_orders, modulation_corrections
 from pipeline.calibration import Geometry
 from pipeline.contrast_code import cycle_modulations
 from pipeline.errors import CalibrationError
 from pipeline.light_path import LightPath
+from pipeline.region_posterior import MAX_ERROR_PROBABILITY, AbsoluteOrders, OrderRange
 from pipeline.results import DecodedFrame
-from pipeline.temporal_order import MAX_ERROR_PROBABILITY, CarriedOrders, count_votes, split_by_votes
+from pipeline.temporal_order import MAX_ERROR_PROBABILITY as MAX_CARRIED_ERROR
+from pipeline.temporal_order import CarriedOrders, count_votes, split_by_votes
 from pipeline.workspace import Workspace
 from tikernels import runtime
 from tikernels.absolute_order import SLOTS, adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
 from tikernels.equalization import modulation_tables
 from tikernels.temporal_order import VOTES_A_CELL, vote_orders_kernel
-from tikernels.unwrapping import PatchGraph
+from tikernels.unwrapping import MIN_REGION_PX, PatchGraph
 
 # With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
 # (rad) that is worth a pass over the image.
@@ -91,36 +93,52 @@ class OrderFinder:
             What the user should know of the orders.
         """
         unwrapper, buffers = work.unwrapper, frame._buffers
-        orders = self._read_code(image, work, frame) if self._code == "contrast" else None
+        orders, readable = None, True
+        if self._code == "contrast":
+            orders, readable = self._read_code(image, work, frame)
         carried = None if previous is None else self._carry_orders(previous, work, buffers["phase"])
+        if orders is None and self._depth_range_mm is not None:
+            orders = self._place_by_depth(work, frame)
         if frame._rig is not None:
             unwrapper.place(buffers["phase"], *frame._rig, self._depth_mm)
+        if orders is not None:
+            errors = orders.error_probability(orders.offsets)
+            # Of what the range alone leaves possible, the order nearest its middle stays.
+            told = (errors < 1) if self._code else np.zeros(len(errors), np.bool_)
+            unwrapper.set_orders(orders.parts[told], orders.offsets[told])
         if carried is not None:
             unwrapper.set_orders(carried.roots, carried.offsets)
         if orders is not None:
-            unwrapper.set_orders(orders.parts[orders.absolute], orders.offsets[orders.absolute])
+            absolute = errors < MAX_ERROR_PROBABILITY
+            unwrapper.set_orders(orders.parts[absolute], orders.offsets[absolute])
         unwrapper.write(buffers["phase"], work.rates, buffers["unwrapped"], buffers["mask"], buffers["region"])
         _note_orders(orders, carried, previous, work, frame)
-        doubt = None if orders is None else self._use_orders(orders, correction, work, frame)
+        doubt = None
+        if self._code == "contrast":
+            doubt = self._use_code(readable, correction, work, frame)
         if carried is not None and not carried.same_scene:
             doubt = "nothing of the frame before is seen again: the orders start afresh"
         if not self._code_looked_for:
             self._code_looked_for = True
             graph = unwrapper.graph()
-            found = self._find_orders(image, work, frame, graph)
-            if graph.pixels[np.isin(found.roots, found.parts[found.absolute])].sum() > graph.pixels.sum() / 2:
+            found, readable = self._find_orders(image, work, frame, graph, None)
+            absolute = found.error_probability(found.offsets) < MAX_ERROR_PROBABILITY
+            share = graph.pixels[np.isin(found.roots, found.parts[absolute])].sum() / graph.pixels.sum()
+            if readable and share > 0.5:
                 doubt = 'the frame shows a contrast code: set code = "contrast" to use it'
         return doubt
 
-    def _read_code(self, image: Any, work: Workspace, frame: DecodedFrame) -> AbsoluteOrders:
-        """Find the absolute orders, and split the regions that the code contradicts."""
+    def _read_code(self, image: Any, work: Workspace, frame: DecodedFrame) -> tuple[AbsoluteOrders, bool]:
+        """Find the absolute orders, split the regions that the code contradicts, and say whether the code is seen."""
         graph = work.unwrapper.graph()
-        orders = self._find_orders(image, work, frame, graph)
+        orders, readable = self._find_orders(image, work, frame, graph, self._order_range(frame, graph))
         if not np.array_equal(orders.roots, graph.root):
             work.unwrapper.split(orders.roots)
-        return orders
+        return orders, readable
 
-    def _find_orders(self, image: Any, work: Workspace, frame: DecodedFrame, graph: PatchGraph) -> AbsoluteOrders:
+    def _find_orders(
+        self, image: Any, work: Workspace, frame: DecodedFrame, graph: PatchGraph, order_range: OrderRange | None
+    ) -> tuple[AbsoluteOrders, bool]:
         unwrapper, buffers = work.unwrapper, frame._buffers
         sums = runtime.empty((unwrapper.patch_count, SLOTS, 4), np.float32)
         light = (image, self._path.inverse, work.gains.gains, work.gains.cell, buffers["phase"], buffers["modulation"])
@@ -128,9 +146,17 @@ class OrderFinder:
         measure_contrast_kernel(self._path.balance_first)(*light, *patches, sums)
         width = int(image.shape[1])
         rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
-        return find_absolute_orders(
-            runtime.to_host(sums), graph, width, rising, self._order_bounds(frame, graph, width)
-        )
+        return find_absolute_orders(runtime.to_host(sums), graph, width, rising, order_range)
+
+    def _place_by_depth(self, work: Workspace, frame: DecodedFrame) -> AbsoluteOrders | None:
+        """Find the orders that the depth range leaves possible."""
+        graph = work.unwrapper.graph()
+        order_range = self._order_range(frame, graph)
+        if order_range is None:
+            return None
+        parts = np.flatnonzero(np.bincount(graph.root, graph.pixels, len(graph.root)) >= MIN_REGION_PX)
+        ranges = order_range.by_part(graph.root, parts, graph.pixels)
+        return AbsoluteOrders(graph.root, parts, tuple(within.alone() for within in ranges))
 
     def _carry_orders(self, previous: DecodedFrame, work: Workspace, phase: Any) -> CarriedOrders:
         """Find the orders that agree with the frame before, and split the regions that it contradicts."""
@@ -146,17 +172,24 @@ class OrderFinder:
                 unwrapper.split(roots)
         return count_votes(counted, unwrapper.patch_roots())
 
-    def _order_bounds(self, frame: DecodedFrame, graph: PatchGraph, width: int) -> npt.NDArray[np.float64] | None:
-        """Return the absolute phases, in cycles, that the depth range allows the first pixel of each patch."""
-        if self._geometry is None or frame._rig is None or self._depth_range_mm is None:
+    def _order_range(self, frame: DecodedFrame, graph: PatchGraph) -> OrderRange | None:
+        """Return how many cycles every patch may lack: its first pixel's ray in the depth range and the pattern."""
+        if self._geometry is None or frame._rig is None:
             return None
-        rays = runtime.to_host(frame._rig[0])[graph.first // width, graph.first % width]
-        depths = [np.column_stack([rays, np.ones(len(rays))]) * z for z in self._depth_range_mm]
-        ends = [self._geometry.pattern_cycles(points) for points in depths]
-        return np.sort(np.stack(ends, axis=1), axis=1)
+        phase = runtime.to_host(frame._buffers["phase"])  # synchronises
+        y, x = np.divmod(graph.first, phase.shape[1])
+        here = phase[y, x] / (2 * np.pi) + graph.offset
+        pattern = self._geometry.pattern
+        cycles = self._geometry.projector.size_px[self._geometry.phase_axis] / pattern.period_px
+        least, most = np.zeros(len(here)), np.full(len(here), cycles)
+        if self._depth_range_mm is not None:
+            rays = np.column_stack([runtime.to_host(frame._rig[0])[y, x], np.ones(len(here))])
+            ends = np.sort([self._geometry.pattern_cycles(z * rays) for z in self._depth_range_mm], axis=0)
+            least, most = np.maximum(least, ends[0]), np.minimum(most, ends[1])
+        return OrderRange(least - here, most - here, self._depth_range_mm is not None)
 
-    def _use_orders(
-        self, orders: AbsoluteOrders, correction: npt.NDArray[np.float32], work: Workspace, frame: DecodedFrame
+    def _use_code(
+        self, readable: bool, correction: npt.NDArray[np.float32], work: Workspace, frame: DecodedFrame
     ) -> str | None:
         """Note what is known of each region, and correct the phases by the modulation that their cycles have.
 
@@ -164,24 +197,23 @@ class OrderFinder:
         """
         buffers, known = frame._buffers, frame.order_is_known
         if known.any():
-            absolute = known.astype(np.int32)
             adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
             outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            adopt_pixels_kernel(
-                buffers["phase"], work.raw_phase, buffers["modulation"], work.rates, absolute, adopted, *outputs
-            )
+            inputs = (buffers["phase"], work.raw_phase, buffers["modulation"], work.rates, known.astype(np.int32))
+            adopt_pixels_kernel(work.unwrapper.final, *inputs, adopted, *outputs)
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
-        usual = 0.5 if self._path.response_is_full else cycle_modulations().mean()
-        departures, tables = modulation_tables(correction, cycle_modulations() / usual - 1)
+        usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
+        departures, slopes = code_departures(usual)
         columns = (slice(None), slice(None, None, _EVERY_COLUMN))
         sampled = runtime.to_host(buffers["unwrapped"])[columns], runtime.to_host(buffers["region"])[columns]
-        shift = blur_shift(*sampled, known, departures, frame.period_px or 0.0)
-        if max(np.abs(tables).max(), abs(shift)) > _MIN_CORRECTION and known.any():
-            arguments = (buffers["region"], known.astype(np.int32), departures, tables, shift)
+        corrections = modulation_corrections(departures, modulation_tables(correction))
+        corrections -= blur_shift(*sampled, known, slopes, frame.period_px or 0.0) * slopes
+        if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
+            arguments = (buffers["region"], known.astype(np.int32), corrections.astype(np.float32))
             correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
-        pixels = np.bincount(runtime.to_host(buffers["region"]).ravel(), minlength=len(known))[1:]
+        pixels = work.unwrapper.region_pixels()
         lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
-        if not orders.readable:
+        if not readable:
             return "the frame does not show the contrast code: project a pattern made with --code contrast"
         if lost > _MAX_LOST:
             return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
@@ -205,13 +237,13 @@ def _note_orders(
             if (found := place.get(int(root))) is not None:
                 before = carried.before[found]
                 errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
-                known[number] = known_before[before] and errors[number] < MAX_ERROR_PROBABILITY
+                known[number] = known_before[before] and errors[number] < MAX_CARRIED_ERROR
     if orders is not None and len(orders.parts):
         part = np.searchsorted(orders.parts, roots)
-        by_code = orders.absolute[part]
-        by_error = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
-        known[1:] |= by_code
-        errors[1:] = np.where(by_code | ~known[1:], by_error, errors[1:])
+        by_itself = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
+        absolute = by_itself < MAX_ERROR_PROBABILITY
+        known[1:] |= absolute
+        errors[1:] = np.where(absolute | ~known[1:], by_itself, errors[1:])
     errors[0] = np.nan
     frame._placed = known, errors.astype(np.float32)
 

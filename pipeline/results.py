@@ -93,7 +93,8 @@ class DecodedFrame:
     def absolute(self) -> npt.NDArray[np.bool_]:
         """(H, W) bool: whether the order is known, not only relative to its region.
 
-        A single frame of a plain pattern never tells; one of a coded pattern does where a region shows enough of it.
+        A plain pattern tells only where a calibration's depth range leaves a region one order; a coded pattern does
+        where a region shows enough of it.
         """
         return self.order_is_known[self.region]
 
@@ -101,7 +102,7 @@ class DecodedFrame:
     def order_error_probability(self) -> npt.NDArray[np.float32]:
         """(H, W) float32: probability, 0..1, that the order is not the absolute one; NaN outside the mask.
 
-        The same all over a region, and 1 without a code.
+        The same all over a region, and 1 where neither a code nor a depth range says anything of it.
         """
         if self._placed is None:
             return np.where(self.mask, np.float32(1), np.float32(np.nan))

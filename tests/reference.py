@@ -476,14 +476,15 @@ def measure_contrast(
     for y, x in np.ndindex(labels.shape):
         left = x // cell_width * cell_width
         right = min(left + cell_width, labels.shape[1])
-        if labels[y, x] < 0 or (x - left) % 4 != 2 * (y % 2) + y // 2 % 2:
+        times = sum(x == min(left + column, right - 1) for column in (1, 6))
+        if labels[y, x] < 0 or times == 0:
             continue
-        gain = gain_at(gains.astype(np.float64), gain_cell, y, (left + right) // 2)
+        gain = gain_at(gains.astype(np.float64), gain_cell, y // 4 * 4 + 2, (left + right) // 2)
         background = (inverse.astype(np.float64) @ (image[y, x] * gain)).mean()
         weight = (1 - (float(phase[y, x]) / np.pi) ** 2) ** 2
         slot = (labels[y, x] & (2**order_bits - 1)) - order_zero + slots // 2
         own = sums.setdefault(int(labels[y, x] >> order_bits), np.zeros((slots, 4)))
-        own[slot] += weight * np.array([1.0, modulation[y, x], background, phase[y, x]])
+        own[slot] += times * weight * np.array([1.0, modulation[y, x], background, phase[y, x]])
     return sums
 
 

@@ -20,10 +20,21 @@ from tikernels._taichi import (
     f32,
     i32,
     ti,
+    vec2,
     vec3,
+    vec4,
 )
 from tikernels.balance import gain_at
-from tikernels.patches import ORDER_BITS, ORDER_MASK, ORDER_ZERO, cell_bounds, patch_number
+from tikernels.patches import (
+    CELL_HEIGHT,
+    CELL_WIDTH,
+    NOTHING,
+    ORDER_BITS,
+    ORDER_MASK,
+    ORDER_ZERO,
+    cell_bounds,
+    patch_number,
+)
 from tikernels.phase_vector import PI, STRIP, matrix_of, wrap
 from tikernels.wrapped_phase import NO_PHASE
 
@@ -37,10 +48,22 @@ SLOTS = 17
 # at once has any phase, and less modulation. Where there is no other one, a steep facet may continue less smoothly.
 _MAX_ADOPTED, _ALIKE, _MIN_RIVAL = 0.25, 0.85, 0.5
 _MAX_ALONE, _ALIKE_ALONE = 1.2, 0.5
-_AROUND = ((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1))
-_REACH, _PASSES = 3, 2
+_REACH, _PASSES = 3, 3
+# Of a cell's columns, those that are looked at: one of each colour of a Bayer sensor.
+_COLUMNS = (1, 6)
 #: What is summed of a cycle.
 TOTAL, MODULATION, BACKGROUND, PHASE = range(4)
+
+
+@ti.func
+def add_cycle(label: i32, sums: vec4, firsts: I32Array2, draft_bits: i32, out_sums: F32Array3):
+    """Add what one column shows of a cycle to the sums of its patch and order."""
+    slot = (label & ORDER_MASK) - ORDER_ZERO + SLOTS // 2
+    if label >= 0 and slot >= 0 and slot < SLOTS:
+        patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
+        for k in ti.static(range(4)):
+            # Not "+=": that is atomic, and nobody else writes here.
+            out_sums[patch, slot, k] = out_sums[patch, slot, k] + sums[k]
 
 
 @cache
@@ -68,36 +91,55 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
                 for slot in range(SLOTS):
                     for k in ti.static(range(4)):
                         out_sums[patch, slot, k] = 0.0
-            for y in range(top, bottom):
-                # One gain serves the row of a cell, and every fourth pixel, others from row to row, tells enough.
-                gain = gain_at(gains, gain_cell, y, (left + right) // 2)
-                x = left + 2 * (y & 1) + ((y >> 1) & 1)
-                while x < right:
-                    label = labels[y, x]
+            # Two columns tell enough; down a column a cycle's pixels follow each other.
+            for column in ti.static(_COLUMNS):
+                x = ti.min(left + column, right - 1)
+                label, sums, background = NOTHING, vec4(0.0), vec3(0.0)
+                for y in range(top, bottom):
+                    if y & 3 == 0:  # one gain serves four rows of a cell
+                        gain = gain_at(gains, gain_cell, y + 2, (left + right) // 2)
+                        if ti.static(balance_first):
+                            background = inverse.transpose() @ vec3(1.0 / 3.0) * gain
+                        else:
+                            background = inverse.transpose() @ gain / 3.0
+                    if labels[y, x] != label:
+                        add_cycle(label, sums, firsts, draft_bits, out_sums)
+                        label, sums = labels[y, x], vec4(0.0)
                     if label >= 0:
                         light = vec3(
                             ti.cast(image[y, x, 0], ti.f32),
                             ti.cast(image[y, x, 1], ti.f32),
                             ti.cast(image[y, x, 2], ti.f32),
                         )
-                        channels = vec3(0.0)
-                        if ti.static(balance_first):
-                            channels = inverse @ (light * gain)
-                        else:
-                            channels = (inverse @ light) * gain
-                        slot = (label & ORDER_MASK) - ORDER_ZERO + SLOTS // 2
-                        if slot >= 0 and slot < SLOTS:
-                            patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
-                            inside = 1.0 - phase[y, x] * phase[y, x] / (PI * PI)
-                            weight = inside * inside
-                            terms = vec3(modulation[y, x], channels.sum() / 3.0, phase[y, x])
-                            # Not "+=": that is atomic, and nobody else writes here.
-                            out_sums[patch, slot, TOTAL] = out_sums[patch, slot, TOTAL] + weight
-                            for k in ti.static(range(3)):
-                                out_sums[patch, slot, k + 1] = out_sums[patch, slot, k + 1] + weight * terms[k]
-                    x += 4
+                        inside = 1.0 - phase[y, x] * phase[y, x] / (PI * PI)
+                        weight = inside * inside
+                        sums += weight * vec4(1.0, modulation[y, x], background.dot(light), phase[y, x])
+                add_cycle(label, sums, firsts, draft_bits, out_sums)
 
     return measure_contrast
+
+
+@ti.kernel
+def match_stretches_kernel(
+    stretches: F32Array2,  # (N, n) steps of the contrast's logarithm
+    windows: F32Array2,  # (W, n) the code's
+    out_matches: F32Array2,  # (N, 3) best window, its sum of squared differences, the next best one's
+):
+    """Find the windows that each stretch departs least from."""
+    for i in range(stretches.shape[0]):
+        best, least, second = 0, 1e9, 1e9
+        for w in range(windows.shape[0]):
+            departure = 0.0
+            for k in range(stretches.shape[1]):
+                difference = stretches[i, k] - windows[w, k]
+                departure = departure + difference * difference
+            if departure < least:
+                best, least, second = w, departure, least
+            elif departure < second:
+                second = departure
+        out_matches[i, 0] = ti.cast(best, ti.f32)
+        out_matches[i, 1] = least
+        out_matches[i, 2] = second
 
 
 #: Offsets that the evidence of a region is weighed for.
@@ -159,44 +201,30 @@ def join_parts_kernel(
             out_parents[patch] = part_of(out_parents, patch)
 
 
-@ti.func
-def departure_at(departures: F32Array1, cycles: f32) -> f32:
-    """Return the code's modulation at a phase, less the usual one, as a fraction of it."""
-    inside = ti.min(ti.max(cycles, 0.0), ti.cast(departures.shape[0] - 1, ti.f32))
-    below = ti.min(ti.cast(inside, ti.i32), departures.shape[0] - 2)
-    part = inside - ti.cast(below, ti.f32)
-    return departures[below] + part * (departures[below + 1] - departures[below])
+#: Places a cycle at which the correction is tabled: the slope's reach is a whole number of them, so its bends are met.
+TABLED = 120
 
 
 @ti.kernel
 def correct_by_modulation_kernel(
     region: I32Array2,  # (H, W) region's number from 1; 0 outside
     absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
-    departures: F32Array1,  # (cycles,) modulation in the middle of each cycle, less the usual one, as a fraction of it
-    table: F32Array2,  # (2, bins + 1) rad: part of the response's correction that goes with the modulation, its square
-    shift: f32,  # rad that blur shifts the phase by where the modulation rises e-fold a cycle
+    corrections: F32Array1,  # (N,) rad to add at an absolute phase, TABLED a cycle, from the first cycle's middle on
     phase: F32Array2,  # (H, W) rad in [-pi, pi], to be corrected
     unwrapped: F32Array2,  # (H, W) rad, to be corrected
 ):
     """Correct what response and blur do to cycles whose modulation is not the usual one, or changes."""
     height, width = phase.shape[0], phase.shape[1]
     strips = (width + STRIP - 1) // STRIP
-    bins = table.shape[1] - 1
+    last = corrections.shape[0] - 1
     for t in range(height * strips):
         y, first = t // strips, (t % strips) * STRIP
         for x in range(first, ti.min(first + STRIP, width)):
             if absolute[region[y, x]] == 1:
-                cycles = unwrapped[y, x] * (0.5 / PI)
-                departs = departure_at(departures, cycles)
-                rise = departure_at(departures, cycles + SLOPE_REACH) - departure_at(departures, cycles - SLOPE_REACH)
-                # The table runs from -pi to pi.
-                place = (cycles + 0.5 - ti.floor(cycles + 0.5)) * ti.cast(bins, ti.f32)
-                bin_below = ti.min(ti.cast(place, ti.i32), bins - 1)
-                share = place - ti.cast(bin_below, ti.f32)
-                linear = table[0, bin_below] + share * (table[0, bin_below + 1] - table[0, bin_below])
-                square = table[1, bin_below] + share * (table[1, bin_below + 1] - table[1, bin_below])
-                correction = departs * (linear + (2.0 + departs) * square)
-                correction -= shift * rise / (2.0 * SLOPE_REACH * (1.0 + departs))
+                place = ti.min(ti.max(unwrapped[y, x] * (0.5 * TABLED / PI), 0.0), ti.cast(last, ti.f32))
+                below = ti.min(ti.cast(place, ti.i32), last - 1)
+                share = place - ti.cast(below, ti.f32)
+                correction = corrections[below] + share * (corrections[below + 1] - corrections[below])
                 phase[y, x] = phase[y, x] + correction
                 unwrapped[y, x] = unwrapped[y, x] + correction
 
@@ -226,8 +254,54 @@ def continued(
     return result
 
 
+@ti.func
+def adopter(
+    phase: F32Array2,
+    raw_phase: F32Array2,
+    modulation: F32Array2,
+    rates: F32Array2,
+    absolute: I32Array1,
+    unwrapped: F32Array2,
+    region: I32Array2,
+    y: i32,
+    x: i32,
+) -> vec2:
+    """Return a pixel's phase in the one absolute surface that it continues, and that region's number, 0 if none."""
+    result = vec2(0.0)
+    here = phase[y, x]
+    if here > 0.5 * NO_PHASE:
+        here = raw_phase[y, x]
+    if here < 0.5 * NO_PHASE:
+        best, alike = vec3(0.0, NO_PHASE, 0.0), 0.0
+        for side in ti.static(range(4)):
+            dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+            other = continued(here, unwrapped, region, rates, y, x, dy, dx, 1)
+            if other.y < best.y:
+                best = other
+                low = ti.min(modulation[y, x], modulation[y + dy, x + dx])
+                alike = low / ti.max(ti.max(modulation[y, x], modulation[y + dy, x + dx]), 1e-12)
+        number = ti.cast(best.z, ti.i32)
+        if best.y < _MAX_ALONE and absolute[number] == 1:
+            rival, alone = NO_PHASE, 1
+            for direction in range(9):
+                dy, dx = direction // 3 - 1, direction % 3 - 1
+                for far in range(1, ti.select(direction == 4, 1, _REACH + 1)):
+                    other = continued(here, unwrapped, region, rates, y, x, dy, dx, far)
+                    if other.z > 0.0:
+                        if ti.abs(other.x - best.x) > PI:
+                            rival = ti.min(rival, other.y)
+                            alone = 0
+                        elif other.z != best.z:
+                            alone = 0
+            belongs = best.y < _MAX_ADOPTED and alike > _ALIKE and rival > best.y + _MIN_RIVAL
+            if belongs or (alone == 1 and alike > _ALIKE_ALONE):
+                result = vec2(best.x, best.z)
+    return result
+
+
 @ti.kernel
 def adopt_pixels_kernel(
+    cell_steps: I32Array2,  # (3, cells or more) in the third row 1 where a cell has pixels that belong to nobody
     phase: F32Array2,  # (H, W) rad; STEP_PHASE at steps
     raw_phase: F32Array2,  # (H, W) rad, before smoothing; NO_PHASE where there is none
     modulation: F32Array2,  # (H, W)
@@ -240,41 +314,24 @@ def adopt_pixels_kernel(
 ):
     """Give pixels at steps, which belong to nobody, to the one absolute surface that they continue."""
     height, width = phase.shape[0], phase.shape[1]
+    cells = ((width + CELL_WIDTH - 1) // CELL_WIDTH) * ((height + CELL_HEIGHT - 1) // CELL_HEIGHT)
     for _ in ti.static(range(_PASSES)):
-        for y, x in ti.ndrange(height, width):
-            if mask[y, x] == 0:
-                adopted[y, x, 1] = 0.0
-            if mask[y, x] == 0 and raw_phase[y, x] < 0.5 * NO_PHASE:
-                here = phase[y, x]
-                if here > 0.5 * NO_PHASE:
-                    here = raw_phase[y, x]
-                best, alike = vec3(0.0, NO_PHASE, 0.0), 0.0
-                for side in ti.static(range(4)):
-                    dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
-                    other = continued(here, unwrapped, region, rates, y, x, dy, dx, 1)
-                    if other.y < best.y:
-                        best = other
-                        low = ti.min(modulation[y, x], modulation[y + dy, x + dx])
-                        alike = low / ti.max(ti.max(modulation[y, x], modulation[y + dy, x + dx]), 1e-12)
-                number = ti.cast(best.z, ti.i32)
-                if best.y < _MAX_ALONE and absolute[number] == 1:
-                    rival, alone = NO_PHASE, 1
-                    for dy, dx in ti.static(_AROUND):
-                        for far in range(1, _REACH + 1):
-                            other = continued(here, unwrapped, region, rates, y, x, dy, dx, far)
-                            if other.z > 0.0:
-                                if ti.abs(other.x - best.x) > PI:
-                                    rival = ti.min(rival, other.y)
-                                    alone = 0
-                                elif other.z != best.z:
-                                    alone = 0
-                    belongs = best.y < _MAX_ADOPTED and alike > _ALIKE and rival > best.y + _MIN_RIVAL
-                    if belongs or (alone == 1 and alike > _ALIKE_ALONE):
-                        adopted[y, x, 0] = best.x
-                        adopted[y, x, 1] = best.z
-        for y, x in ti.ndrange(height, width):
-            if mask[y, x] == 0 and adopted[y, x, 1] > 0.0:
-                unwrapped[y, x] = adopted[y, x, 0]
-                phase[y, x] = wrap(adopted[y, x, 0] - 2.0 * PI * ti.round(adopted[y, x, 0] * (0.5 / PI)))
-                region[y, x] = ti.cast(adopted[y, x, 1], ti.i32)
-                mask[y, x] = ti.cast(1, ti.u8)
+        for cell in range(cells):
+            if cell_steps[2, cell] == 1:
+                top, left, bottom, right = cell_bounds(cell, height, width)
+                for y in range(top, bottom):
+                    for x in range(left, right):
+                        if mask[y, x] == 0:
+                            found = adopter(phase, raw_phase, modulation, rates, absolute, unwrapped, region, y, x)
+                            adopted[y, x, 0], adopted[y, x, 1] = found.x, found.y
+        for cell in range(cells):
+            if cell_steps[2, cell] == 1:
+                top, left, bottom, right = cell_bounds(cell, height, width)
+                for y in range(top, bottom):
+                    for x in range(left, right):
+                        if mask[y, x] == 0 and adopted[y, x, 1] > 0.0:
+                            value = adopted[y, x, 0]
+                            unwrapped[y, x] = value
+                            phase[y, x] = wrap(value - 2.0 * PI * ti.round(value * (0.5 / PI)))
+                            region[y, x] = ti.cast(adopted[y, x, 1], ti.i32)
+                            mask[y, x] = ti.cast(1, ti.u8)

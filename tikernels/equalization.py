@@ -71,10 +71,8 @@ def _certainty(parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     return np.asarray(np.maximum(1 - variance / np.maximum(np.abs(mean) ** 2, 1e-20), 0))
 
 
-def modulation_tables(
-    table: npt.NDArray[np.float32], departures: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Prepare `correct_by_modulation_kernel`: how a correction changes with the modulation.
+def modulation_tables(table: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return what of a correction changes with the modulation.
 
     What a response that is not linear adds to the phase, in the true phase's harmonics 3, 6 ..., is proportional to the
     modulation, its square ...; what crosstalk and gains leave is not.
@@ -83,13 +81,11 @@ def modulation_tables(
     ----------
     table : (bins + 1,) float32
         rad to add to a measured phase, for the usual modulation.
-    departures : (cycles,) float64
-        Modulation of each cycle, less the usual one, as a fraction of it.
 
     Returns
     -------
-    (cycles,) float32, (2, bins + 1) float32
-        The departures, and the harmonics 3 and 6 of the correction over the corrected phase, rad.
+    (2, bins + 1) float32
+        The harmonics 3 and 6 of the correction over the corrected phase, rad.
     """
     bins = len(table) - 1
     edges = np.linspace(-np.pi, np.pi, bins + 1)
@@ -106,7 +102,7 @@ def modulation_tables(
             alone[harmonic] = spectrum[harmonic]
             tables[row, :-1] = np.fft.irfft(alone, bins)
     tables[:, -1] = tables[:, 0]
-    return departures.astype(np.float32), (tables / np.maximum(stretch, 0.2)).astype(np.float32)
+    return (tables / np.maximum(stretch, 0.2)).astype(np.float32)
 
 
 def pattern_light(response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -238,6 +238,11 @@ class Unwrapper:
         """Return the whole cycles that are added to the orders of the regions with these roots."""
         return -runtime.to_host(self.regions)[_REGION_ORDER, roots]
 
+    def region_pixels(self) -> npt.NDArray[np.int32]:
+        """Return (regions,) int32: how many pixels each region that was written had when it was joined."""
+        pixels: npt.NDArray[np.int32] = runtime.to_host(self.regions)[_REGION_PIXELS, self.roots]  # synchronises
+        return pixels
+
     def _write_back(self, buffer: Any, host: npt.NDArray[np.int32]) -> None:
         if buffer is not host:
             buffer.from_numpy(host)

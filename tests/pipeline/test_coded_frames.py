@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 import reference
+from benchmarks.orders import judged_regions, uncertain_frame
 
+import tikernels
 from pipeline import Decoder, DecodeSettings, DecodeWarning
+from pipeline.contrast_code import LEVELS, cycle_modulations
+from pipeline.pattern import CHANNEL_PHASES
 from pipeline.simulate import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import projection
 
@@ -102,6 +106,52 @@ def test_a_frame_without_the_code():
     assert frame.order_error_probability[frame.mask].min() > 1e-3
 
 
+@pytest.mark.parametrize("wrong", ["reversed", "inverted", "permuted"])
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_a_sequence_that_is_not_the_codes(wrong, calibrated):
+    """Whatever fits by chance is not believed."""
+    truth, calibration = simulated("plane")
+    levels = {
+        "reversed": cycle_modulations()[::-1],
+        "inverted": LEVELS[0] + LEVELS[-1] - cycle_modulations(),
+        "permuted": np.random.default_rng(1).permutation(cycle_modulations()),
+    }[wrong]
+    image = simulate_frame(truth.rig, SimulationSettings(scene="plane"), coded_by(truth.rig, levels)).image
+    settings = DecodeSettings(code="contrast", crosstalk_matrix=calibration.crosstalk_matrix)
+    with pytest.warns(DecodeWarning, match="contrast code|of the code"):
+        frame = Decoder(settings, calibration if calibrated else None, arch="cpu").decode(image)
+    assert not frame.absolute.any()
+    assert frame.order_error_probability[frame.mask].min() > 0.01
+
+
+def test_motion_during_the_exposure_is_flagged():
+    """Head and shoulders move by 20 mm: they are flagged, not placed with the wall; what is wrong is their rim."""
+    _, calibration = simulated("bust", size=FULL)
+    frames = [
+        simulated("bust", size=FULL, object_motion_mm=(0.7 * s, s, 0.0), exposure=1.0, noise_levels=0.0)[0]
+        for s in np.linspace(-10, 10, 7)
+    ]
+    mean = np.mean([frame.image for frame in frames], axis=0)
+    image = np.clip(mean + np.random.default_rng(0).normal(0, 1.5, mean.shape), 0, 255).astype(np.uint8)
+    with pytest.warns(DecodeWarning, match="of the code"):
+        frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
+    right, wrong = shares(frame, frames[3])
+    assert right > 0.6
+    assert wrong < 0.04
+
+
+def test_the_error_probability_is_what_it_says():
+    """Of uncertain regions about as many are wrong as their probabilities promise; more frames are a benchmark's."""
+    tikernels.init("cpu")
+    regions = np.array([region for seed in range(900, 916) for region in judged_regions(*uncertain_frame(seed))])
+    uncertain = regions[:, 0] > 0.1
+    expected, observed = regions[uncertain].sum(axis=0)
+    assert expected > 20
+    assert expected / 2 < observed < 2 * expected
+    assert regions[regions[:, 0] < 1e-3, 1].sum() == 0
+    assert (regions[:, 0] < 1e-3).sum() > 20
+
+
 def test_a_code_that_nobody_told_of_in_unknown_light():
     """The frame is decoded twice, to learn the light; what the first run said of the code is not lost."""
     truth, _ = simulated("bust")
@@ -182,13 +232,15 @@ def test_a_hidden_step_of_whole_cycles_splits_a_region(arch):
 
 def shifted_codes(rig, cycles):
     """Return the rig's pattern with the code moved by whole cycles, the phase staying."""
-    from pipeline.contrast_code import modulation_at
-    from pipeline.pattern import CHANNEL_PHASES
+    return coded_by(rig, np.roll(cycle_modulations(), -cycles))
 
+
+def coded_by(rig, modulations):
+    """Return the rig's pattern with other modulations of its cycles."""
     width, height = rig.projector.size_px
-    phase = 2 * np.pi / rig.pattern.period_px * np.arange(height)
-    modulation = modulation_at(phase / (2 * np.pi) + cycles)[:, None]
-    codes = 0.5 + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES))
+    cycles = np.arange(height) / rig.pattern.period_px
+    modulation = np.interp(cycles, np.arange(len(modulations)), modulations)[:, None]
+    codes = 0.5 + modulation * np.cos(2 * np.pi * cycles[:, None] + np.array(CHANNEL_PHASES))
     return np.ascontiguousarray(np.broadcast_to(codes[:, None].astype(np.float32), (height, width, 3)))
 
 

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 import reference
 
+from pipeline.absolute_order import modulation_corrections
 from tikernels import runtime
 from tikernels.absolute_order import (
     CANDIDATES,
     SLOPE_REACH,
     SLOTS,
+    TABLED,
     adopt_pixels_kernel,
     correct_by_modulation_kernel,
     join_parts_kernel,
+    match_stretches_kernel,
     measure_contrast_kernel,
 )
 from tikernels.equalization import modulation_tables
@@ -53,6 +56,18 @@ def test_contrast_as_the_twin(arch, shape):
     assert (sums[..., 0] > 0).any(axis=1).sum() == len([own for own in expected.values() if own[:, 0].max() > 0])
 
 
+@pytest.mark.parametrize("count", [1, 700])
+def test_stretches_find_their_windows(arch, count):
+    rng = np.random.default_rng(count)
+    windows = rng.normal(0, 0.2, (90, 5)).astype(np.float32)
+    stretches = (windows[rng.integers(90, size=count)] + rng.normal(0, 0.03, (count, 5))).astype(np.float32)
+    matches = np.empty((count, 3), np.float32)
+    match_stretches_kernel(stretches, windows, matches)
+    departures = ((stretches[:, None].astype(np.float64) - windows) ** 2).sum(axis=-1)
+    np.testing.assert_array_equal(matches[:, 0], departures.argmin(axis=1))
+    np.testing.assert_allclose(matches[:, 1:], np.sort(departures, axis=1)[:, :2], rtol=1e-4, atol=1e-6)
+
+
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_parts_as_the_twin(arch, seed):
     """A grid of patches, whose halves prefer different offsets, with noise: the same parts as the sequential twin's."""
@@ -88,17 +103,21 @@ def test_correction_as_the_twin(arch):
     phase = rng.uniform(0, 2 * np.pi * 11, (33, 70))
     edges = np.linspace(-np.pi, np.pi, 257)
     table = (0.2 * np.sin(3 * edges) + 0.03 * np.sin(6 * edges)).astype(np.float32)
-    departures, tables = modulation_tables(table, rng.uniform(-0.16, 0.16, 12))
+    tables = modulation_tables(table)
+    departures = rng.uniform(-0.16, 0.16, 12)
     region = np.ones(phase.shape, np.int32)
     region[:, 35:] = 2
     region[0] = 0
     wrapped, unwrapped = reference.wrapped(phase).astype(np.float32), phase.astype(np.float32)
     known = np.array([0, 1, 0], np.int32)
-    correct_by_modulation_kernel(region, known, departures, tables, 0.05, wrapped, unwrapped)
-    expected = reference.correct_by_modulation(phase, departures.astype(np.float64), tables, 0.05, SLOPE_REACH)
+    place = np.arange(11 * TABLED + 1) / TABLED
+    corrections = modulation_corrections(np.interp(place, np.arange(12), departures), tables)
+    correct_by_modulation_kernel(region, known, corrections.astype(np.float32), wrapped, unwrapped)
+    expected = reference.correct_by_modulation(phase, departures, tables, 0.0, SLOPE_REACH)
     expected = np.where(region == 1, expected, phase)
-    np.testing.assert_allclose(unwrapped, expected, atol=2e-4)  # float32 of 70 rad
-    np.testing.assert_allclose(wrapped - reference.wrapped(phase), expected - phase, atol=2e-4)
+    # Between the table's places a line stands for 0.03 rad of the sixth harmonic: 1e-4 rad; and float32 of 70 rad.
+    np.testing.assert_allclose(unwrapped, expected, atol=3e-4)
+    np.testing.assert_allclose(wrapped - reference.wrapped(phase), expected - phase, atol=3e-4)
 
 
 def test_tables_undo_a_square_response():
@@ -117,9 +136,9 @@ def test_tables_undo_a_square_response():
     for modulation in (0.36, 0.5):
         measured = seen(modulation)
         corrected = measured + np.interp(measured, edges, table)
-        departures, tables = modulation_tables(table, np.full(3, modulation / usual - 1))
+        departures, tables = np.full(3, modulation / usual - 1), modulation_tables(table)
         absolute = reference.wrapped(corrected) + 2 * np.pi
-        better = reference.correct_by_modulation(absolute, departures.astype(np.float64), tables, 0.0, SLOPE_REACH)
+        better = reference.correct_by_modulation(absolute, departures, tables, 0.0, SLOPE_REACH)
         before, after = (np.abs(reference.wrapped(p - phase)).max() for p in (corrected, better))
         assert before > 0.025
         assert after < 0.008
@@ -145,7 +164,8 @@ def test_pixels_at_a_step_go_to_the_surface_that_they_continue(arch):
     ones = np.ones(true.shape, np.float32)
     adopted = runtime.empty((*true.shape, 2), np.float32)
     absolute = np.array([0, 1, 1], np.int32)
-    adopt_pixels_kernel(phase, raw, ones, rates, absolute, adopted, unwrapped, mask, region)
+    steps = np.ones((3, 48 // 16 * 64 // 8), np.int32)
+    adopt_pixels_kernel(steps, phase, raw, ones, rates, absolute, adopted, unwrapped, mask, region)
     np.testing.assert_array_equal(mask != 0, ~mixed)
     np.testing.assert_allclose(unwrapped[~mixed], true[~mixed], atol=1e-4)
     assert (region[:, :32][~mixed[:, :32]] == 1).all() and (region[:, 32:] == 2).all()

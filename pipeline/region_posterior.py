@@ -1,0 +1,123 @@
+"""How probable each whole number of cycles is that a region's orders may lack to be absolute."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Integers = npt.NDArray[np.int64]
+
+#: An order is absolute where it is wrong with a smaller probability than this.
+MAX_ERROR_PROBABILITY = 1e-3
+# How far a surface may lie outside the range, as a standard deviation in cycles: 0.2 are 9 mm on a rig whose cycle is
+# 45 mm deep, more than a calibration errs, but ranges are given in round numbers.
+_RANGE_SIGMA = 0.2
+# What stays possible of an order far outside the range, relative to one inside; the likeliest order contradicts the
+# range if it lies four standard deviations outside.
+_FLOOR, _FAR_OUTSIDE = 1e-6, 0.8
+# This share of a region's pixels may lie outside at either end: rims, and what leaked in from other surfaces.
+_OUTLIERS = 0.1
+
+
+@dataclass(frozen=True)
+class OrderRange:
+    """How many cycles each patch may lack: what the projector's picture and the expected depth leave possible."""
+
+    least: Floats  # (P,)
+    most: Floats  # (P,)
+    of_depth: bool  # whether a depth range is in it, in which surfaces are rarer towards the ends
+
+    def by_part(
+        self, roots: npt.NDArray[np.integer], parts: Integers, pixels: npt.NDArray[np.integer]
+    ) -> list["PartRange"]:
+        """Return what is possible of most pixels of each part."""
+        least = _quantiles(self.least, 1 - _OUTLIERS, roots, parts, pixels)
+        most = _quantiles(self.most, _OUTLIERS, roots, parts, pixels)
+        return [PartRange(*ends, self.of_depth) for ends in zip(least, most, strict=True)]
+
+
+@dataclass(frozen=True)
+class PartRange:
+    """How many cycles a part may lack."""
+
+    least: float
+    most: float
+    of_depth: bool
+
+    def alone(self) -> "Posterior":
+        """Return the posterior of a part of which nothing else is known, if anybody has said where surfaces are."""
+        if not self.of_depth:
+            return NOTHING_KNOWN
+        ends = sorted((self.least, self.most))
+        first, last = int(np.floor(ends[0])) - 1, int(np.ceil(ends[1])) + 1
+        flat = np.full(last - first + 1, 1 / (last - first + 1))
+        return self.narrow(Posterior(first, flat))
+
+    def narrow(self, posterior: "Posterior") -> "Posterior":
+        """Return a posterior with the range taken in: one of which nothing is known if it contradicts it."""
+        offsets = posterior.first + np.arange(len(posterior.probability))
+        outside = np.maximum(np.maximum(self.least - offsets, offsets - self.most), 0)
+        prior = np.exp(-0.5 * (outside / _RANGE_SIGMA) ** 2)
+        if self.of_depth:
+            # The range is taken for two standard deviations to either side of where surfaces are.
+            sigma = max(self.most - self.least, 0) / 4 + _RANGE_SIGMA
+            prior *= np.exp(-0.5 * ((offsets - (self.least + self.most) / 2) / sigma) ** 2)
+        product = posterior.probability * (prior + _FLOOR)
+        if len(product) == 0 or outside[product.argmax()] > _FAR_OUTSIDE:
+            return NOTHING_KNOWN
+        return Posterior(posterior.first, product / product.sum())
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """How probable each offset of a part is."""
+
+    first: int  # offset
+    probability: Floats  # of that offset and the following ones; empty: nothing is known
+
+    @property
+    def best(self) -> int:
+        """The likeliest offset; 0 where nothing is known."""
+        return self.first + int(self.probability.argmax()) if len(self.probability) else 0
+
+    def error(self, offset: int) -> float:
+        """Return how probably an offset is wrong."""
+        place = offset - self.first
+        if not 0 <= place < len(self.probability):
+            return 1.0
+        # Not "1 - probability": that would leave nothing of what is smaller than its rounding.
+        return float(self.probability[:place].sum() + self.probability[place + 1 :].sum())
+
+
+NOTHING_KNOWN = Posterior(0, np.zeros(0))
+
+
+@dataclass(frozen=True)
+class AbsoluteOrders:
+    """The offsets of a frame's parts: whole cycles to add to their orders to make them absolute."""
+
+    roots: npt.NDArray[np.int32]  # (P,) the patch that stands for each patch's part
+    parts: Integers  # (n,) the roots of the parts that are large enough, rising
+    posteriors: tuple[Posterior, ...]  # (n,)
+
+    @property
+    def offsets(self) -> Integers:
+        """(n,) int64: the likeliest offset."""
+        return np.array([posterior.best for posterior in self.posteriors], np.int64)
+
+    def error_probability(self, offsets: Integers) -> Floats:
+        """Return how probably these offsets of the parts are wrong."""
+        return np.array([p.error(int(k)) for p, k in zip(self.posteriors, offsets, strict=True)], np.float64)
+
+
+def _quantiles(
+    values: Floats, share: float, roots: npt.NDArray[np.integer], parts: Integers, pixels: npt.NDArray[np.integer]
+) -> Floats:
+    """Return by part the value below which this share of its pixels lies."""
+    sort = np.lexsort((values, roots))
+    below = np.cumsum(pixels[sort], dtype=np.float64)
+    starts, stops = np.searchsorted(roots[sort], parts), np.searchsorted(roots[sort], parts, side="right")
+    start_pixels = np.concatenate([[0.0], below])[starts]
+    wanted = start_pixels + share * (below[stops - 1] - start_pixels)
+    return np.asarray(values[sort][np.minimum(np.searchsorted(below, wanted), stops - 1)])
