@@ -257,7 +257,7 @@ class Decoder:
         if self._geometry is not None:
             frame._rig = (self._rays, self._projector)
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
-        smooth_phase_kernel(pairs)(work.raw_phase, work.rates, buffers["phase"])
+        smooth_phase_kernel(pairs)(work.raw_phase, buffers["precision"], work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
         doubt = self._orders.find(image, work, frame, previous, correction)
         if self._geometry is not None:

@@ -14,9 +14,11 @@ from tikernels.errors import ShapeError
 from tikernels.phase_vector import PI, STRIP, wrap
 from tikernels.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
 
-# A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends by less
-# than this between them: 0.6 rad is a step of some 4 mm on a rig with 0.14 rad a mm, twelve times the usual noise.
-_MAX_BEND = 0.6
+# A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends less
+# between them than noise makes it, four standard deviations, of which one of three pixels weighs twice; or than the
+# least, which round surfaces do within a few px. Beyond the most, some 4 mm on a rig with 0.14 rad a mm, it is a step.
+_BEND_SIGMAS = 4.0 * 6.0**0.5
+_LEAST_BEND, _MAX_BEND = 0.1, 0.6
 _MAX_CHANGE = 1.0
 # A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
 # 6 mm on that rig; noise of 0.2 rad a pixel passes.
@@ -52,6 +54,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
     @ti.kernel
     def smooth_phase(
         phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
+        precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
         rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
         out: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask, STEP_PHASE between two surfaces
     ):
@@ -63,15 +66,17 @@ def smooth_phase_kernel(pairs: int) -> Any:
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, 0], rates[last, 1]
             values = taps(0.0)
-            upper, lower, result = lanes(0.0), lanes(0.0), lanes(0.0)
+            upper, lower, bend, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for k in range(window):
                 values[k] = NO_PHASE
             for k in range(ti.max(0, reach - first), ti.min(window, width - first + reach)):
                 values[k] = phase[y, first - reach + k]
             for k in range(ti.min(STRIP, width - first)):
                 upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
+                bend[k] = precision[y, first + k]
             for k in range(STRIP):
                 centre = values[reach + k]
+                max_bend = ti.min(ti.max(_BEND_SIGMAS / ti.sqrt(bend[k] + 1e-6), _LEAST_BEND), _MAX_BEND)
                 # Without a neighbour the differences stay far beyond any phase.
                 left, right = wrap(values[reach + k - 1] - centre), wrap(values[reach + k + 1] - centre)
                 to_left, to_right = ti.abs(left + rate_along), ti.abs(right - rate_along)
@@ -85,7 +90,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
                     if ti.static(tap > 1):
                         left = wrap(values[reach + k - tap] - centre)
                         right = wrap(values[reach + k + tap] - centre)
-                    ok = (ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE) & (ti.abs(left + right) < _MAX_BEND)
+                    ok = (ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE) & (ti.abs(left + right) < max_bend)
                     total += ti.select(ok, left + right, 0.0)
                     count += ti.select(ok, 2.0, 0.0)
                 step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
@@ -196,6 +201,7 @@ def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *
     mark_no_phase_kernel(wrapped_phase, mask, marked)
     rates = rates_buffer(shape[0])
     measure_rates_kernel(marked, marked, rates)
-    smooth_phase_kernel(smoothing_px // 2)(marked, rates, out)
+    # Of the noise nothing is known.
+    smooth_phase_kernel(smoothing_px // 2)(marked, np.zeros(shape, np.float32), rates, out)
     restore_kernel(wrapped_phase, out)
     return out
