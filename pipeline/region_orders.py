@@ -16,7 +16,7 @@ from pipeline.workspace import Workspace
 from tikernels import runtime
 from tikernels.absolute_order import SLOTS, adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
 from tikernels.equalization import modulation_tables
-from tikernels.temporal_order import VOTES_A_CELL, vote_orders_kernel
+from tikernels.temporal_order import SOUND, VOTES_A_CELL, vote_orders_kernel
 from tikernels.unwrapping import PatchGraph
 
 # With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
@@ -135,13 +135,13 @@ class OrderFinder:
     def _carry_orders(self, previous: DecodedFrame, work: Workspace, phase: Any) -> CarriedOrders:
         """Find the orders that agree with the frame before, and split the regions that it contradicts."""
         unwrapper, before = work.unwrapper, previous._buffers
-        votes = runtime.empty((unwrapper.cells * VOTES_A_CELL, 4), np.int32)
+        votes = runtime.empty((unwrapper.cells * VOTES_A_CELL, 5), np.int32)
         patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits, unwrapper.patches)
         vote_orders_kernel(phase, *patches, before["unwrapped"], before["region"], votes)
         counted = runtime.to_host(votes)
         if self._code is None:  # a code has split them already, and knows better
             graph = unwrapper.graph()
-            roots = split_by_votes(counted, graph)
+            roots = split_by_votes(counted[counted[:, SOUND] == 1], graph)
             if not np.array_equal(roots, graph.root):
                 unwrapper.split(roots)
         return count_votes(counted, unwrapper.patch_roots())

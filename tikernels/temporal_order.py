@@ -12,7 +12,30 @@ from tikernels.phase_vector import PI
 #: Pixels of a cell that vote: every fourth both ways.
 VOTES_A_CELL = (CELL_HEIGHT // 4) * (CELL_WIDTH // 4)
 #: Columns of the votes: patch (-1: none), cycles lacking, what is left over in 64ths of a cycle, region there before.
-PATCH, CYCLES, REST, BEFORE = range(4)
+PATCH, CYCLES, REST, BEFORE, SOUND = range(5)
+# A vote is sound where the frame before was smooth this far (px) around: what moves by less still sees its surface.
+_REACH = (5, 10)
+# Beyond this bend (rad) between three pixels in a row there is a step.
+_MAX_BEND = 0.8
+
+
+@ti.func
+def smooth_around(before: F32Array2, y: i32, x: i32) -> i32:
+    """Whether the frame before saw one surface around a pixel."""
+    height, width = before.shape[0], before.shape[1]
+    smooth = 1
+    for reach in ti.static(_REACH):
+        for dy, dx in ti.static(((0, 1), (1, 0), (1, 1), (1, -1))):
+            y1, x1 = ti.max(y - reach * dy, 0), ti.min(ti.max(x - reach * dx, 0), width - 1)
+            y2, x2 = ti.min(y + reach * dy, height - 1), ti.min(ti.max(x + reach * dx, 0), width - 1)
+            a, b = before[y1, x1], before[y2, x2]
+            # Only the inside of the image has both neighbours at the same distance.
+            if y1 - y + y2 - y == 0 and x1 - x + x2 - x == 0:
+                if not (ti.abs(a + b - 2.0 * before[y, x]) < _MAX_BEND):
+                    smooth = 0
+            elif ti.math.isnan(a + b):
+                smooth = 0
+    return smooth
 
 
 @ti.kernel
@@ -24,7 +47,7 @@ def vote_orders_kernel(
     patches: I32Array2,
     before: F32Array2,  # (H, W) rad, unwrapped phase of the frame before; NaN outside its mask
     region_before: I32Array2,  # (H, W)
-    out_votes: I32Array2,  # (cells * VOTES_A_CELL, 4)
+    out_votes: I32Array2,  # (cells * VOTES_A_CELL, 5)
 ):
     height, width = phase.shape[0], phase.shape[1]
     columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
@@ -32,7 +55,7 @@ def vote_orders_kernel(
         cell, place = vote // VOTES_A_CELL, vote % VOTES_A_CELL
         y = (cell // columns) * CELL_HEIGHT + 4 * (place // (CELL_WIDTH // 4)) + 1
         x = (cell % columns) * CELL_WIDTH + 4 * (place % (CELL_WIDTH // 4)) + 1
-        patch, cycles, rest, region = -1, 0, 0, 0
+        patch, cycles, rest, region, sound = -1, 0, 0, 0, 0
         if y < height and x < width:
             label = labels[y, x]
             region = region_before[y, x]
@@ -42,7 +65,9 @@ def vote_orders_kernel(
                 lacking = (before[y, x] - phase[y, x]) / (2.0 * PI) - ti.cast(order, ti.f32)
                 cycles = ti.cast(ti.round(lacking), i32)
                 rest = ti.cast(ti.round(64.0 * (lacking - ti.cast(cycles, ti.f32))), i32)
+                sound = smooth_around(before, y, x)
         out_votes[vote, 0] = patch
         out_votes[vote, 1] = cycles
         out_votes[vote, 2] = rest
         out_votes[vote, 3] = region
+        out_votes[vote, 4] = sound
