@@ -24,7 +24,7 @@ from pipeline.simulate import SimulatedFrame, SimulationSettings, simulate_frame
 from tikernels import runtime
 
 PATTERNS = ("plain", "coded", "coded once")
-# What makes a flip, px; how far apart the points of a surface's neighbours may lie, and how far it moves in a frame, mm.
+# What makes a flip, px; how far apart neighbours on a surface may lie, and how far it moves in a frame, mm.
 _FLIP_PX, _STEP_MM, _SAME_MM = 20, 4.0, 15.0
 _LIT_LEVELS, _RIM_PX = 20, 4
 
