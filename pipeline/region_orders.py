@@ -16,7 +16,7 @@ from pipeline.workspace import Workspace
 from tikernels import runtime
 from tikernels.absolute_order import SLOTS, adopt_pixels_kernel, correct_by_modulation_kernel, measure_contrast_kernel
 from tikernels.equalization import modulation_tables
-from tikernels.temporal_order import SOUND, VOTES_A_CELL, vote_orders_kernel
+from tikernels.temporal_order import VOTES_A_CELL, vote_orders_kernel
 from tikernels.unwrapping import PatchGraph
 
 # With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
@@ -141,7 +141,7 @@ class OrderFinder:
         counted = runtime.to_host(votes)
         if self._code is None:  # a code has split them already, and knows better
             graph = unwrapper.graph()
-            roots = split_by_votes(counted[counted[:, SOUND] == 1], graph)
+            roots = split_by_votes(counted, graph)
             if not np.array_equal(roots, graph.root):
                 unwrapper.split(roots)
         return count_votes(counted, unwrapper.patch_roots())

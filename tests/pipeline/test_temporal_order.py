@@ -15,9 +15,9 @@ from tikernels.unwrapping import PatchGraph
 SIZE = (320, 240)
 
 
-def votes_of(*rows: tuple[int, int, int, int, int]) -> np.ndarray:
+def votes_of(*rows: tuple[int, int, int, int, int], sound: int = 1) -> np.ndarray:
     """Rows of how many, patch, cycles, rest, region before."""
-    return np.concatenate([np.tile(np.array(row[1:], np.int32), (row[0], 1)) for row in rows])
+    return np.concatenate([np.tile(np.array([*row[1:], sound], np.int32), (row[0], 1)) for row in rows])
 
 
 def test_the_majority_of_a_region_decides():
@@ -47,7 +47,7 @@ def test_a_doubtful_vote_carries_nothing(rows):
 def test_a_cut_is_noticed():
     rows = [(10, patch, int(k), 0, 1) for patch in range(4) for k in range(5)]
     assert not count_votes(votes_of(*rows), np.arange(4, dtype=np.int32)).same_scene
-    assert not count_votes(np.zeros((0, 4), np.int32), np.zeros(1, np.int32)).same_scene
+    assert not count_votes(np.zeros((0, 5), np.int32), np.zeros(1, np.int32)).same_scene
 
 
 def test_surfaces_that_lay_apart_are_split():
