@@ -23,8 +23,9 @@ from tikernels._taichi import (
     vec3,
 )
 from tikernels.balance import gain_at
-from tikernels.patches import ORDER_BITS, ORDER_MASK, ORDER_ZERO, cell_bounds, patch_number
+from tikernels.patches import CELL_HEIGHT, CELL_WIDTH, ORDER_BITS, ORDER_MASK, ORDER_ZERO, cell_bounds, patch_number
 from tikernels.phase_vector import PI, STRIP, matrix_of, wrap
+from tikernels.seams import TORN
 from tikernels.wrapped_phase import NO_PHASE
 
 #: Cycles to either side between which the modulation's slope is taken: blur rounds the tips of the code off.
@@ -233,6 +234,7 @@ def adopt_pixels_kernel(
     modulation: F32Array2,  # (H, W)
     rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
+    final: I32Array2,  # the last row says which cells are torn: nobody knows what their pixels continue
     adopted: F32Array3,  # (H, W, 2) scratch
     unwrapped: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
@@ -240,11 +242,13 @@ def adopt_pixels_kernel(
 ):
     """Give pixels at steps, which belong to nobody, to the one absolute surface that they continue."""
     height, width = phase.shape[0], phase.shape[1]
+    columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
     for _ in ti.static(range(_PASSES)):
         for y, x in ti.ndrange(height, width):
             if mask[y, x] == 0:
                 adopted[y, x, 1] = 0.0
-            if mask[y, x] == 0 and raw_phase[y, x] < 0.5 * NO_PHASE:
+            torn = final[2, (y // CELL_HEIGHT) * columns + x // CELL_WIDTH] == TORN
+            if mask[y, x] == 0 and raw_phase[y, x] < 0.5 * NO_PHASE and not torn:
                 here = phase[y, x]
                 if here > 0.5 * NO_PHASE:
                     here = raw_phase[y, x]

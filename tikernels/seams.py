@@ -12,7 +12,7 @@ from tikernels.patches import CELL_HEIGHT, CELL_WIDTH, ORDER_BITS, ORDER_MASK, c
 # three.
 _MIN_SEAM = 8
 # The phase goes on where it departs by less than this from the usual change, rad.
-_GOES_ON = 0.4
+_GOES_ON = 0.8
 # Rows of the scratch.
 _RIGHT, _BELOW = range(2)
 #: What `final` says of a cell that has a seam.

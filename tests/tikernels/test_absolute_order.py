@@ -145,7 +145,9 @@ def test_pixels_at_a_step_go_to_the_surface_that_they_continue(arch):
     ones = np.ones(true.shape, np.float32)
     adopted = runtime.empty((*true.shape, 2), np.float32)
     absolute = np.array([0, 1, 1], np.int32)
-    adopt_pixels_kernel(phase, raw, ones, rates, absolute, adopted, unwrapped, mask, region)
+    adopt_pixels_kernel(
+        phase, raw, ones, rates, absolute, np.zeros((3, 64), np.int32), adopted, unwrapped, mask, region
+    )
     np.testing.assert_array_equal(mask != 0, ~mixed)
     np.testing.assert_allclose(unwrapped[~mixed], true[~mixed], atol=1e-4)
     assert (region[:, :32][~mixed[:, :32]] == 1).all() and (region[:, 32:] == 2).all()
