@@ -166,9 +166,9 @@ class OrderFinder:
         if known.any():
             absolute = known.astype(np.int32)
             adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
-            pixels = (buffers["phase"], work.raw_phase, buffers["modulation"], work.rates)
+            seen = (buffers["phase"], work.raw_phase, buffers["modulation"], work.rates)
             outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            adopt_pixels_kernel(*pixels, absolute, work.unwrapper.final, adopted, *outputs)
+            adopt_pixels_kernel(*seen, absolute, work.unwrapper.final, adopted, *outputs)
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
         usual = 0.5 if self._path.response_is_full else cycle_modulations().mean()
         departures, tables = modulation_tables(correction, cycle_modulations() / usual - 1)

@@ -5,14 +5,13 @@ that happens belongs to one of the surfaces as a whole, and part of it wrongly. 
 phase of the other surface goes on over many pixels, too, but the orders step by whole cycles.
 """
 
-from tikernels._taichi import F32Array2, I32Array2, i32, ti
+from tikernels._taichi import F32Array2, I32Array2, f32, i32, ti
+from tikernels.filtering import MAX_DEPARTURE
 from tikernels.patches import CELL_HEIGHT, CELL_WIDTH, ORDER_BITS, ORDER_MASK, cell_bounds, cycles_between, departure
 
 # Pixels on a cell's border, those on its shorter sides counted double: a step that crosses the border shows two or
 # three.
 _MIN_SEAM = 8
-# The phase goes on where it departs by less than this from the usual change, rad.
-_GOES_ON = 0.8
 # Rows of the scratch.
 _RIGHT, _BELOW = range(2)
 #: What `final` says of a cell that has a seam.
@@ -20,7 +19,7 @@ TORN = 2
 
 
 @ti.func
-def seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: ti.f32, y: i32, x: i32, y2: i32, x2: i32) -> i32:
+def seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: f32, y: i32, x: i32, y2: i32, x2: i32) -> i32:
     """Whether the phase goes on from a pixel to the next, but not the orders."""
     contradicts = 0
     label, label2 = labels[y, x], labels[y2, x2]
@@ -29,7 +28,7 @@ def seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: ti.f32, y:
         difference = phase[y2, x2] - phase[y, x]
         cycles = cycles_between(difference, rate)
         jump = (label2 & ORDER_MASK) + final[1, draft2] - (label & ORDER_MASK) - final[1, draft] - cycles
-        goes_on = departure(difference, rate, cycles) < _GOES_ON
+        goes_on = departure(difference, rate, cycles) < MAX_DEPARTURE
         if goes_on and jump != 0 and final[0, draft] > 0 and final[0, draft2] > 0:
             contradicts = 1
     return contradicts

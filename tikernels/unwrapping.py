@@ -518,8 +518,9 @@ def unwrap_phase(
     Returns
     -------
     (H, W) float32
-        Wrapped phase plus whole cycles, rad; NaN outside the mask and in specks of fewer than 128 pixels. Each
-        connected region has order 0 at its start, the reliable pixel nearest the image's centre.
+        Wrapped phase plus whole cycles, rad; NaN outside the mask, in specks of fewer than 128 pixels, and in cells
+        that contradict their neighbours. Each connected region has order 0 at its start, the reliable pixel nearest
+        the image's centre.
 
     Raises
     ------
