@@ -11,7 +11,7 @@ from tikernels.patches import CELL_HEIGHT, CELL_WIDTH, ORDER_BITS, ORDER_MASK, c
 
 # Pixels on a cell's border, those on its shorter sides counted double: a step that crosses the border shows two or
 # three.
-_MIN_SEAM = 8
+_MIN_SEAM = 6
 # Rows of the scratch.
 _RIGHT, _BELOW = range(2)
 #: What `final` says of a cell that has a seam.
@@ -32,6 +32,17 @@ def seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: f32, y: i3
         if goes_on and jump != 0 and final[0, draft] > 0 and final[0, draft2] > 0:
             contradicts = 1
     return contradicts
+
+
+@ti.func
+def seam_around(seams: I32Array2, columns: i32, cell: i32) -> i32:
+    """Pixels on the four sides of a cell whose phase goes on, but not their orders."""
+    total = seams[_RIGHT, cell] + seams[_BELOW, cell]
+    if cell % columns > 0:
+        total += seams[_RIGHT, cell - 1]
+    if cell >= columns:
+        total += seams[_BELOW, cell - columns]
+    return total
 
 
 @ti.kernel
@@ -56,10 +67,14 @@ def mark_torn_cells_kernel(
         seams[_RIGHT, cell] = to_right
         seams[_BELOW, cell] = (CELL_HEIGHT // CELL_WIDTH) * below
     for cell in range(seams.shape[1]):
-        total = seams[_RIGHT, cell] + seams[_BELOW, cell]
-        if cell % columns > 0:
-            total += seams[_RIGHT, cell - 1]
-        if cell >= columns:
-            total += seams[_BELOW, cell - columns]
-        if total >= _MIN_SEAM:
+        most = seam_around(seams, columns, cell)
+        # At the image's border the side that would tell may be missing, and the step goes on from the next cell.
+        column, rows = cell % columns, seams.shape[1] // columns
+        if cell < columns or cell >= columns * (rows - 1):
+            most = ti.max(most, seam_around(seams, columns, cell - ti.min(column, 1)))
+            most = ti.max(most, seam_around(seams, columns, cell + ti.min(columns - 1 - column, 1)))
+        if column == 0 or column == columns - 1:
+            most = ti.max(most, seam_around(seams, columns, ti.max(cell - columns, column)))
+            most = ti.max(most, seam_around(seams, columns, ti.min(cell + columns, columns * (rows - 1) + column)))
+        if most >= _MIN_SEAM:
             final[2, cell] = TORN
