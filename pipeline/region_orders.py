@@ -141,7 +141,7 @@ class OrderFinder:
         counted = runtime.to_host(votes)
         if self._code is None:  # a code has split them already, and knows better
             graph = unwrapper.graph()
-            roots = split_by_votes(counted, graph)
+            roots = split_by_votes(counted, graph, previous.order_is_known)
             if not np.array_equal(roots, graph.root):
                 unwrapper.split(roots)
         return count_votes(counted, unwrapper.patch_roots())

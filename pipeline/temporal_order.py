@@ -11,7 +11,7 @@ from tikernels.unwrapping import PatchGraph
 
 # A region needs so many votes, and this share of them, to keep its order: fewer, and most of it is newly seen.
 _MIN_VOTES, _MIN_SHARE = 6, 0.6
-# Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close.
+# Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close: such a vote is void.
 _MAX_CHANGE = 0.35
 # A surface's phase changes by so many cycles from frame to frame, and e-fold more seldom by as many more.
 _USUAL_CHANGE = 0.06
@@ -53,7 +53,9 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     root = roots[votes[:, PATCH]].astype(np.int64)
     sound = np.bincount(root, votes[:, SOUND], len(roots)) >= _MIN_VOTES
     counting = (votes[:, SOUND] == 1) | ~sound[root]
-    votes, root = votes[counting], root[counting]
+    clear = np.abs(votes[:, REST]) < 64 * _MAX_CHANGE
+    void = np.bincount(root[counting & ~clear], minlength=len(roots))
+    votes, root = votes[counting & clear], root[counting & clear]
     if len(votes) == 0:
         none = np.zeros(0, np.int64)
         return CarriedOrders(False, none, none, none, none.astype(float))
@@ -69,24 +71,37 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     # The two ballots with the most votes of every region; ties go to the smaller offset.
     order = np.lexsort((ballots, -counts, ballots // cycles_span))
     regions, starts, several = np.unique(ballots[order] // cycles_span, return_index=True, return_counts=True)
-    best, total = order[starts], np.add.reduceat(counts[order], starts)
+    best, total = order[starts], np.add.reduceat(counts[order], starts) + void[regions]
     second = np.where(several > 1, counts[order[np.minimum(starts + 1, len(order) - 1)]], 0)
+    lead = counts[best] - np.maximum(second, void[regions])
     if counts[best].sum() < _SAME_SCENE * total.sum():
         return count_votes(votes[:0], roots)
     usual = change[best] / counts[best]
-    kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (usual < _MAX_CHANGE)
-    doubt = 0.5 ** ((counts[best] - second) / _HALVING_LEAD) + np.exp((2 * usual - 1) / _USUAL_CHANGE)
+    kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total)
+    doubt = 0.5 ** (lead / _HALVING_LEAD) + np.exp((2 * usual - 1) / _USUAL_CHANGE)
     doubt = np.where(sound[regions], np.minimum(doubt, 1), _EDGE_DOUBT)
     best = best[kept]
     offsets, before = ballots[best] % cycles_span + low, origins[commonest[best]] % before_span
     return CarriedOrders(True, regions[kept], offsets, before, doubt[kept])
 
 
-def split_by_votes(votes: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:
+def split_by_votes(
+    votes: npt.NDArray[np.int32], graph: PatchGraph, known_before: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.int32]:
     """Split regions that have joined surfaces which the frame before saw whole cycles apart.
 
     A step of whole cycles leaves no trace in one frame's phase; the frame before knows what lies on either side. Only
-    sound votes count: what comes into view beside a moving edge votes for what was there before.
+    sound votes count: what comes into view beside a moving edge votes for what was there before. A surface whose order
+    was known and one whose was not stay apart, too: what looks like a joint between them may be such a step.
+
+    Parameters
+    ----------
+    votes : (N, 5) int32
+        `vote_orders_kernel`'s.
+    graph : PatchGraph
+        The frame's patches.
+    known_before : (regions + 1,) bool
+        Whether the orders of the regions before were absolute.
 
     Returns
     -------
@@ -96,8 +111,10 @@ def split_by_votes(votes: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArr
     votes = votes[(votes[:, PATCH] >= 0) & (votes[:, SOUND] == 1)]
     if len(votes) == 0:
         return graph.root
-    # The offsets in use, the commonest first: hardly any frame has more than a few.
-    offsets, place, counts = np.unique(votes[:, CYCLES], return_inverse=True, return_counts=True)
+    # The offsets in use, known ones and others, the commonest first: hardly any frame has more than a few.
+    offsets, place, counts = np.unique(
+        2 * votes[:, CYCLES] + known_before[votes[:, BEFORE]], return_inverse=True, return_counts=True
+    )
     rank = np.empty(len(offsets), np.int64)
     rank[np.argsort(-counts, kind="stable")] = np.arange(len(offsets))
     candidate = rank[place]

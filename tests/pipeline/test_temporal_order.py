@@ -62,9 +62,9 @@ def test_surfaces_that_lay_apart_are_split():
     )
     runtime.init("cpu")
     torn = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)))
-    np.testing.assert_array_equal(split_by_votes(torn, graph), [0, 0, 2, 2])
+    np.testing.assert_array_equal(split_by_votes(torn, graph, np.zeros(3, bool)), [0, 0, 2, 2])
     whole = votes_of(*((8, patch, 0, 0, 1) for patch in range(4)))
-    np.testing.assert_array_equal(split_by_votes(whole, graph), graph.root)
+    np.testing.assert_array_equal(split_by_votes(whole, graph, np.zeros(3, bool)), graph.root)
 
 
 def moved(rig, scene: str, frame: int, **settings):
