@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.calibration import Calibration, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
-from pipeline.errors import CalibrationError, DecodeWarning, FootageError
+from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
 from pipeline.light_path import LightPath
 from pipeline.region_orders import OrderFinder
 from pipeline.results import DecodedFrame
@@ -106,8 +106,9 @@ class Decoder:
             RGB, levels from 0 to the white level (floats: 0..1); a NumPy array or a Taichi ndarray.
         previous : DecodedFrame, optional
             The frame before in a video, decoded with the same settings. Region by region its orders are carried on
-            where no code tells them, as long as a surface moves by less than a third of a cycle; and its phases count
-            when the response is equalised.
+            where no code tells them, as long as a surface's phase changes by less than a third of a cycle and its edges
+            move by less than 10 px; and its phases count when the response is equalised. A frame that shows nothing
+            of it again starts afresh, with a `DecodeWarning`.
         out : DecodedFrame, optional
             An earlier result of the same size, whose arrays are used again: what was read from it changes.
 
@@ -122,6 +123,8 @@ class Decoder:
             The image has another shape or type, or `previous` or `out` another size.
         CalibrationError
             The calibration is for another image size.
+        SettingsError
+            `previous` was decoded with stripes the other way.
         FootageError
             The image holds NaN, or values outside 0..white level.
         """
@@ -153,8 +156,8 @@ class Decoder:
             intensity = max(intensity, _INTENSITY_FRACTION * statistics.brightness)
         if self.settings.min_modulation is None:
             modulation = max(modulation, _MODULATION_FRACTION * statistics.brightness)
-        if previous is not None and previous.mask.shape != ((width, height) if vertical else (height, width)):
-            raise ShapeError(f"frame is {height}x{width} but the one before is {_size(previous.mask.shape)}")
+        if previous is not None:
+            self._check_previous(previous, frame)
         doubt = self._run(image, scale, period, intensity, modulation, frame, previous)
         if self._path.unknown:
             self._path.unknown = False
@@ -166,6 +169,14 @@ class Decoder:
             self._warn(frame, doubt)
         frame.constant_known = self._path.constant_known
         return frame
+
+    def _check_previous(self, previous: DecodedFrame, frame: DecodedFrame) -> None:
+        if previous._vertical != frame._vertical:
+            raise SettingsError(f"stripes are {self._stripes}, those of the frame before were not: leave previous away")
+        before, here = (tuple(f._buffers["mask"].shape) for f in (previous, frame))
+        if before != here:
+            turn = -1 if frame._vertical else 1
+            raise ShapeError(f"frame is {_size(here[::turn])} but the one before is {_size(before[::turn])}")
 
     def _learn_light(self, image: Any, scale: float, period: float, frame: DecodedFrame) -> bool:
         """Learn crosstalk and response from a frame that was decoded without; return whether it told them."""
@@ -201,10 +212,12 @@ class Decoder:
         levels, noise = (intensity / scale, modulation / scale), max(frame.noise_levels, _LEAST_NOISE * white)
         work.gains.measure(image, path.inverse, path.matrix, *levels, balance_first=path.balance_first, lag=path.lag)
         counting = (path.inverse, path.weights, work.gains, (*levels, CLIPPED * white), path.balance_first)
+        # `out` may be the frame before.
+        earlier = None if previous is None else previous._histogram
         frame._histogram = count_bare_phases(image, *counting).astype(np.float64)
         work.model.recover_samples(path.weights, levels[1], CLIPPED * white)
-        if previous is not None and previous._histogram is not None:
-            frame._histogram += _MEMORY * previous._histogram
+        if earlier is not None:
+            frame._histogram += _MEMORY * earlier
         correction = path.correction(frame._histogram, period)
         work.model.fit(correction, path.template())
         recover_phase_kernel(path.balance_first, work.gains.cell)(
@@ -282,8 +295,9 @@ class Decoder:
         if self._reference is not None and self._reference.shape != ((width, height) if vertical else (height, width)):
             raise ShapeError(f"frame is {height}x{width} but the reference is {_size(self._reference.shape)}")
         if out is not None:
-            if tuple(out._buffers["mask"].shape) != (height, width) or out.calibrated != (self._geometry is not None):
-                raise ShapeError("out is a result of another size or calibration: leave it away for this frame")
+            fits = tuple(out._buffers["mask"].shape) == (height, width) and out._vertical == vertical
+            if not fits or out.calibrated != (self._geometry is not None):
+                raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
             out._forget()
             return out
         buffers = self._unused_buffers(height, width)

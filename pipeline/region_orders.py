@@ -139,12 +139,14 @@ class OrderFinder:
         patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits, unwrapper.patches)
         vote_orders_kernel(phase, *patches, before["unwrapped"], before["region"], votes)
         counted = runtime.to_host(votes)
-        if self._code is None:  # a code has split them already, and knows better
-            graph = unwrapper.graph()
-            roots = split_by_votes(counted, graph, previous.order_is_known)
-            if not np.array_equal(roots, graph.root):
-                unwrapper.split(roots)
-        return count_votes(counted, unwrapper.patch_roots())
+        if self._code is not None:  # the code has split them already, and knows better
+            return count_votes(counted, unwrapper.patch_roots())
+        graph = unwrapper.graph()
+        roots = split_by_votes(counted, graph, previous.order_is_known)
+        carried = count_votes(counted, roots)
+        if carried.same_scene and not np.array_equal(roots, graph.root):
+            unwrapper.split(roots)
+        return carried
 
     def _order_bounds(self, frame: DecodedFrame, graph: PatchGraph, width: int) -> npt.NDArray[np.float64] | None:
         """Return the absolute phases, in cycles, that the depth range allows the first pixel of each patch."""

@@ -15,8 +15,12 @@ _MIN_VOTES, _MIN_SHARE = 6, 0.6
 _MAX_CHANGE = 0.35
 # A surface's phase changes by so many cycles from frame to frame, and e-fold more seldom by as many more.
 _USUAL_CHANGE = 0.06
-# Below this share of all votes the frame shows another scene.
-_SAME_SCENE = 0.5
+# What goes on moves alike: of a region where all changes, in fractions of a cycle, are as frequent the coherence is 0,
+# where they spread over a half it is 0.64.
+_MIN_COHERENCE = 0.5
+# Where the votes' coherence is less on average, 0 where regions do not go on, the frame shows another scene: objects
+# that turn by 3 degrees a frame reach 0.9, two scenes that happen to look alike in places 0.7.
+_SAME_SCENE = 0.75
 # A lead of so many votes halves the probability that the order is wrong: neighbouring pixels err together.
 _HALVING_LEAD = 4.0
 # How probably votes are for another surface that was there before, where only edges vote.
@@ -55,6 +59,11 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     counting = (votes[:, SOUND] == 1) | ~sound[root]
     clear = np.abs(votes[:, REST]) < 64 * _MAX_CHANGE
     void = np.bincount(root[counting & ~clear], minlength=len(roots))
+    turns = np.exp(2j * np.pi / 64 * votes[counting, REST])
+    voters = np.maximum(np.bincount(root[counting], minlength=len(roots)), 1)
+    sums = [np.bincount(root[counting], part, len(roots)) for part in (turns.real, turns.imag)]
+    coherence = np.hypot(*sums) / voters
+    everyone = int(counting.sum())
     votes, root = votes[counting & clear], root[counting & clear]
     if len(votes) == 0:
         none = np.zeros(0, np.int64)
@@ -74,10 +83,10 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     best, total = order[starts], np.add.reduceat(counts[order], starts) + void[regions]
     second = np.where(several > 1, counts[order[np.minimum(starts + 1, len(order) - 1)]], 0)
     lead = counts[best] - np.maximum(second, void[regions])
-    if counts[best].sum() < _SAME_SCENE * total.sum():
-        return count_votes(votes[:0], roots)
     usual = change[best] / counts[best]
-    kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total)
+    kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (coherence[regions] >= _MIN_COHERENCE)
+    if (coherence[regions] * total)[kept].sum() < _SAME_SCENE * everyone:
+        return count_votes(votes[:0], roots)
     doubt = 0.5 ** (lead / _HALVING_LEAD) + np.exp((2 * usual - 1) / _USUAL_CHANGE)
     doubt = np.where(sound[regions], np.minimum(doubt, 1), _EDGE_DOUBT)
     best = best[kept]
