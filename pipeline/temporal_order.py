@@ -59,10 +59,7 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     counting = (votes[:, SOUND] == 1) | ~sound[root]
     clear = np.abs(votes[:, REST]) < 64 * _MAX_CHANGE
     void = np.bincount(root[counting & ~clear], minlength=len(roots))
-    turns = np.exp(2j * np.pi / 64 * votes[counting, REST])
-    voters = np.maximum(np.bincount(root[counting], minlength=len(roots)), 1)
-    sums = [np.bincount(root[counting], part, len(roots)) for part in (turns.real, turns.imag)]
-    coherence = np.hypot(*sums) / voters
+    coherence = _coherence(root[counting], votes[counting, REST], len(roots))
     everyone = int(counting.sum())
     votes, root = votes[counting & clear], root[counting & clear]
     if len(votes) == 0:
@@ -92,6 +89,13 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     best = best[kept]
     offsets, before = ballots[best] % cycles_span + low, origins[commonest[best]] % before_span
     return CarriedOrders(True, regions[kept], offsets, before, doubt[kept])
+
+
+def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
+    """(count,) float: how alike a region's phase changes, 1 where by the same everywhere, 0 where nobody votes."""
+    turn = np.exp(2j * np.pi / 64 * rest)
+    sums = [np.bincount(root, part, count) for part in (turn.real, turn.imag)]
+    return np.asarray(np.hypot(*sums) / np.maximum(np.bincount(root, minlength=count), 1))
 
 
 def split_by_votes(

@@ -6,7 +6,7 @@ import pytest
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.errors import SettingsError
 from pipeline.simulate import SimulationSettings, simulate_frame, simulated_rig
-from pipeline.temporal_order import count_votes, split_by_votes
+from pipeline.temporal_order import MAX_ERROR_PROBABILITY, count_votes, split_by_votes
 from tikernels import runtime
 from tikernels.errors import ShapeError
 from tikernels.unwrapping import PatchGraph
@@ -36,11 +36,31 @@ def test_the_majority_of_a_region_decides():
         [(5, 0, 1, 0, 1)],  # too few
         [(30, 0, 1, 0, 1), (28, 0, 2, 0, 1)],  # no majority to speak of
         [(50, 0, 1, 29, 1)],  # 0.45 cycles away: the next order is nearly as near
+        [(30, 0, 1, 0, 1), (25, 0, 1, 29, 1)],  # so it is for nearly half of the region
+        [(10, 0, 1, rest, 1) for rest in range(-20, 21, 4)],  # it changes by anything: another surface
     ],
 )
 def test_a_doubtful_vote_carries_nothing(rows):
     carried = count_votes(votes_of(*rows), np.zeros(1, np.int32))
     assert len(carried.roots) == 0
+
+
+def test_only_sound_votes_count_where_there_are_enough():
+    """Beside a moving edge pixels vote for what was there before, however many of them there are."""
+    votes = np.concatenate([votes_of((20, 0, 3, 0, 1)), votes_of((90, 0, 2, 0, 2), sound=0)])
+    carried = count_votes(votes, np.zeros(1, np.int32))
+    assert (carried.offsets[0], carried.before[0]) == (3, 1)
+    assert carried.error_probability[0] < 0.05
+    carried = count_votes(votes[20:], np.zeros(1, np.int32))
+    assert carried.offsets[0] == 2
+    assert carried.error_probability[0] > 0.1  # too much for an order to stay absolute
+
+
+@pytest.mark.parametrize(("rest", "least", "most"), [(0, 0, 1e-6), (10, 1e-6, 1e-4), (21, 1e-3, 1e-2)])
+def test_the_faster_a_surface_the_larger_the_doubt(rest, least, most):
+    """Up to a third of a cycle a frame: the next order is then twice as far, and not much less likely."""
+    carried = count_votes(votes_of((500, 0, 1, rest, 1)), np.zeros(1, np.int32))
+    assert least <= carried.error_probability[0] <= most
 
 
 def test_a_cut_is_noticed():
@@ -62,6 +82,11 @@ def test_surfaces_that_lay_apart_are_split():
     runtime.init("cpu")
     torn = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)))
     np.testing.assert_array_equal(split_by_votes(torn, graph, np.zeros(3, bool)), [0, 0, 2, 2])
+    coming_into_view = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)), sound=0)
+    np.testing.assert_array_equal(split_by_votes(coming_into_view, graph, np.zeros(3, bool)), graph.root)
+    alike = votes_of(*((8, patch, 0, 0, 1 + patch // 2) for patch in range(4)))
+    np.testing.assert_array_equal(split_by_votes(alike, graph, np.zeros(3, bool)), graph.root)
+    np.testing.assert_array_equal(split_by_votes(alike, graph, np.array([False, True, False])), [0, 0, 2, 2])
     whole = votes_of(*((8, patch, 0, 0, 1) for patch in range(4)))
     np.testing.assert_array_equal(split_by_votes(whole, graph, np.zeros(3, bool)), graph.root)
 
@@ -117,6 +142,28 @@ def test_absolute_orders_are_carried_where_the_code_is_not_seen(arch):
     # Slivers of the ball's rim join the wall over a step of a whole cycle, which the plain pattern does not show.
     assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 4e-3
     assert frame.order_error_probability[known].max() < 0.1
+
+
+def test_doubt_grows_until_the_code_is_seen_again():
+    """A ball that swings by 0.3 cycles a frame stops being absolute before the next order may pass for its own."""
+    rigs = [simulated_rig(code=code) for code in ("contrast", None)]
+    decoders = [Decoder(DecodeSettings(), rig, arch="cpu") for rig in rigs]
+    ball, wall = (240, 320), (20, 20)
+    frame, doubts = None, []
+    for number in range(13):
+        plain = 0 < number < 12
+        settings = SimulationSettings(scene="ball", object_motion_mm=(0.0, 0.0, -11.0 * (number % 2)), seed=number)
+        truth = simulate_frame(rigs[plain], settings)
+        frame = decoders[plain].decode(truth.image, previous=frame)
+        doubts.append([frame.order_error_probability[place] for place in (ball, wall)])
+        assert frame.absolute[wall]
+        assert frame.absolute[ball] == (doubts[-1][0] < MAX_ERROR_PROBABILITY)
+        known = frame.absolute & truth.mask
+        assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 1e-3
+    of_ball, of_wall = np.array(doubts).T
+    assert (np.diff(of_ball[:12]) > 0).all()
+    assert of_ball[11] > MAX_ERROR_PROBABILITY > 100 * of_wall.max()
+    assert of_ball[12] < 1e-3
 
 
 @pytest.mark.parametrize("scenes", ["objects bust", "bust plane", "plane objects", "waves ball", "ball waves"])
