@@ -201,12 +201,11 @@ def _note_orders(
     known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
     if previous is not None and carried is not None and previous._placed is not None:
         known_before, errors_before = previous._placed
-        place = {int(root): number for number, root in enumerate(carried.roots)}
-        for number, root in enumerate(roots, start=1):
-            if (found := place.get(int(root))) is not None:
-                before = carried.before[found]
-                errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
-                known[number] = known_before[before] and errors[number] < MAX_ERROR_PROBABILITY
+        goes_on = np.isin(roots, carried.roots)
+        found = np.searchsorted(carried.roots, roots[goes_on])
+        before, number = carried.before[found], 1 + np.flatnonzero(goes_on)
+        errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
+        known[number] = known_before[before] & (errors[number] < MAX_ERROR_PROBABILITY)
     if orders is not None and len(orders.parts):
         part = np.searchsorted(orders.parts, roots)
         by_code = orders.absolute[part]
