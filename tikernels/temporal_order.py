@@ -17,8 +17,9 @@ VOTES_A_CELL = (CELL_HEIGHT // 4) * (CELL_WIDTH // 4)
 PATCH, CYCLES, REST, BEFORE, SOUND = range(5)
 # An edge is looked for at these distances (px): what moves by less from frame to frame votes for its own surface.
 _REACH = (5, 10)
-# The phase of three pixels in a row bends by less (rad) on a surface; a nose reaches 0.7 over 20 px.
-_MAX_BEND = 0.8
+# Where three pixels in a row bend by more (rad), another surface is so far away that its pixels would vote for another
+# order; a ball's rim or a nose bends by 1 to 2 in a coarse image.
+_MAX_BEND = 2.5
 
 
 @ti.func
