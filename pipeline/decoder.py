@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.calibration import Calibration, Geometry
 from pipeline.calibration.board_free import LightEstimate, estimate_light
-from pipeline.errors import CalibrationError, DecodeWarning, FootageError
+from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
 from pipeline.light_path import LightPath
 from pipeline.region_orders import OrderFinder
 from pipeline.results import DecodedFrame
@@ -124,8 +124,9 @@ class Decoder:
             RGB, levels from 0 to the white level (floats: 0..1); a NumPy array or a Taichi ndarray.
         previous : DecodedFrame, optional
             The frame before in a video, decoded with the same settings. Region by region its orders are carried on
-            where no code tells them, as long as a surface moves by less than a third of a cycle; and its phases count
-            when the response is equalised.
+            where no code tells them, as long as a surface's phase changes by less than a third of a cycle and its edges
+            move by less than 10 px; and its phases count when the response is equalised. A frame that shows nothing
+            of it again starts afresh, with a `DecodeWarning`.
         out : DecodedFrame, optional
             An earlier result of the same size, whose arrays are used again: what was read from it changes.
 
@@ -140,6 +141,8 @@ class Decoder:
             The image has another shape or type, or `previous` or `out` another size.
         CalibrationError
             The calibration is for another image size.
+        SettingsError
+            `previous` was decoded with stripes the other way.
         FootageError
             The image holds NaN, or values outside 0..white level.
         """
@@ -165,8 +168,8 @@ class Decoder:
             self._clear(frame)
             frame._placed = None
             return frame
-        if previous is not None and previous.mask.shape != ((width, height) if vertical else (height, width)):
-            raise ShapeError(f"frame is {height}x{width} but the one before is {_size(previous.mask.shape)}")
+        if previous is not None:
+            self._check_previous(previous, frame)
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period = float(2 ** (np.round(8 * np.log2(period)) / 8))
         work = self._workspace
@@ -201,6 +204,14 @@ class Decoder:
                 "calibrate the light anew (colorphase calibrate check says what is wrong)",
             )
 
+    def _check_previous(self, previous: DecodedFrame, frame: DecodedFrame) -> None:
+        if previous._vertical != frame._vertical:
+            raise SettingsError(f"stripes are {self._stripes}, those of the frame before were not: leave previous away")
+        before, here = (tuple(f._buffers["mask"].shape) for f in (previous, frame))
+        if before != here:
+            turn = -1 if frame._vertical else 1
+            raise ShapeError(f"frame is {_size(here[::turn])} but the one before is {_size(before[::turn])}")
+
     def _learn_light(self, image: Any, white: float, period: float, frame: DecodedFrame) -> bool:
         """Learn crosstalk and response from a frame that was decoded without; return whether it told them."""
         unwrapped = runtime.to_host(frame._buffers["unwrapped"])  # synchronises
@@ -228,10 +239,12 @@ class Decoder:
         least = (levels.intensity, levels.modulation)
         work.gains.measure(image, path.inverse, path.matrix, *least, balance_first=path.balance_first, lag=path.lag)
         counting = (path.inverse, path.weights, work.gains, (*least, CLIPPED * levels.white), path.balance_first)
+        # `out` may be the frame before.
+        earlier = None if previous is None else previous._histogram
         frame._histogram = count_bare_phases(image, *counting).astype(np.float64)
         work.model.recover_samples(path.weights, levels.modulation, CLIPPED * levels.white)
-        if previous is not None and previous._histogram is not None:
-            frame._histogram += _MEMORY * previous._histogram
+        if earlier is not None:
+            frame._histogram += _MEMORY * earlier
         correction = path.correction(frame._histogram, period)
         work.model.fit(correction, path.template())
         frame._constant_sigma = float(np.hypot(path.constant_sigma, work.model.mismatch))
@@ -324,8 +337,9 @@ class Decoder:
         if self._reference is not None and self._reference.shape != ((width, height) if vertical else (height, width)):
             raise ShapeError(f"frame is {height}x{width} but the reference is {_size(self._reference.shape)}")
         if out is not None:
-            if tuple(out._buffers["mask"].shape) != (height, width) or out.calibrated != (self._geometry is not None):
-                raise ShapeError("out is a result of another size or calibration: leave it away for this frame")
+            fits = tuple(out._buffers["mask"].shape) == (height, width) and out._vertical == vertical
+            if not fits or out.calibrated != (self._geometry is not None):
+                raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
             out._forget()
             return out
         buffers = self._unused_buffers(height, width)

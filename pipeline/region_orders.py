@@ -161,16 +161,18 @@ class OrderFinder:
     def _carry_orders(self, previous: DecodedFrame, work: Workspace, phase: Any) -> CarriedOrders:
         """Find the orders that agree with the frame before, and split the regions that it contradicts."""
         unwrapper, before = work.unwrapper, previous._buffers
-        votes = runtime.empty((unwrapper.cells * VOTES_A_CELL, 4), np.int32)
+        votes = runtime.empty((unwrapper.cells * VOTES_A_CELL, 5), np.int32)
         patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits, unwrapper.patches)
         vote_orders_kernel(phase, *patches, before["unwrapped"], before["region"], votes)
         counted = runtime.to_host(votes)
-        if self._code is None:  # a code has split them already, and knows better
-            graph = unwrapper.graph()
-            roots = split_by_votes(counted, graph)
-            if not np.array_equal(roots, graph.root):
-                unwrapper.split(roots)
-        return count_votes(counted, unwrapper.patch_roots())
+        if self._code is not None:  # the code has split them already, and knows better
+            return count_votes(counted, unwrapper.patch_roots())
+        graph = unwrapper.graph()
+        roots = split_by_votes(counted, graph, previous.order_is_known)
+        carried = count_votes(counted, roots)
+        if carried.same_scene and not np.array_equal(roots, graph.root):
+            unwrapper.split(roots)
+        return carried
 
     def _order_range(self, frame: DecodedFrame, graph: PatchGraph) -> OrderRange | None:
         """Return how many cycles every patch may lack: its first pixel's ray in the depth range and the pattern."""
@@ -198,9 +200,9 @@ class OrderFinder:
         buffers, known = frame._buffers, frame.order_is_known
         if known.any():
             adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
+            seen = (buffers["phase"], work.raw_phase, buffers["modulation"], work.rates)
             outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            inputs = (buffers["phase"], work.raw_phase, buffers["modulation"], work.rates, known.astype(np.int32))
-            adopt_pixels_kernel(work.unwrapper.final, *inputs, adopted, *outputs)
+            adopt_pixels_kernel(work.unwrapper.final, *seen, known.astype(np.int32), adopted, *outputs)
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
         usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
         departures, slopes = code_departures(usual)
@@ -232,12 +234,11 @@ def _note_orders(
     known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
     if previous is not None and carried is not None and previous._placed is not None:
         known_before, errors_before = previous._placed
-        place = {int(root): number for number, root in enumerate(carried.roots)}
-        for number, root in enumerate(roots, start=1):
-            if (found := place.get(int(root))) is not None:
-                before = carried.before[found]
-                errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
-                known[number] = known_before[before] and errors[number] < MAX_CARRIED_ERROR
+        goes_on = np.isin(roots, carried.roots)
+        found = np.searchsorted(carried.roots, roots[goes_on])
+        before, number = carried.before[found], 1 + np.flatnonzero(goes_on)
+        errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
+        known[number] = known_before[before] & (errors[number] < MAX_CARRIED_ERROR)
     if orders is not None and len(orders.parts):
         part = np.searchsorted(orders.parts, roots)
         by_itself = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]

@@ -102,7 +102,7 @@ class DecodedFrame:
     def order_error_probability(self) -> npt.NDArray[np.float32]:
         """(H, W) float32: probability, 0..1, that the order is not the absolute one; NaN outside the mask.
 
-        The same all over a region, and 1 where neither a code nor a depth range says anything of it.
+        The same all over a region, and 1 where neither a code, a depth range nor the frame before tells.
         """
         if self._placed is None:
             return np.where(self.mask, np.float32(1), np.float32(np.nan))

@@ -6,17 +6,25 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels.absolute_order import CANDIDATES, join_parts_kernel
-from tikernels.temporal_order import BEFORE, CYCLES, PATCH, REST
+from tikernels.temporal_order import BEFORE, CYCLES, PATCH, REST, SOUND
 from tikernels.unwrapping import PatchGraph
 
 # A region needs so many votes, and this share of them, to keep its order: fewer, and most of it is newly seen.
 _MIN_VOTES, _MIN_SHARE = 6, 0.6
-# Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close.
+# Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close: such a vote is void.
 _MAX_CHANGE = 0.35
-# Below this share of all votes the frame shows another scene.
-_SAME_SCENE = 0.5
+# A surface's phase changes by so many cycles from frame to frame, and e-fold more seldom by as many more.
+_USUAL_CHANGE = 0.06
+# What goes on moves alike: of a region where all changes, in fractions of a cycle, are as frequent the coherence is 0,
+# where they spread over a half it is 0.64.
+_MIN_COHERENCE = 0.5
+# Where the votes' coherence is less on average, 0 where regions do not go on, the frame shows another scene: objects
+# that turn by 3 degrees a frame reach 0.9, two scenes that happen to look alike in places 0.7.
+_SAME_SCENE = 0.75
 # A lead of so many votes halves the probability that the order is wrong: neighbouring pixels err together.
 _HALVING_LEAD = 4.0
+# How probably votes are for another surface that was there before, where only edges vote.
+_EDGE_DOUBT = 0.5
 # A region is torn where a second offset has so many votes; its parts must each prefer their own by so many, and by this
 # share of their votes.
 _MIN_TORN_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
@@ -32,61 +40,94 @@ class CarriedOrders:
     roots: npt.NDArray[np.int64]  # (n,) of the regions whose orders are carried on
     offsets: npt.NDArray[np.int64]  # (n,) to be added to their orders
     before: npt.NDArray[np.int64]  # (n,) the region of the frame before that they come from
-    error_probability: npt.NDArray[np.float64]  # (n,) that another order has the majority by chance
+    error_probability: npt.NDArray[np.float64]  # (n,) that they do not go on from there with these orders
 
 
 def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> CarriedOrders:
-    """Count `vote_orders_kernel`'s votes.
+    """Count `vote_orders_kernel`'s votes: the sound ones, and the others of regions that have too few.
 
     Parameters
     ----------
-    votes : (N, 4) int32
-        Patch, cycles, rest and region before.
+    votes : (N, 5) int32
+        Patch, cycles, rest, region before, soundness.
     roots : (P,) int32
         The patch that stands for the region of each patch.
     """
     votes = votes[votes[:, PATCH] >= 0]
-    none = np.zeros(0, np.int64)
-    nothing = CarriedOrders(False, none, none, none, none.astype(float))
+    root = roots[votes[:, PATCH]].astype(np.int64)
+    sound = np.bincount(root, votes[:, SOUND], len(roots)) >= _MIN_VOTES
+    counting = (votes[:, SOUND] == 1) | ~sound[root]
+    clear = np.abs(votes[:, REST]) < 64 * _MAX_CHANGE
+    void = np.bincount(root[counting & ~clear], minlength=len(roots))
+    coherence = _coherence(root[counting], votes[counting, REST], len(roots))
+    everyone = int(counting.sum())
+    votes, root = votes[counting & clear], root[counting & clear]
     if len(votes) == 0:
-        return nothing
-    low = int(votes[:, CYCLES].min())
-    span = int(votes[:, CYCLES].max()) - low + 1
-    keys = roots[votes[:, PATCH]].astype(np.int64) * span + votes[:, CYCLES] - low
-    found, member, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    region, cycles = found // span, found % span + low
-    # The two offsets with the most votes of every region; ties go to the smaller one.
-    order = np.lexsort((cycles, -counts, region))
-    regions, firsts, totals = np.unique(region[order], return_index=True, return_counts=True)
-    best = order[firsts]
-    several = totals > 1
-    second = np.where(several, counts[order[np.minimum(firsts + 1, len(order) - 1)]], 0)
-    total = np.add.reduceat(counts[order], firsts)
-    change = np.bincount(member, np.abs(votes[:, REST]) / 64, len(found))[best] / counts[best]
-    before = np.zeros(len(found), np.int64)
-    before[member] = votes[:, BEFORE]  # one of those that agree: a surface that fell apart had one order
-    if counts[best].sum() < _SAME_SCENE * total.sum():
-        return nothing
-    kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (change < _MAX_CHANGE)
-    doubt = 0.5 ** ((counts[best] - second) / _HALVING_LEAD)
-    return CarriedOrders(True, regions[kept], cycles[best][kept], before[best][kept], doubt[kept])
+        none = np.zeros(0, np.int64)
+        return CarriedOrders(False, none, none, none, none.astype(float))
+    # A ballot is a region and an offset; those who cast it may come from several regions of the frame before.
+    low, before_span = int(votes[:, CYCLES].min()), int(votes[:, BEFORE].max()) + 1
+    cycles_span = int(votes[:, CYCLES].max()) - low + 1
+    keys = (root * cycles_span + votes[:, CYCLES] - low) * before_span + votes[:, BEFORE]
+    origins, member, voters = np.unique(keys, return_inverse=True, return_counts=True)
+    rest = np.bincount(member, np.abs(votes[:, REST]) / 64)
+    ballots, starts = np.unique(origins // before_span, return_index=True)
+    counts, change = np.add.reduceat(voters, starts), np.add.reduceat(rest, starts)
+    commonest = np.lexsort((-voters, origins // before_span))[starts]
+    # The two ballots with the most votes of every region; ties go to the smaller offset.
+    order = np.lexsort((ballots, -counts, ballots // cycles_span))
+    regions, starts, several = np.unique(ballots[order] // cycles_span, return_index=True, return_counts=True)
+    best, total = order[starts], np.add.reduceat(counts[order], starts) + void[regions]
+    second = np.where(several > 1, counts[order[np.minimum(starts + 1, len(order) - 1)]], 0)
+    lead = counts[best] - np.maximum(second, void[regions])
+    usual = change[best] / counts[best]
+    kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (coherence[regions] >= _MIN_COHERENCE)
+    if (coherence[regions] * total)[kept].sum() < _SAME_SCENE * everyone:
+        return count_votes(votes[:0], roots)
+    doubt = 0.5 ** (lead / _HALVING_LEAD) + np.exp((2 * usual - 1) / _USUAL_CHANGE)
+    doubt = np.where(sound[regions], np.minimum(doubt, 1), _EDGE_DOUBT)
+    best = best[kept]
+    offsets, before = ballots[best] % cycles_span + low, origins[commonest[best]] % before_span
+    return CarriedOrders(True, regions[kept], offsets, before, doubt[kept])
 
 
-def split_by_votes(votes: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:
+def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
+    """(count,) float: how alike a region's phase changes, 1 where by the same everywhere, 0 where nobody votes."""
+    turn = np.exp(2j * np.pi / 64 * rest)
+    sums = [np.bincount(root, part, count) for part in (turn.real, turn.imag)]
+    return np.asarray(np.hypot(*sums) / np.maximum(np.bincount(root, minlength=count), 1))
+
+
+def split_by_votes(
+    votes: npt.NDArray[np.int32], graph: PatchGraph, known_before: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.int32]:
     """Split regions that have joined surfaces which the frame before saw whole cycles apart.
 
-    A step of whole cycles leaves no trace in one frame's phase; the frame before knows what lies on either side.
+    A step of whole cycles leaves no trace in one frame's phase; the frame before knows what lies on either side. Only
+    sound votes count: what comes into view beside a moving edge votes for what was there before. A surface whose order
+    was known and one whose was not stay apart, too: what looks like a joint between them may be such a step.
+
+    Parameters
+    ----------
+    votes : (N, 5) int32
+        `vote_orders_kernel`'s.
+    graph : PatchGraph
+        The frame's patches.
+    known_before : (regions + 1,) bool
+        Whether the orders of the regions before were absolute.
 
     Returns
     -------
     (P,) int32
         The patch that stands for the part of each patch.
     """
-    votes = votes[votes[:, PATCH] >= 0]
+    votes = votes[(votes[:, PATCH] >= 0) & (votes[:, SOUND] == 1)]
     if len(votes) == 0:
         return graph.root
-    # The offsets in use, the commonest first: hardly any frame has more than a few.
-    offsets, place, counts = np.unique(votes[:, CYCLES], return_inverse=True, return_counts=True)
+    # The offsets in use, known ones and others, the commonest first: hardly any frame has more than a few.
+    offsets, place, counts = np.unique(
+        2 * votes[:, CYCLES] + known_before[votes[:, BEFORE]], return_inverse=True, return_counts=True
+    )
     rank = np.empty(len(offsets), np.int64)
     rank[np.argsort(-counts, kind="stable")] = np.arange(len(offsets))
     candidate = rank[place]

@@ -41,6 +41,7 @@ from tikernels.patches import (
     CELL_WIDTH,
     FIRST,
     FROM,
+    HEAD,
     KEY,
     N_CONTACTS,
     N_CROWDED,
@@ -64,7 +65,8 @@ from tikernels.patches import (
     patch_number,
 )
 from tikernels.phase_vector import PI, STRIP
-from tikernels.reliability import weigh_edges_kernel
+from tikernels.reliability import NO_EDGE, weigh_edges_kernel
+from tikernels.seams import TORN, mark_torn_cells_kernel
 from tikernels.transposing import transpose
 from tikernels.trees import grow_trees_kernel, join_trees_kernel, note_contacts_kernel, root_trees_kernel
 from tikernels.triangulation import ProjectorGeometry, load_projector, projected
@@ -124,6 +126,7 @@ class Unwrapper:
         rows, columns = -(-height // CELL_HEIGHT), -(-width // CELL_WIDTH)
         self.cells = rows * columns
         self.firsts = runtime.empty((3, self.cells + 1), np.int32)
+        self.seams = runtime.empty((2, self.cells), np.int32)
         if not self.by_votes:
             self.edges = runtime.empty((4, rows * CELL_HEIGHT + 1, columns * CELL_WIDTH + 1), np.int32)
         self._allocate(_DRAFT_BITS if self.by_votes else _TREE_DRAFT_BITS)
@@ -212,13 +215,20 @@ class Unwrapper:
         ends = firsts[0, ends >> self.draft_bits] + (ends & ((1 << self.draft_bits) - 1))
         agree = patches[OFFSET, ends[1]] == patches[OFFSET, ends[0]] + noted[SHIFT]
         agree &= (patches[ROOT, ends[0]] == patches[ROOT, ends[1]]) & (ends[0] != ends[1])
+        ends, votes = ends[:, agree], noted[VOTES, agree]
+        if not self.by_votes:
+            # Pieces of a tree hang together by better edges than any between trees, which noted no contacts.
+            pieces = np.setdiff1d(np.flatnonzero(patches[HEAD] != np.arange(self.patch_count)), ends).astype(np.int32)
+            ends = np.concatenate([np.stack([patches[HEAD, pieces], pieces]), ends], axis=1)
+            # An edge twice as reliable is worth twice as much.
+            votes = np.concatenate([np.full(len(pieces), NO_EDGE, np.int32), NO_EDGE // np.maximum(NO_EDGE - votes, 1)])
         return PatchGraph(
             root=patches[ROOT],
             offset=patches[OFFSET],
             pixels=patches[PIXELS],
             first=patches[FIRST],
-            ends=ends[:, agree],
-            votes=noted[VOTES, agree],
+            ends=ends,
+            votes=votes,
         )
 
     def split(self, roots: npt.NDArray[np.int32]) -> None:
@@ -269,7 +279,8 @@ class Unwrapper:
         """Write the unwrapped phase (rad, NaN outside), the mask, and the region (from 1, the largest).
 
         The last pixel before a step is left out where the step has a pixel that belongs to neither side, or where only
-        the orders show it: at the rim of a round object it can pass for the other surface.
+        the orders show it: at the rim of a round object it can pass for the other surface. So are cells whose borders
+        tell that they hold a step of whole cycles.
         """
         # Numbering a handful of regions by their size is the host's work; ties go to the start's place in the image.
         table = runtime.to_host(self.regions)[:, : self.patch_count]  # synchronises
@@ -283,6 +294,7 @@ class Unwrapper:
         finish_patches_kernel(
             self._serial(self.patch_count), self.cells, columns, self.firsts, self.draft_bits, *tables, self.final
         )
+        mark_torn_cells_kernel(phase, rates, self.labels, self.seams, self.final)
         outputs = (out_unwrapped, out_mask, out_region)
         write_unwrapped_kernel(phase, rates, self.labels, self.final, *outputs)
 
@@ -376,7 +388,7 @@ def finish_patches_kernel(
     draft_contacts: I32Array2,
     regions: I32Array2,
     numbers: I32Array1,  # number of the region of each root; 0: too small
-    out_final: I32Array2,  # (3, cells << bits) by draft its region's number and what its orders lack; by cell 1: steps
+    out_final: I32Array2,  # (3, cells << bits) of drafts: region's number, what orders lack; of cells: 1 steps, TORN
 ):
     # A cell has steps where a pixel lies between surfaces, a patch is too small a region, or a contact was overruled.
     ti.loop_config(serialize=serial)
@@ -463,7 +475,10 @@ def write_unwrapped_kernel(
                 label[k] = (label[k] & ORDER_MASK) + final[1, draft]
         cell = (y // CELL_HEIGHT) * ((width + CELL_WIDTH - 1) // CELL_WIDTH) + first // CELL_WIDTH
         for c in range((count + CELL_WIDTH - 1) // CELL_WIDTH):
-            if final[2, cell + c] == 1:
+            if final[2, cell + c] == TORN:
+                for k in range(c * CELL_WIDTH, ti.min((c + 1) * CELL_WIDTH, count)):
+                    region[k] = 0
+            elif final[2, cell + c] == 1:
                 for k in range(c * CELL_WIDTH, ti.min((c + 1) * CELL_WIDTH, count)):
                     if region[k] > 0:
                         if beside_step(phase, rates, labels, final, y, first + k):
@@ -508,8 +523,9 @@ def unwrap_phase(
     Returns
     -------
     (H, W) float32
-        Wrapped phase plus whole cycles, rad; NaN outside the mask and in specks of fewer than 128 pixels. Each
-        connected region has order 0 at its start, the reliable pixel nearest the image's centre.
+        Wrapped phase plus whole cycles, rad; NaN outside the mask, in specks of fewer than 128 pixels, and in cells
+        that contradict their neighbours. Each connected region has order 0 at its start, the reliable pixel nearest
+        the image's centre.
 
     Raises
     ------

@@ -5,6 +5,8 @@ import pytest
 import reference
 
 import tikernels
+from tikernels.filtering import measure_rates_kernel, rates_buffer
+from tikernels.unwrapping import Unwrapper
 
 both_methods = pytest.mark.parametrize("method", ["directional", "reliability"])
 
@@ -44,6 +46,27 @@ def test_as_the_twin(arch, noise, seed):
     assert np.count_nonzero(found != (region > 0)) <= (0.01 * mask.size if noise else 0)
     wrong = reference.wrong_orders(orders(unwrapped, phase) - order, np.where(found, region, 0))
     assert wrong.sum() <= (1e-4 * mask.size if noise else 0)
+
+
+@both_methods
+def test_the_graph_holds_regions_together(arch, method):
+    """Every patch can be reached from its region's root: who splits a region by its graph must not find it in bits."""
+    phase = reference.wrapped(surface() + 0.1 * np.random.default_rng(4).standard_normal(surface().shape))
+    phase, quality = phase.astype(np.float32), np.ones(phase.shape, np.float32)
+    unwrapper = Unwrapper(*phase.shape, method)
+    rates = rates_buffer(phase.shape[0])
+    measure_rates_kernel(phase, quality, rates)
+    unwrapper.join(phase, quality, rates)
+    graph = unwrapper.graph()
+    reached = np.arange(len(graph.root))
+    for _ in range(len(reached)):
+        before = reached.copy()
+        for a, b in (graph.ends, graph.ends[::-1]):
+            np.minimum.at(reached, a, reached[b])
+        if np.array_equal(before, reached):
+            break
+    assert len(np.unique(reached)) == len(np.unique(graph.root)) < len(graph.root)
+    assert (graph.votes > 0).all()
 
 
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
