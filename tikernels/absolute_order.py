@@ -301,13 +301,12 @@ def adopter(
 
 @ti.kernel
 def adopt_pixels_kernel(
-    cell_steps: I32Array2,  # (3, cells or more) in the third row 1 where a cell has steps; in torn ones nobody knows what goes on
+    cell_steps: I32Array2,  # (3, cells or more) in the third row 1 where a cell has steps; not in torn ones
     phase: F32Array2,  # (H, W) rad; STEP_PHASE at steps
     raw_phase: F32Array2,  # (H, W) rad, before smoothing; NO_PHASE where there is none
     modulation: F32Array2,  # (H, W)
     rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
     absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute
-    final: I32Array2,  # the last row says which cells are torn: nobody knows what their pixels continue
     adopted: F32Array3,  # (H, W, 2) scratch
     unwrapped: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
