@@ -20,6 +20,7 @@ from tikernels._taichi import (
     f32,
     i32,
     ti,
+    u1,
     vec2,
     vec3,
     vec4,
@@ -36,6 +37,7 @@ from tikernels.patches import (
     patch_number,
 )
 from tikernels.phase_vector import PI, STRIP, matrix_of, wrap
+from tikernels.seams import TORN
 from tikernels.wrapped_phase import NO_PHASE
 
 #: Cycles to either side between which the modulation's slope is taken: blur rounds the tips of the code off.
@@ -263,10 +265,14 @@ def adopter(
     absolute: I32Array1,
     unwrapped: F32Array2,
     region: I32Array2,
+    torn: u1,
     y: i32,
     x: i32,
 ) -> vec2:
-    """Return a pixel's phase in the one absolute surface that it continues, and that region's number, 0 if none."""
+    """Return a pixel's phase in the one absolute surface that it continues, and that region's number, 0 if none.
+
+    In a torn cell other surfaces may go on as well: there it must look like its neighbour, too, even if that is alone.
+    """
     result = vec2(0.0)
     here = phase[y, x]
     if here > 0.5 * NO_PHASE:
@@ -294,14 +300,18 @@ def adopter(
                         elif other.z != best.z:
                             alone = 0
             belongs = best.y < _MAX_ADOPTED and alike > _ALIKE and rival > best.y + _MIN_RIVAL
-            if belongs or (alone == 1 and alike > _ALIKE_ALONE):
+            if torn:
+                belongs = alone == 1 and best.y < _MAX_ADOPTED and alike > _ALIKE
+            elif alone == 1:
+                belongs |= alike > _ALIKE_ALONE
+            if belongs:
                 result = vec2(best.x, best.z)
     return result
 
 
 @ti.kernel
 def adopt_pixels_kernel(
-    cell_steps: I32Array2,  # (3, cells or more) in the third row 1 where a cell has steps; not in torn ones
+    cell_steps: I32Array2,  # (3, cells or more) in the third row 1 where a cell has steps, TORN where they are hidden
     phase: F32Array2,  # (H, W) rad; STEP_PHASE at steps
     raw_phase: F32Array2,  # (H, W) rad, before smoothing; NO_PHASE where there is none
     modulation: F32Array2,  # (H, W)
@@ -317,15 +327,18 @@ def adopt_pixels_kernel(
     cells = ((width + CELL_WIDTH - 1) // CELL_WIDTH) * ((height + CELL_HEIGHT - 1) // CELL_HEIGHT)
     for _ in ti.static(range(_PASSES)):
         for cell in range(cells):
-            if cell_steps[2, cell] == 1:
+            if cell_steps[2, cell] > 0:
                 top, left, bottom, right = cell_bounds(cell, height, width)
                 for y in range(top, bottom):
                     for x in range(left, right):
                         if mask[y, x] == 0:
-                            found = adopter(phase, raw_phase, modulation, rates, absolute, unwrapped, region, y, x)
+                            torn = cell_steps[2, cell] == TORN
+                            found = adopter(
+                                phase, raw_phase, modulation, rates, absolute, unwrapped, region, torn, y, x
+                            )
                             adopted[y, x, 0], adopted[y, x, 1] = found.x, found.y
         for cell in range(cells):
-            if cell_steps[2, cell] == 1:
+            if cell_steps[2, cell] > 0:
                 top, left, bottom, right = cell_bounds(cell, height, width)
                 for y in range(top, bottom):
                     for x in range(left, right):
