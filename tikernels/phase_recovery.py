@@ -189,8 +189,14 @@ _PARTS = 6
 _COUNTED = 2**17
 
 
+# Pixels that a thread takes at once.
+_RUN = 16
+
+
 @cache
 def _count_bare_phases_kernel(balance_first: bool) -> Any:
+    lanes = ti.types.vector(_RUN, ti.f32)
+
     @ti.kernel
     def count_bare_phases(
         image: AnyArray3,  # (H, W, 3) levels
@@ -205,22 +211,34 @@ def _count_bare_phases_kernel(balance_first: bool) -> Any:
         out_histogram: I32Array2,  # (parts, bins), to be added to
     ):
         height, width, bins = image.shape[0], image.shape[1], out_histogram.shape[1]
-        columns = (width + step - 1) // step
-        for sample in range(height * columns):
-            y, x = sample // columns, (sample % columns) * step
-            seen = vec3(
-                ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
-            )
-            # Leaving out whatever has a single clipped channel would leave out the phases at which that one is bright.
-            if seen.sum() > 3.0 * min_intensity and second_brightest(seen) < max_level:
+        runs = (width + _RUN * step - 1) // (_RUN * step)
+        for run in range(height * runs):
+            y, first = run // runs, (run % runs) * _RUN * step
+            middle = ti.min(first + _RUN * step // 2, width - 1)
+            # Gains hardly change within a run.
+            inverse, weights = matrix_of(inverse_matrix), matrix_of(phase_weights)
+            gain = gain_at(gains, cell, y, middle)
+            part = (y * _PARTS // height) * _PARTS + middle * _PARTS // width
+            red, green, blue, place = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            for k in range(ti.min(_RUN, (width - first + step - 1) // step)):
+                x = first + k * step
+                red[k] = ti.cast(image[y, x, 0], ti.f32)
+                green[k] = ti.cast(image[y, x, 1], ti.f32)
+                blue[k] = ti.cast(image[y, x, 2], ti.f32)
+            for k in range(_RUN):
+                seen = vec3(red[k], green[k], blue[k])
                 channels = seen
                 if ti.static(not balance_first):
-                    channels = matrix_of(inverse_matrix) @ seen
-                vector = matrix_of(phase_weights) @ (channels * gain_at(gains, cell, y, x))
-                if vector.x * vector.x + vector.y * vector.y > min_modulation * min_modulation:
-                    place = (arctangent(vector.y, vector.x) + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
-                    part = (y * _PARTS // height) * _PARTS + x * _PARTS // width
-                    out_histogram[part, ti.min(ti.max(ti.cast(place, i32), 0), bins - 1)] += 1
+                    channels = inverse @ channels
+                vector = weights @ (channels * gain)
+                bin_at = (arctangent(vector.y, vector.x) + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
+                # Leaving out whatever has a single clipped channel would leave out the phases at which it is bright.
+                counts = (seen.sum() > 3.0 * min_intensity) & (second_brightest(seen) < max_level)
+                counts &= vector.x * vector.x + vector.y * vector.y > min_modulation * min_modulation
+                place[k] = ti.select(counts, bin_at, -1.0)
+            for k in range(_RUN):
+                if place[k] >= 0.0:
+                    out_histogram[part, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
 
     return count_bare_phases
 
