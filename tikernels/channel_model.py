@@ -31,6 +31,8 @@ _UPPER = tuple((a, b) for a in range(_TERMS) for b in range(a, _TERMS))
 _CORNERS = len(_UPPER)
 # Samples that one thread adds up.
 _RUN = 64
+# Every second row of samples tells the template.
+_EVERY = 2
 # The template starts from what is known with the weight of so many samples: nothing where there is a surface.
 _PRIOR_SAMPLES = 30
 # Ambient light is at most this share of a surface's; more, and it is the contrast that is read wrongly.
@@ -95,7 +97,8 @@ class ChannelModel:
         self.phases = runtime.empty((height, columns), np.float32)
         runs = height * -(-columns // _RUN)
         self._moments = runtime.empty((runs, 5), np.float32)
-        self._normal = runtime.empty((runs, _CORNERS + 3 * _TERMS), np.float32)
+        template_runs = -(-height // _EVERY) * -(-columns // _RUN)
+        self._normal = runtime.empty((template_runs, _CORNERS + 3 * _TERMS), np.float32)
         self._sums = runtime.empty((*blocks, 13), np.float32)
         self._half = runtime.empty((*gains.grid, 13), np.float32)
         self._smooth = runtime.empty((*gains.grid, 13), np.float32)
@@ -153,7 +156,7 @@ class ChannelModel:
         gram = np.zeros((_TERMS, _TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
         gram += np.triu(gram, 1).T
-        weight = max(gram[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases) < NO_PHASE), 1)
+        weight = max(gram[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases)[::_EVERY] < NO_PHASE), 1)
         prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
         gram += np.diag(prior)
         right = normal[_CORNERS:].reshape(_TERMS, 3) + prior[:, None] * known.T
@@ -244,8 +247,8 @@ def sum_template_kernel(
 ):
     columns = samples.shape[1]
     runs = (columns + _RUN - 1) // _RUN
-    for run in range(samples.shape[0] * runs):
-        y, first = run // runs, (run % runs) * _RUN
+    for run in range((samples.shape[0] + _EVERY - 1) // _EVERY * runs):
+        y, first = run // runs * _EVERY, (run % runs) * _RUN
         # The upper triangle of the symmetric equations, row by row, and the right sides.
         gram, right = ti.Vector.zero(f32, _CORNERS), ti.Matrix.zero(f32, _TERMS, 3)
         brightness = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
