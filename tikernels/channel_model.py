@@ -79,10 +79,12 @@ def flat_template() -> npt.NDArray[np.float32]:
 def _mismatch(template: npt.NDArray[np.float32], weights: npt.NDArray[np.float32]) -> float:
     """Return by how much the channels' fundamentals differ from those that `phase_weights` are made for.
 
-    What all three have in common, a phase and a modulation, is the surface's and the response's.
+    What all three have in common, a phase and a modulation, is the surface's and the response's. NaN without samples.
     """
     waves = np.linalg.inv(weights.astype(np.float64))
     ratio = (template[:, 1] - 1j * template[:, 1 + HARMONICS]) / (waves[:, 0] - 1j * waves[:, 1])
+    if abs(ratio.mean()) == 0:
+        return np.nan
     return float(np.sqrt((np.abs(ratio / ratio.mean() - 1) ** 2).sum() / 2))
 
 
