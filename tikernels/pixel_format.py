@@ -35,8 +35,8 @@ class PixelFormat:
     ----------
     layout : {"rgb", "bayer", "yuv"}
         "rgb": one (H, W, 3 or 4) plane, or three (H, W) ones, in the order of `channels`. "bayer": one (H, W) mosaic.
-        "yuv": (H, W) luma and two chroma planes, or one (H', W', 2) with both where `interleaved`; H' and W' are H and
-        W over the subsampling, rounded up.
+        "yuv": (H, W) luma and two chroma planes, or one (H', 2 W') with both in turn where `interleaved`; H' and W' are
+        H and W over the subsampling, rounded up.
     bits : int
         8 to 16, or 32 for floats: full scale is 2 ** bits - 1, or 1.
     shift : int
@@ -111,5 +111,7 @@ class PixelFormat:
         if self.layout == "bayer":
             return ((height, width),)
         x, y = self.subsampling
-        chroma = (-(-height // y), -(-width // x))
-        return ((height, width), (*chroma, 2)) if self.interleaved else ((height, width), chroma, chroma)
+        chroma_height, chroma_width = -(-height // y), -(-width // x)
+        if self.interleaved:
+            return ((height, width), (chroma_height, 2 * chroma_width))
+        return ((height, width), *(((chroma_height, chroma_width),) * 2))
