@@ -2,8 +2,8 @@
 
 A chroma sample is the mean over two pixels about its site: at a period of p px that takes 1 - cos(pi / p) of the
 chroma's modulation (3.4 % at 12 px) and none of the luma's. A straight line between samples takes three times as much
-again, and differently from row to row; repeating them, as libraries do for speed, costs 0.26 rad. So each pixel takes the
-value of the polynomial whose means at the nearest six samples (five on a sample's own site) are those samples:
+again, and differently from row to row; repeating them, as libraries do for speed, costs 0.26 rad. So each pixel takes
+the value of the polynomial whose means at the nearest six samples (five on a sample's own site) are those samples:
 Lagrange's interpolation, for means instead of points.
 
 R, G, B follow from the definition of luma, Y = kr R + kg G + kb B, Cb = (B - Y) / (2 (1 - kb)) and
