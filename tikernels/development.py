@@ -3,11 +3,10 @@
 from functools import cache
 from typing import Any
 
-import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray2, AnyArray3, F32Array3, f32, ti
+from tikernels._taichi import AnyArray2, AnyArray3, f32, ti
 from tikernels.chroma import convert_chroma
 from tikernels.demosaicing import demosaic
 from tikernels.errors import ShapeError
@@ -15,34 +14,38 @@ from tikernels.pixel_format import PixelFormat
 
 
 @cache
-def _reorder_packed_kernel(channels: str) -> Any:
+def _reorder_channels_kernel(channels: str, scaled: bool) -> Any:
     places = tuple(channels.index(color) for color in "rgb")
 
     @ti.kernel
-    def reorder_packed_kernel(
+    def reorder_channels_kernel(
         image: AnyArray3,  # (H, W, 3 or 4) levels
         scale: f32,  # 1 / white level
-        out: F32Array3,  # (H, W, 3) encoded RGB, 0..1
+        out: AnyArray3,  # (H, W, 3) RGB; where scaled 0..1, else levels
     ):
         for y, x in ti.ndrange(image.shape[0], image.shape[1]):
             for i in ti.static(range(3)):
-                out[y, x, i] = scale * ti.cast(image[y, x, places[i]], ti.f32)
+                value = image[y, x, places[i]]
+                out[y, x, i] = scale * ti.cast(value, f32) if ti.static(scaled) else value
 
-    return reorder_packed_kernel
+    return reorder_channels_kernel
 
 
-@ti.kernel
-def _join_planes_kernel(
-    red: AnyArray2,  # (H, W) levels
-    green: AnyArray2,  # (H, W) levels
-    blue: AnyArray2,  # (H, W) levels
-    scale: f32,  # 1 / white level
-    out: F32Array3,  # (H, W, 3) encoded RGB, 0..1
-):
-    for y, x in ti.ndrange(red.shape[0], red.shape[1]):
-        out[y, x, 0] = scale * ti.cast(red[y, x], ti.f32)
-        out[y, x, 1] = scale * ti.cast(green[y, x], ti.f32)
-        out[y, x, 2] = scale * ti.cast(blue[y, x], ti.f32)
+@cache
+def _join_planes_kernel(scaled: bool) -> Any:
+    @ti.kernel
+    def join_planes_kernel(
+        red: AnyArray2,  # (H, W) levels
+        green: AnyArray2,  # (H, W) levels
+        blue: AnyArray2,  # (H, W) levels
+        scale: f32,  # 1 / white level
+        out: AnyArray3,  # (H, W, 3) RGB; where scaled 0..1, else levels
+    ):
+        for y, x in ti.ndrange(red.shape[0], red.shape[1]):
+            for i, plane in ti.static(enumerate((red, green, blue))):
+                out[y, x, i] = scale * ti.cast(plane[y, x], f32) if ti.static(scaled) else plane[y, x]
+
+    return join_planes_kernel
 
 
 def develop(
@@ -58,14 +61,14 @@ def develop(
         How.
     stripes : {"horizontal", "vertical"}
         Which way the fringe runs; a mosaic's missing colours are taken from along it.
-    out : (H, W, 3) float32, optional
+    out : (H, W, 3) of `format.rgb_dtype`, optional
         Where the result goes, unless it needs no computing.
 
     Returns
     -------
     (H, W, 3) uint8, uint16 or float32
-        RGB whose full scale is its type's (255, 65535, 1.0): the plane itself where that is what it holds, else
-        float32 in `out` or a buffer of the device.
+        RGB whose full scale is its type's (255, 65535, 1.0), in `out` or a buffer of the device; the plane itself where
+        that is what it holds.
 
     Raises
     ------
@@ -81,14 +84,17 @@ def develop(
         return demosaic(planes[0], format, stripes, out)
     shape = (None, None, len(format.channels)) if len(planes) == 1 else planes[0].shape[:2]
     planes = tuple(_checks.read_array("plane", plane, shape, format.dtype) for plane in planes)
-    if len(planes) == 1 and format.channels == "rgb" and format.white_level in (255, 65535, 1):
+    scaled = format.rgb_dtype != format.dtype
+    if len(planes) == 1 and format.channels == "rgb" and not scaled:
         return planes[0]
     height, width = planes[0].shape[:2]
     if out is None:
-        out = runtime.empty((height, width, 3), np.float32)
-    out = _checks.out_array("out", out, (height, width, 3), np.float32)
+        out = runtime.empty((height, width, 3), format.rgb_dtype)
+    out = _checks.out_array("out", out, (height, width, 3), format.rgb_dtype)
+    scale = 1 / format.white_level
     if len(planes) == 1:
-        _reorder_packed_kernel(format.channels)(planes[0], 1 / format.white_level, out)
+        _reorder_channels_kernel(format.channels, scaled)(planes[0], scale, out)
     else:
-        _join_planes_kernel(*(planes[format.channels.index(color)] for color in "rgb"), 1 / format.white_level, out)
+        ordered = (planes[format.channels.index(color)] for color in "rgb")
+        _join_planes_kernel(scaled)(*ordered, scale, out)
     return out

@@ -104,6 +104,11 @@ class PixelFormat:
         """Full scale, levels."""
         return 1.0 if self.bits == FLOAT_BITS else float((2**self.bits - 1) << self.shift)
 
+    @property
+    def rgb_dtype(self) -> npt.DTypeLike:
+        """What `develop` makes of it: RGB of 8, 16 or 32 bits stays what it is, everything else becomes float32."""
+        return self.dtype if self.layout == "rgb" and self.white_level in (255, 65535, 1) else np.float32
+
     def plane_shapes(self, height: int, width: int) -> tuple[tuple[int, ...], ...]:
         """Return the shape of each plane of a frame; an "rgb" frame's where its channels are in one plane."""
         if self.layout == "rgb":

@@ -3,64 +3,17 @@
 A frame leaves its source in the form in which it was stored; `tikernels.development.develop` turns that into RGB.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
 
-import numpy.typing as npt
-
+from pipeline.errors import FootageError
+from pipeline.video.pictures import PICTURE_SUFFIXES, Pictures
+from pipeline.video.recording import ZarrRecording
+from pipeline.video.stored import BadFrame, Source, StoredAs, StoredFrame
+from pipeline.video.video_file import VideoFile
+from tikernels.errors import ShapeError
 from tikernels.pixel_format import Bayer, Matrix, PixelFormat, Siting
 
-
-@dataclass(frozen=True)
-class StoredFrame:
-    """One frame as it was stored."""
-
-    number: int  # in its source, from 0
-    planes: tuple[npt.NDArray[Any], ...]  # see PixelFormat; views that keep what they look at alive; do not write
-    format: PixelFormat
-
-
-@dataclass(frozen=True)
-class BadFrame:
-    """A frame that is damaged, or is not like the others."""
-
-    number: int  # in its source, from 0
-    reason: str  # one line, without the number
-
-
-class Source(Protocol):
-    """Frames in their order, as often as asked for; not to be shared between threads."""
-
-    @property
-    def name(self) -> str:
-        """What the user gave."""
-
-    @property
-    def size_px(self) -> tuple[int, int]:
-        """Width and height of every frame."""
-
-    @property
-    def format(self) -> PixelFormat:
-        """How the first good frame is stored; others differ only if their frame says so."""
-
-    @property
-    def transfer(self) -> str | None:
-        """How light is encoded ("linear", "srgb", "bt709"), where the container says so; None where it does not."""
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was assumed because the container does not say it, a sentence each; for the user."""
-
-    def __len__(self) -> int:
-        """Return how many frames there are, damaged ones included."""
-
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[StoredFrame | BadFrame]:
-        """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one."""
-
-    def close(self) -> None:
-        """Let go of files; harmless twice."""
+__all__ = ["BadFrame", "PixelFormat", "Source", "StoredFrame", "open_source"]
 
 
 def open_source(
@@ -87,4 +40,23 @@ def open_source(
     FootageError
         There is no such footage, or it cannot be read.
     """
-    raise NotImplementedError
+    says = StoredAs(bayer, bits, siting, matrix, full_range)
+    path = Path(path)
+    try:
+        if path.is_dir():
+            # Both kinds of Zarr group; what is not ours is refused there, by name.
+            if path.suffix == ".zarr" or (path / "zarr.json").exists() or (path / ".zgroup").exists():
+                return ZarrRecording(path, says)
+            return Pictures.in_folder(path, says)
+        if not path.is_file():
+            what = "it is neither a file nor a folder" if path.exists() else "there is no such file"
+            raise FootageError(f"cannot read {path}: {what}")
+        if path.suffix.lower() in PICTURE_SUFFIXES:
+            return Pictures(str(path), path.parent, [path.name], says)
+        return VideoFile(path, says)
+    except (FootageError, ShapeError) as error:
+        if str(path) in str(error):
+            raise
+        raise FootageError(f"cannot read {path}: {error}") from None
+    except OSError as error:
+        raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
