@@ -166,12 +166,13 @@ def convert_chroma(planes: tuple[npt.NDArray[Any], ...], format: PixelFormat, ou
     >>> convert_chroma((grey, neutral, neutral), format)[0, 0].tolist()
     [1.0, 1.0, 1.0]
     """
-    height, width = planes[0].shape[:2]
-    names = ("luma", "chroma") if format.interleaved else ("luma", "blue chroma", "red chroma")
-    luma, *chroma = (
+    luma = _checks.read_array("luma", planes[0], (None, None), format.dtype)
+    height, width = luma.shape
+    names = ("chroma",) if format.interleaved else ("blue chroma", "red chroma")
+    chroma = [
         _checks.read_array(name, plane, shape, format.dtype)
-        for name, plane, shape in zip(names, planes, format.plane_shapes(height, width), strict=True)
-    )
+        for name, plane, shape in zip(names, planes[1:], format.plane_shapes(height, width)[1:], strict=True)
+    ]
     if out is None:
         out = runtime.empty((height, width, 3), np.float32)
     out = _checks.out_array("out", out, (height, width, 3), np.float32)
