@@ -257,6 +257,11 @@ class VideoFile:
 
     def _note_missing_end(self, container: Any, stream: Any) -> None:
         index = self._index
+        if stream.frames > len(index.numbers):
+            self.notes += (
+                f"{stream.frames - len(index.numbers)} of its {stream.frames} frames are missing: it may be cut off",
+            )
+            return
         if len(container.streams) > 1 or not container.duration or not index.stamps or len(self) < 2:
             return
         first, last = min(index.stamps), max(index.stamps)
