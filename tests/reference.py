@@ -649,12 +649,12 @@ def mosaic(image: Array, bayer: str) -> Array:
 
 
 def demosaic(levels: Array, format: PixelFormat, stripes: str) -> Array:
-    """Return RGB, 0..1: a straight line along the stripes, Lagrange's polynomial through six rows across them."""
+    """Return RGB, 0..1: a straight line along the stripes, Lagrange's polynomial through eight rows across them."""
     if stripes == "vertical":
         turned = replace(format, bayer="".join(format.bayer[i] for i in (0, 2, 1, 3)))
         return demosaic(levels.T, turned, "horizontal").transpose(1, 0, 2)
-    values = np.pad(levels / format.white_level, 6, mode="reflect")
-    # 6 is even: the pattern begins at the same place.
+    values = np.pad(levels / format.white_level, 8, mode="reflect")
+    # 8 is even: the pattern begins at the same place.
     own = np.full((3, *values.shape), np.nan)
     for place, color in enumerate(format.bayer):
         y, x = place // 2, place % 2
@@ -663,8 +663,8 @@ def demosaic(levels: Array, format: PixelFormat, stripes: str) -> Array:
         along = (np.roll(plane, 1, axis=1) + np.roll(plane, -1, axis=1)) / 2
         np.copyto(plane, along, where=np.isnan(plane))
         across = np.zeros_like(plane)
-        for row in (-5, -3, -1, 1, 3, 5):
-            others = [other for other in (-5, -3, -1, 1, 3, 5) if other != row]
+        for row in range(-7, 8, 2):
+            others = [other for other in range(-7, 8, 2) if other != row]
             across += np.prod([other / (other - row) for other in others]) * np.roll(plane, -row, axis=0)
         np.copyto(plane, across, where=np.isnan(plane))
-    return np.clip(np.moveaxis(own, 0, -1)[6:-6, 6:-6], 0, 1)
+    return np.clip(np.moveaxis(own, 0, -1)[8:-8, 8:-8], 0, 1)

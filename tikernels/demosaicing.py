@@ -1,10 +1,10 @@
 """Turn a Bayer mosaic into RGB by what is known of the picture: it changes across the stripes, hardly along them.
 
 Every row of a mosaic holds green and one of red and blue, a pixel each in turn. Along the stripes the two are
-interpolated on a straight line. The third colour is only in the rows above and below: there it is interpolated over six
-rows by Lagrange's polynomial, because the mean of two rows takes 13 % of the modulation at 12 px a cycle from every
-second row. Methods for photographs assume that colours change together (Malvar, He and Cutler, 2004); here they are
-120 degrees apart. `docs/footage.md` compares.
+interpolated on a straight line. The third colour is only in the rows above and below: there Lagrange's polynomial goes
+through eight of them, because the mean of two takes 13 % of the modulation at 12 px a cycle from every second row.
+Methods for photographs assume that colours change together (Malvar, He and Cutler, 2004); here they are 120 degrees
+apart. `docs/footage.md` compares.
 """
 
 from functools import cache
@@ -17,10 +17,10 @@ from tikernels._taichi import AnyArray2, F32Array3, Static, f32, i32, ti
 from tikernels.errors import ShapeError
 from tikernels.pixel_format import PixelFormat
 
-# Lagrange's weights of the rows at distances 1, 3 and 5, on either side.
-_ACROSS = (150 / 256, -25 / 256, 3 / 256)
+# Lagrange's weights of the rows at distances 1, 3, 5 and 7, on either side.
+_ACROSS = (1225 / 2048, -245 / 2048, 49 / 2048, -5 / 2048)
 # So that what lies beyond an edge is reflected once.
-_MIN_SIZE_PX = 6
+_MIN_SIZE_PX = 8
 
 
 @ti.func
@@ -65,7 +65,7 @@ def _demosaic_kernel(stripes: str, red_row: int, red_column: int) -> Any:
                     # Where this row has red or blue, the others, at odd distances, have green, and the reverse.
                     far = 0.0
                     is_green = ti.static((i + j) % 2 != (red_across + red_along) % 2)
-                    for k in ti.static(range(3)):
+                    for k in ti.static(range(len(_ACROSS))):
                         for side in ti.static((-1, 1)):
                             other = mirrored(across + side * (2 * k + 1), mosaic.shape[n_across])
                             if ti.static(is_green):
@@ -105,7 +105,7 @@ def demosaic(mosaic: Any, format: PixelFormat, stripes: str = "horizontal", out:
     Raises
     ------
     ShapeError
-        The mosaic has another shape or type than the format says or fewer than 6x6 pixels, the stripes run otherwise,
+        The mosaic has another shape or type than the format says or fewer than 8x8 pixels, the stripes run otherwise,
         or `out` cannot be written.
 
     References

@@ -9,7 +9,7 @@ import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import av
 import cv2
@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import reference
 from video_files import H264, MJPEG, encode, film
 
-from pipeline import Decoder, DecodeSettings
+from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
 from pipeline.report import measure_against_truth
 from pipeline.simulate import WHITE, SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
@@ -103,27 +103,44 @@ def kinds(image: Any, stripes: str, folder: Path) -> Iterator[tuple[str, Callabl
     yield "Bayer, variable gradients (OpenCV)", lambda: mosaic(lambda m: cv2.cvtColor(m, cv2.COLOR_BAYER_RGGB2RGB_VNG))
 
 
-def limits(truth: SimulatedFrame, settings: SimulationSettings, bayer: str, rows: int) -> tuple[float, float]:
-    """Return the RMS of the Cramer-Rao bound of the phase, rad: of the arrays, and of a mosaic of them.
+def limits(truth: SimulatedFrame, settings: SimulationSettings) -> dict[str, str]:
+    """Return the RMS of the Cramer-Rao bound of the phase, rad, of the arrays and of a Bayer mosaic of them.
 
-    Known is everything but the phase, and how fast it changes; it is told by the pixels that default smoothing takes
-    together, five along the stripes, and for the mosaic by as many of some rows.
+    Known is everything but the phase, and how it changes from pixel to pixel; it is told by all samples of a window.
+    Smoothed, that is what default smoothing takes together: five pixels along the stripes.
     """
     clean = settings.model_copy(update={"noise_levels": 0.0, "bits": 16})
     light = simulate_frame(truth.rig, clean).image / 65535 * 255
-    # Of horizontal stripes; a central difference takes sin(w) / w of a slope, w = 2 pi / 12.
     with np.errstate(invalid="ignore"):
-        slope = (
-            np.gradient(light, axis=0) / np.gradient(truth.phase, axis=0)[..., None] / (np.sin(np.pi / 6) * 6 / np.pi)
-        )
+        slope = np.gradient(light, axis=0) / np.gradient(truth.phase, axis=0)[..., None]
+    slope *= (np.pi / 6) / np.sin(np.pi / 6)  # what a central difference loses of a period of 12 px
     every = np.where(np.isfinite(slope), slope, 0.0) ** 2 / (settings.noise_levels**2 + 1 / 12)
-    own = reference.mosaic(every, bayer)
+    arrays, mosaic = every.sum(axis=-1), reference.mosaic(every, "rggb")
     lit = reference.eroded(truth.mask & (light.mean(axis=-1) > 20), 4)
-    bounds = []
-    for told, height in ((every.sum(axis=-1), 1), (own, rows)):
-        told = cv2.blur(told, (5, height), borderType=cv2.BORDER_REFLECT_101) * 5 * height
-        bounds.append(float(np.sqrt((1 / told[lit]).mean())))
-    return bounds[0], bounds[1]
+    windows = {
+        "limit of the arrays, unsmoothed": (arrays, 1, 1),
+        "limit of the arrays": (arrays, 5, 1),
+        "limit of a mosaic, unsmoothed: a cell of 2x2": (mosaic, 2, 2),
+        "limit of a mosaic: five pixels of one row": (mosaic, 5, 1),
+        "limit of a mosaic: five pixels of three rows": (mosaic, 5, 3),
+    }
+    told = {
+        name: cv2.boxFilter(info, -1, size, normalize=False, borderType=cv2.BORDER_REFLECT_101)
+        for name, (info, *size) in windows.items()
+    }
+    return {name: f"{np.sqrt((1 / info[lit]).mean()):.4f}" for name, info in told.items()}
+
+
+def phase_error(
+    image: Any,
+    truth: SimulatedFrame,
+    calibration: Calibration,
+    stripes: Literal["horizontal", "vertical"],
+    smoothing_px: int,
+) -> str:
+    """Decode a picture, and return its phase error, rad."""
+    decoder = Decoder(DecodeSettings(stripes=stripes, smoothing_px=smoothing_px), calibration)
+    return f"{measure_against_truth(decoder.decode(image), truth)['phase_rms_rad']:.4f}"
 
 
 def main() -> None:
@@ -135,28 +152,29 @@ def main() -> None:
     runtime.init("cpu")
     rig = simulated_rig(stripes=stripes)
     table: dict[str, list[str]] = {}
-    bounds: dict[str, list[str]] = {"limit of the arrays": [], "limit of a mosaic's row": [], "limit of three rows": []}
     for settings_of in SURFACES.values():
         for scene in SCENES:
             settings = SimulationSettings.model_validate({"scene": scene, **settings_of})
             truth = simulate_frame(rig, settings)
             calibration = rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix})
-            decoder = Decoder(DecodeSettings(stripes=stripes), calibration)
+
+            column = {}
             with tempfile.TemporaryDirectory() as name:
                 for kind, make in kinds(truth.image, stripes, Path(name)):
                     for old in Path(name).iterdir():
                         old.unlink()
-                    measured = measure_against_truth(decoder.decode(np.ascontiguousarray(make())), truth)
-                    table.setdefault(kind, []).append(f"{measured['phase_rms_rad']:.4f}")
+                    image = np.ascontiguousarray(make())
+                    column[kind] = phase_error(image, truth, calibration, stripes, 5)
+                    if kind in ("Bayer", "the arrays themselves"):
+                        column[f"{kind}, unsmoothed"] = phase_error(image, truth, calibration, stripes, 0)
             if stripes == "horizontal":
-                arrays, row = limits(truth, settings, "rggb", 1)
-                _, three = limits(truth, settings, "rggb", 3)
-                for bound, value in zip(bounds.values(), (arrays, row, three), strict=True):
-                    bound.append(f"{value:.4f}")
+                column.update(limits(truth, settings))
+            for kind, value in column.items():
+                table.setdefault(kind, []).append(value)
     heads = [f"{surface}: {scene}" for surface in SURFACES for scene in SCENES]
     print(f"| phase error, rad | {' | '.join(heads)} |")
     print("|---" * (1 + len(heads)) + "|")
-    for kind, values in {**table, **(bounds if stripes == "horizontal" else {})}.items():
+    for kind, values in table.items():
         print(f"| {kind} | {' | '.join(values)} |")
 
 

@@ -9,6 +9,7 @@ import reference
 import tikernels
 from tikernels.chroma import chroma_taps, convert_chroma
 from tikernels.pixel_format import PixelFormat
+from tikernels.runtime import to_host
 
 # A twentieth of an 8-bit grey level.
 TOLERANCE = 2e-4
@@ -39,7 +40,7 @@ def random_planes(format, height, width):
 def test_as_the_twin(arch, format, size):
     planes = random_planes(format, *size)
     rgb = convert_chroma(planes, format)
-    np.testing.assert_allclose(np.array(rgb), reference.convert_chroma(planes, format), atol=TOLERANCE)
+    np.testing.assert_allclose(to_host(rgb), reference.convert_chroma(planes, format), atol=TOLERANCE)
 
 
 @pytest.mark.parametrize("bits, shift", [(10, 0), (10, 6), (16, 0)])
@@ -48,7 +49,7 @@ def test_deep_planes_as_the_twin(arch, bits, shift, full_range):
     format = PixelFormat("yuv", bits, shift, subsampling=(2, 2), full_range=full_range, interleaved=shift > 0)
     planes = random_planes(format, 11, 14)
     rgb = convert_chroma(planes, format)
-    np.testing.assert_allclose(np.array(rgb), reference.convert_chroma(planes, format), atol=TOLERANCE)
+    np.testing.assert_allclose(to_host(rgb), reference.convert_chroma(planes, format), atol=TOLERANCE)
 
 
 @pytest.mark.parametrize(
@@ -57,7 +58,7 @@ def test_deep_planes_as_the_twin(arch, bits, shift, full_range):
 )
 def test_red_is_red(arch, matrix, levels):
     planes = tuple(np.full((1, 1), level, np.uint8) for level in levels)
-    rgb = np.array(convert_chroma(planes, PixelFormat("yuv", matrix=matrix)))
+    rgb = to_host(convert_chroma(planes, PixelFormat("yuv", matrix=matrix)))
     np.testing.assert_allclose(rgb[0, 0], [1, 0, 0], atol=1 / 219)
 
 
@@ -73,7 +74,7 @@ def test_a_fringe_in_the_chroma_comes_back_whole(arch, period_px, subsampling, s
         chroma = 0.2 * np.cos(phase)
         rgb = np.stack([0.5 + 0 * chroma, 0.5 - 0.0722 / 0.7152 * 1.8556 * chroma, 0.5 + 1.8556 * chroma], axis=-1)
         planes = reference.subsample_chroma(rgb, format)
-        back = np.array(convert_chroma(tuple(planes), format))
+        back = to_host(convert_chroma(tuple(planes), format))
         inside = (slice(8, -8), slice(8, -8))
         error = np.abs(back - rgb)[inside].max() / np.abs(rgb - 0.5)[inside].max()
         assert error < {8: 0.06, 12: 0.008, 24: 0.001}[period_px], (along, error)
@@ -88,7 +89,7 @@ def test_taps_keep_a_level():
 def test_what_lies_outside_is_cut(arch):
     rng = np.random.default_rng(3)
     planes = tuple(rng.integers(0, 256, (8, 8)).astype(np.uint8) for _ in range(3))
-    rgb = np.array(convert_chroma(planes, PixelFormat("yuv")))
+    rgb = to_host(convert_chroma(planes, PixelFormat("yuv")))
     assert rgb.min() == 0
     assert rgb.max() == 1
 
@@ -99,7 +100,7 @@ def test_menu(menu):
 
     def call(luma, blue, red, out=None):
         return (
-            np.array(convert_chroma((luma, blue, red), format))
+            to_host(convert_chroma((luma, blue, red), format))
             if out is None
             else convert_chroma((luma, blue, red), format, out)
         )

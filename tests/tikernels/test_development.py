@@ -8,6 +8,7 @@ from tikernels.chroma import convert_chroma
 from tikernels.demosaicing import demosaic
 from tikernels.development import develop
 from tikernels.pixel_format import PixelFormat
+from tikernels.runtime import to_host
 
 RNG = np.random.default_rng(5)
 RGB8 = RNG.integers(0, 256, (7, 9, 3)).astype(np.uint8)
@@ -22,7 +23,7 @@ def test_rgb_is_not_copied(arch, image, bits):
 @pytest.mark.parametrize("channels", ["bgr", "bgr0", "0rgb", "rgb0"])
 def test_channels_are_put_in_order(arch, channels):
     stored = np.stack([RGB8[..., "rgb".index(c)] if c != "0" else 0 * RGB8[..., 0] for c in channels], axis=-1)
-    rgb = np.array(develop((stored,), PixelFormat("rgb", channels=channels)))
+    rgb = to_host(develop((stored,), PixelFormat("rgb", channels=channels)))
     np.testing.assert_array_equal(rgb, RGB8)
     assert rgb.dtype == np.uint8
 
@@ -30,7 +31,7 @@ def test_channels_are_put_in_order(arch, channels):
 @pytest.mark.parametrize("image, bits", [(RGB8, 8), (RGB16, 16)])
 def test_planes_are_joined(arch, image, bits):
     planes = tuple(np.ascontiguousarray(image[..., i]) for i in (1, 2, 0))
-    rgb = np.array(develop(planes, PixelFormat("rgb", bits, channels="gbr")))
+    rgb = to_host(develop(planes, PixelFormat("rgb", bits, channels="gbr")))
     np.testing.assert_array_equal(rgb, image)
     assert rgb.dtype == image.dtype
 
@@ -38,27 +39,27 @@ def test_planes_are_joined(arch, image, bits):
 def test_rows_may_be_padded(arch):
     padded = np.zeros((7, 16, 3), np.uint8)
     padded[:, :9] = RGB8
-    rgb = np.array(develop((padded[:, :9],), PixelFormat("rgb", channels="bgr")))
+    rgb = to_host(develop((padded[:, :9],), PixelFormat("rgb", channels="bgr")))
     np.testing.assert_array_equal(rgb, RGB8[..., ::-1])
 
 
 @pytest.mark.parametrize("bits", [10, 12])
 def test_full_scale_is_one_where_it_is_not_the_types(arch, bits):
     white = np.full((2, 3, 3), 2**bits - 1, np.uint16)
-    np.testing.assert_allclose(np.array(develop((white,), PixelFormat("rgb", bits))), 1, atol=1e-6)
+    np.testing.assert_allclose(to_host(develop((white,), PixelFormat("rgb", bits))), 1, atol=1e-6)
     planes = tuple(white[..., i].copy() for i in range(3))
-    np.testing.assert_allclose(np.array(develop(planes, PixelFormat("rgb", bits, channels="gbr"))), 1, atol=1e-6)
+    np.testing.assert_allclose(to_host(develop(planes, PixelFormat("rgb", bits, channels="gbr"))), 1, atol=1e-6)
 
 
 def test_each_layout_has_its_kernel(arch):
     mosaic = RNG.integers(0, 256, (8, 8)).astype(np.uint8)
     format = PixelFormat("bayer", bayer="gbrg")
     for stripes in ("horizontal", "vertical"):
-        developed = np.array(develop((mosaic,), format, stripes=stripes))
-        np.testing.assert_array_equal(developed, np.array(demosaic(mosaic, format, stripes)))
+        developed = to_host(develop((mosaic,), format, stripes=stripes))
+        np.testing.assert_array_equal(developed, to_host(demosaic(mosaic, format, stripes)))
     planes = (mosaic, mosaic[::2, ::2], mosaic[1::2, 1::2])
     format = PixelFormat("yuv", subsampling=(2, 2))
-    np.testing.assert_array_equal(np.array(develop(planes, format)), np.array(convert_chroma(planes, format)))
+    np.testing.assert_array_equal(to_host(develop(planes, format)), to_host(convert_chroma(planes, format)))
 
 
 def test_out_is_used(arch):
