@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import numpy.typing as npt
 
 from pipeline.errors import FootageError
 from pipeline.picture import check_whole, decode_levels, read_bytes
+from pipeline.video.messages import caught_messages
 from pipeline.video.planes import stored_planes
 from pipeline.video.stored import BadFrame, StoredAs, StoredFrame, other_than_first
 from tikernels.pixel_format import FLOAT_BITS, PixelFormat
@@ -132,11 +134,10 @@ class Pictures:
 
         if self._jpeg_decoder is None:
             self._jpeg_decoder = av.CodecContext.create("mjpeg", "r")
-        try:
+        frames = []
+        with caught_messages() as said, suppress(av.error.FFmpegError):
             frames = self._jpeg_decoder.decode(av.Packet(data))
-        except av.error.FFmpegError:
-            frames = []
-        if not frames or frames[0].is_corrupt:
-            raise FootageError("is damaged: copy it again")
+        if said or not frames:
+            raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
         planes, format, _ = stored_planes(frames[0], "mjpeg", self._says)
         return planes, format

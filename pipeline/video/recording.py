@@ -170,7 +170,7 @@ class _MatroskaWriter:
         self._container = av.open(f"file:{path.absolute()}", "w", format="matroska")
         self._container.metadata.update(tags.write())
         # Every frame by itself, in slices that are coded in parallel, each with a checksum.
-        options = {"g": "1", "level": "3", "slicecrc": "1", "slices": "4"}
+        options = {"g": "1", "level": "3", "slicecrc": "1", "slices": "16"}
         self._stream: Any = self._container.add_stream("ffv1", rate=tags.rate_hz, options=options)
         self._stream.height, self._stream.width = first.shape[:2]
         self._stream.pix_fmt = self._pixels

@@ -9,13 +9,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.errors import FootageError
+from pipeline.video.messages import caught_messages
 from pipeline.video.planes import stored_planes, transfer_of
 from pipeline.video.stored import BadFrame, StoredAs, StoredFrame, other_than_first
 from pipeline.video.tags import RecordingTags
 from tikernels.pixel_format import PixelFormat
 
-# What FFmpeg calls errors in streams that decode well.
-_HARMLESS = ("mmco:", "co located POCs")
 # So many frames at the beginning may be damaged before a file counts as unreadable.
 _MOST_DAMAGED = 300
 _MISSING = "it is missing from the file, or cannot be decoded"
@@ -40,6 +39,8 @@ class _Index:
         """Return the position to decode from, so that a frame comes out whole."""
         if not self.stamps:
             return 0
+        if self.intra_only and isinstance(self.numbers, range):
+            return number
         before = (key for key in self.keys if self.numbers[key] <= number)
         return max(before, key=lambda key: (self.numbers[key], key), default=0)
 
@@ -126,10 +127,7 @@ class VideoFile:
     def _opened(self) -> Iterator[tuple[Any, Any]]:
         import av  # slow to import, and only needed here
 
-        # Its messages are the only trace of damage that a decoder conceals; every call of ours catches them.
-        av.logging.set_level(av.logging.ERROR)
-        av.logging.set_skip_repeated(False)
-        with av.logging.Capture():
+        with caught_messages():
             try:
                 # A file may not make FFmpeg open anything but files.
                 container = av.open(self._url, options={"protocol_whitelist": "file"}, metadata_errors="replace")
@@ -160,7 +158,7 @@ class VideoFile:
         damaged: list[int] = []  # positions
         n_came = 0
         while True:
-            with av.logging.Capture() as messages:
+            with caught_messages() as said:
                 frames, failure = [], None
                 try:
                     position, packet = next(packets, _END)
@@ -178,7 +176,6 @@ class VideoFile:
                     frames = context.decode(packet)
                 except av.error.FFmpegError as error:
                     failure = error.strerror
-            said = [text.strip() for _, _, text in messages if not text.startswith(_HARMLESS)]
             if packet is not None and (failure or said) and number >= index.numbers[begin]:
                 reasons[number] = f"it is damaged: {said[0] if said else failure}"
                 damaged.append(position)
@@ -292,7 +289,7 @@ def _index_by_reading(container: Any, stream: Any) -> _Index:
     stamps: list[Any] = []
     keys: list[int] = []
     hidden = set()
-    with av.logging.Capture():
+    with caught_messages():
         try:
             for packet in container.demux(stream):
                 if packet.size == 0:

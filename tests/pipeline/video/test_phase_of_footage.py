@@ -34,11 +34,13 @@ class Study:
         self.of_arrays = self.phase_error(self.truth.image)
 
     def phase_error(self, image):
+        """Return the phase error of a picture, rad."""
         measured = measure_against_truth(self.decoder.decode(image), self.truth)
         assert measured["coverage"] > 0.95
         return measured["phase_rms_rad"]
 
     def phase_error_of(self, path, number=0, **said):
+        """Return the phase error of a frame of a file, rad."""
         (frame,) = open_source(path, **said).frames(number, number + 1)
         return self.phase_error(develop(frame.planes, frame.format, stripes=self.stripes))
 

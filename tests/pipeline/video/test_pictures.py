@@ -111,6 +111,17 @@ def test_a_jpeg_that_was_cut_off(tmp_path, keep, reason):
     assert reason in frame.reason
 
 
+def test_a_jpeg_that_is_damaged_inside(tmp_path):
+    for i in range(2):
+        write(tmp_path / f"{i}.jpg", colors(size=(64, 96)))
+    data = bytearray((tmp_path / "1.jpg").read_bytes())
+    data[-200:-20] = 90 * b"\xff\x00"  # ones only: no code of a JPEG begins so
+    (tmp_path / "1.jpg").write_bytes(data)
+    _, frame = open_source(tmp_path).frames()
+    assert isinstance(frame, BadFrame)
+    assert "1.jpg: it is damaged" in frame.reason
+
+
 def test_grey_pictures_are_mosaics_only_if_somebody_says_so(tmp_path):
     levels = RNG.integers(0, 4096, (20, 30)).astype(np.uint16)
     write(tmp_path / "raw.png", levels)
