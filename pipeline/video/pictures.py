@@ -138,6 +138,7 @@ class Pictures:
         with caught_messages() as said, suppress(av.error.FFmpegError):
             frames = self._jpeg_decoder.decode(av.Packet(data))
         if said or not frames:
+            self._jpeg_decoder = None  # what it made of this one may stay in its state
             raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
         planes, format, _ = stored_planes(frames[0], "mjpeg", self._says)
         return planes, format

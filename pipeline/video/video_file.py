@@ -18,6 +18,8 @@ from tikernels.pixel_format import PixelFormat
 # So many frames at the beginning may be damaged before a file counts as unreadable.
 _MOST_DAMAGED = 300
 _MISSING = "it is missing from the file, or cannot be decoded"
+# An AVI file's index names the head of a coded frame, its reader what comes behind.
+_AVI_HEAD_BYTES = 8
 _END: tuple[int, Any] = (-1, None)
 
 
@@ -26,7 +28,8 @@ class _Index:
     """Every coded frame of a file: its position is its place in the file, its number that in time."""
 
     stamps: Sequence[int]  # by position, in the stream's time base; empty where stamps do not tell frames apart
-    clock: Literal["pts", "dts"]  # which of a packet's stamps that is
+    marks: Sequence[int]  # by position: what tells which packet is which
+    mark: Literal["pts", "pos"]  # what that is: a packet's time stamp, or where it begins in the file
     numbers: Sequence[int]  # by position; -1: decoded, because others need it, but not shown
     keys: Sequence[int]  # positions at which decoding can begin, ascending
 
@@ -90,7 +93,9 @@ class VideoFile:
             self._index = _index_of(container, stream, recording)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
             self._note_missing_end(container, stream)
-        self._positions = {stamp: position for position, stamp in enumerate(self._index.stamps)}
+        # What a decoder makes of a damaged frame can stay in its state and spoil all later ones.
+        self._restarts = self._index.intra_only and bool(self._index.stamps)
+        self._positions = {mark: position for position, mark in enumerate(self._index.marks)}
         reason = "it holds no frames"
         for frame in islice(self.frames(), _MOST_DAMAGED):
             if isinstance(frame, StoredFrame):
@@ -106,9 +111,10 @@ class VideoFile:
         wanted = range(len(self))[start:stop:step]
         reasons: dict[int, str] = {}
         due = 0  # of those wanted
-        if wanted:
+        while due < len(wanted):
+            n_damaged = len(reasons)
             with self._opened() as (container, stream):
-                for number, frame in self._decoded(container, stream, wanted, reasons):
+                for number, frame in self._decoded(container, stream, wanted[due:], reasons):
                     while due < len(wanted) and wanted[due] < number:
                         yield BadFrame(wanted[due], reasons.get(wanted[due], _MISSING))
                         due += 1
@@ -117,8 +123,11 @@ class VideoFile:
                         due += 1
                     if due == len(wanted):
                         return
-        for number in wanted[due:]:
-            yield BadFrame(number, reasons.get(number, _MISSING))
+            # Where every frame stands alone, decoding ends at a damaged one and begins anew behind it.
+            last = max(reasons) if self._restarts and len(reasons) > n_damaged else len(self)
+            while due < len(wanted) and wanted[due] <= last:
+                yield BadFrame(wanted[due], reasons.get(wanted[due], _MISSING))
+                due += 1
 
     def close(self) -> None:
         """Do nothing: each iteration opens and closes the file."""
@@ -140,6 +149,8 @@ class VideoFile:
             stream = next((stream for stream in container.streams.video if not stream.disposition & cover), None)
             if stream is None:
                 raise FootageError(f"{self.name} holds no video: give the file with the pictures")
+            if stream.codec_context is None:
+                raise FootageError(f"{self.name} has a codec that is not known: convert it with ffmpeg -c:v ffv1")
             yield container, stream
 
     def _decoded(
@@ -156,6 +167,7 @@ class VideoFile:
         begin = index.position_before(wanted[0])
         packets = self._packets(container, stream, begin)
         damaged: list[int] = []  # positions
+        at_once = context.codec.intra_only or context.name == "ffv1"  # whether each packet gives its frame
         n_came = 0
         while True:
             with caught_messages() as said:
@@ -176,6 +188,8 @@ class VideoFile:
                     frames = context.decode(packet)
                 except av.error.FFmpegError as error:
                     failure = error.strerror
+            if at_once and not frames:
+                failure = failure or "nothing can be decoded"
             if packet is not None and (failure or said) and number >= index.numbers[begin]:
                 reasons[number] = f"it is damaged: {said[0] if said else failure}"
                 damaged.append(position)
@@ -191,7 +205,7 @@ class VideoFile:
                     spoilt = index.numbers[damaged[before]]
                     reasons.setdefault(number, f"it is predicted from frame {spoilt}, which is damaged")
                 yield number, frame
-            if packet is None:
+            if packet is None or (damaged and self._restarts):
                 return
 
     def _packets(self, container: Any, stream: Any, begin: int) -> Iterator[tuple[int, Any]]:
@@ -218,7 +232,10 @@ class VideoFile:
             position = n_packets
             n_packets += 1
             if self._index.stamps:
-                position = self._positions.get(getattr(packet, self._index.clock), -1)
+                mark = getattr(packet, self._index.mark)
+                position = self._positions.get(mark, -1)
+                if position < 0 and self._index.mark == "pos":
+                    position = self._positions.get(mark - _AVI_HEAD_BYTES, -1)
             if 0 <= position < len(self._index.numbers):
                 yield position, packet
 
@@ -271,14 +288,14 @@ class VideoFile:
 def _index_of(container: Any, stream: Any, recording: RecordingTags | None) -> _Index:
     if recording is not None:
         n_frames = recording.n_frames(container.duration or 0)
-        numbers = range(n_frames)
-        return _Index([recording.stamp(number) for number in numbers], "pts", numbers, numbers)
+        stamps = [recording.stamp(number) for number in range(n_frames)]
+        return _Index(stamps, stamps, "pts", range(n_frames), range(n_frames))
     entries = list(stream.index_entries)
     stamps = [entry.timestamp for entry in entries]
     everything = len(entries) == stream.frames > 0 and len(set(stamps)) == len(stamps)
     if everything and all(entry.is_keyframe and not entry.is_discard for entry in entries):
-        numbers = range(len(stamps))
-        return _Index(stamps, "dts", numbers, numbers)
+        # AVI counts its packets for time stamps: where one is lost only the place in the file still tells.
+        return _Index(stamps, [entry.pos for entry in entries], "pos", range(len(stamps)), range(len(stamps)))
     return _index_by_reading(container, stream)
 
 
@@ -302,9 +319,9 @@ def _index_by_reading(container: Any, stream: Any) -> _Index:
         except av.error.FFmpegError:
             pass  # frames end where the file cannot be read any further
     if None in stamps or len(set(stamps)) < len(stamps):
-        return _Index((), "pts", range(len(stamps)), keys)
+        return _Index((), (), "pts", range(len(stamps)), keys)
     numbers = [-1] * len(stamps)
     shown = (position for position in range(len(stamps)) if position not in hidden)
     for number, position in enumerate(sorted(shown, key=stamps.__getitem__)):
         numbers[position] = number
-    return _Index(stamps, "pts", numbers, keys)
+    return _Index(stamps, stamps, "pts", numbers, keys)

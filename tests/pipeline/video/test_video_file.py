@@ -128,6 +128,28 @@ def test_one_damaged_frame_of_many(tmp_path, folder, name):
     assert list(bad(list(open_source(path).frames(10, 20, 7)))) == [17]
 
 
+@pytest.mark.parametrize("name", ["intra.avi", "intra.mov", "intra.mkv"])
+def test_a_frame_that_is_lost_moves_no_other(tmp_path, folder, name):
+    """AVI has no time stamps: its reader numbers what it finds."""
+    path = shutil.copy(folder / name, tmp_path / name)
+    expected = decoded(path)
+    begin, size = packets(path)[17]
+    data = bytearray(path.read_bytes())
+    head = 0 if name == "intra.mov" else 8  # bytes that say what comes and how long it is
+    data[begin - head : begin + size] = bytes(size + head)
+    path.write_bytes(data)
+    frames = list(open_source(path).frames())
+    if name != "intra.mkv":  # it knows of its frames only what it can read
+        assert numbers(frames) == list(range(N_FRAMES))
+        assert list(bad(frames)) == [17]
+    lost = N_FRAMES - len(frames)
+    assert lost <= 1
+    for frame in frames:
+        if isinstance(frame, StoredFrame):
+            behind = lost if frame.number >= 17 else 0
+            np.testing.assert_array_equal(frame.planes[0], expected[frame.number + behind])
+
+
 @pytest.mark.parametrize("name", ["b-frames.mp4", "b-frames.mkv"])
 def test_what_is_predicted_from_a_damaged_frame_is_not_trusted(tmp_path, folder, name):
     """FFmpeg conceals damage, and what it makes up spreads until the next key frame."""
