@@ -167,6 +167,22 @@ class Decoder:
         frame.constant_known = self._path.constant_known
         return frame
 
+    @property
+    def asks_for_light(self) -> bool:
+        """Whether the next frame with fringes is to tell the light, of which nothing is known."""
+        return self._path.unknown
+
+    def use_light(self, light: LightEstimate | None) -> None:
+        """Take what another decoder has learnt, instead of asking the first frame; None: nothing could be learnt.
+
+        Then a frame's result does not depend on which frames came before it, but for `previous`.
+        """
+        self.light = light
+        self._path.unknown = False
+        self._orders.ask_for_no_code()
+        if light is not None and light.reliable:
+            self._path.learn(light)
+
     def _learn_light(self, image: Any, scale: float, period: float, frame: DecodedFrame) -> bool:
         """Learn crosstalk and response from a frame that was decoded without; return whether it told them."""
         unwrapped = runtime.to_host(frame._buffers["unwrapped"])  # synchronises

@@ -1,5 +1,6 @@
 """What decoding a frame gives."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -15,6 +16,24 @@ from tikernels.triangulation import ProjectorGeometry, triangulate
 # The window that the channels' model is fitted to, in cycles, and its error's share of a pixel's variance there: some
 # fifty samples for three channels' gains and offsets.
 _MODEL_WINDOW, _MODEL_ERROR = 0.85, 0.03
+# By so much more phase a point's shift is measured.
+_BESIDE_RAD = np.float32(0.02)
+# What the device has to be asked for each field.
+_SIGMA = ("mask", "unwrapped_phase", "_precision")
+_MADE_OF = {
+    "wrapped_phase": ("mask", "_phase"),
+    "unwrapped_phase": ("unwrapped_phase",),
+    "fringe_order": ("mask", "_phase", "unwrapped_phase"),
+    "mask": ("mask",),
+    "modulation": ("modulation",),
+    "region": ("region",),
+    "absolute": ("region",),
+    "order_error_probability": ("mask", "region"),
+    "phase_sigma": _SIGMA,
+    "points": ("points",),
+    "point_sigma": ("points", "_points_beside", *_SIGMA),
+    "range_image": ("points", "mask", "unwrapped_phase"),
+}
 
 
 @dataclass(eq=False)
@@ -46,7 +65,7 @@ class DecodedFrame:
     @cached_property
     def wrapped_phase(self) -> npt.NDArray[np.float32]:
         """(H, W) float32: rad in [-pi, pi], corrected and smoothed; NaN outside the mask."""
-        phase = self._read("phase")
+        phase = self._phase
         phase = phase - np.float32(2 * np.pi) * np.rint(phase / np.float32(2 * np.pi))
         return np.where(self.mask, phase, np.float32(np.nan))
 
@@ -114,7 +133,7 @@ class DecodedFrame:
         # Only where all the neighbours are there does the smoothing average over all of them.
         whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
         averaged = np.where(whole, np.float32(1 / np.sqrt(2 * self._pairs + 1)), np.float32(1))
-        noise = 1 / np.sqrt(np.maximum(self._read("precision")[mask], 1e-6))
+        noise = 1 / np.sqrt(np.maximum(self._precision[mask], 1e-6))
         sigma[mask] = noise * averaged
         sigma *= max(1.0, self._scatter(sigma))
         # The model of the channels is fitted to a window of about a cycle, to less of it at an edge. Its error is the
@@ -150,12 +169,10 @@ class DecodedFrame:
 
         None without a calibration.
         """
-        if self.points is None or self._rig is None:
+        if self.points is None or self._points_beside is None:
             return None
-        step = np.float32(0.02)
-        beside = triangulate(runtime.to_host(self._buffers["unwrapped"]) + step, *self._rig)
-        beside = runtime.to_host(transpose(beside) if self._vertical else beside)
-        return np.asarray(np.linalg.norm(beside - self.points, axis=-1) / step * self.phase_sigma, np.float32)
+        shift = np.linalg.norm(self._points_beside - self.points, axis=-1)
+        return np.asarray(shift / _BESIDE_RAD * self.phase_sigma, np.float32)
 
     @cached_property
     def points(self) -> npt.NDArray[np.float32] | None:
@@ -173,6 +190,27 @@ class DecodedFrame:
         if self._reference is not None:
             return self.unwrapped_phase - self._reference
         return self.unwrapped_phase - _best_ramp(self.unwrapped_phase, self.mask)
+
+    @cached_property
+    def _phase(self) -> npt.NDArray[np.float32]:
+        return self._read("phase")
+
+    @cached_property
+    def _precision(self) -> npt.NDArray[np.float32]:
+        return self._read("precision")
+
+    @cached_property
+    def _points_beside(self) -> npt.NDArray[np.float32] | None:
+        """(H, W, 3) float32: where the points would be with a little more phase."""
+        if self._rig is None:
+            return None
+        beside = triangulate(runtime.to_host(self._buffers["unwrapped"]) + _BESIDE_RAD, *self._rig)
+        return runtime.to_host(transpose(beside) if self._vertical else beside)
+
+    def fetch(self, fields: Iterable[str]) -> None:
+        """Read from the device what these fields are made of: another thread may then look at them."""
+        for name in {part for wanted in fields for part in _MADE_OF[wanted]}:
+            getattr(self, name)
 
     def _read(self, name: str) -> npt.NDArray[Any]:
         buffer = self._buffers[name]
