@@ -139,12 +139,15 @@ class Decoder:
         frame.noise_levels = noise / scale
         frame.period_px = period
         frame.warnings = ()
+        if self._geometry is not None:
+            frame._rig = (self._rays, self._projector)
         if statistics.period_px is None:
             self._warn(frame, _no_fringe(image, 1.0 / scale, self._stripes))
             period = None
         if period is None:
             self._clear(frame)
-            frame._placed = None
+            frame._placed = frame._histogram = None
+            frame.constant_known = False
             return frame
         intensity = self._threshold(self.settings.min_intensity, scale, _INTENSITY_SIGMAS * noise)
         least = _MODULATION_SIGMAS * self._path.noise_gain * noise
@@ -241,8 +244,6 @@ class Decoder:
         )
         pairs = self.settings.smoothing_px // 2
         frame._pairs = pairs
-        if self._geometry is not None:
-            frame._rig = (self._rays, self._projector)
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
         smooth_phase_kernel(pairs)(work.raw_phase, work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)

@@ -1,6 +1,7 @@
 """What is to be decoded and how: all that a process needs in order to do some of it, the same everywhere."""
 
 import hashlib
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from pipeline.calibration import Calibration
 from pipeline.calibration.board_free import LightEstimate
 from pipeline.decoder import Decoder
-from pipeline.errors import CalibrationError, FootageError, SettingsError
+from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
 from pipeline.settings import DecodeSettings
 from pipeline.store import ResultStore, result_attributes
 from pipeline.video.sources import Source, open_source
@@ -175,7 +176,9 @@ class Job:
             decoder = self.decoder()
             known = not decoder.asks_for_light
             try:
-                frame = decoder.decode(self.develop(stored, None))
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", DecodeWarning)  # its frame is decoded again, and then says it
+                    frame = decoder.decode(self.develop(stored, None))
             except FootageError:
                 continue
             if frame.period_px is not None and (known or (decoder.light is not None and decoder.light.reliable)):
