@@ -62,12 +62,12 @@ def ycc_scales(format: PixelFormat) -> tuple[float, float, float, float]:
     return 16 * step, 1 / (219 * step), 128 * step, 1 / (224 * step)
 
 
-def chroma_gains(format: PixelFormat) -> npt.NDArray[np.float64]:
+def chroma_gains(format: PixelFormat) -> tuple[float, float, float, float]:
     """Return what Cr adds to red, Cb and Cr to green, and Cb to blue."""
     red, blue = LUMA_WEIGHTS[format.matrix]
     of_red, of_blue = 2 * (1 - red), 2 * (1 - blue)
     green = 1 - red - blue
-    return np.array([of_red, -of_blue * blue / green, -of_red * red / green, of_blue])
+    return of_red, -of_blue * blue / green, -of_red * red / green, of_blue
 
 
 @cache
