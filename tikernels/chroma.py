@@ -161,9 +161,9 @@ def convert_chroma(planes: tuple[npt.NDArray[Any], ...], format: PixelFormat, ou
     >>> import numpy as np, tikernels
     >>> from tikernels.pixel_format import PixelFormat
     >>> _ = tikernels.init("cpu")
-    >>> grey, neutral = np.full((2, 2), 235, np.uint8), np.full((1, 1), 128, np.uint8)
+    >>> white, neutral = np.full((2, 2), 235, np.uint8), np.full((1, 1), 128, np.uint8)
     >>> format = PixelFormat("yuv", subsampling=(2, 2))
-    >>> convert_chroma((grey, neutral, neutral), format)[0, 0].tolist()
+    >>> [round(float(value), 3) for value in convert_chroma((white, neutral, neutral), format)[0, 0]]
     [1.0, 1.0, 1.0]
     """
     luma = _checks.read_array("luma", planes[0], (None, None), format.dtype)
