@@ -62,12 +62,12 @@ def ycc_scales(format: PixelFormat) -> tuple[float, float, float, float]:
     return 16 * step, 1 / (219 * step), 128 * step, 1 / (224 * step)
 
 
-def chroma_gains(format: PixelFormat) -> npt.NDArray[np.float64]:
+def chroma_gains(format: PixelFormat) -> tuple[float, float, float, float]:
     """Return what Cr adds to red, Cb and Cr to green, and Cb to blue."""
     red, blue = LUMA_WEIGHTS[format.matrix]
     of_red, of_blue = 2 * (1 - red), 2 * (1 - blue)
     green = 1 - red - blue
-    return np.array([of_red, -of_blue * blue / green, -of_red * red / green, of_blue])
+    return of_red, -of_blue * blue / green, -of_red * red / green, of_blue
 
 
 @cache
@@ -161,9 +161,9 @@ def convert_chroma(planes: tuple[npt.NDArray[Any], ...], format: PixelFormat, ou
     >>> import numpy as np, tikernels
     >>> from tikernels.pixel_format import PixelFormat
     >>> _ = tikernels.init("cpu")
-    >>> grey, neutral = np.full((2, 2), 235, np.uint8), np.full((1, 1), 128, np.uint8)
+    >>> white, neutral = np.full((2, 2), 235, np.uint8), np.full((1, 1), 128, np.uint8)
     >>> format = PixelFormat("yuv", subsampling=(2, 2))
-    >>> convert_chroma((grey, neutral, neutral), format)[0, 0].tolist()
+    >>> [round(float(value), 3) for value in convert_chroma((white, neutral, neutral), format)[0, 0]]
     [1.0, 1.0, 1.0]
     """
     luma = _checks.read_array("luma", planes[0], (None, None), format.dtype)

@@ -119,7 +119,7 @@ def demosaic(mosaic: Any, format: PixelFormat, stripes: str = "horizontal", out:
     >>> from tikernels.pixel_format import PixelFormat
     >>> _ = tikernels.init("cpu")
     >>> mosaic = np.tile(np.array([[204, 102], [102, 51]], np.uint8), (4, 4))  # orange, as a RGGB camera sees it
-    >>> demosaic(mosaic, PixelFormat("bayer"))[3, 3].round(3).tolist()
+    >>> [round(float(value), 3) for value in demosaic(mosaic, PixelFormat("bayer"))[3, 3]]
     [0.8, 0.4, 0.2]
     """
     if stripes not in ("horizontal", "vertical"):

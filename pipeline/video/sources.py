@@ -1,6 +1,6 @@
 """Where frames come from: one protocol for image folders, video files and our own recordings.
 
-A frame leaves its source in the form in which it was stored; `tikernels.development.develop` turns that into RGB.
+A frame leaves its source in the form in which it was stored; `tikernels.develop` turns that into RGB.
 """
 
 from pathlib import Path

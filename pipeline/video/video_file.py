@@ -193,8 +193,11 @@ class VideoFile:
             if packet is not None and (failure or said) and number >= index.numbers[begin]:
                 reasons[number] = f"it is damaged: {said[0] if said else failure}"
                 damaged.append(position)
+                n_came += failure is not None
             for frame in frames:
-                position_out = n_came if frame.pts is None else int(frame.pts)
+                if frame.pts is None:
+                    continue  # nothing tells which one it is
+                position_out = int(frame.pts)
                 number = index.numbers[position_out] if index.stamps else n_came
                 n_came += 1
                 if frame.is_corrupt and number not in reasons:
