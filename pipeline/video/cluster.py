@@ -85,7 +85,7 @@ def _client(where: int | str) -> Iterator[tuple[Any, Any]]:
             dashboard_address=None,
             memory_limit=0,
             silence_logs=logging.CRITICAL,
-            env={"TI_CPU_MAX_NUM_THREADS": threads},
+            env={"TI_CPU_MAX_NUM_THREADS": os.environ.get("TI_CPU_MAX_NUM_THREADS", threads)},
         ) as cluster,
         distributed.Client(cluster, set_as_default=False) as client,
     ):
