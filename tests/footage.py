@@ -81,12 +81,12 @@ def kill_again_and_again(footage: Path, out: Path, kills: int, seed: int, *optio
 def _count(marks: Path) -> int:
     """Return how many marks there are; -1 where there is no store yet."""
     try:
-        return sum(name.startswith("c.") and not name.endswith(".partial") for name in os.listdir(marks))
+        return sum(name.startswith("c.") for name in os.listdir(marks))
     except FileNotFoundError:
         return -1
 
 
 def _times(marks: Path) -> dict[str, int]:
     names = os.listdir(marks) if marks.exists() else []
-    whole = (name for name in names if name.startswith("c.") and not name.endswith(".partial"))
+    whole = (name for name in names if name.startswith("c."))
     return {name: (marks / name).stat().st_mtime_ns for name in whole}

@@ -87,7 +87,7 @@ def stages(job: Job, n_frames: int) -> None:
     if n_frames >= 300:
         first, last = (100 / (times[k + 100] - times[k]) for k in (100, n_frames - 100))
         print(f"frames 100 to 200 at {first:.1f}, the last hundred at {last:.1f} frames/s")
-        print(f"memory after frame 100: {sizes[100]:.0f} MB, at the end {sizes[n_frames]:.0f} (goal: less than 20 more)")
+        print(f"memory after frame 100: {sizes[100]:.0f} MB, at the end {sizes[n_frames]:.0f} (goal: 20 more at most)")
     print(f"a frame takes {_bytes(Path(job.store)) / n_frames / 1e6:.2f} MB")
 
 

@@ -189,7 +189,7 @@ def test_leftovers_and_marks_cut_off(job, undisturbed):
     decode_footage(job, stop=5)
     store = Path(job.store)
     (store / "done" / "c.3.0").write_bytes(b"")
-    (store / "mask" / "c.9.0.0123.partial").write_bytes(b"half")
+    (store / "mask" / ".0123.part").write_bytes(b"half")
     (store / "zarr.0123.partial").write_bytes(b"half")
     decode_footage(job)
     assert contents(store) == undisturbed
@@ -323,7 +323,7 @@ def test_ctrl_c_keeps_what_is_done(job, undisturbed):
     with pytest.raises(Stopped, match=r"stopped: \d+ of 14 frames are done; the same command goes on"):
         decode_footage(job, tell=stop)
     assert 6 <= len(marked(job.store)) < N_FRAMES
-    assert not list(Path(job.store).rglob("*.partial"))
+    assert not list(Path(job.store).rglob("*.part*"))
     decode_footage(job)
     assert contents(Path(job.store)) == undisturbed
 
