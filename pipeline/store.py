@@ -123,7 +123,7 @@ class ResultStore:
 
         self.location, self._folder, self._files = _place(location)
         self._fields = tuple(fields)
-        # A third of the time of zarr's default, and files as small: `docs/video.md` has the table.
+        # A quarter of the time of zarr's default, and smaller: `docs/video.md` has the table.
         self._compressor = Blosc("lz4", clevel=5, shuffle=Blosc.BITSHUFFLE)
         compressor = BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle")
         identity = json.loads(json.dumps({**identity, "fields": list(fields)}))

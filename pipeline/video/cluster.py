@@ -4,7 +4,7 @@ import logging
 import os
 import secrets
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
@@ -41,7 +41,7 @@ def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: C
         There is no cluster, or workers die over the same frames again and again.
     """
     with _client(where) as (distributed, client):
-        n_workers = max(1, len(client.scheduler_info(n_workers=-1)["workers"]))
+        n_workers = max(1, len(client.ncores()))
         size = -(-len(todo) // (_TASKS_A_WORKER * n_workers))
         tasks = [todo[first : first + size] for first in range(0, len(todo), size)]
         run = secrets.token_hex(8)
@@ -50,11 +50,12 @@ def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: C
             for future in distributed.as_completed(futures, loop=client.loop):
                 for report in future.result():
                     tell(report)
-        except distributed.KilledWorker as killed:
+        except distributed.KilledWorker:
             raise ClusterError(
-                "workers died over the same frames again and again: look at their logs for memory or device errors "
-                f"({killed.args[0]})"
+                "workers died over the same frames again and again: look at their logs for memory or device errors"
             ) from None
+        except CancelledError:
+            raise ClusterError("the scheduler is gone: start it again, and run again to go on") from None
         finally:
             client.cancel(futures, force=True)
 
