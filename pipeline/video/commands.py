@@ -117,7 +117,7 @@ def decode_video(
         calibration=calibration,
         region=options.region(),
         step=options.step,
-        phase=options.start % options.step,
+        first=options.start % options.step,
         fields=chosen_fields(options.fields, in_mm=calibration is not None and calibration.has_geometry),
         store=f"{out.rstrip('/')}/{_STORE}",
         arch=arch,

@@ -80,7 +80,7 @@ class Job:
     calibration: Calibration | None  # of the whole frame
     region: Region | None
     step: int  # every so many frames ...
-    phase: int  # ... from this one on, below the step
+    first: int  # ... from this one on, below the step
     fields: tuple[str, ...]
     store: str
     arch: str
@@ -128,7 +128,7 @@ class Job:
             },
             "region_of_interest": None if self.region is None else asdict(self.region),
             "step": self.step,
-            "first": self.phase,
+            "first": self.first,
             "chain_frames": CHAIN_FRAMES,
         }
 
@@ -191,14 +191,14 @@ def chains(wanted: range, missing: set[int]) -> Iterator[tuple[range, frozenset[
 
     A range begins where its chain does and ends with the last missing frame.
     """
-    step, phase = wanted.step, wanted.start % wanted.step
+    step, first = wanted.step, wanted.start % wanted.step
     length = CHAIN_FRAMES * step
     lacking: dict[int, list[int]] = {}
     for number in wanted:
         if number in missing:
-            lacking.setdefault((number - phase) // length, []).append(number)
+            lacking.setdefault((number - first) // length, []).append(number)
     for chain, numbers in lacking.items():
-        yield range(phase + chain * length, numbers[-1] + 1, step), frozenset(numbers)
+        yield range(first + chain * length, numbers[-1] + 1, step), frozenset(numbers)
 
 
 def runs(ranges: Sequence[range]) -> Iterator[range]:

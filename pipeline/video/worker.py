@@ -10,8 +10,9 @@ from threading import Event, Thread
 from typing import Any
 
 from pipeline.calibration.board_free import LightEstimate
-from pipeline.errors import DecodeWarning, FootageError
+from pipeline.errors import DecodeWarning, FootageError, OutputError
 from pipeline.results import DecodedFrame
+from pipeline.store import read_attributes
 from pipeline.video.job import Job, runs
 from pipeline.video.sources import Source
 from pipeline.video.stored import BadFrame, StoredFrame
@@ -50,6 +51,8 @@ class Worker:
     """
 
     def __init__(self, job: Job) -> None:
+        if read_attributes(job.store) is None:
+            raise OutputError(f"{job.store} is not there: every worker must see it under this name")
         self._job = job
         self._source = job.open()
         self._store = job.open_store(self._source, None)

@@ -56,7 +56,7 @@ def job(folder, rig, tmp_path):
         calibration=None,
         region=None,
         step=1,
-        phase=0,
+        first=0,
         fields=chosen_fields(None, in_mm=False),
         store=str(tmp_path / "result.zarr"),
         arch="cpu",
@@ -141,7 +141,7 @@ def test_parts_in_any_order_give_the_same_bytes(job, undisturbed, parts):
 
 def test_steps(job, tmp_path):
     """Every third frame from the second on; the chains are of those frames, wherever the run begins."""
-    job = replace(job, step=3, phase=1)
+    job = replace(job, step=3, first=1)
     decode_footage(job, start=1)
     assert marked(job.store) == {1, 4, 7, 10, 13}
     part = replace(job, store=str(tmp_path / "part.zarr"))
