@@ -55,6 +55,7 @@ app = App(
     name="colorphase",
     help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
     version_flags=["--version"],
+    suppress_keyboard_interrupt=False,  # `main` says what it has stopped
     error_formatter=lambda error: f"[red]error: {' '.join(str(error).split())}[/red]",
 )
 

@@ -110,6 +110,7 @@ def decode_footage(
         else:
             Worker(job).decode(todo, note)
     except KeyboardInterrupt:
+        store.remove_leftovers()
         n_done = len(set(wanted) & store.done())
         raise Stopped(
             f"stopped: {n_done} of {len(wanted)} frames are done; the same command goes on from there"

@@ -4,6 +4,9 @@ import errno
 import json
 import os
 import shutil
+import signal
+import subprocess
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import zarr
-from footage import contents, kill_again_and_again, record
+from footage import command, contents, kill_again_and_again, record
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
@@ -326,6 +329,23 @@ def test_ctrl_c_keeps_what_is_done(job, undisturbed):
     assert not list(Path(job.store).rglob("*.part*"))
     decode_footage(job)
     assert contents(Path(job.store)) == undisturbed
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
+def test_ctrl_c_at_the_terminal(tmp_path):
+    """Exit code 130, and one line that says how to go on."""
+    record(tmp_path / "film.mkv", 300)
+    arguments = command("decode", tmp_path / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu")
+    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        while len(marked(tmp_path / "out" / "result.zarr")) < 5:
+            assert process.poll() is None
+            time.sleep(0.005)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "stopped: " in said and "of 300 frames are done; the same command goes on from there" in said
+    assert "Traceback" not in said
+    assert not list((tmp_path / "out").rglob("*.part*"))
 
 
 def test_a_full_disk(job, undisturbed, monkeypatch):
