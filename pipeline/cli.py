@@ -18,6 +18,7 @@ from pipeline.calibration.commands import BoardOptions, calibrate, chosen_patter
 from pipeline.decoder import Decoder
 from pipeline.errors import (
     CalibrationError,
+    ClusterError,
     DecodeWarning,
     FootageError,
     OutputError,
@@ -25,15 +26,27 @@ from pipeline.errors import (
     SettingsError,
 )
 from pipeline.settings import DecodeSettings
+from pipeline.video.commands import FootageOptions, decode_video
+from pipeline.video.pictures import PICTURE_SUFFIXES
 from tikernels import runtime
 from tikernels.errors import DeviceNotReady, ShapeError
 
 Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
 
 #: Every error that a user can cause; each message is one line.
-_USER_ERRORS = (CalibrationError, DeviceNotReady, FootageError, OutputError, RenderError, SettingsError, ShapeError)
+_USER_ERRORS = (
+    CalibrationError,
+    ClusterError,
+    DeviceNotReady,
+    FootageError,
+    OutputError,
+    RenderError,
+    SettingsError,
+    ShapeError,
+)
 
 _BOARD = BoardOptions()
+_FOOTAGE = FootageOptions()
 
 _out = Console()
 _err = Console(stderr=True)
@@ -42,6 +55,7 @@ app = App(
     name="colorphase",
     help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
     version_flags=["--version"],
+    suppress_keyboard_interrupt=False,  # `main` says what it has stopped
     error_formatter=lambda error: f"[red]error: {' '.join(str(error).split())}[/red]",
 )
 
@@ -130,22 +144,27 @@ def decode(
     input: Path,
     /,
     *,
-    out: Path,
+    out: str,
     settings: Path | None = None,
     calibration: Path | None = None,
     arch: Arch = "auto",
     force: bool = False,
+    video: FootageOptions = _FOOTAGE,
 ) -> None:
-    """Decode a picture: result.zarr, mesh.ply, range.png, shaded.png and report.json.
+    """Decode a picture, or footage: a folder of pictures, a video or a recording.
 
-    Example: colorphase decode face.png --out face --settings settings.toml --calibration calibration.json
+    A picture gives result.zarr, mesh.ply, range.png, shaded.png and report.json, footage result.zarr. Run again, it
+    goes on where it was stopped. Exit code 3: some frames are bad, the rest is done.
+
+    Example: colorphase decode face.png --out face --settings settings.toml --calibration calibration.json, or
+    colorphase decode film.mkv --out film --fields range_image phase_sigma mask --workers 4
 
     Parameters
     ----------
     input
-        The picture: PNG, TIFF or JPEG, in colour.
+        The picture or footage.
     out
-        Folder for the results.
+        Folder for the results; footage's may be an fsspec URL, as s3://bucket/film.
     settings
         TOML file of settings; what is left out is the default.
     calibration
@@ -155,12 +174,15 @@ def decode(
     force
         Write into a folder that holds other things.
     """
+    chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
+    rig = None if calibration is None else Calibration.read(calibration)
+    if input.suffix.lower() not in PICTURE_SUFFIXES or input.is_dir():
+        decode_video(input, out, chosen, rig, arch, video, force=force)
+        return
     from pipeline.outputs import output_folder, write_frame
     from pipeline.picture import read_picture
     from pipeline.report import frame_report
 
-    chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
-    rig = None if calibration is None else Calibration.read(calibration)
     with _progress() as step, output_folder(out, force=force) as folder:
         step("reading")
         image = read_picture(input)
@@ -254,6 +276,6 @@ def main() -> None:
     except _USER_ERRORS as error:
         _err.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
         sys.exit(1)
-    except KeyboardInterrupt:
-        _err.print("interrupted", style="red")
+    except KeyboardInterrupt as stopped:
+        _err.print(str(stopped) or "interrupted", style="red", highlight=False, soft_wrap=True)
         sys.exit(130)

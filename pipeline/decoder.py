@@ -161,12 +161,15 @@ class Decoder:
         frame.period_px = period
         frame.warnings = ()
         frame._constant_sigma = np.nan
+        if self._geometry is not None:
+            frame._rig = (self._rays, self._projector)
         if statistics.period_px is None:
             self._warn(frame, _no_fringe(image, white, self._stripes))
             period = None
         if period is None:
             self._clear(frame)
-            frame._placed = None
+            frame._placed = frame._histogram = None
+            frame.constant_known = False
             return frame
         if previous is not None:
             self._check_previous(previous, frame)
@@ -211,6 +214,22 @@ class Decoder:
         if before != here:
             turn = -1 if frame._vertical else 1
             raise ShapeError(f"frame is {_size(here[::turn])} but the one before is {_size(before[::turn])}")
+
+    @property
+    def asks_for_light(self) -> bool:
+        """Whether the next frame with fringes is to tell the light, of which nothing is known."""
+        return self._path.unknown
+
+    def use_light(self, light: LightEstimate | None) -> None:
+        """Take what another decoder has learnt, instead of asking the first frame; None: nothing could be learnt.
+
+        Then a frame's result does not depend on which frames came before it, but for `previous`.
+        """
+        self.light = light
+        self._path.unknown = False
+        self._orders.ask_for_no_code()
+        if light is not None and light.reliable:
+            self._path.learn(light)
 
     def _learn_light(self, image: Any, white: float, period: float, frame: DecodedFrame) -> bool:
         """Learn crosstalk and response from a frame that was decoded without; return whether it told them."""
@@ -267,8 +286,6 @@ class Decoder:
         )
         pairs = self.settings.smoothing_px // 2
         frame._pairs = pairs
-        if self._geometry is not None:
-            frame._rig = (self._rays, self._projector)
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
         smooth_phase_kernel(pairs)(work.raw_phase, buffers["precision"], work.rates, buffers["phase"])
         work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)

@@ -21,5 +21,9 @@ class RenderError(RuntimeError):
     """The machine cannot draw: a graphics library is missing or broken."""
 
 
+class ClusterError(ConnectionError):
+    """A cluster cannot be reached, or its workers fail."""
+
+
 class DecodeWarning(UserWarning):
     """A frame decoded, but not as its user will have hoped."""

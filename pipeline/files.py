@@ -9,6 +9,8 @@ from typing import BinaryIO
 
 from pipeline.errors import OutputError
 
+#: How the names of temporary files end, which stay if the program is killed.
+LEFTOVER = ".part"
 _ADVICE = {
     errno.ENOENT: "its folder does not exist: create the folder first",
     errno.ENOTDIR: "its folder is a file: choose another folder",
@@ -42,17 +44,40 @@ def write_atomically(path: str | Path, content: bytes | Callable[[BinaryIO], Non
     OutputError
         If the folder is missing or not writable, or the disk is full.
     """
-    path = Path(path)
-    temporary = path.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        replace_file(Path(path), content)
+    except OSError as error:
+        raise OutputError(f"cannot write {path}: {explain(error)}") from error
+
+
+def replace_file(path: Path, content: bytes | Callable[[BinaryIO], None], *, safe: bool = False) -> None:
+    """Write a file through a temporary one in the same folder; see `write_atomically`.
+
+    Parameters
+    ----------
+    path : Path
+        The file to make or replace.
+    content : bytes or callable
+        What it holds, or a function that writes it to an open binary file.
+    safe : bool
+        Whether what it holds is on the disk before it appears under its name, in case the power fails.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    temporary = path.with_name(f".{secrets.token_hex(8)}{LEFTOVER}")
     try:
         with temporary.open("xb") as file:
             if callable(content):
                 content(file)
             else:
                 file.write(content)
+            if safe:
+                file.flush()
+                os.fsync(file.fileno())
         os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(f"cannot write {path}: {explain(error)}") from error
     finally:
         # After an error the folder itself may be unreachable: then nothing was left in it.
         try:

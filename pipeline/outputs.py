@@ -16,7 +16,7 @@ from pipeline.meshes import frame_mesh
 from pipeline.range_image import shade_range, write_png, write_range_image
 from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
-from pipeline.store import write_store
+from pipeline.store import holds_footage, write_store
 
 #: What we put into an output folder, and may therefore replace.
 NAMES = (
@@ -47,6 +47,8 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     OutputError
         The folder holds something else, or cannot be written.
     """
+    if "://" in str(path):
+        raise OutputError(f"{path} is not a folder here: choose one")
     path = Path(path)
     work = None
     try:
@@ -54,6 +56,8 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
             others = sorted(entry.name for entry in path.iterdir() if entry.name not in NAMES)
             if others and not force:
                 raise OutputError(f"{path} holds something else ({others[0]}): choose another folder, or add --force")
+            if holds_footage(path / "result.zarr"):
+                raise OutputError(f"{path} holds the frames of footage: choose another folder")
         elif path.exists():
             raise OutputError(f"{path} is a file: choose a folder")
         path.parent.mkdir(parents=True, exist_ok=True)

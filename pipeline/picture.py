@@ -1,6 +1,7 @@
 """Read a colour picture, or say in one line why it is none."""
 
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -10,6 +11,57 @@ from pipeline.errors import FootageError
 
 # How each kind of file begins and how a whole one ends; OpenCV decodes the rest of a truncated one as grey.
 _ENDS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return what a file holds.
+
+    Raises
+    ------
+    FootageError
+        It cannot be read.
+    """
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        what = "it is a folder, give one picture" if path.is_dir() else error.strerror or str(error)
+        raise FootageError(f"cannot read {path}: {what}") from None
+
+
+def check_whole(path: Path, data: bytes) -> None:
+    """Check that a picture's end is there.
+
+    Raises
+    ------
+    FootageError
+        It is not.
+    """
+    for start, end in _ENDS.items():
+        if data.startswith(start) and end not in data[-1024:]:
+            raise FootageError(f"{path} is truncated: copy it again")
+
+
+def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
+    """Return a picture's levels as they are stored: (H, W) grey, or (H, W, 3 or 4) blue, green, red and alpha.
+
+    Raises
+    ------
+    FootageError
+        It is no picture, or its values are neither of 8 or 16 bits nor float32.
+    """
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    image: npt.NDArray[Any] | None = None
+    try:
+        if data:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        pass  # the message below says it in one line
+    if image is None:
+        raise FootageError(f"{path} is not a picture that can be read: give a PNG, TIFF or JPEG file")
+    if image.dtype not in (np.uint8, np.uint16, np.float32):
+        raise FootageError(f"{path} holds {image.dtype} values: save it with 8 or 16 bits")
+    levels: npt.NDArray[Any] = image
+    return levels
 
 
 def read_picture(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
@@ -26,25 +78,11 @@ def read_picture(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uin
         The file cannot be read, is truncated, is no picture, or has no three colours.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        what = "it is a folder, give one picture" if path.is_dir() else error.strerror or str(error)
-        raise FootageError(f"cannot read {path}: {what}") from None
-    for start, end in _ENDS.items():
-        if data.startswith(start) and end not in data[-1024:]:
-            raise FootageError(f"{path} is truncated: copy it again")
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # the message below says it in one line
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error:
-        image = None
-    if image is None:
-        raise FootageError(f"{path} is not a picture that can be read: give a PNG, TIFF or JPEG file")
+    data = read_bytes(path)
+    check_whole(path, data)
+    image = decode_levels(path, data)
     if image.ndim == 2:
         raise FootageError(f"{path} is grey: the phase is in the colours, give a colour picture")
     if image.shape[2] != 3:
         raise FootageError(f"{path} has {image.shape[2]} channels: save it without transparency")
-    if image.dtype not in (np.uint8, np.uint16, np.float32):
-        raise FootageError(f"{path} holds {image.dtype} values: save it with 8 or 16 bits")
     return np.ascontiguousarray(image[..., ::-1])

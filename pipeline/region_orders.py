@@ -64,6 +64,10 @@ class OrderFinder:
         if geometry is not None:
             self._depth_mm = _expected_depth(geometry, depth_range_mm)
 
+    def ask_for_no_code(self) -> None:
+        """Do not look in the first frame for a code that nobody has told of."""
+        self._code_looked_for = True
+
     def find(
         self,
         image: Any,

@@ -1,5 +1,6 @@
 """What decoding a frame gives."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -22,6 +23,25 @@ _BEND_PX = 6
 _MODEL_WINDOW, _MODEL_ERROR, _EDGE_ERROR = 0.85, 0.03, 0.025
 # Rows differ by less than the noise where it was overrated, but not by less than half of it.
 _LEAST_SCATTER = 0.5
+# By so much more phase a point's shift is measured.
+_BESIDE_RAD = np.float32(0.02)
+# What the device has to be asked for each field.
+_SIGMA = ("mask", "unwrapped_phase", "_precision")
+_MADE_OF = {
+    "wrapped_phase": ("mask", "_phase"),
+    "unwrapped_phase": ("unwrapped_phase",),
+    "fringe_order": ("mask", "_phase", "unwrapped_phase"),
+    "mask": ("mask",),
+    "modulation": ("modulation",),
+    "region": ("region",),
+    "absolute": ("region",),
+    "order_error_probability": ("mask", "region"),
+    "phase_sigma": _SIGMA,
+    "constant_sigma": ("unwrapped_phase",),
+    "points": ("points",),
+    "point_sigma": ("points", "_points_beside", *_SIGMA),
+    "range_image": ("points", "mask", "unwrapped_phase"),
+}
 
 
 @dataclass(eq=False)
@@ -54,7 +74,7 @@ class DecodedFrame:
     @cached_property
     def wrapped_phase(self) -> npt.NDArray[np.float32]:
         """(H, W) float32: rad in [-pi, pi], corrected and smoothed; NaN outside the mask."""
-        phase = self._read("phase")
+        phase = self._phase
         phase = phase - np.float32(2 * np.pi) * np.rint(phase / np.float32(2 * np.pi))
         return np.where(self.mask, phase, np.float32(np.nan))
 
@@ -124,7 +144,7 @@ class DecodedFrame:
         whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
         averaged = np.where(whole, np.float32(1 / (2 * self._pairs + 1)), np.float32(1))
         # The model's error is the same over neighbouring pixels: it does not average out.
-        sigma[mask] = np.sqrt((averaged + _MODEL_ERROR) / np.maximum(self._read("precision")[mask], 1e-6))
+        sigma[mask] = np.sqrt((averaged + _MODEL_ERROR) / np.maximum(self._precision[mask], 1e-6))
         sigma *= max(_LEAST_SCATTER, self._scatter(sigma))
         window_px = _MODEL_WINDOW * (self.period_px or 1)
         inside = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), window_px, borderType=cv2.BORDER_CONSTANT)[mask]
@@ -175,12 +195,10 @@ class DecodedFrame:
 
         None without a calibration.
         """
-        if self.points is None or self._rig is None:
+        if self.points is None or self._points_beside is None:
             return None
-        step = np.float32(0.02)
-        beside = triangulate(runtime.to_host(self._buffers["unwrapped"]) + step, *self._rig)
-        beside = runtime.to_host(transpose(beside) if self._vertical else beside)
-        return np.asarray(np.linalg.norm(beside - self.points, axis=-1) / step * self.phase_sigma, np.float32)
+        shift = np.linalg.norm(self._points_beside - self.points, axis=-1)
+        return np.asarray(shift / _BESIDE_RAD * self.phase_sigma, np.float32)
 
     @cached_property
     def points(self) -> npt.NDArray[np.float32] | None:
@@ -198,6 +216,27 @@ class DecodedFrame:
         if self._reference is not None:
             return self.unwrapped_phase - self._reference
         return self.unwrapped_phase - _best_ramp(self.unwrapped_phase, self.mask)
+
+    @cached_property
+    def _phase(self) -> npt.NDArray[np.float32]:
+        return self._read("phase")
+
+    @cached_property
+    def _precision(self) -> npt.NDArray[np.float32]:
+        return self._read("precision")
+
+    @cached_property
+    def _points_beside(self) -> npt.NDArray[np.float32] | None:
+        """(H, W, 3) float32: where the points would be with a little more phase."""
+        if self._rig is None:
+            return None
+        beside = triangulate(runtime.to_host(self._buffers["unwrapped"]) + _BESIDE_RAD, *self._rig)
+        return runtime.to_host(transpose(beside) if self._vertical else beside)
+
+    def fetch(self, fields: Iterable[str]) -> None:
+        """Read from the device what these fields are made of: another thread may then look at them."""
+        for name in {part for wanted in fields for part in _MADE_OF[wanted]}:
+            getattr(self, name)
 
     def _read(self, name: str) -> npt.NDArray[Any]:
         buffer = self._buffers[name]

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import groupby
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import ProjectorGeometry
+from tikernels.pixel_format import PixelFormat
 
 Array = npt.NDArray[Any]
 
@@ -569,3 +571,103 @@ def fit_phase(
         stepped[place] = phase[place] + weighted[1]
         precision[place] = 1 / covariance[1, 1] / max(1, misfit / 9)
     return stepped, precision
+
+
+def chroma_weights(n_pixels: int, subsampling: int, on_site: bool) -> Array:
+    """Return (pixels, samples) weights: the polynomial whose means over two pixels at the nearest samples are those."""
+    n_samples = -(-n_pixels // subsampling)
+    weights = np.zeros((n_pixels, n_samples))
+    for pixel in range(n_pixels):
+        if subsampling == 1:
+            weights[pixel, pixel] = 1
+            continue
+        own = pixel // 2
+        place = pixel % 2 - (0.0 if on_site else 0.5)
+        near = range(-2, 3) if place == 0 else range(-3, 3) if place < 0 else range(-2, 4)
+        degrees = np.arange(len(near))
+        # Means of the monomials at -1/2 and +1/2 px about each sample, which is 2 px from the next.
+        means = np.array([[np.mean([(2 * k - 0.5) ** d, (2 * k + 0.5) ** d]) for d in degrees] for k in near])
+        for k, weight in zip(near, np.linalg.solve(means.T, float(place) ** degrees), strict=True):
+            weights[pixel, np.clip(own + k, 0, n_samples - 1)] += weight
+    return weights
+
+
+def convert_chroma(planes: Sequence[Array], format: PixelFormat) -> Array:
+    """Return encoded RGB, 0..1, of luma and chroma planes (Rec. ITU-R BT.601-7, BT.709-6 and BT.2020-2, section 3)."""
+    luma, *chroma = (plane.astype(np.float64) / 2**format.shift for plane in planes)
+    if format.interleaved:
+        chroma = [chroma[0][:, ::2], chroma[0][:, 1::2]]
+    x, y = format.subsampling
+    rows = chroma_weights(luma.shape[0], y, format.siting == "top-left")
+    columns = chroma_weights(luma.shape[1], x, format.siting != "centre")
+    blue, red = (rows @ plane @ columns.T for plane in chroma)
+    step, peak = 2 ** (format.bits - 8), 2**format.bits - 1
+    if format.full_range:
+        luma, blue, red = luma / peak, (blue - 128 * step) / peak, (red - 128 * step) / peak
+    else:
+        luma, blue, red = ((luma / step - 16) / 219, (blue / step - 128) / 224, (red / step - 128) / 224)
+    of_red, of_blue = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "bt2020": (0.2627, 0.0593)}[format.matrix]
+    r, b = luma + 2 * (1 - of_red) * red, luma + 2 * (1 - of_blue) * blue
+    g = (luma - of_red * r - of_blue * b) / (1 - of_red - of_blue)
+    return np.clip(np.stack([r, g, b], axis=-1), 0, 1)
+
+
+def subsample_chroma(image: Array, format: PixelFormat) -> list[Array]:
+    """Return the planes of encoded RGB in 0..1, even in size: what a camera does whose chroma is the mean of a block.
+
+    Where a sample's site is a pixel, that pixel weighs six eighths and its neighbours one each, which takes as much of
+    the modulation as the mean of two pixels between them.
+    """
+    of_red, of_blue = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "bt2020": (0.2627, 0.0593)}[format.matrix]
+    r, g, b = np.moveaxis(image.astype(np.float64), -1, 0)
+    luma = of_red * r + (1 - of_red - of_blue) * g + of_blue * b
+    chroma = [(b - luma) / (2 * (1 - of_blue)), (r - luma) / (2 * (1 - of_red))]
+    sited = (format.siting == "top-left", format.siting != "centre")
+    for axis, (step, on_site) in enumerate(zip(format.subsampling[::-1], sited, strict=True)):
+        for i, plane in enumerate(chroma):
+            lines = np.moveaxis(plane, axis, 0)
+            if step == 2 and on_site:
+                before, after = np.roll(lines, 1, axis=0), np.roll(lines, -1, axis=0)
+                before[0], after[-1] = lines[0], lines[-1]
+                lines = ((before + 6 * lines + after) / 8)[::2]
+            elif step == 2:
+                lines = (lines[::2] + lines[1::2]) / 2
+            chroma[i] = np.moveaxis(lines, 0, axis)
+    step, peak = 2 ** (format.bits - 8), 2**format.bits - 1
+    if format.full_range:
+        scaled = [luma * peak, *(plane * peak + 128 * step for plane in chroma)]
+    else:
+        scaled = [(219 * luma + 16) * step, *((224 * plane + 128) * step for plane in chroma)]
+    y, u, v = (np.clip(np.rint(plane), 0, peak).astype(np.uint16) << format.shift for plane in scaled)
+    planes = [y, np.stack([u, v], axis=-1).reshape(len(u), -1)] if format.interleaved else [y, u, v]
+    return [plane.astype(format.dtype) for plane in planes]
+
+
+def mosaic(image: Array, bayer: str) -> Array:
+    """Return what a camera with a Bayer pattern sees of an RGB picture."""
+    seen = np.empty_like(image[..., 0])
+    for place, color in enumerate(bayer):
+        seen[place // 2 :: 2, place % 2 :: 2] = image[place // 2 :: 2, place % 2 :: 2, "rgb".index(color)]
+    return seen
+
+
+def demosaic(levels: Array, format: PixelFormat, stripes: str) -> Array:
+    """Return RGB, 0..1: a straight line along the stripes, Lagrange's polynomial through eight rows across them."""
+    if stripes == "vertical":
+        turned = replace(format, bayer="".join(format.bayer[i] for i in (0, 2, 1, 3)))
+        return demosaic(levels.T, turned, "horizontal").transpose(1, 0, 2)
+    values = np.pad(levels / format.white_level, 8, mode="reflect")
+    # 8 is even: the pattern begins at the same place.
+    own = np.full((3, *values.shape), np.nan)
+    for place, color in enumerate(format.bayer):
+        y, x = place // 2, place % 2
+        own["rgb".index(color), y::2, x::2] = values[y::2, x::2]
+    for plane in own:
+        along = (np.roll(plane, 1, axis=1) + np.roll(plane, -1, axis=1)) / 2
+        np.copyto(plane, along, where=np.isnan(plane))
+        across = np.zeros_like(plane)
+        for row in range(-7, 8, 2):
+            others = [other for other in range(-7, 8, 2) if other != row]
+            across += np.prod([other / (other - row) for other in others]) * np.roll(plane, -row, axis=0)
+        np.copyto(plane, across, where=np.isnan(plane))
+    return np.clip(np.moveaxis(own, 0, -1)[8:-8, 8:-8], 0, 1)

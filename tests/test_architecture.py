@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("tikernels", "pipeline", "hardware")
 LANGUAGES = {"taichi", "quadrants"}
 #: Heavy, or only needed by some: taken where they are used.
-LATE = ("pyvista", "vtkmodules", "zarr", "skimage", "scipy", "dask")
+LATE = ("pyvista", "vtkmodules", "zarr", "skimage", "scipy", "dask", "distributed", "fsspec", "numcodecs", "av")
 
 
 def sources(package: str) -> list[Path]:

@@ -74,6 +74,23 @@ class LightEstimate:
     misfit: float  # RMS rad of it that matrix and one response leave unexplained
     reliable: bool  # whether decoding is better off with it
 
+    def as_json(self) -> dict[str, Any]:
+        """Return what `from_json` reads, every digit of it; what is not finite becomes null."""
+        json: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            plain = np.asarray(value, object)
+            plain[~np.isfinite(np.asarray(value))] = None
+            json[name] = plain.tolist()
+        return json
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> "LightEstimate":
+        """Return what `as_json` wrote; null becomes NaN."""
+        kinds: dict[str, Any] = {"correction": np.float32, "constant_known": np.bool_, "reliable": np.bool_}
+        arrays = {name: np.array(value, kinds.get(name, np.float64)) for name, value in values.items()}
+        fields: dict[str, Any] = {name: array if array.ndim else array.item() for name, array in arrays.items()}
+        return cls(**fields)
+
 
 def _wrap(phase: Any) -> Any:
     return phase - 2 * np.pi * np.round(phase / (2 * np.pi))

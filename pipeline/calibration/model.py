@@ -220,6 +220,23 @@ class Calibration(Model):
             raise CalibrationError("the calibration holds no geometry: run colorphase calibrate geometry")
         return Geometry(camera, projector, rotation, translation, self.pattern)
 
+    def cropped(self, x: int, y: int, size_px: tuple[int, int]) -> "Calibration":
+        """Return the calibration of the same rig whose camera reads out a part of its frame only.
+
+        Parameters
+        ----------
+        x, y : int
+            The part's first column and row in the whole frame.
+        size_px : (2,) int
+            Its width and height.
+        """
+        if self.camera is None:
+            return self
+        # The lens stays: its distortion counts from the axis, which moves in the picture.
+        matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
+        camera = self.camera.model_copy(update={"size_px": size_px, "matrix": matrix})
+        return self.model_copy(update={"camera": camera})
+
     @classmethod
     def read(cls, path: str | Path) -> "Calibration":
         """Read ``calibration.json``.

@@ -43,6 +43,8 @@ def folder(tmp_path_factory):
     rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix}).write(folder / "calibration.json")
     write_png(folder / "black.png", np.zeros((64, 64, 3), np.uint8))
     (folder / "settings.toml").write_text("smoothing_px = 3\n")
+    (folder / "pictures").mkdir()
+    shutil.copy(folder / "frame.png", folder / "pictures")
     return folder
 
 
@@ -67,7 +69,7 @@ def test_decode_with_a_calibration(folder):
     assert report["warnings"] == []
     group = zarr.open_group(out / "result.zarr", mode="r")
     assert group.metadata.zarr_format == 3
-    assert set(group.array_keys()) == set(FIELDS)
+    assert set(group.array_keys()) == {*FIELDS, "done"}
     assert group.attrs["calibration_sha256"] == report["calibration_sha256"]
     for name in FIELDS:
         assert group[name].shape[0] == 1
@@ -102,7 +104,11 @@ def test_a_frame_without_fringes(folder):
     ("arguments", "message"),
     [
         (("decode", "no.png", "--out", "x"), "cannot read no.png"),
-        (("decode", "settings.toml", "--out", "x"), "not a picture"),
+        (("decode", "settings.toml", "--out", "x"), "is not a video that can be read"),
+        (("decode", "nowhere", "--out", "x"), "there is no such file"),
+        (("decode", "pictures", "--out", "frame.png", "--arch", "cpu"), "its folder is a file"),
+        (("decode", "pictures", "--out", "."), "holds something else"),
+        (("decode", "pictures", "--out", "x", "--cluster", "tcp://127.0.0.1:nine", "--arch", "cpu"), "no scheduler"),
         (("decode", "black.png", "--out", "x", "--calibration", "calibration.json"), "recalibrate or crop"),
         (("decode", "frame.png", "--out", "x", "--calibration", "settings.toml"), "not what it should be"),
         (("decode", "frame.png", "--out", "x", "--settings", "calibration.json"), "not what it should be"),
@@ -215,3 +221,36 @@ def test_radiometry_command(folder):
     assert done.returncode == 1 and "07-red-112.png" in done.stderr and not (folder / "other.json").exists()
     done = colorphase("pattern", "board.pdf", "--board", "charuco", "--squares", "9x6", cwd=folder)
     assert done.returncode == 0 and (folder / "board.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_decode_footage(folder):
+    """Bad frames are told by number and by the exit code; a second run finds everything else done."""
+    film = folder / "film é 1"
+    film.mkdir()
+    for name in ("f1.png", "f2.png", "f10.png"):
+        shutil.copy(folder / "frame.png", film / name)
+    (film / "f3.png").write_bytes((folder / "frame.png").read_bytes()[:1000])
+    options = ("--out", "footage", "--arch", "cpu", "--calibration", "calibration.json", "--fields", "points", "mask")
+    done = colorphase("decode", film, *options, cwd=folder)
+    assert done.returncode == 3, done.stderr
+    assert "frame 2 is bad" in done.stderr and "truncated" in done.stderr
+    assert "3 of 4 frames decoded; they are in footage/result.zarr" in done.stdout
+    group = zarr.open_group(folder / "footage" / "result.zarr", mode="r")
+    assert group["points"].shape == (4, 240, 320, 3)
+    again = colorphase("decode", film, *options, cwd=folder)
+    assert again.returncode == 3 and "3 of them before" in again.stdout
+    for arguments, message in [
+        (("--settings", "settings.toml"), r"settings.smoothing_px is 5 there, 3 here"),
+        (("--roi", "1,2,3"), "give x,y,width,height"),
+        (("--roi", "0,0,400,100"), "sticks out of the 320x240 frame"),
+        (("--fields", "depth"), "no field is called 'depth'"),
+        (("--step", "0"), "must be 1 or more"),
+        (("--start", "9"), "none of which is asked for"),
+    ]:
+        refused = colorphase("decode", film, *options, *arguments, cwd=folder)
+        assert refused.returncode in (1, 2) and message in refused.stderr, refused.stderr
+        assert "Traceback" not in refused.stderr
+    strict = colorphase("decode", film, *options[2:], "--out", "strict", "--strict", cwd=folder)
+    assert strict.returncode == 1 and "frame 2 of" in strict.stderr
+    picture = colorphase("decode", "frame.png", "--out", "footage", "--force", cwd=folder)
+    assert picture.returncode == 1 and "holds the frames of footage" in picture.stderr

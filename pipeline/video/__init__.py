@@ -1,0 +1,1 @@
+"""Many frames: where they come from."""

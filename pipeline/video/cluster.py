@@ -1,0 +1,107 @@
+"""Many processes, here or on other machines, by Dask: chains of frames are tasks, results are written in place."""
+
+import logging
+import os
+import secrets
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+from pipeline.errors import ClusterError
+from pipeline.video.job import Job
+from pipeline.video.worker import Chain, Report, Worker
+
+# Tasks a worker: more of them even out how long each takes, fewer let footage be read in one go.
+_TASKS_A_WORKER = 8
+_TIMEOUT_S = 20
+
+# In a worker's process: all its kernels run in one thread, and one job's decoder and buffers serve all its tasks.
+_kernels = ThreadPoolExecutor(1, "kernels")
+_workers: dict[str, Worker] = {}
+
+
+def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: Callable[[Report], None]) -> None:
+    """Decode chains of frames by the workers of a cluster; see `Worker.decode`.
+
+    Parameters
+    ----------
+    job : Job
+        What to decode and how; its store must be there.
+    todo : sequence of (range, frozenset)
+        Which frames lean on each other, and which of them are to be stored.
+    where : int or str
+        So many processes here, or the address of a scheduler.
+    tell : callable
+        Told of every stored and every bad frame, not in order.
+
+    Raises
+    ------
+    ClusterError
+        There is no cluster, or workers die over the same frames again and again.
+    """
+    with _client(where) as (distributed, client):
+        n_workers = max(1, len(client.ncores()))
+        size = -(-len(todo) // (_TASKS_A_WORKER * n_workers))
+        tasks = [todo[first : first + size] for first in range(0, len(todo), size)]
+        run = secrets.token_hex(8)
+        futures = client.map(_decode_task, tasks, job=job, run=run, pure=False)
+        try:
+            for future in distributed.as_completed(futures, loop=client.loop):
+                for report in future.result():
+                    tell(report)
+        except distributed.KilledWorker:
+            raise ClusterError(
+                "workers died over the same frames again and again: look at their logs for memory or device errors"
+            ) from None
+        except CancelledError:
+            raise ClusterError("the scheduler is gone: start it again, and run again to go on") from None
+        finally:
+            client.cancel(futures, force=True)
+
+
+@contextmanager
+def _client(where: int | str) -> Iterator[tuple[Any, Any]]:
+    """Give Dask and a client of it."""
+    try:
+        import distributed
+    except ImportError:
+        raise ClusterError("dask distributed is not installed: pip install 'colorphase[cluster]'") from None
+    if isinstance(where, str):
+        try:
+            client: Any = distributed.Client(where, timeout=_TIMEOUT_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ClusterError(f"no scheduler answers at {where} ({error}): start one with dask scheduler") from None
+        with client:
+            yield distributed, client
+        return
+    # Kernels share the cores; each worker's reading and writing comes on top.
+    threads = str(max(1, (os.cpu_count() or 1) // where))
+    with (
+        distributed.LocalCluster(
+            n_workers=where,
+            threads_per_worker=1,
+            processes=True,
+            host="127.0.0.1",
+            dashboard_address=None,
+            memory_limit=0,
+            silence_logs=logging.CRITICAL,
+            env={"TI_CPU_MAX_NUM_THREADS": os.environ.get("TI_CPU_MAX_NUM_THREADS", threads)},
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        yield distributed, client
+
+
+def _decode_task(chains: Sequence[Chain], job: Job, run: str) -> list[Report]:
+    """Decode some chains, in a worker's process."""
+    return _kernels.submit(_decode_here, chains, job, run).result()
+
+
+def _decode_here(chains: Sequence[Chain], job: Job, run: str) -> list[Report]:
+    if run not in _workers:
+        _workers.clear()
+        _workers[run] = Worker(job)
+    reports: list[Report] = []
+    _workers[run].decode(chains, reports.append)
+    return reports

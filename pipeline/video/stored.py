@@ -1,0 +1,94 @@
+"""Frames in the form in which they were stored, and what every source of them can do."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy.typing as npt
+
+from pipeline.errors import FootageError
+from tikernels.pixel_format import Bayer, Matrix, PixelFormat, Siting
+
+
+@dataclass(frozen=True)
+class StoredFrame:
+    """One frame as it was stored."""
+
+    number: int  # in its source, from 0
+    planes: tuple[npt.NDArray[Any], ...]  # see PixelFormat; views that keep what they look at alive; do not write
+    format: PixelFormat
+
+
+@dataclass(frozen=True)
+class BadFrame:
+    """A frame that is damaged, or is not like the others."""
+
+    number: int  # in its source, from 0
+    reason: str  # one line, without the number
+
+
+class Source(Protocol):
+    """Frames in their order, as often as asked for; not to be shared between threads."""
+
+    @property
+    def name(self) -> str:
+        """What the user gave."""
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of every frame."""
+
+    @property
+    def format(self) -> PixelFormat:
+        """How the first good frame is stored; others differ only if their frame says so."""
+
+    @property
+    def transfer(self) -> str | None:
+        """How light is encoded ("linear", "srgb", "bt709"), where the container says so; None where it does not."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed because the container does not say it, a sentence each; for the user."""
+
+    def __len__(self) -> int:
+        """Return how many frames there are, damaged ones included."""
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[StoredFrame | BadFrame]:
+        """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one."""
+
+    def close(self) -> None:
+        """Let go of files; harmless twice."""
+
+
+@dataclass(frozen=True)
+class StoredAs:
+    """What the user says of the pixels, see `PixelFormat`; None: what the footage says of itself."""
+
+    bayer: Bayer | None = None
+    bits: int | None = None
+    siting: Siting | None = None
+    matrix: Matrix | None = None
+    full_range: bool | None = None
+
+    def applied_to(self, format: PixelFormat) -> PixelFormat:
+        """Return a format as the user says it is.
+
+        Raises
+        ------
+        FootageError
+            The bits do not fit the values.
+        """
+        said = replace(format, **{name: value for name, value in vars(self).items() if value is not None})
+        if said.dtype != format.dtype:
+            raise FootageError(f"bits is {said.bits}, but its values have {format.bits + format.shift}")
+        return said
+
+
+def other_than_first(format: PixelFormat, size_px: tuple[int, int], source: "Source") -> str | None:
+    """Say how a frame differs from its source's first in what the decoder cannot take in its stride."""
+    if size_px == source.size_px and format.layout == source.format.layout:
+        return None
+    here, first = (
+        f"{size[0]}x{size[1]} {kind.layout}" for size, kind in ((size_px, format), (source.size_px, source.format))
+    )
+    return f"it is {here}, the first is {first}"

@@ -1,0 +1,64 @@
+"""What a Matroska recording of ours says of itself (`docs/footage.md`)."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
+
+from pipeline.errors import FootageError
+from pipeline.video.stored import StoredAs
+
+_PREFIX = "COLORPHASE_"
+#: Of the format of recordings, in Matroska and in Zarr.
+VERSION = "1"
+
+
+@dataclass(frozen=True)
+class RecordingTags:
+    """Tags of the file, all of them texts that begin with COLORPHASE_."""
+
+    rate_hz: Fraction  # frames a second
+    transfer: str | None
+    bayer: str | None  # None: RGB
+    bits: int
+
+    @classmethod
+    def read(cls, metadata: Mapping[str, str]) -> "RecordingTags | None":
+        """Return the tags of a recording, or None if this is none of ours.
+
+        Raises
+        ------
+        FootageError
+            It is of a later version, or a tag is wrong.
+        """
+        tags = {key.upper(): value for key, value in metadata.items()}
+        version = tags.get(f"{_PREFIX}RECORDING")
+        if version is None:
+            return None
+        if version != VERSION:
+            raise FootageError(f"it is a recording of version {version}, this program reads {VERSION}: update it")
+        try:
+            rate_hz, bits = Fraction(tags[f"{_PREFIX}RATE"]), int(tags[f"{_PREFIX}BITS"])
+        except (KeyError, ValueError) as error:
+            raise FootageError(f"its tags are not those of a recording ({error}): remux it with all its tags") from None
+        return cls(rate_hz, tags.get(f"{_PREFIX}TRANSFER"), tags.get(f"{_PREFIX}BAYER"), bits)
+
+    def write(self) -> dict[str, str]:
+        """Return the tags to write."""
+        values = {"RECORDING": VERSION, "RATE": self.rate_hz, "TRANSFER": self.transfer, "BAYER": self.bayer}
+        return {
+            _PREFIX + name: str(value) for name, value in {**values, "BITS": self.bits}.items() if value is not None
+        }
+
+    def stamp(self, number: int) -> int:
+        """Return a frame's time stamp, ms, which is Matroska's unit."""
+        return round(number * 1000 / self.rate_hz)
+
+    def n_frames(self, duration_us: int) -> int:
+        """Return how many frames a recording of a certain length holds."""
+        return round(duration_us * self.rate_hz / 1_000_000)
+
+    def completing(self, says: StoredAs) -> StoredAs:
+        """Return what the user says, and these tags where the user says nothing."""
+        known: dict[str, Any] = {"bayer": self.bayer, "bits": self.bits}
+        return replace(says, **{name: value for name, value in known.items() if getattr(says, name) is None})

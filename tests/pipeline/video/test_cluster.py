@@ -1,0 +1,104 @@
+"""Real processes of Dask distributed: the same bytes as here, whoever dies on the way."""
+
+import os
+import signal
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from footage import contents, record
+
+from pipeline import DecodeSettings
+from pipeline.errors import ClusterError, FootageError
+from pipeline.store import chosen_fields
+from pipeline.video.job import Job
+from pipeline.video.run import decode_footage
+from pipeline.video.stored import StoredAs
+
+pytest.importorskip("distributed")
+# Not ours: what Dask leaves behind when its processes are killed.
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+]
+N_FRAMES = 200
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("cluster")
+    record(folder / "film.mkv", N_FRAMES)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def here(folder):
+    """Return what a run in this process stores."""
+    store = folder / "here.zarr"
+    decode_footage(job_of(folder, store))
+    return contents(store)
+
+
+def job_of(folder, store):
+    fields = chosen_fields(("mask", "unwrapped_phase", "phase_sigma"), in_mm=False)
+    film = str(folder / "film.mkv")
+    return Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu")
+
+
+def children():
+    """Return the processes that run frames for us: Dask's workers, which their nannies have started."""
+    mine, found = os.getpid(), []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == mine and b"spawn_main" in (folder / "cmdline").read_bytes():
+                found.append(int(folder.name))
+        except (OSError, IndexError):
+            pass  # it has ended
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc").exists(), reason="processes are found in /proc")
+def test_workers_that_are_killed(folder, here, tmp_path):
+    store = tmp_path / "result.zarr"
+    killed = []
+
+    def kill():
+        """Kill a worker whenever twenty more frames are done."""
+        for target in (15, 60, 110):
+            while not finished.is_set() and len(list((store / "done").glob("c.*"))) < target:
+                time.sleep(0.005)
+            if not finished.is_set() and (workers := children()):
+                os.kill(workers[len(killed) % len(workers)], signal.SIGKILL)
+                killed.append(target)
+
+    finished = threading.Event()
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        summary = decode_footage(job_of(folder, store), workers=2)
+    finally:
+        finished.set()
+        killer.join()
+    assert killed[:2] == [15, 60]
+    assert summary.bad == []
+    assert contents(store) == here
+
+
+def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
+    """A damaged frame ends a strict run with its number."""
+    film = tmp_path / "film.zarr"
+    record(film, 70)
+    (film / "frames" / "c" / "66" / "0" / "0" / "0").unlink()
+    fields = chosen_fields(("mask",), in_mm=False)
+    job = Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r.zarr"), "cpu")
+    with pytest.raises(FootageError, match=r"frame 66 of .*film\.zarr: it is missing"):
+        decode_footage(job, strict=True, workers=1)
+    assert decode_footage(job).bad[0].number == 66
+
+
+def test_no_scheduler(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.video.cluster._TIMEOUT_S", 0.5)
+    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127\.0\.0\.1:9"):
+        decode_footage(job_of(folder, tmp_path / "result.zarr"), cluster="tcp://127.0.0.1:9")

@@ -1,0 +1,122 @@
+"""How a frame's pixels are stored, in the words of cameras and codecs."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels.errors import ShapeError
+
+Layout = Literal["rgb", "bayer", "yuv"]
+Bayer = Literal["rggb", "bggr", "grbg", "gbrg"]
+Siting = Literal["left", "centre", "top-left"]
+Matrix = Literal["bt601", "bt709", "bt2020"]
+
+BAYER_PATTERNS: tuple[Bayer, ...] = ("rggb", "bggr", "grbg", "gbrg")
+SITINGS: tuple[Siting, ...] = ("left", "centre", "top-left")
+#: Luma's weights of red and blue: Rec. ITU-R BT.601-7, BT.709-6 and BT.2020-2.
+LUMA_WEIGHTS: dict[Matrix, tuple[float, float]] = {
+    "bt601": (0.299, 0.114),
+    "bt709": (0.2126, 0.0722),
+    "bt2020": (0.2627, 0.0593),
+}
+#: Bits that stand for float32 levels from 0 to 1.
+FLOAT_BITS = 32
+
+
+@dataclass(frozen=True)
+class PixelFormat:
+    """How a frame's planes are stored.
+
+    Planes are uint8 up to 8 bits, uint16 above, and float32 with 32 bits.
+
+    Parameters
+    ----------
+    layout : {"rgb", "bayer", "yuv"}
+        "rgb": one (H, W, 3 or 4) plane, or three (H, W) ones, in the order of `channels`. "bayer": one (H, W) mosaic.
+        "yuv": (H, W) luma and two chroma planes, or one (H', 2 W') with both in turn where `interleaved`; H' and W' are
+        H and W over the subsampling, rounded up.
+    bits : int
+        8 to 16, or 32 for floats: full scale is 2 ** bits - 1, or 1.
+    shift : int
+        How far the bits are shifted up (P010: 10 bits, shifted by 6).
+    channels : str
+        What an "rgb" plane's channels, or its planes, hold: of r, g, b and 0 (unused).
+    bayer : {"rggb", "bggr", "grbg", "gbrg"}
+        The first two pixels of the first two rows.
+    subsampling : (x, y)
+        Pixels a chroma sample, 1 or 2 along each axis.
+    siting : {"left", "centre", "top-left"}
+        Where a chroma sample sits in its block of pixels: "left" is the middle of the left column.
+    matrix : {"bt601", "bt709", "bt2020"}
+        How luma was made of R, G, B.
+    full_range : bool
+        Whether luma uses every level, or 16 to 235 of 255.
+    interleaved : bool
+        Whether both chroma planes are one.
+    """
+
+    layout: Layout
+    bits: int = 8
+    shift: int = 0
+    channels: str = "rgb"
+    bayer: Bayer = "rggb"
+    subsampling: tuple[int, int] = (1, 1)
+    siting: Siting = "left"
+    matrix: Matrix = "bt709"
+    full_range: bool = False
+    interleaved: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what no kernel can read.
+
+        Raises
+        ------
+        ShapeError
+            A value is none of those above.
+        """
+        choices = {
+            "layout": ("rgb", "bayer", "yuv"),
+            "bits": (*range(8, 17), FLOAT_BITS),
+            "bayer": BAYER_PATTERNS,
+            "siting": SITINGS,
+            "matrix": tuple(LUMA_WEIGHTS),
+            "subsampling": ((1, 1), (2, 1), (1, 2), (2, 2)),
+        }
+        for name, allowed in choices.items():
+            if getattr(self, name) not in allowed:
+                raise ShapeError(f"{name} is {getattr(self, name)!r}: choose {', '.join(map(str, allowed))}")
+        if sorted(self.channels.replace("0", "")) != ["b", "g", "r"]:
+            raise ShapeError(f"channels is {self.channels!r}: name r, g and b once, and 0 for what is unused")
+        if self.bits == FLOAT_BITS and self.layout != "rgb":
+            raise ShapeError(f"{self.layout} pixels of 32 bits: only RGB may be floats")
+
+    @property
+    def dtype(self) -> npt.DTypeLike:
+        """The element type of every plane."""
+        if self.bits == FLOAT_BITS:
+            return np.float32
+        return np.uint8 if self.bits + self.shift <= 8 else np.uint16
+
+    @property
+    def white_level(self) -> float:
+        """Full scale, levels."""
+        return 1.0 if self.bits == FLOAT_BITS else float((2**self.bits - 1) << self.shift)
+
+    @property
+    def rgb_dtype(self) -> npt.DTypeLike:
+        """What `develop` makes of it: RGB of 8, 16 or 32 bits stays what it is, everything else becomes float32."""
+        return self.dtype if self.layout == "rgb" and self.white_level in (255, 65535, 1) else np.float32
+
+    def plane_shapes(self, height: int, width: int) -> tuple[tuple[int, ...], ...]:
+        """Return the shape of each plane of a frame; an "rgb" frame's where its channels are in one plane."""
+        if self.layout == "rgb":
+            return ((height, width, len(self.channels)),)
+        if self.layout == "bayer":
+            return ((height, width),)
+        x, y = self.subsampling
+        chroma_height, chroma_width = -(-height // y), -(-width // x)
+        if self.interleaved:
+            return ((height, width), (chroma_height, 2 * chroma_width))
+        return ((height, width), *(((chroma_height, chroma_width),) * 2))
