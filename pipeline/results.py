@@ -16,6 +16,10 @@ from tikernels.triangulation import ProjectorGeometry, triangulate
 # The window that the channels' model is fitted to, in cycles, and its error's share of a pixel's variance there: some
 # fifty samples for three channels' gains and offsets.
 _MODEL_WINDOW, _MODEL_ERROR = 0.85, 0.03
+# Grid points within its standard deviation that a blur needs.
+_GRID = 4
+# About so many pixels tell how far rows scatter.
+_SCATTER_SAMPLES = 300_000
 # By so much more phase a point's shift is measured.
 _BESIDE_RAD = np.float32(0.02)
 # What the device has to be asked for each field.
@@ -127,21 +131,20 @@ class DecodedFrame:
         in it.
         """
         mask = self.mask
-        sigma = np.full(mask.shape, np.nan, np.float32)
         reach = (1, 2 * self._pairs + 1)
         window = np.ones(reach[::-1] if self._vertical else reach, np.uint8)
         # Only where all the neighbours are there does the smoothing average over all of them.
-        whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
-        averaged = np.where(whole, np.float32(1 / np.sqrt(2 * self._pairs + 1)), np.float32(1))
-        noise = 1 / np.sqrt(np.maximum(self._precision[mask], 1e-6))
-        sigma[mask] = noise * averaged
-        sigma *= max(1.0, self._scatter(sigma))
+        whole = cv2.erode(mask.view(np.uint8), window)
+        averaged = np.array([1, 1 / np.sqrt(2 * self._pairs + 1)], np.float32)[whole]
+        noise = np.where(mask, 1 / np.sqrt(np.maximum(self._precision, np.float32(1e-6))), np.float32(np.nan))
+        sigma = noise * averaged
+        sigma *= np.float32(max(1.0, self._scatter(sigma)))
         # The model of the channels is fitted to a window of about a cycle, to less of it at an edge. Its error is the
         # same over neighbouring pixels: they do not show it, and it does not average out.
-        window_px = _MODEL_WINDOW * (self.period_px or 1)
-        inside = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), window_px, borderType=cv2.BORDER_CONSTANT)[mask]
-        sigma[mask] = np.sqrt(sigma[mask] ** 2 + _MODEL_ERROR / inside**3 * noise**2)
-        return sigma
+        inside = _blurred(mask, _MODEL_WINDOW * (self.period_px or 1))
+        with np.errstate(divide="ignore", invalid="ignore"):  # far outside the mask, where there is no sigma
+            variance = sigma**2 + np.float32(_MODEL_ERROR) / (inside * inside * inside) * noise**2
+            return np.asarray(np.sqrt(variance), np.float32)
 
     def _scatter(self, sigma: npt.NDArray[np.float32]) -> float:
         """Return by how much more than sigma rows a quarter of a cycle apart differ from a smooth surface.
@@ -151,6 +154,9 @@ class DecodedFrame:
         phase, expected = self.unwrapped_phase, sigma
         if self._vertical:
             phase, expected = phase.T, expected.T
+        # So many columns tell the median well enough.
+        every = max(1, phase.size // _SCATTER_SAMPLES)
+        phase, expected = phase[:, ::every], expected[:, ::every]
         step = max(2, round((self.period_px or 8) / 4))
         rows = phase.shape[0] - 3 * step
         if rows < 1:
@@ -221,6 +227,18 @@ class DecodedFrame:
         for name in list(vars(self)):
             if isinstance(getattr(type(self), name, None), cached_property):
                 del self.__dict__[name]
+
+
+def _blurred(mask: npt.NDArray[np.bool_], width_px: float) -> npt.NDArray[np.float32]:
+    """(H, W) float32: the share of the neighbourhood that lies in the mask, by a Gaussian of this deviation."""
+    # A wide Gaussian is as smooth on a coarser grid, and costs the less.
+    coarser = max(1, int(width_px / _GRID))
+    share = mask.astype(np.float32)
+    size = share.shape[::-1]
+    if coarser > 1:
+        share = cv2.resize(share, (-(-size[0] // coarser), -(-size[1] // coarser)), interpolation=cv2.INTER_AREA)
+    share = cv2.GaussianBlur(share, (0, 0), width_px / coarser, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR) if coarser > 1 else share, np.float32)
 
 
 def _best_ramp(phase: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
