@@ -15,14 +15,19 @@ from tikernels.triangulation import ProjectorGeometry, triangulate
 
 # A frame's constant is never known better, rad: what balance and ambient light leave of it on clean frames.
 _LEAST_CONSTANT = 0.0006
-# The smoothing's bias is taken from second differences over so many px, most of whose noise averages out.
-_BEND_PX = 6
+# The smoothing's bias is taken from second differences over so many px, most of whose noise averages out, in every
+# fourth row.
+_BEND_PX, _BEND_ROWS = 6, 4
 # The window that the channels' model is fitted to, in cycles, and its error's share of a pixel's variance there: some
 # fifty samples for three channels' gains and offsets. Where part of the window is empty, as near an edge, the model
 # follows the other side's shading: an error in rad, whatever the noise, that grows with the root of that part.
 _MODEL_WINDOW, _MODEL_ERROR, _EDGE_ERROR = 0.85, 0.03, 0.025
 # Rows differ by less than the noise where it was overrated, but not by less than half of it.
 _LEAST_SCATTER = 0.5
+# Grid points within its standard deviation that a blur needs.
+_GRID = 4
+# About so many pixels tell how far rows scatter.
+_SCATTER_SAMPLES = 300_000
 # By so much more phase a point's shift is measured.
 _BESIDE_RAD = np.float32(0.02)
 # What the device has to be asked for each field.
@@ -137,19 +142,17 @@ class DecodedFrame:
         in it.
         """
         mask = self.mask
-        sigma = np.full(mask.shape, np.nan, np.float32)
         reach = (1, 2 * self._pairs + 1)
         window = np.ones(reach[::-1] if self._vertical else reach, np.uint8)
         # Only where all the neighbours are there does the smoothing average over all of them.
-        whole = cv2.erode(mask.astype(np.uint8), window)[mask] > 0
-        averaged = np.where(whole, np.float32(1 / (2 * self._pairs + 1)), np.float32(1))
+        whole = cv2.erode(mask.view(np.uint8), window)
+        averaged = np.array([1, 1 / (2 * self._pairs + 1)], np.float32)[whole]
         # The model's error is the same over neighbouring pixels: it does not average out.
-        sigma[mask] = np.sqrt((averaged + _MODEL_ERROR) / np.maximum(self._precision[mask], 1e-6))
-        sigma *= max(_LEAST_SCATTER, self._scatter(sigma))
-        window_px = _MODEL_WINDOW * (self.period_px or 1)
-        inside = cv2.GaussianBlur(mask.astype(np.float32), (0, 0), window_px, borderType=cv2.BORDER_CONSTANT)[mask]
-        sigma[mask] = np.sqrt(sigma[mask] ** 2 + _EDGE_ERROR**2 * np.maximum(1 - inside, 0))
-        return sigma
+        variance = (averaged + np.float32(_MODEL_ERROR)) / np.maximum(self._precision, np.float32(1e-6))
+        sigma = np.where(mask, np.sqrt(variance), np.float32(np.nan))
+        sigma *= np.float32(max(_LEAST_SCATTER, self._scatter(sigma)))
+        empty = 1 - np.minimum(_blurred(mask, _MODEL_WINDOW * (self.period_px or 1)), 1)
+        return np.asarray(np.sqrt(sigma**2 + np.float32(_EDGE_ERROR**2) * empty), np.float32)
 
     @cached_property
     def constant_sigma(self) -> np.float32:
@@ -159,7 +162,7 @@ class DecodedFrame:
         turn the phase by about as much as these differ from what they should be. Only what turns all three colours
         alike leaves no trace. Smoothing adds its bias on surfaces that bend along the stripes. NaN without fringes.
         """
-        phase = self.unwrapped_phase.T if self._vertical else self.unwrapped_phase
+        phase = (self.unwrapped_phase.T if self._vertical else self.unwrapped_phase)[::_BEND_ROWS]
         bias = 0.0
         if self._pairs and phase.shape[1] > 2 * _BEND_PX:
             bend = phase[:, 2 * _BEND_PX :] - 2 * phase[:, _BEND_PX:-_BEND_PX] + phase[:, : -2 * _BEND_PX]
@@ -177,6 +180,9 @@ class DecodedFrame:
         phase, expected = self.unwrapped_phase, sigma
         if self._vertical:
             phase, expected = phase.T, expected.T
+        # So many columns tell the median well enough.
+        every = max(1, phase.size // _SCATTER_SAMPLES)
+        phase, expected = phase[:, ::every], expected[:, ::every]
         step = max(2, round((self.period_px or 8) / 4))
         rows = phase.shape[0] - 3 * step
         if rows < 1:
@@ -247,6 +253,18 @@ class DecodedFrame:
         for name in list(vars(self)):
             if isinstance(getattr(type(self), name, None), cached_property):
                 del self.__dict__[name]
+
+
+def _blurred(mask: npt.NDArray[np.bool_], width_px: float) -> npt.NDArray[np.float32]:
+    """(H, W) float32: the share of the neighbourhood that lies in the mask, by a Gaussian of this deviation."""
+    # A wide Gaussian is as smooth on a coarser grid, and costs the less.
+    coarser = max(1, int(width_px / _GRID))
+    share = mask.astype(np.float32)
+    size = share.shape[::-1]
+    if coarser > 1:
+        share = cv2.resize(share, (-(-size[0] // coarser), -(-size[1] // coarser)), interpolation=cv2.INTER_AREA)
+    share = cv2.GaussianBlur(share, (0, 0), width_px / coarser, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR) if coarser > 1 else share, np.float32)
 
 
 def _best_ramp(phase: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
+from urllib.parse import urlsplit
 
 from pipeline.errors import ClusterError
 from pipeline.video.job import Job
@@ -60,6 +61,17 @@ def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: C
             client.cancel(futures, force=True)
 
 
+def _check_address(address: str) -> None:
+    """Refuse what is no address at all: Dask would look for it for a minute."""
+    try:
+        parts = urlsplit(address)
+        there = bool(parts.hostname and parts.port)
+    except ValueError:
+        there = False
+    if not there:
+        raise ClusterError(f"no scheduler can be at {address}: give an address such as tcp://127.0.0.1:8786")
+
+
 @contextmanager
 def _client(where: int | str) -> Iterator[tuple[Any, Any]]:
     """Give Dask and a client of it."""
@@ -68,6 +80,7 @@ def _client(where: int | str) -> Iterator[tuple[Any, Any]]:
     except ImportError:
         raise ClusterError("dask distributed is not installed: pip install 'colorphase[cluster]'") from None
     if isinstance(where, str):
+        _check_address(where)
         try:
             client: Any = distributed.Client(where, timeout=_TIMEOUT_S, set_as_default=False)
         except (OSError, ValueError) as error:
