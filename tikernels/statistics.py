@@ -114,7 +114,7 @@ def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bri
     if spread > (_MIN_SPREAD * mean_x) ** 2:
         gain = np.average((x - mean_x) * (y - mean_y), weights=weights) / spread
         gain = min(max(gain, 0.0), mean_y / mean_x)
-    return float(np.sqrt(mean_y - gain * mean_x)), float(gain)
+    return float(np.sqrt(max(mean_y - gain * mean_x, 0.0))), float(gain)
 
 
 def _period(signal: npt.NDArray[np.complex64]) -> float | None:
