@@ -185,9 +185,10 @@ def smooth_along_stripes(wrapped_phase: Array, mask: Array, smoothing_px: int) -
     total, count = np.zeros(phase.shape), np.ones(phase.shape)
     for k in range(1, smoothing_px // 2 + 1):
         left, right = (wrapped_difference(neighbour(phase, 0, side), phase) for side in (-k, k))
-        same = (np.maximum(np.abs(left), np.abs(right)) < 1.0) & (np.abs(left + right) < 0.6)
-        total += np.where(same, left + right, 0.0)
-        count += 2 * same
+        near = np.maximum(np.abs(left), np.abs(right)) < 1.0
+        counts = np.where(near, np.clip(2.5 - 2 * np.abs(left + right) / 0.6, 0, 1), 0.0)
+        total += counts * np.where(near, left + right, 0.0)
+        count += 2 * counts
     keep = np.isnan(phase) | saw_two_surfaces(1, 0, across) | saw_two_surfaces(0, 1, along)
     return np.where(keep, wrapped_phase, wrapped_difference(phase + total / count, 0.0))
 

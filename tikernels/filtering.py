@@ -90,9 +90,12 @@ def smooth_phase_kernel(pairs: int) -> Any:
                     if ti.static(tap > 1):
                         left = wrap(values[reach + k - tap] - centre)
                         right = wrap(values[reach + k + tap] - centre)
-                    ok = (ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE) & (ti.abs(left + right) < max_bend)
-                    total += ti.select(ok, left + right, 0.0)
-                    count += ti.select(ok, 2.0, 0.0)
+                    near = ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE
+                    # Fading, so that rounding decides nothing.
+                    counts = ti.min(ti.max(2.5 - 2.0 * ti.abs(left + right) / max_bend, 0.0), 1.0)
+                    counts = ti.select(near, counts, 0.0)
+                    total += counts * ti.select(near, left + right, 0.0)
+                    count += 2.0 * counts
                 step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
                 value = ti.select(step, STEP_PHASE, centre + total / count)
                 result[k] = ti.select(centre < 0.5 * NO_PHASE, value, NO_PHASE)

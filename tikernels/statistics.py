@@ -92,6 +92,8 @@ def measure_frame(image: Any, white_level: float | None = None) -> FrameStatisti
 
 def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float) -> tuple[float, float]:
     """Return read noise and gain, given second differences of the channels' sum and the channels' mean."""
+    # Devices round differently; which pixels are alike must not hang on that.
+    light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
     # Dark pixels are clipped at zero and show half the noise.
     lit = light >= max(float(np.median(light)), _LIT_SHARE * bright)
     # Sorted by the pixel above, whose own noise is another one.
