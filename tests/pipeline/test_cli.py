@@ -108,7 +108,6 @@ def test_a_frame_without_fringes(folder):
         (("decode", "nowhere", "--out", "x"), "there is no such file"),
         (("decode", "pictures", "--out", "frame.png", "--arch", "cpu"), "its folder is a file"),
         (("decode", "pictures", "--out", "."), "holds something else"),
-        (("decode", "pictures", "--out", "x", "--cluster", "tcp://127.0.0.1:nine", "--arch", "cpu"), "no scheduler"),
         (("decode", "black.png", "--out", "x", "--calibration", "calibration.json"), "recalibrate or crop"),
         (("decode", "frame.png", "--out", "x", "--calibration", "settings.toml"), "not what it should be"),
         (("decode", "frame.png", "--out", "x", "--settings", "calibration.json"), "not what it should be"),
