@@ -337,7 +337,11 @@ def test_ctrl_c_at_the_terminal(tmp_path):
     """Exit code 130, and one line that says how to go on."""
     record(tmp_path / "film.mkv", 300)
     arguments = command("decode", tmp_path / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu")
-    with subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+    # What a shell starts in the background ignores Ctrl-C, and so does what that starts, but not where it is handled.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    signal.signal(signal.SIGINT, before)
+    with process:
         while len(marked(tmp_path / "out" / "result.zarr")) < 5:
             assert process.poll() is None
             time.sleep(0.005)
