@@ -182,7 +182,9 @@ class Stage:
         surface.point_data.active_normals_name = "normals"
         surface.point_data["colors"] = colors
         look = {"specular": 0.15, "specular_power": 20, "ambient": 0.05}
-        self._plotter.add_mesh(surface, scalars="colors", rgb=True, name="surface", reset_camera=False, **look)
+        self._plotter.add_mesh(
+            surface, scalars="colors", rgb=True, name="surface", reset_camera=False, render=False, **look
+        )
 
     def aim(self, points: NDArray[np.floating], back: tuple[float, float, float]) -> None:
         """Look against a direction, so that all points just fill the picture."""
@@ -190,6 +192,7 @@ class Stage:
 
     def picture(self) -> NDArray[np.uint8]:
         """Return what is seen, (H, W, 3) RGB."""
+        self._plotter.render()  # a screenshot alone is of what was rendered last
         return np.asarray(self._plotter.screenshot(return_img=True))
 
 
