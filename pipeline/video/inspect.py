@@ -60,6 +60,8 @@ _THIRD_OF_A_CYCLE = 2 * np.pi / 3
 _NOISE_CHANGE, _MOVING = 2.8, 1.5
 # Levels matter where what rounding does to the phase is more than this part of what noise does.
 _ROUGH = 0.5
+# So many upper bits are left unused by mistake, or by much too short an exposure.
+_UNUSED_BITS = 2
 # What is the rig's and not the footage's: decoding learns it from a frame, or a calibration tells it.
 _OF_THE_RIG = {"response", "crosstalk", "even crosstalk"}
 _STILL_NOT_TOLD = "frames that are the same may be repeated, or nothing moved: this codec makes them alike either way"
@@ -164,6 +166,7 @@ class _Seen:
     motion_rad: list[float] = field(default_factory=list)  # of pairs of neighbours, 95th percentile
     repeats: list[int] = field(default_factory=list)  # frames that are as the one before, value by value
     n_pairs: int = 0
+    brightest: float = 0.0  # value, of full scale
     diagnosis: Diagnosis | None = None
     siting: SitingFit | None = None
     sequence: SequenceDiagnosis | None = None
@@ -199,6 +202,7 @@ def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str,
                     elif (change := measure_motion(before[1], look)).size:
                         seen.motion_rad.append(float(np.quantile(change, 0.95)))
                 before = (stored, look)
+                seen.brightest = max(seen.brightest, float(look.encoded.max()))
                 if look.frame is None:
                     seen.no_fringes.append(stored.number)
                     continue
@@ -369,10 +373,10 @@ def _of_storage(seen: _Seen, facts: ContainerFacts, source: Source, typical: Sho
     x, y = source.format.subsampling
     subsampled = source.format.layout == "yuv" and (x, y) != (1, 1)
     name = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (1, 1): "4:4:4"}[x, y]
-    bits = "" if facts.bits_a_pixel is None else f", {facts.bits_a_pixel:.2f} bits a pixel"
+    rate = "" if facts.bits_a_pixel is None else f", {facts.bits_a_pixel:.2f} bits a pixel"
     yield _finding(
         "codec",
-        f"{facts.codec}, {facts.pixels}, {'with' if facts.lossy else 'without'} loss{bits}",
+        f"{facts.codec}, {facts.pixels}, {'with' if facts.lossy else 'without'} loss{rate}",
         rest if facts.lossy and not subsampled else None,
         "give it more bits (H.264: crf 10), or record without loss (FFV1)",
     )
@@ -387,22 +391,25 @@ def _of_storage(seen: _Seen, facts: ContainerFacts, source: Source, typical: Sho
     if seen.siting is not None:
         assumed, better = source.format.siting, seen.siting.better
         if better is None:
-            yield _finding("siting", f"{assumed} is assumed; these frames do not tell it from the other")
+            found = f"{assumed} is assumed; these frames do not tell; if it is the other one, its cost is this"
+            yield _finding("siting", found, seen.siting.differ_rad, grade="fine")
         elif better == assumed:
             yield _finding("siting", f"{assumed} fits better than the other", 0.0)
         else:
             advice = f"add --siting {better}"
             found = f"{better} fits better than {assumed}, which is assumed"
             yield _finding("siting", found, seen.siting.differ_rad, advice, grade="spoils")
-    kind = "floats" if source.format.bits == FLOAT_BITS else f"{source.format.bits} bits"
+    bits = _bits(source)
+    kind = "floats" if source.format.bits == FLOAT_BITS else f"{bits} bits"
+    if seen.brightest < 2.0**-_UNUSED_BITS:
+        used = max(1, bits + int(np.ceil(np.log2(max(seen.brightest, 2.0**-bits)))))
+        kind += f", but no value uses more than {used} of them"
+        advice = f"if the camera delivers {used} bits, add --bits {used}, or clipping goes unseen; else expose more"
+        yield _finding("depth", kind, typical.level_limit_rad, advice, grade="costs")
+        return
     rough = typical.level_limit_rad > max(_LEAST_RAD, _ROUGH * typical.limit_rad)
-    yield _finding(
-        "depth",
-        kind,
-        typical.level_limit_rad,
-        "record more bits, or expose more",
-        grade=None if rough else "fine",
-    )
+    advice, grade = "record more bits, or expose more", None if rough else "fine"
+    yield _finding("depth", kind, typical.level_limit_rad, advice, grade=grade)
 
 
 def _of_light(seen: _Seen, typical: Shown) -> Iterator[Finding]:

@@ -167,6 +167,15 @@ def test_a_codec_that_is_given_too_few_bits(tmp_path):
     assert costs[1] > 1.5 * costs[0]
 
 
+def test_bits_that_are_not_used(tmp_path):
+    frames = shoot(2, seed=19, bits=12)
+    path = record(tmp_path / "twelve.zarr", frames, PixelFormat("rgb", 16))
+    found = inspect_footage(path, arch="cpu")
+    (depth,) = [f for f in found.findings if f.grade != "fine"]
+    assert depth.topic == "depth" and "--bits 12" in depth.advice
+    assert faults(path, StoredAs(bits=12)) == {}
+
+
 def test_what_shows_no_fringes(tmp_path):
     noise = [np.random.default_rng(i).integers(0, 256, (240, 320, 3)).astype(np.uint8) for i in range(3)]
     assert faults(record(tmp_path / "noise.mkv", noise)) == {"fringes": "spoils"}
@@ -209,7 +218,7 @@ def test_on_every_backend(tmp_path, arch):
 
 def test_motion_of_more_than_a_third_of_a_cycle(tmp_path):
     frames = shoot(3, seed=17, scene="ball", object_motion_mm=(0.0, 0.0, 0.0))
-    later = shoot(3, seed=18, scene="ball", object_motion_mm=(0.0, 0.0, 18.0))
+    later = shoot(3, seed=18, scene="ball", object_motion_mm=(0.0, 0.0, 36.0))  # 0.07 rad a mm
     path = record(tmp_path / "fast.mkv", [frames[0], later[1], frames[2]])
     assert faults(path) == {"motion": "spoils"}
 
