@@ -219,8 +219,9 @@ def inspect(
         _out.print(table)
         for sentence in found.not_told:
             _out.print(f"not told: {sentence}", highlight=False, soft_wrap=True)
-        verdict = {"fine": "fine", "costs": "fine to use; it could be better", "spoils": "do not use it as it is"}
-        _out.print(verdict[found.grade], highlight=False)
+        verdict = {"fine": "fine", "costs": "fine to use, could be better", "spoils": "do not use it as it is"}
+        worst = "" if found.grade == "fine" else f" ({', '.join(found.topics(found.grade))})"
+        _out.print(verdict[found.grade] + worst, highlight=False, soft_wrap=True)
     if found.grade == "spoils":
         sys.exit(NOT_AS_IT_IS)
 

@@ -92,6 +92,10 @@ class Inspection:
         """The worst of all findings."""
         return max((finding.grade for finding in self.findings), key=_GRADES.index)
 
+    def topics(self, grade: Grade) -> tuple[str, ...]:
+        """Return what has this grade."""
+        return tuple(finding.topic for finding in self.findings if finding.grade == grade)
+
     def as_json(self) -> dict[str, Any]:
         """Return all of it for programs."""
         return {"grade": self.grade, **asdict(self)}
@@ -177,7 +181,7 @@ def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str,
         settings = settings.model_copy(update={"transfer": source.transfer})
     seen, decoder = _Seen(settings), None
     runs = _runs(len(source))
-    middle, total = runs[len(runs) // 2], sum(map(len, runs))
+    middle, total = max(runs, key=len), sum(map(len, runs))
     sequence: list[Kept] = []
     for run in runs:
         before: tuple[StoredFrame, Look] | None = None
@@ -360,7 +364,7 @@ def _of_fringes(seen: _Seen, typical: Shown) -> Iterator[Finding]:
     )
     yield _finding(
         "total",
-        "a pixel's phase is uncertain by, from what neighbours differ by",
+        "noise of a pixel's phase by all causes together, as neighbours differ by it",
         typical.sigma_rad,
         "change what costs most",
         grade="spoils" if typical.sigma_rad >= _MOST_RAD else "fine",
@@ -408,8 +412,8 @@ def _of_storage(seen: _Seen, facts: ContainerFacts, source: Source, typical: Sho
         yield _finding("depth", kind, typical.level_limit_rad, advice, grade="costs")
         return
     rough = typical.level_limit_rad > max(_LEAST_RAD, _ROUGH * typical.limit_rad)
-    advice, grade = "record more bits, or expose more", None if rough else "fine"
-    yield _finding("depth", kind, typical.level_limit_rad, advice, grade=grade)
+    advice = "record more bits, or expose more"
+    yield _finding("depth", kind, typical.level_limit_rad, advice, grade=None if rough else "fine")
 
 
 def _of_light(seen: _Seen, typical: Shown) -> Iterator[Finding]:
@@ -476,7 +480,9 @@ def _of_time(seen: _Seen, typical: Shown) -> Iterator[Finding]:
         cost = typical.sigma_rad * float(np.sqrt(1 / max(left, 0.05) ** 2 - 1))
         yield _finding(
             "motion",
-            f"{moved:.2f} rad a frame; at most {1 - left:.0%} of the contrast is blurred away, if exposed all the time",
+            f"{moved:.2f} rad a frame; at most {1 - left:.0%} of the contrast is blurred away, if exposed all the time"
+            if moved
+            else "none that stands out of the noise",
             cost,
             "expose for less time"
             if moved < _THIRD_OF_A_CYCLE
