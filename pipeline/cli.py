@@ -4,6 +4,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from json import dumps
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -28,6 +29,7 @@ from pipeline.errors import (
 from pipeline.settings import DecodeSettings
 from pipeline.video.commands import FootageOptions, decode_video
 from pipeline.video.pictures import PICTURE_SUFFIXES
+from pipeline.video.stored import StoredAs
 from tikernels import runtime
 from tikernels.errors import DeviceNotReady, ShapeError
 
@@ -47,6 +49,7 @@ _USER_ERRORS = (
 
 _BOARD = BoardOptions()
 _FOOTAGE = FootageOptions()
+_AS_IT_SAYS = StoredAs()
 
 _out = Console()
 _err = Console(stderr=True)
@@ -196,6 +199,56 @@ def decode(
 
 
 @app.command
+def inspect(
+    input: Path,
+    /,
+    *,
+    settings: Path | None = None,
+    json: bool = False,
+    arch: Arch = "auto",
+    stored_as: Annotated[StoredAs, Parameter(name="*")] = _AS_IT_SAYS,
+) -> None:
+    """Say what footage will cost in accuracy, and what to change. Exit code 3: do not use it as it is.
+
+    Looks at some twenty frames, however long the footage is. Costs are radians RMS of a pixel's phase.
+
+    Example: colorphase inspect film.mp4, or colorphase inspect film.mp4 --siting centre --json
+
+    Parameters
+    ----------
+    input
+        A picture, a folder of pictures, a video or a recording.
+    settings
+        TOML file of the settings that it is to be decoded with.
+    json
+        Print JSON instead of a table.
+    arch
+        Where to compute.
+    """
+    from pipeline.video.inspect import NOT_AS_IT_IS, inspect_footage
+
+    chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
+    with _progress() as step:
+        found = inspect_footage(input, stored_as, chosen, arch, step)
+    if json:
+        print(dumps(found.as_json(), indent=1))
+    else:
+        table = Table("what", "found", "costs, rad", "what to change", title=str(input))
+        styles = {"fine": "", "costs": "yellow", "spoils": "red"}
+        for finding in found.findings:
+            cost = "" if finding.cost_rad is None else f"{finding.cost_rad:.3f}"
+            table.add_row(finding.topic, finding.found, cost, finding.advice, style=styles[finding.grade])
+        _out.print(table)
+        for sentence in found.not_told:
+            _out.print(f"not told: {sentence}", highlight=False, soft_wrap=True)
+        verdict = {"fine": "fine", "costs": "fine to use, could be better", "spoils": "do not use it as it is"}
+        worst = "" if found.grade == "fine" else f" ({', '.join(found.topics(found.grade))})"
+        _out.print(verdict[found.grade] + worst, highlight=False, soft_wrap=True)
+    if found.grade == "spoils":
+        sys.exit(NOT_AS_IT_IS)
+
+
+@app.command
 def render(
     input: Path,
     /,
@@ -203,32 +256,86 @@ def render(
     out: Path,
     view: Literal["three-quarter", "front"] = "three-quarter",
     size: Annotated[tuple[int, int], Parameter(consume_multiple=True)] = (1280, 960),
+    turn: float = 0.0,
+    sway: float = 0.0,
+    colors: Literal["depth", "shaded", "modulation", "sigma"] = "depth",
+    fps: Annotated[float, Parameter(validator=lambda _, value: _above_zero(value))] = 30.0,
+    seconds: Annotated[float, Parameter(validator=lambda _, value: _above_zero(value))] = 4.0,
 ) -> None:
-    """Draw a mesh off screen.
+    """Draw a mesh, or a film of all frames of a result.zarr, off screen.
 
-    Example: colorphase render face/mesh.ply --out face.png --view front
+    Example: colorphase render face/mesh.ply --out face.png --view front, or
+    colorphase render film/result.zarr --out film.mp4 --sway 25 --colors shaded
 
     Parameters
     ----------
     input
-        The mesh: a PLY file.
+        The mesh, a PLY file; or a result.zarr.
     out
-        The PNG to write.
+        The PNG to write; of a result.zarr the MP4.
     view
         From where.
     size
         Width and height of the picture in px.
+    turn
+        A film's eye goes round the surface by so many degrees.
+    sway
+        It swings by so many degrees to either side, once.
+    colors
+        What a film's colours show.
+    fps
+        A film's pictures a second, one a frame.
+    seconds
+        How long the film of a single frame is.
     """
     from pipeline.export import read_mesh
+    from pipeline.film import FilmOptions, render_film
     from pipeline.render import render_mesh
 
-    if out.suffix.lower() != ".png":
-        raise OutputError(f"{out} is not a PNG file: name it .png")
+    if not input.is_dir():
+        if out.suffix.lower() != ".png":
+            raise OutputError(f"{out} is not a PNG file: name it .png")
+        with _progress() as step:
+            step("reading")
+            mesh = read_mesh(input)
+            step("drawing")
+            render_mesh(mesh, out, view=view, size_px=size)
+        return
+    options = FilmOptions(view, turn, sway, colors, fps, seconds, size)
     with _progress() as step:
-        step("reading")
-        mesh = read_mesh(input)
-        step("drawing")
-        render_mesh(mesh, out, view=view, size_px=size)
+        film = render_film(input, out, options, tell=lambda done, of: step(f"picture {done} of {of}"))
+    for held in film.held[:1]:
+        text = f"{len(film.held)} frames hold no surface, as frame {held}: the one before is shown in their place"
+        _err.print(text, style="yellow", highlight=False, soft_wrap=True)
+    _out.print(f"wrote {out}: {film.n_pictures} pictures, by {film.codec}", highlight=False, soft_wrap=True)
+
+
+@app.command
+def export(input: str, /, *, out: Path, kind: Literal["ply", "glb"] = "ply") -> None:
+    """Write every frame of a result.zarr as a mesh.
+
+    Example: colorphase export film/result.zarr --out meshes --kind glb
+
+    Parameters
+    ----------
+    input
+        The result.zarr: a folder, or an fsspec URL.
+    out
+        The folder for frame_000000.ply and so on.
+    kind
+        The format; PLY keeps modulation and standard deviation, too.
+    """
+    from pipeline.stored_result import export_frames
+
+    runtime.init("cpu")
+    with _progress() as step:
+        written, empty = export_frames(input, out, kind, lambda done, of: step(f"frame {done} of {of}"))
+    if empty:
+        text = f"{len(empty)} frames show no surface, as frame {empty[0]}: there is no mesh of them"
+        _err.print(text, style="yellow", highlight=False, soft_wrap=True)
+    _out.print(f"{written} meshes in {out}", highlight=False, soft_wrap=True)
+    if not written:
+        sys.exit(1)
 
 
 @app.command
@@ -246,6 +353,11 @@ def devices() -> None:
     for port in list_serial_ports():
         table.add_row("serial port", port.device, port.description)
     _out.print(table)
+
+
+def _above_zero(value: float) -> None:
+    if not value > 0:
+        raise ValueError("must be above 0")
 
 
 @contextmanager

@@ -13,8 +13,8 @@ _HIDDEN = 48  # grey level of pixels that hold no value
 _CLAY = np.array([236, 228, 216], np.float32)  # RGB of a fully lit surface
 
 
-def depth_colors(values: Floats, mask: NDArray[np.bool_]) -> Bytes:
-    """Colour a range image from blue, its 1st percentile, to red, its 99th.
+def depth_colors(values: Floats, mask: NDArray[np.bool_], limits: tuple[float, float] | None = None) -> Bytes:
+    """Colour a range image from blue to red.
 
     Parameters
     ----------
@@ -22,6 +22,8 @@ def depth_colors(values: Floats, mask: NDArray[np.bool_]) -> Bytes:
         Range in mm or rad.
     mask : (H, W) bool
         Pixels that hold a value; NaN pixels are left out too.
+    limits : (float, float), optional
+        What is blue, and what is red; None: the 1st and the 99th percentile.
 
     Returns
     -------
@@ -29,7 +31,7 @@ def depth_colors(values: Floats, mask: NDArray[np.bool_]) -> Bytes:
         RGB; dark grey where there is no value.
     """
     mask = mask & np.isfinite(values)
-    low, high = _limits(values, mask)
+    low, high = _limits(values, mask) if limits is None else limits
     fractions = np.where(mask, (values - low) / (high - low), 0).clip(0, 1)
     return np.where(mask[..., None], _colormap(fractions), np.uint8(_HIDDEN))
 

@@ -55,7 +55,7 @@ class Pictures:
     def __init__(self, name: str, folder: Path, names: Sequence[str], says: StoredAs) -> None:
         self.name = name
         self._folder = folder
-        self._names = names
+        self.names = names
         self._says = says
         self._jpeg_decoder: Any = None
         self.notes: tuple[str, ...] = ()
@@ -87,7 +87,7 @@ class Pictures:
         return cls(str(folder), folder, sorted(names, key=natural_key), says)
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self.names)
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[StoredFrame | BadFrame]:
         """Yield frames by number; see `Source`."""
@@ -100,7 +100,7 @@ class Pictures:
             size_px = (planes[0].shape[1], planes[0].shape[0])
             reason = other_than_first(format, size_px, self)
             if reason is not None:
-                yield BadFrame(number, f"{self._names[number]}: {reason}")
+                yield BadFrame(number, f"{self.names[number]}: {reason}")
             else:
                 yield StoredFrame(number, planes, format)
 
@@ -108,7 +108,7 @@ class Pictures:
         """Do nothing: no file is open between two frames."""
 
     def _read(self, number: int) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat]:
-        path = self._folder / self._names[number]
+        path = self._folder / self.names[number]
         data = read_bytes(path)
         check_whole(path, data)
         try:

@@ -65,10 +65,15 @@ class StoredAs:
     """What the user says of the pixels, see `PixelFormat`; None: what the footage says of itself."""
 
     bayer: Bayer | None = None
+    """Which mosaic grey footage is."""
     bits: int | None = None
+    """How many bits of its values are used."""
     siting: Siting | None = None
+    """Where chroma samples sit."""
     matrix: Matrix | None = None
+    """How luma was made."""
     full_range: bool | None = None
+    """Whether luma uses every level."""
 
     def applied_to(self, format: PixelFormat) -> PixelFormat:
         """Return a format as the user says it is.

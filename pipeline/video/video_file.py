@@ -106,6 +106,12 @@ class VideoFile:
     def __len__(self) -> int:
         return self._n_frames
 
+    @property
+    def stamps(self) -> list[int]:
+        """When each frame is to be shown, in the order of their numbers; empty where nothing tells."""
+        shown = zip(self._index.numbers, self._index.stamps, strict=False)
+        return [stamp for number, stamp in sorted(shown) if number >= 0]
+
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[StoredFrame | BadFrame]:
         """Yield frames by number; see `Source`."""
         wanted = range(len(self))[start:stop:step]

@@ -1,0 +1,162 @@
+"""Frames of a ``result.zarr``, read one at a time."""
+
+from collections.abc import Callable, Collection
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.errors import FootageError, OutputError
+from pipeline.export import Mesh, write_mesh
+from pipeline.files import explain
+from pipeline.meshes import surface_mesh
+
+# The array that marks frames which are whole: a record of JSON a frame, blanks where there is none.
+_MARKS, _BLANK = "done", 0x20
+_BATCH = 1024
+
+
+class StoredResult:
+    """What `colorphase decode` has stored.
+
+    Parameters
+    ----------
+    location : str or Path
+        The ``result.zarr``: a folder, or an fsspec URL.
+
+    Attributes
+    ----------
+    attributes : dict
+        What the store says of how its frames were decoded.
+    n_frames : int
+        Of the footage, whether decoded or not.
+
+    Raises
+    ------
+    FootageError
+        It is no such store.
+    """
+
+    def __init__(self, location: str | Path) -> None:
+        import zarr  # slow to import, and only needed here
+
+        self.name = str(location)
+        try:
+            self._group: Any = zarr.open_group(self.name, mode="r")
+            self.attributes: dict[str, Any] = self._group.attrs.asdict()
+            fields = set(self._group.array_keys())
+        except Exception as error:  # each file system has errors of its own
+            raise FootageError(f"{self.name} is not a result.zarr that can be read: decode first") from error
+        if "settings" not in self.attributes or not fields - {_MARKS}:
+            raise FootageError(f"{self.name} is not a result of colorphase decode")
+        self.fields = frozenset(fields - {_MARKS})
+        first: Any = self._group[min(self.fields)]
+        self.n_frames = int(first.shape[0])
+
+    @property
+    def in_mm(self) -> bool:
+        """Whether frames hold points in mm."""
+        return "points" in self.fields
+
+    @cached_property
+    def done(self) -> tuple[int, ...]:
+        """The numbers of the frames that are whole."""
+        if _MARKS not in self._group:  # a store of one picture has no marks
+            return tuple(range(self.n_frames))
+        marks, done = self._group[_MARKS], []
+        for begin in range(0, self.n_frames, _BATCH):
+            records = np.asarray(marks[begin : begin + _BATCH])
+            done += (begin + np.flatnonzero((records != _BLANK).any(axis=1))).tolist()
+        return tuple(done)
+
+    @property
+    def wanted(self) -> range:
+        """The numbers that the run was to decode, from its first to its last one that is done."""
+        if not self.done:
+            return range(0)
+        return range(self.done[0], self.done[-1] + 1, int(self.attributes.get("step", 1)))
+
+    def read(self, name: str, number: int) -> npt.NDArray[Any]:
+        """Return a field of a frame.
+
+        Raises
+        ------
+        FootageError
+            The field was not stored, or its chunk is damaged.
+        """
+        if name not in self.fields:
+            raise FootageError(f"{self.name} holds no {name}: decode with that field")
+        try:
+            return np.asarray(self._group[name][number])
+        except Exception as error:  # each codec has errors of its own
+            raise FootageError(f"{self.name}: {name} of frame {number} is damaged: decode again") from error
+
+    def mesh(self, number: int, fields: Collection[str] | None = None) -> Mesh:
+        """Return a frame as a mesh, with modulation and standard deviation if they are stored, and among `fields`.
+
+        Raises
+        ------
+        FootageError
+            What it is made of was not stored, or is damaged.
+        """
+        points = self.read("points", number) if self.in_mm else None
+        values = self.read("range_image", number) if points is None else points[..., 2]
+        mask = self.read("mask", number) & np.isfinite(values)
+        sigma = ("sigma_mm", "point_sigma") if self.in_mm else ("sigma_rad", "phase_sigma")
+        properties = {
+            name: self.read(field, number)[mask]
+            for name, field in (("modulation", "modulation"), sigma)
+            if field in (self.fields if fields is None else self.fields & set(fields))
+        }
+        return surface_mesh(values, mask, points, properties)
+
+
+def export_frames(
+    location: str | Path,
+    folder: str | Path,
+    kind: Literal["ply", "glb"],
+    tell: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[int, tuple[int, ...]]:
+    """Write every frame of a store that is done as a mesh, ``frame_000012.ply`` and so on.
+
+    Parameters
+    ----------
+    location : str or Path
+        The ``result.zarr``.
+    folder : str or Path
+        Where to; made if it does not exist. Files of the same names are replaced.
+    kind : {"ply", "glb"}
+        The format: PLY keeps the standard deviations, too.
+    tell : callable
+        Is told how many of how many frames have been looked at.
+
+    Returns
+    -------
+    int
+        How many were written.
+    tuple of int
+        The numbers of those without any surface, of which there is no mesh.
+
+    Raises
+    ------
+    FootageError
+        There is no such store, or it lacks what a mesh is made of.
+    OutputError
+        The folder cannot be written.
+    """
+    result, folder = StoredResult(location), Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {folder}: {explain(error)}") from error
+    empty = []
+    for i, number in enumerate(result.done):
+        mesh = result.mesh(number)
+        if len(mesh.faces):
+            write_mesh(mesh, folder / f"frame_{number:06d}.{kind}")
+        else:
+            empty.append(number)
+        tell(i + 1, len(result.done))
+    return len(result.done) - len(empty), tuple(empty)

@@ -1,0 +1,230 @@
+"""Films and meshes of a store's frames: what they show, and what is said of frames that are not there."""
+
+import json
+import subprocess
+import sys
+
+import av
+import numpy as np
+import pytest
+import zarr
+
+from pipeline import film
+from pipeline.errors import FootageError, OutputError, RenderError
+from pipeline.export import read_mesh
+from pipeline.film import FilmOptions, render_film
+from pipeline.render import render_mesh
+from pipeline.stored_result import StoredResult, export_frames
+from tikernels import runtime
+
+SIZE = (160, 120)
+HEIGHT, WIDTH = 60, 80
+
+
+def plane(distance_mm):
+    """Return the points of a plane, 1 mm a pixel, with a hole in its lower right corner."""
+    y, x = np.indices((HEIGHT, WIDTH), np.float32)
+    points = np.stack([x - WIDTH / 2, y - HEIGHT / 2, np.full_like(x, distance_mm)], axis=-1)
+    mask = (y < HEIGHT - 15) | (x < WIDTH - 20)
+    points[~mask] = np.nan
+    return points, mask
+
+
+def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), marks=True):
+    """Write a store as a run over footage does; None stands for a frame without any surface."""
+    n_frames = len(distances)
+    group = zarr.open_group(path, mode="w", attributes={"settings": {}, "step": step})
+    arrays = {}
+
+    def put(name, number, values):
+        if name in leave_out:
+            return
+        if name not in arrays:
+            fill = np.nan if values.dtype.kind == "f" else 0
+            arrays[name] = group.create_array(
+                name, shape=(n_frames, *values.shape), chunks=(1, *values.shape), dtype=values.dtype, fill_value=fill
+            )
+        arrays[name][number] = values
+
+    if marks:
+        blank = {"shape": (n_frames, 64), "chunks": (1, 64), "dtype": "u1", "fill_value": 0x20}
+        done = group.create_array("done", **blank)
+    for number, distance in enumerate(distances):
+        if number in missing:
+            continue
+        points, mask = plane(distance or 400.0)
+        mask &= distance is not None
+        put("mask", number, mask)
+        put("modulation", number, np.where(mask, np.float32(50), np.float32(0)))
+        put("phase_sigma", number, np.where(mask, np.float32(0.02), np.float32(np.nan)))
+        put("range_image", number, points[..., 2] if in_mm else points[..., 2] / 100)
+        if in_mm:
+            put("points", number, points)
+            put("point_sigma", number, np.where(mask, np.float32(0.1), np.float32(np.nan)))
+        if marks:
+            done[number] = np.frombuffer(json.dumps({}).encode().ljust(64), np.uint8)
+    return path
+
+
+def pictures(path):
+    with av.open(str(path)) as container:
+        rate = float(container.streams.video[0].average_rate)
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)]).astype(int), rate
+
+
+def shown(picture):
+    """Return which pixels differ from the background at the left edge."""
+    return abs(picture - picture[:, :1]).max(axis=-1) > 12
+
+
+@pytest.fixture(scope="module")
+def can_draw(tmp_path_factory):
+    from pipeline.export import Mesh
+
+    mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32))
+    try:
+        render_mesh(mesh, tmp_path_factory.mktemp("probe") / "probe.png", size_px=SIZE)
+    except RenderError as error:
+        pytest.skip(f"no usable OpenGL: {error}")
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_a_film_shows_each_frame_in_its_turn(tmp_path):
+    distances = [400.0, 401.0, 402.0, 403.0, 404.0, 405.0]
+    path = store(tmp_path / "r.zarr", distances, missing=(2,))
+    told = []
+    options = FilmOptions("front", fps=12.5, size_px=SIZE)
+    made = render_film(path, tmp_path / "film.mp4", options, tell=lambda done, of: told.append((done, of)))
+    assert (made.n_pictures, made.held) == (6, (2,))
+    assert told == [(i + 1, 6) for i in range(6)]
+    assert [p.name for p in tmp_path.iterdir() if p.suffix == ".mp4" or p.name.startswith(".")] == ["film.mp4"]
+    seen, rate = pictures(tmp_path / "film.mp4")
+    assert seen.shape == (6, SIZE[1], SIZE[0], 3) and rate == 12.5
+    middle = seen[:, SIZE[1] // 2, SIZE[0] // 2]
+    # One scale of colours for all: from blue, near, to red.
+    assert middle[0, 2] > middle[0, 0] + 50 and middle[-1, 0] > middle[-1, 2] + 50
+    assert abs(middle[2] - middle[1]).max() < 8, "the missing frame shows the one before"
+    assert abs(middle[3] - middle[1]).max() > 8
+    # The camera's view: x to the right, y down, so the hole is below on the right.
+    y, x = np.nonzero(shown(seen[0]))
+    inside = shown(seen[0])[y.min() + 2 : y.max() - 1, x.min() + 2 : x.max() - 1]  # its rim is mixed
+    assert inside[:10, :10].all() and inside[:10, -10:].all() and inside[-8:, :10].all()
+    assert not inside[-8:, -10:].any()
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_turning_and_swaying(tmp_path):
+    path = store(tmp_path / "r.zarr", 5 * [400.0])
+    widths = {}
+    for name, motion in (("turn", {"turn_deg": 60.0}), ("sway", {"sway_deg": 40.0})):
+        options = FilmOptions("front", colors="shaded", size_px=SIZE, **motion)
+        render_film(path, tmp_path / f"{name}.mp4", options)
+        seen, _ = pictures(tmp_path / f"{name}.mp4")
+        widths[name] = [int(np.ptp(np.nonzero(shown(picture))[1])) for picture in seen]
+    assert np.all(np.diff(widths["turn"]) <= 0)
+    assert widths["turn"][-1] < 0.75 * widths["turn"][0]
+    first, left, middle, right, last = widths["sway"]
+    assert max(left, right) < 0.9 * first
+    assert max(first, middle, last) - min(first, middle, last) <= 2
+
+
+@pytest.mark.usefixtures("can_draw")
+@pytest.mark.parametrize("colors", ["depth", "modulation", "sigma", "shaded"])
+def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
+    path = store(tmp_path / "r.zarr", [400.0], in_mm=False, marks=False)
+    options = FilmOptions(colors=colors, fps=10, seconds=0.5, size_px=SIZE)
+    assert render_film(path, tmp_path / "film.mp4", options).n_pictures == 5
+    seen, _ = pictures(tmp_path / "film.mp4")
+    assert shown(seen[0]).mean() > 0.1
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_every_second_frame_is_no_gap(tmp_path):
+    path = store(tmp_path / "r.zarr", 7 * [400.0], missing=(0, 2, 4, 6), step=2)
+    made = render_film(path, tmp_path / "film.mp4", FilmOptions(size_px=SIZE))
+    assert (made.n_pictures, made.held) == (3, ())
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_frames_without_a_surface(tmp_path):
+    path = store(tmp_path / "r.zarr", [None, 400.0, None])
+    assert render_film(path, tmp_path / "film.mp4", FilmOptions(size_px=SIZE)).held == (0, 2)
+    with pytest.raises(RenderError, match="no frame shows a surface"):
+        render_film(store(tmp_path / "n.zarr", [None, None]), tmp_path / "none.mp4", FilmOptions(size_px=SIZE))
+    assert not (tmp_path / "none.mp4").exists()
+
+
+def test_what_is_refused(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0], leave_out=("modulation",))
+    with pytest.raises(FootageError, match="holds no modulation: decode with that field"):
+        render_film(path, tmp_path / "film.mp4", FilmOptions(colors="modulation"))
+    with pytest.raises(OutputError, match=r"name it \.mp4"):
+        render_film(path, tmp_path / "film.avi")
+    with pytest.raises(OutputError, match="even numbers"):
+        render_film(path, tmp_path / "film.mp4", FilmOptions(size_px=(161, 120)))
+    with pytest.raises(ValueError, match="'above', expected one of"):
+        render_film(path, tmp_path / "film.mp4", FilmOptions(view="above"))
+    zarr.open_group(path)["done"][:] = 0x20
+    with pytest.raises(FootageError, match="no frame that is done"):
+        render_film(path, tmp_path / "film.mp4")
+
+
+def test_what_is_no_store(tmp_path):
+    (tmp_path / "other").mkdir()
+    zarr.open_group(tmp_path / "group.zarr", mode="w").create_array("a", shape=(3,), dtype="f4")
+    for name in ("none", "other", "group.zarr"):
+        with pytest.raises(FootageError, match=name):
+            StoredResult(tmp_path / name)
+
+
+def test_a_damaged_chunk_is_named(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0])
+    chunk = next(p for p in (path / "points").rglob("*") if p.is_file() and p.name != "zarr.json")
+    chunk.write_bytes(b"nothing")
+    runtime.init("cpu")
+    with pytest.raises(FootageError, match=r"points of frame \d is damaged"):
+        export_frames(path, tmp_path / "out", "ply")
+
+
+def test_a_child_that_dies_leaves_nothing(tmp_path, monkeypatch):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0])
+    monkeypatch.setattr(film, "_COMMAND", [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), 11)"])
+    with pytest.raises(RenderError, match="apt-get install libegl1"):
+        render_film(path, tmp_path / "film.mp4")
+    monkeypatch.setattr(film, "_COMMAND", [sys.executable, "-c", "import time; time.sleep(60)"])
+    with pytest.raises(RenderError, match=r"more than 0\.5 s"):
+        render_film(path, tmp_path / "film.mp4", timeout_s=0.5)
+    assert [p.name for p in tmp_path.iterdir()] == ["r.zarr"]
+
+
+@pytest.mark.parametrize("in_mm", [True, False])
+def test_export(tmp_path, in_mm):
+    runtime.init("cpu")
+    path = store(tmp_path / "r.zarr", [400.0, None, 402.0, 403.0], missing=(3,), in_mm=in_mm)
+    assert export_frames(path, tmp_path / "out", "ply") == (2, (1,))
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["frame_000000.ply", "frame_000002.ply"]
+    mesh = read_mesh(tmp_path / "out" / "frame_000002.ply")
+    assert len(mesh.vertices) == plane(402.0)[1].sum()
+    assert np.all(mesh.vertices[:, 2] == np.float32(402.0 if in_mm else 4.02))
+    assert mesh.unit == ("mm" if in_mm else "rad")
+    assert mesh.properties.keys() == {"modulation", "sigma_mm" if in_mm else "sigma_rad"}
+    assert export_frames(path, tmp_path / "glb", "glb")[0] == 2
+    assert (tmp_path / "glb" / "frame_000000.glb").read_bytes()[:4] == b"glTF"
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_the_commands(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0, 402.0], missing=(1,))
+
+    def run(*arguments):
+        code = "import sys; from pipeline.cli import main; sys.argv[0] = 'colorphase'; main()"
+        command = [sys.executable, "-c", code, *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+
+    done = run("render", path, "--out", tmp_path / "film.mp4", "--size", *SIZE, "--turn", 20)
+    assert done.returncode == 0, done.stderr
+    assert "3 pictures" in done.stdout and "frame 1: the one before is shown" in done.stderr
+    assert len(pictures(tmp_path / "film.mp4")[0]) == 3
+    done = run("export", path, "--out", tmp_path / "meshes")
+    assert done.returncode == 0 and "2 meshes" in done.stdout
+    assert run("render", path, "--out", tmp_path / "film.mp4", "--fps", 0).returncode != 0
