@@ -13,6 +13,13 @@ from pipeline.export import Mesh, write_mesh
 from pipeline.files import explain
 from pipeline.meshes import surface_mesh
 
+# Vertex properties of a mesh, and the fields that they are.
+_PROPERTIES = {
+    "modulation": "modulation",
+    "sigma_rad": "phase_sigma",
+    "order_error_probability": "order_error_probability",
+    "sigma_mm": "point_sigma",
+}
 # The array that marks frames which are whole: a record of JSON a frame, blanks where there is none.
 _MARKS, _BLANK = "done", 0x20
 _BATCH = 1024
@@ -94,7 +101,7 @@ class StoredResult:
             raise FootageError(f"{self.name}: {name} of frame {number} is damaged: decode again") from error
 
     def mesh(self, number: int, fields: Collection[str] | None = None) -> Mesh:
-        """Return a frame as a mesh, with modulation and standard deviation if they are stored, and among `fields`.
+        """Return a frame as a mesh, with what is known of its vertices: if it is stored, and among `fields`.
 
         Raises
         ------
@@ -104,10 +111,9 @@ class StoredResult:
         points = self.read("points", number) if self.in_mm else None
         values = self.read("range_image", number) if points is None else points[..., 2]
         mask = self.read("mask", number) & np.isfinite(values)
-        sigma = ("sigma_mm", "point_sigma") if self.in_mm else ("sigma_rad", "phase_sigma")
         properties = {
             name: self.read(field, number)[mask]
-            for name, field in (("modulation", "modulation"), sigma)
+            for name, field in _PROPERTIES.items()
             if field in (self.fields if fields is None else self.fields & set(fields))
         }
         return surface_mesh(values, mask, points, properties)
