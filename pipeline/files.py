@@ -4,6 +4,7 @@ import errno
 import os
 import secrets
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -78,9 +79,8 @@ def replace_file(path: Path, content: bytes | Callable[[BinaryIO], None], *, saf
                 file.flush()
                 os.fsync(file.fileno())
         os.replace(temporary, path)
-    finally:
-        # After an error the folder itself may be unreachable: then nothing was left in it.
-        try:
+    except BaseException:
+        # The folder itself may be unreachable: then nothing was left in it.
+        with suppress(OSError):
             temporary.unlink(missing_ok=True)
-        except OSError:
-            pass
+        raise

@@ -11,27 +11,23 @@ import numpy.typing as npt
 
 from tikernels import runtime
 from tikernels.transposing import transpose
-from tikernels.triangulation import ProjectorGeometry, triangulate
+from tikernels.triangulation import ProjectorGeometry
+from tikernels.uncertainty import compare_rows_kernel, phase_sigma_kernel, point_sigma_kernel
 
 # A frame's constant is never known better, rad: what balance and ambient light leave of it on clean frames.
 _LEAST_CONSTANT = 0.0006
 # The smoothing's bias is taken from second differences over so many px, most of whose noise averages out, in every
 # fourth row.
 _BEND_PX, _BEND_ROWS = 6, 4
-# The window that the channels' model is fitted to, in cycles, and its error's share of a pixel's variance there: some
-# fifty samples for three channels' gains and offsets. Where part of the window is empty, as near an edge, the model
-# follows the other side's shading: an error in rad, whatever the noise, that grows with the root of that part.
-_MODEL_WINDOW, _MODEL_ERROR, _EDGE_ERROR = 0.85, 0.03, 0.025
+# The window that the channels' model is fitted to, in cycles.
+_MODEL_WINDOW = 0.85
 # Rows differ by less than the noise where it was overrated, but not by less than half of it.
 _LEAST_SCATTER = 0.5
 # Grid points within its standard deviation that a blur needs.
-_GRID = 4
-# About so many pixels tell how far rows scatter.
-_SCATTER_SAMPLES = 300_000
-# By so much more phase a point's shift is measured.
-_BESIDE_RAD = np.float32(0.02)
+_GRID = 2
+# About so many pixels tell how far rows scatter, to half a per cent.
+_SCATTER_SAMPLES = 60_000
 # What the device has to be asked for each field.
-_SIGMA = ("mask", "unwrapped_phase", "_precision")
 _MADE_OF = {
     "wrapped_phase": ("mask", "_phase"),
     "unwrapped_phase": ("unwrapped_phase",),
@@ -41,10 +37,10 @@ _MADE_OF = {
     "region": ("region",),
     "absolute": ("region",),
     "order_error_probability": ("mask", "region"),
-    "phase_sigma": _SIGMA,
+    "phase_sigma": ("phase_sigma",),
     "constant_sigma": ("unwrapped_phase",),
     "points": ("points",),
-    "point_sigma": ("points", "_points_beside", *_SIGMA),
+    "point_sigma": ("point_sigma",),
     "range_image": ("points", "mask", "unwrapped_phase"),
 }
 
@@ -141,18 +137,7 @@ class DecodedFrame:
         ripple that balance and crosstalk leave; what is the same over a whole cycle and more, as near an edge, is not
         in it.
         """
-        mask = self.mask
-        reach = (1, 2 * self._pairs + 1)
-        window = np.ones(reach[::-1] if self._vertical else reach, np.uint8)
-        # Only where all the neighbours are there does the smoothing average over all of them.
-        whole = cv2.erode(mask.view(np.uint8), window)
-        averaged = np.array([1, 1 / (2 * self._pairs + 1)], np.float32)[whole]
-        # The model's error is the same over neighbouring pixels: it does not average out.
-        variance = (averaged + np.float32(_MODEL_ERROR)) / np.maximum(self._precision, np.float32(1e-6))
-        sigma = np.where(mask, np.sqrt(variance), np.float32(np.nan))
-        sigma *= np.float32(max(_LEAST_SCATTER, self._scatter(sigma)))
-        empty = 1 - np.minimum(_blurred(mask, _MODEL_WINDOW * (self.period_px or 1)), 1)
-        return np.asarray(np.sqrt(sigma**2 + np.float32(_EDGE_ERROR**2) * empty), np.float32)
+        return self._host(self._phase_sigma)
 
     @cached_property
     def constant_sigma(self) -> np.float32:
@@ -172,39 +157,19 @@ class DecodedFrame:
                 bias = float(bend[smooth].mean()) / _BEND_PX**2 * self._pairs * (self._pairs + 1) / 6
         return np.float32(np.sqrt(_LEAST_CONSTANT**2 + bias**2 + self._constant_sigma**2))
 
-    def _scatter(self, sigma: npt.NDArray[np.float32]) -> float:
-        """Return by how much more than sigma rows a quarter of a cycle apart differ from a smooth surface.
-
-        Third differences, because surfaces bend.
-        """
-        phase, expected = self.unwrapped_phase, sigma
-        if self._vertical:
-            phase, expected = phase.T, expected.T
-        # So many columns tell the median well enough.
-        every = max(1, phase.size // _SCATTER_SAMPLES)
-        phase, expected = phase[:, ::every], expected[:, ::every]
-        step = max(2, round((self.period_px or 8) / 4))
-        rows = phase.shape[0] - 3 * step
-        if rows < 1:
-            return 1.0
-        weights = (1, -3, 3, -1)
-        parts = [np.s_[k * step : k * step + rows] for k in range(4)]
-        rest = sum(w * phase[part] for w, part in zip(weights, parts, strict=True))
-        variance = sum(w * w * expected[part] ** 2 for w, part in zip(weights, parts, strict=True))
-        ratio = np.abs(rest) / np.sqrt(variance)
-        ratio = ratio[np.isfinite(ratio)]
-        return float(np.median(ratio) / 0.6745) if len(ratio) else 1.0
-
     @cached_property
     def point_sigma(self) -> npt.NDArray[np.float32] | None:
         """(H, W) float32: mm along the pixel's ray, one standard deviation by `phase_sigma`.
 
-        None without a calibration.
+        NaN where there is no point; None without a calibration.
         """
-        if self.points is None or self._points_beside is None:
+        if self._rig is None:
             return None
-        shift = np.linalg.norm(self._points_beside - self.points, axis=-1)
-        return np.asarray(shift / _BESIDE_RAD * self.phase_sigma, np.float32)
+        rays, projector = self._rig
+        out = runtime.empty(self._buffers["mask"].shape, np.float32)
+        known = (self._buffers["unwrapped"], self._phase_sigma, self._buffers["points"])
+        point_sigma_kernel(*known, rays, *projector.arguments(), out)
+        return self._host(out)
 
     @cached_property
     def points(self) -> npt.NDArray[np.float32] | None:
@@ -228,16 +193,25 @@ class DecodedFrame:
         return self._read("phase")
 
     @cached_property
-    def _precision(self) -> npt.NDArray[np.float32]:
-        return self._read("precision")
-
-    @cached_property
-    def _points_beside(self) -> npt.NDArray[np.float32] | None:
-        """(H, W, 3) float32: where the points would be with a little more phase."""
-        if self._rig is None:
-            return None
-        beside = triangulate(runtime.to_host(self._buffers["unwrapped"]) + _BESIDE_RAD, *self._rig)
-        return runtime.to_host(transpose(beside) if self._vertical else beside)
+    def _phase_sigma(self) -> Any:
+        """`phase_sigma` on the device, stripes along the rows."""
+        mask = np.ascontiguousarray(self.mask.T if self._vertical else self.mask).view(np.uint8)
+        # OFF, PARTLY and WHOLE are 0, 1 and 2.
+        support = mask + cv2.erode(mask, np.ones((1, 2 * self._pairs + 1), np.uint8))
+        known, averaged = (self._buffers["precision"], support), 1 / (2 * self._pairs + 1)
+        height, width = mask.shape
+        step, every = max(2, round((self.period_px or 8) / 4)), max(1, mask.size // _SCATTER_SAMPLES)
+        scatter = 1.0
+        if height > 3 * step:
+            ratio = np.empty((height - 3 * step, -(-width // every)), np.float32)
+            compare_rows_kernel(self._buffers["unwrapped"], *known, averaged, step, every, ratio)
+            ratio = ratio[np.isfinite(ratio)]
+            if len(ratio):
+                scatter = max(_LEAST_SCATTER, float(np.median(ratio)) / 0.6745)
+        empty = 1 - np.minimum(_blurred(mask, _MODEL_WINDOW * (self.period_px or 1)), 1)
+        out = runtime.empty(mask.shape, np.float32)
+        phase_sigma_kernel(*known, empty, averaged, scatter, out)
+        return out
 
     def fetch(self, fields: Iterable[str]) -> None:
         """Read from the device what these fields are made of: another thread may then look at them."""
@@ -245,7 +219,9 @@ class DecodedFrame:
             getattr(self, name)
 
     def _read(self, name: str) -> npt.NDArray[Any]:
-        buffer = self._buffers[name]
+        return self._host(self._buffers[name])
+
+    def _host(self, buffer: Any) -> npt.NDArray[Any]:
         return runtime.to_host(transpose(buffer) if self._vertical else buffer)
 
     def _forget(self) -> None:
@@ -255,7 +231,7 @@ class DecodedFrame:
                 del self.__dict__[name]
 
 
-def _blurred(mask: npt.NDArray[np.bool_], width_px: float) -> npt.NDArray[np.float32]:
+def _blurred(mask: npt.NDArray[np.uint8], width_px: float) -> npt.NDArray[np.float32]:
     """(H, W) float32: the share of the neighbourhood that lies in the mask, by a Gaussian of this deviation."""
     # A wide Gaussian is as smooth on a coarser grid, and costs the less.
     coarser = max(1, int(width_px / _GRID))

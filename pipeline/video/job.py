@@ -109,8 +109,8 @@ class Job:
 
     def with_transfer_of(self, source: Source) -> "Job":
         """Return the same with the light as the container says that it is encoded, where nobody knows better."""
-        measured = self.calibration is not None and self.calibration.capture is not None
-        measured = measured and self.calibration.capture.transfer is not None  # type: ignore[union-attr]
+        capture = None if self.calibration is None else self.calibration.capture
+        measured = capture is not None and capture.transfer is not None
         if "transfer" in self.settings.model_fields_set or measured or source.transfer is None:
             return self
         return replace(self, settings=self.settings.model_copy(update={"transfer": source.transfer}))
