@@ -27,7 +27,8 @@ from pipeline.errors import (
     SettingsError,
 )
 from pipeline.settings import DecodeSettings
-from pipeline.video.commands import FootageOptions, decode_video
+from pipeline.stored_result import MeshKind
+from pipeline.video.commands import FootageOptions, decode_video, write_meshes
 from pipeline.video.pictures import PICTURE_SUFFIXES
 from pipeline.video.stored import StoredAs
 from tikernels import runtime
@@ -153,6 +154,7 @@ def decode(
     arch: Arch = "auto",
     force: bool = False,
     video: FootageOptions = _FOOTAGE,
+    stored_as: Annotated[StoredAs, Parameter(name="*")] = _AS_IT_SAYS,
 ) -> None:
     """Decode a picture, or footage: a folder of pictures, a video or a recording.
 
@@ -160,7 +162,7 @@ def decode(
     goes on where it was stopped. Exit code 3: some frames are bad, the rest is done.
 
     Example: colorphase decode face.png --out face --settings settings.toml --calibration calibration.json, or
-    colorphase decode film.mkv --out film --fields range_image phase_sigma mask --workers 4
+    colorphase decode film.mkv --out film --fields mask points phase_sigma --export ply
 
     Parameters
     ----------
@@ -180,8 +182,12 @@ def decode(
     chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
     rig = None if calibration is None else Calibration.read(calibration)
     if input.suffix.lower() not in PICTURE_SUFFIXES or input.is_dir():
-        decode_video(input, out, chosen, rig, arch, video, force=force)
+        decode_video(input, out, chosen, rig, arch, video, stored_as, force=force)
         return
+    if (video, stored_as) != (_FOOTAGE, _AS_IT_SAYS):
+        raise SettingsError(
+            f"{input.name} is a picture, and these options are for footage: leave them away, or give its folder"
+        )
     from pipeline.outputs import output_folder, write_frame
     from pipeline.picture import read_picture
     from pipeline.report import frame_report
@@ -311,7 +317,7 @@ def render(
 
 
 @app.command
-def export(input: str, /, *, out: Path, kind: Literal["ply", "glb"] = "ply") -> None:
+def export(input: str, /, *, out: Path, kind: MeshKind = "ply") -> None:
     """Write every frame of a result.zarr as a mesh.
 
     Example: colorphase export film/result.zarr --out meshes --kind glb
@@ -325,16 +331,7 @@ def export(input: str, /, *, out: Path, kind: Literal["ply", "glb"] = "ply") -> 
     kind
         The format; PLY keeps modulation and standard deviation, too.
     """
-    from pipeline.stored_result import export_frames
-
-    runtime.init("cpu")
-    with _progress() as step:
-        written, empty = export_frames(input, out, kind, lambda done, of: step(f"frame {done} of {of}"))
-    if empty:
-        text = f"{len(empty)} frames show no surface, as frame {empty[0]}: there is no mesh of them"
-        _err.print(text, style="yellow", highlight=False, soft_wrap=True)
-    _out.print(f"{written} meshes in {out}", highlight=False, soft_wrap=True)
-    if not written:
+    if not write_meshes(input, out, kind):
         sys.exit(1)
 
 

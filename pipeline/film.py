@@ -20,7 +20,7 @@ from pipeline.export import Bytes, Floats, Mesh
 from pipeline.files import write_atomically
 from pipeline.range_image import depth_colors
 from pipeline.render import VIEWS, Stage, View, draw_apart
-from pipeline.stored_result import StoredResult
+from pipeline.stored_result import StoredResult, mesh_fields
 from tikernels import runtime
 
 Colors = Literal["depth", "shaded", "modulation", "sigma"]
@@ -139,7 +139,7 @@ def render_film(
 
 def _needed(result: StoredResult, colors: str) -> tuple[str, ...]:
     more = {"modulation": ("modulation",), "sigma": (_sigma(result),)}
-    return ("mask", "points" if result.in_mm else "range_image", *more.get(colors, ()))
+    return (*mesh_fields(in_mm=result.in_mm), *more.get(colors, ()))
 
 
 def _sigma(result: StoredResult) -> str:

@@ -60,11 +60,12 @@ _LEFTOVERS = (LEFTOVER, ".partial")  # what we, and what zarr, call a file while
 
 
 def result_attributes(settings: DecodeSettings, calibration: Calibration | None) -> dict[str, Any]:
-    """Return what a result says about how it was made: settings, calibration's hash, version."""
+    """Return what a result says about how it was made: settings, calibration's hash, version; and its range's unit."""
     return {
         "colorphase_version": version("colorphase"),
         "settings": json.loads(settings.model_dump_json()),
         "calibration_sha256": None if calibration is None else calibration.digest(),
+        "range_unit": "mm" if calibration is not None and calibration.has_geometry else "rad",
     }
 
 

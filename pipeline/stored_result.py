@@ -13,6 +13,8 @@ from pipeline.export import Mesh, write_mesh
 from pipeline.files import explain
 from pipeline.meshes import surface_mesh
 
+MeshKind = Literal["ply", "glb"]
+
 # Vertex properties of a mesh, and the fields that they are.
 _PROPERTIES = {
     "modulation": "modulation",
@@ -23,6 +25,11 @@ _PROPERTIES = {
 # The array that marks frames which are whole: a record of JSON a frame, blanks where there is none.
 _MARKS, _BLANK = "done", 0x20
 _BATCH = 1024
+
+
+def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
+    """Return the fields that a mesh is made of."""
+    return "mask", "points" if in_mm else "range_image"
 
 
 class StoredResult:
@@ -64,8 +71,8 @@ class StoredResult:
 
     @property
     def in_mm(self) -> bool:
-        """Whether frames hold points in mm."""
-        return "points" in self.fields
+        """Whether ranges are in mm, and a mesh therefore needs points."""
+        return bool(self.attributes.get("range_unit") == "mm")
 
     @cached_property
     def done(self) -> tuple[int, ...]:
@@ -122,7 +129,7 @@ class StoredResult:
 def export_frames(
     location: str | Path,
     folder: str | Path,
-    kind: Literal["ply", "glb"],
+    kind: MeshKind,
     tell: Callable[[int, int], None] = lambda done, of: None,
 ) -> tuple[int, tuple[int, ...]]:
     """Write every frame of a store that is done as a mesh, ``frame_000012.ply`` and so on.

@@ -22,14 +22,15 @@ from pipeline.calibration import Calibration
 from pipeline.errors import OutputError, SettingsError
 from pipeline.settings import DecodeSettings
 from pipeline.store import chosen_fields
+from pipeline.stored_result import MeshKind, export_frames, mesh_fields
 from pipeline.video.job import Job, Region
 from pipeline.video.run import decode_footage
 from pipeline.video.stored import StoredAs
-from tikernels.pixel_format import Bayer, Matrix, Siting
+from tikernels import runtime
 
 #: Exit code where some frames are bad and the rest is done.
 SOME_ARE_BAD = 3
-_STORE = "result.zarr"
+_STORE, _MESHES = "result.zarr", "meshes"
 _SHOWN = 10  # bad frames that are named
 
 _out = Console()
@@ -57,16 +58,8 @@ class FootageOptions:
     """Decode in so many processes."""
     cluster: str | None = None
     """Decode on a Dask cluster: the scheduler's address, as tcp://10.0.0.1:8786."""
-    bayer: Bayer | None = None
-    """Which mosaic grey footage is."""
-    bits: int | None = None
-    """How many bits of its values are used."""
-    siting: Siting | None = None
-    """Where chroma samples sit."""
-    matrix: Matrix | None = None
-    """How luma was made."""
-    full_range: bool | None = None
-    """Whether luma uses every level."""
+    export: MeshKind | None = None
+    """Write a mesh of each frame, too, into the folder meshes."""
 
     def region(self) -> Region | None:
         """Return the part of each frame that is decoded.
@@ -100,6 +93,7 @@ def decode_video(
     calibration: Calibration | None,
     arch: str,
     options: FootageOptions,
+    stored_as: StoredAs,
     *,
     force: bool,
 ) -> None:
@@ -110,32 +104,33 @@ def decode_video(
     OutputError
         The folder holds something else, or cannot be written.
     """
+    in_mm = calibration is not None and calibration.has_geometry
     job = Job(
         footage=str(footage),
-        says=StoredAs(options.bayer, options.bits, options.siting, options.matrix, options.full_range),
+        says=stored_as,
         settings=settings,
         calibration=calibration,
         region=options.region(),
         step=options.step,
         first=options.start % options.step,
-        fields=chosen_fields(options.fields, in_mm=calibration is not None and calibration.has_geometry),
+        fields=chosen_fields(options.fields, in_mm=in_mm),
         store=f"{out.rstrip('/')}/{_STORE}",
         arch=arch,
     )
+    meshes = Path(out, _MESHES)
+    if options.export is not None:
+        if "://" in out:
+            raise SettingsError(
+                f"meshes go into folders here: leave --export away, and run colorphase export {job.store}"
+            )
+        lacking = [name for name in mesh_fields(in_mm=in_mm) if name not in job.fields]
+        if lacking:
+            raise SettingsError(f"meshes are made of {' and '.join(lacking)}: add that to --fields")
     if "://" not in out and Path(out).is_dir() and not force:
-        others = sorted(entry.name for entry in Path(out).iterdir() if entry.name != _STORE)
+        others = sorted(entry.name for entry in Path(out).iterdir() if entry.name not in (_STORE, _MESHES))
         if others:
             raise OutputError(f"{out} holds something else ({others[0]}): choose another folder, or add --force")
-    with Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        _Rate(),
-        TimeRemainingColumn(),
-        console=_err,
-        transient=True,
-        disable=not _err.is_terminal,
-    ) as progress:
+    with _progress() as progress:
         task = progress.add_task("starting", total=None)
 
         def show(done: int, of: int) -> None:
@@ -169,8 +164,37 @@ def decode_video(
         highlight=False,
         soft_wrap=True,
     )
+    if options.export is not None:
+        write_meshes(job.store, meshes, options.export)
     if summary.bad:
         sys.exit(SOME_ARE_BAD)
+
+
+def write_meshes(store: str, folder: Path, kind: MeshKind) -> int:
+    """Write every frame of a store that is done as a mesh, say what became of it, and return how many there are."""
+    runtime.init("cpu")
+    with _progress() as progress:
+        task = progress.add_task("meshes", total=None)
+        written, empty = export_frames(
+            store, folder, kind, lambda done, of: progress.update(task, completed=done, total=of)
+        )
+    if empty:
+        _say(f"{len(empty)} frames show no surface, as frame {empty[0]}: there is no mesh of them")
+    _out.print(f"{written} meshes in {folder}", highlight=False, soft_wrap=True)
+    return written
+
+
+def _progress() -> Progress:
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        _Rate(),
+        TimeRemainingColumn(),
+        console=_err,
+        transient=True,
+        disable=not _err.is_terminal,
+    )
 
 
 class _Rate(ProgressColumn):

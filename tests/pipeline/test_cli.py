@@ -115,6 +115,10 @@ def test_a_frame_without_fringes(folder):
         (("decode", "frame.png", "--out", "frame.png/x"), "its folder is a file"),
         (("decode", "frame.png", "--out", "."), "holds something else"),
         (("decode", "frame.png", "--out", "x", "--arch", "abacus"), "Invalid value"),
+        (("decode", "frame.png", "--out", "x", "--roi", "0,0,64,64"), "options are for footage"),
+        (("decode", "frame.png", "--out", "x", "--siting", "left"), "options are for footage"),
+        (("decode", "pictures", "--out", "x", "--fields", "mask", "--export", "ply"), "made of range_image: add that"),
+        (("decode", "pictures", "--out", "memory://x", "--export", "ply"), "run colorphase export"),
         (("render", "frame.png", "--out", "x.png"), "PLY"),
         (("render", "none.ply", "--out", "x.png"), "cannot read none.ply"),
         (("render", "none.ply", "--out", "x.gif"), "name it .png"),
@@ -249,6 +253,10 @@ def test_decode_footage(folder):
         refused = colorphase("decode", film, *options, *arguments, cwd=folder)
         assert refused.returncode in (1, 2) and message in refused.stderr, refused.stderr
         assert "Traceback" not in refused.stderr
+    with_meshes = colorphase("decode", film, *options, "--export", "glb", cwd=folder)
+    assert with_meshes.returncode == 3 and "3 meshes in footage/meshes" in with_meshes.stdout, with_meshes.stderr
+    names = sorted(path.name for path in (folder / "footage" / "meshes").iterdir())
+    assert names == ["frame_000000.glb", "frame_000001.glb", "frame_000003.glb"]
     strict = colorphase("decode", film, *options[2:], "--out", "strict", "--strict", cwd=folder)
     assert strict.returncode == 1 and "frame 2 of" in strict.stderr
     picture = colorphase("decode", "frame.png", "--out", "footage", "--force", cwd=folder)

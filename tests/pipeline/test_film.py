@@ -33,7 +33,9 @@ def plane(distance_mm):
 def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), marks=True):
     """Write a store as a run over footage does; None stands for a frame without any surface."""
     n_frames = len(distances)
-    group = zarr.open_group(path, mode="w", attributes={"settings": {}, "step": step})
+    group = zarr.open_group(
+        path, mode="w", attributes={"settings": {}, "step": step, "range_unit": "mm" if in_mm else "rad"}
+    )
     arrays = {}
 
     def put(name, number, values):
@@ -210,6 +212,13 @@ def test_export(tmp_path, in_mm):
     assert mesh.properties.keys() == {"modulation", "sigma_rad"} | ({"sigma_mm"} if in_mm else set())
     assert export_frames(path, tmp_path / "glb", "glb")[0] == 2
     assert (tmp_path / "glb" / "frame_000000.glb").read_bytes()[:4] == b"glTF"
+
+
+def test_ranges_in_mm_make_no_mesh_without_points(tmp_path):
+    """Depths in mm over columns and rows in px would be no shape at all."""
+    path = store(tmp_path / "r.zarr", [400.0], leave_out=("points",))
+    with pytest.raises(FootageError, match="holds no points: decode with that field"):
+        export_frames(path, tmp_path / "out", "ply")
 
 
 @pytest.mark.usefixtures("can_draw")
