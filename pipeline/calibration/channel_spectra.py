@@ -57,8 +57,8 @@ def smooth_phase(unwrapped_phase: npt.NDArray[np.float32], mask: _Bools) -> tupl
     rows, columns = np.indices(filled.shape)
     plane = down * rows + right * columns
     for _ in range(2):  # the second time without the steps that the first has shown
-        weight = cv2.GaussianBlur(valid.astype(np.float64), (0, 0), 0.75 * period)
-        rest = np.where(valid, filled - plane, 0.0)
+        weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), 0.75 * period)
+        rest = np.where(valid, filled - plane, 0.0).astype(np.float32)
         smooth = plane + cv2.GaussianBlur(rest, (0, 0), 0.75 * period) / np.maximum(weight, 1e-9)
         # No ripple worth asking about reaches a radian: what does is a step, or a wrong order.
         step = valid & (abs(filled - smooth) > 1.0)
@@ -91,26 +91,26 @@ def fit_tiles(light: FloatArray, phase: FloatArray, usable: _Bools, period: floa
             continue
         wave = np.exp(1j * phase[tile].ravel())[:, None]
         basis = np.hstack([slopes, slopes * wave.real, slopes * wave.imag, (wave**orders).real, (wave**orders).imag])
-        channels: list[Any] = []
-        for j in range(3):
-            chosen = inside if keep is None else inside & keep[tile][..., j].ravel()
-            if chosen.mean() < 0.3:
-                break
-            channels.append(_fit_channel(basis[chosen], light[tile][..., j].ravel()[chosen]))
+        values = light[tile].reshape(-1, 3)
+        if keep is None or keep[tile].all():
+            mean, spectrum, square, variance = _fit_channels(basis[inside], values[inside])
         else:
-            columns: list[Any] = [np.array(values) for values in zip(*channels, strict=True)]
-            mean, spectrum, square, variance = columns
-            if mean.min() <= 0:
+            kept = [inside & keep[tile][..., j].ravel() for j in range(3)]
+            if min(chosen.mean() for chosen in kept) < 0.3:
                 continue
-            common = np.angle(np.sum(spectrum[:, 0] * np.exp(-1j * PHASES)))
-            spectrum = spectrum * np.exp(-1j * common * np.arange(1, len(orders) + 2))
-            changes: Any = np.gradient(phase[tile])
-            slope = np.array([np.median(change[usable[tile]]) for change in changes])
-            frequency = float(np.hypot(slope[0], slope[1]))
-            centre = np.array([top, left]) + side / 2 - shape / 2
-            across = 2 * slope @ centre / frequency / np.hypot(*shape)
-            weight = 1 / max(variance.sum(), 1e-12)
-            results.append((mean, spectrum, np.sqrt(square.mean()), frequency, corner, across, weight))
+            fits = [_fit_channels(basis[chosen], values[chosen, j, None]) for j, chosen in enumerate(kept)]
+            mean, spectrum, square, variance = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+        if mean.min() <= 0:
+            continue
+        common = np.angle(np.sum(spectrum[:, 0] * np.exp(-1j * PHASES)))
+        spectrum = spectrum * np.exp(-1j * common * np.arange(1, len(orders) + 2))
+        changes: Any = np.gradient(phase[tile])
+        slope = np.array([np.median(change[usable[tile]]) for change in changes])
+        frequency = float(np.hypot(slope[0], slope[1]))
+        centre = np.array([top, left]) + side / 2 - shape / 2
+        across = 2 * slope @ centre / frequency / np.hypot(*shape)
+        weight = 1 / max(variance.sum(), 1e-12)
+        results.append((mean, spectrum, np.sqrt(square.mean()), frequency, corner, across, weight))
     if not results:
         return Tiles(np.empty((0, 3)), np.empty((0, 3, 2), complex), *np.empty((5, 0)))
     tiles = Tiles(*(np.array(values) for values in zip(*results, strict=True)))
@@ -119,16 +119,19 @@ def fit_tiles(light: FloatArray, phase: FloatArray, usable: _Bools, period: floa
     return Tiles(*(values[good] for values in tiles))
 
 
-def _fit_channel(basis: FloatArray, values: FloatArray) -> tuple[float, _Complexes, float, float]:
-    """Return mean, spectrum over the mean, residual's variance and the variance of the fundamental over the mean."""
+def _fit_channels(basis: FloatArray, values: FloatArray) -> tuple[Any, Any, Any, Any]:
+    """Return by channel (C) mean, spectrum over the mean (C, K), residual's and the relative fundamental's variance.
+
+    Of values (N, C), by a basis (N, B).
+    """
     inverse = np.linalg.inv(basis.T @ basis + 1e-9 * len(basis) * np.eye(basis.shape[1]))
     solution = inverse @ (basis.T @ values)
-    square = np.mean((values - basis @ solution) ** 2)
+    square = np.mean((values - basis @ solution) ** 2, axis=0)
     mean, c, s = solution[0], _SLOPES, 2 * _SLOPES
-    higher = solution[3 * _SLOPES :].reshape(2, -1)
-    spectrum = np.append(solution[c] - 1j * solution[s], higher[0] - 1j * higher[1]) / mean
+    higher = solution[3 * _SLOPES :].reshape(2, -1, values.shape[1])
+    spectrum = np.vstack([solution[c] - 1j * solution[s], higher[0] - 1j * higher[1]]) / mean
     variance = square * (inverse[c, c] + inverse[s, s]) / mean**2
-    return float(mean), np.asarray(spectrum), float(square), float(variance)
+    return mean, spectrum.T, square, variance
 
 
 def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None) -> Fit:

@@ -12,7 +12,6 @@ from pipeline.calibration.doctor import Diagnosis, diagnose
 from pipeline.calibration.sequence_doctor import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.decoder import Decoder
 from pipeline.errors import DecodeWarning
-from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
 from pipeline.video.container import ContainerFacts, container_facts
 from pipeline.video.evidence import (
@@ -213,9 +212,10 @@ def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str,
                 seen.shown.append(measure_shown(look, look.frame, _bits(source)))
                 if first:
                     first = False
-                    seen.looks.append(Kept.of(look, look.frame))
+                    kept = Kept.of(look, look.frame)
+                    seen.looks.append(kept)
                     if seen.diagnosis is None and run.start >= middle.start:
-                        seen.diagnosis = _diagnosed(look, look.frame, decoder)
+                        seen.diagnosis = _diagnosed(kept, decoder, look.settings)
                         if source.format.subsampling[0] == 2 and says.siting is None:
                             tell("where the colours sit")
                             seen.siting = fit_siting(stored, seen.settings, arch)
@@ -272,8 +272,8 @@ def _matrix(decoder: Decoder | None) -> Any:
     return known
 
 
-def _diagnosed(look: Look, frame: DecodedFrame, decoder: Decoder) -> Diagnosis:
-    return diagnose(look.encoded, 1.0, frame.unwrapped_phase, frame.mask, _matrix(decoder), look.settings.transfer)
+def _diagnosed(kept: Kept, decoder: Decoder, settings: DecodeSettings) -> Diagnosis:
+    return diagnose(kept.encoded, 1.0, kept.unwrapped_phase, kept.mask, _matrix(decoder), settings.transfer)
 
 
 def _finding(
