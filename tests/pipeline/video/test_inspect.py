@@ -223,6 +223,20 @@ def test_motion_of_more_than_a_third_of_a_cycle(tmp_path):
     assert faults(path) == {"motion": "spoils"}
 
 
+def test_colours_that_are_shown_one_after_another(tmp_path):
+    """A plane that swings to and fro; green and blue see it 0.3 of a frame later than the colour before them."""
+
+    def swinging(share):
+        noise = np.random.default_rng(22)
+        still = reference.ramp(180, 240, 12.0)[..., None] - np.array([0, 1, 2]) * 2 * np.pi / 3
+        for t in range(14):
+            moved = 0.8 * np.sin(0.35 * (t + share * np.arange(3)))
+            yield np.rint(100 + 60 * np.cos(still + moved) + noise.normal(0, 1, still.shape)).astype(np.uint8)
+
+    assert "colour fields" not in faults(record(tmp_path / "one.mkv", swinging(0.0)))
+    assert faults(record(tmp_path / "three.mkv", swinging(0.3)))["colour fields"] == "costs"
+
+
 def test_the_command(tmp_path, clip):
     good, bad = record(tmp_path / "good.mkv", clip[:3]), record(tmp_path / "bad.mkv", 3 * [clip[0] * 0])
 
