@@ -306,13 +306,13 @@ def _holds_others(folder: Path) -> bool:
 def _refuse_mixing(name: str, found: dict[str, Any], identity: dict[str, Any]) -> None:
     if "settings" not in found:
         raise OutputError(f"{name} is not a result of ours: choose another folder")
-    there, here = _flat(found), _flat(identity)
-    for key, value in here.items():
-        if there.get(key) != value:
-            was = json.dumps(there.get(key))
+    there, here = _flat({key: found.get(key) for key in identity}), _flat(identity)
+    for key in {**here, **there}:  # what is null on one side has no key of its own on the other
+        if there.get(key) != here.get(key):
+            was, now = json.dumps(there.get(key)), json.dumps(here.get(key))
             raise OutputError(
-                f"{name} holds frames made otherwise ({key} is {was} there, {json.dumps(value)} here): choose another "
-                "folder, or run as before"
+                f"{name} holds frames made otherwise ({key} is {was} there, {now} here): choose another folder, or run "
+                "as before"
             )
 
 
