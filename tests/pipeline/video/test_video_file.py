@@ -22,6 +22,7 @@ FILES = {
     "b-frames.mkv": ("libx264", "yuv420p", {"g": "12", "bf": "3"}),
     "open-gop.mp4": ("libx264", "yuv420p", {"x264-params": "open-gop=1:keyint=12:min-keyint=12:scenecut=0:b-adapt=0"}),
     "raw.264": ("libx264", "yuv420p", {"g": "12", "bf": "3"}),
+    "intra.264": ("libx264", "yuv420p", {"g": "1"}),
     "stream.ts": ("libx264", "yuv420p", {"g": "12", "bf": "3"}),
     "mpeg4.avi": ("mpeg4", "yuv420p", {"g": "12", "bf": "2", "qmin": "2", "qmax": "2"}),
 }
