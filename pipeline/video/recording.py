@@ -4,6 +4,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Protocol
@@ -133,17 +134,15 @@ class Recorder:
 
     def discard(self) -> None:
         """Stop, and leave nothing."""
-        if self._writer is None:
-            return
-        try:
-            self._writer.close()
-        except OSError:
-            pass  # it is thrown away
-        self._writer = None
+        if self._writer is not None:
+            with suppress(OSError, EOFError):  # it is thrown away, and an encoder ends but once
+                self._writer.close()
+            self._writer = None
         if self._temporary.is_dir():
             shutil.rmtree(self._temporary, ignore_errors=True)
         else:
-            self._temporary.unlink(missing_ok=True)
+            with suppress(OSError):  # where the folder is unreachable nothing was left in it
+                self._temporary.unlink(missing_ok=True)
 
 
 class _Writer(Protocol):
@@ -195,9 +194,11 @@ class _MatroskaWriter:
             self._container.mux(packet)
 
     def close(self) -> None:
-        for packet in self._stream.encode():
-            self._container.mux(packet)
-        self._container.close()
+        try:
+            for packet in self._stream.encode():
+                self._container.mux(packet)
+        finally:
+            self._container.close()
 
 
 def _plane(frame: Any, plane: int, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:

@@ -2,6 +2,8 @@
 
 import errno
 import shutil
+import signal
+from contextlib import contextmanager
 from fractions import Fraction
 
 import av
@@ -101,6 +103,32 @@ def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch, suffix):
     monkeypatch.setattr(recorder._writer, "add", full)
     with pytest.raises(OutputError, match="the disk is full: free some space"):
         recorder.add(frames_of(RGB8)[0])
+    assert list(tmp_path.iterdir()) == []
+
+
+@contextmanager
+def no_room():
+    """Let no file grow beyond ten bytes: what a full disk does, with another number."""
+    resource = pytest.importorskip("resource", reason="Windows has no such limits")
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
+@pytest.mark.parametrize("n_frames", [0, 3])
+def test_a_disk_that_is_full_at_once_or_at_the_end(tmp_path, suffix, n_frames):
+    recorder = Recorder(tmp_path / f"a{suffix}", RGB8)
+    for frame in frames_of(RGB8, n_frames):
+        recorder.add(frame)
+    with no_room(), pytest.raises(OutputError, match=r"cannot record to .*: File too large"):
+        if not n_frames:
+            recorder.add(frames_of(RGB8)[0])
+        recorder.close()
     assert list(tmp_path.iterdir()) == []
 
 
