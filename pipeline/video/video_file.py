@@ -296,6 +296,8 @@ class VideoFile:
 def _index_of(container: Any, stream: Any, recording: RecordingTags | None) -> _Index:
     if recording is not None:
         n_frames = recording.n_frames(container.duration or 0)
+        if n_frames > container.size:  # each takes some bytes
+            raise FootageError(f"its head says that it holds {n_frames} frames, but it is too short: copy it again")
         stamps = [recording.stamp(number) for number in range(n_frames)]
         return _Index(stamps, stamps, "pts", range(n_frames), range(n_frames))
     entries = list(stream.index_entries)
