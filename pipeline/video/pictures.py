@@ -15,6 +15,7 @@ from pipeline.picture import check_whole, decode_levels, read_bytes
 from pipeline.video.messages import caught_messages
 from pipeline.video.planes import stored_planes
 from pipeline.video.stored import BadFrame, StoredAs, StoredFrame, other_than_first
+from tikernels.errors import ShapeError
 from tikernels.pixel_format import FLOAT_BITS, PixelFormat
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
@@ -124,7 +125,7 @@ class Pictures:
                 return (image,), self._says.applied_to(PixelFormat("bayer", bits))
             image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
             return (image,), self._says.applied_to(PixelFormat("rgb", bits))
-        except FootageError as error:
+        except (FootageError, ShapeError) as error:
             text = str(error)
             raise FootageError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 

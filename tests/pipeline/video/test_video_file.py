@@ -9,6 +9,7 @@ from video_files import H264, MJPEG, encode, erase, moving_planes, packets
 
 from pipeline.errors import FootageError
 from pipeline.video.sources import BadFrame, StoredFrame, open_source
+from pipeline.video.stored import StoredAs
 from tikernels.pixel_format import PixelFormat
 
 YUV420 = PixelFormat("yuv", subsampling=(2, 2))
@@ -298,6 +299,14 @@ def test_grey_video_is_a_mosaic_only_if_somebody_says_so(tmp_path):
         open_source(path, bayer="gbrg", bits=12)
     with pytest.raises(FootageError, match="bayer is 'rgbg': choose"):
         open_source(path, bayer="rgbg")
+
+
+def test_bits_that_are_shifted_up_are_known():
+    shifted = PixelFormat("yuv", 10, 6, subsampling=(2, 2), interleaved=True)
+    assert StoredAs(bits=10).applied_to(shifted) == shifted
+    for bits in (8, 12):
+        with pytest.raises(FootageError, match=f"bits is {bits}, but its values have 10"):
+            StoredAs(bits=bits).applied_to(shifted)
 
 
 def test_unsupported_pixels(tmp_path):
