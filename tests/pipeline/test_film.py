@@ -14,7 +14,9 @@ from pipeline.export import read_mesh
 from pipeline.film import FilmOptions, render_film
 from pipeline.render import render_mesh
 from pipeline.stored_result import StoredResult, export_frames
+from pipeline.video.sources import open_source
 from tikernels import runtime
+from tikernels.development import develop
 
 SIZE = (160, 120)
 HEIGHT, WIDTH = 60, 80
@@ -156,6 +158,22 @@ def test_frames_without_a_surface(tmp_path):
     with pytest.raises(RenderError, match="no frame shows a surface"):
         render_film(store(tmp_path / "n.zarr", [None, None]), tmp_path / "none.mp4", FilmOptions(size_px=SIZE))
     assert not (tmp_path / "none.mp4").exists()
+
+
+@pytest.mark.parametrize("codec", ["libx264", "mpeg4"])
+@pytest.mark.parametrize("size", [(160, 120), (1280, 960)])
+def test_colors_are_those_that_were_drawn(tmp_path, monkeypatch, codec, size):
+    """Whatever a player guesses of a file that does not say its matrix; to 3 grey levels."""
+    runtime.init("cpu")
+    monkeypatch.setattr(av, "codecs_available", {codec})
+    color = (220, 60, 40)
+    with film._Encoder(str(tmp_path / "film.mp4"), FilmOptions(size_px=size)) as encoder:
+        encoder.add(np.full((*size[::-1], 3), color, np.uint8))
+    assert encoder.codec == codec
+    source = open_source(tmp_path / "film.mp4")
+    (frame,) = source.frames()
+    assert source.notes == ()
+    np.testing.assert_allclose(255 * develop(frame.planes, frame.format)[size[1] // 2, size[0] // 2], color, atol=3)
 
 
 def test_what_is_refused(tmp_path):
