@@ -9,6 +9,9 @@ import numpy.typing as npt
 from pipeline.errors import FootageError
 from tikernels.pixel_format import Bayer, Matrix, PixelFormat, Siting
 
+#: Why grey footage cannot be decoded.
+GREY = "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which (rggb, ...)"
+
 
 @dataclass(frozen=True)
 class StoredFrame:
