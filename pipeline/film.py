@@ -238,6 +238,9 @@ class _Encoder:
         self._stream: Any = self._container.add_stream(self.codec, rate=rate, options=settings)
         self._stream.width, self._stream.height = options.size_px
         self._stream.pix_fmt = "yuv420p"
+        # Of a file that does not say it, players guess the matrix by the number of rows: 1 is BT.709, limited range.
+        context = self._stream.codec_context
+        context.colorspace = context.color_primaries = context.color_trc = context.color_range = 1
 
     def __enter__(self) -> "_Encoder":
         return self
@@ -251,7 +254,7 @@ class _Encoder:
         import av
 
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")
-        self._container.mux(self._stream.encode(frame))
+        self._container.mux(self._stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
 
 
 def _say(what: dict[str, Any]) -> None:

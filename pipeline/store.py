@@ -163,16 +163,7 @@ class ResultStore:
     def done(self) -> set[int]:
         """Return the numbers of the frames that are whole."""
         with self._explained():
-            if self._folder is not None:
-                with os.scandir(self._folder / DONE) as entries:
-                    sizes = {entry.name: entry.stat().st_size for entry in entries}
-            else:
-                fs, path = self._files
-                fs.invalidate_cache()
-                listed = fs.ls(f"{path}/{DONE}", detail=True)
-                sizes = {entry["name"].rpartition("/")[2]: entry["size"] for entry in listed}
-        keys = (_MARK_KEY.fullmatch(name) for name, size in sizes.items() if size == _MARK_BYTES)
-        return {int(key[1]) for key in keys if key is not None}
+            return done_frames(self.location)
 
     def write(self, number: int, frame: DecodedFrame) -> None:
         """Write a frame's chunks and, once they are safe, its mark; harmless twice, and from several threads.
@@ -224,6 +215,27 @@ class ResultStore:
                 raise
             # Each remote file system has errors of its own.
             raise OutputError(f"cannot write {self.location}: {' '.join(str(error).split())}") from error
+
+
+def done_frames(location: str | Path) -> set[int]:
+    """Return the numbers of a store's frames that are whole.
+
+    Raises
+    ------
+    OSError
+        The store cannot be read; each remote file system has errors of its own.
+    """
+    _, folder, files = _place(location)
+    if folder is not None:
+        with os.scandir(folder / DONE) as entries:
+            sizes = {entry.name: entry.stat().st_size for entry in entries}
+    else:
+        fs, path = files
+        fs.invalidate_cache()
+        listed = fs.ls(f"{path}/{DONE}", detail=True)
+        sizes = {entry["name"].rpartition("/")[2]: entry["size"] for entry in listed}
+    keys = (_MARK_KEY.fullmatch(name) for name, size in sizes.items() if size == _MARK_BYTES)
+    return {int(key[1]) for key in keys if key is not None}
 
 
 def read_attributes(location: str | Path) -> dict[str, Any] | None:
@@ -307,13 +319,13 @@ def _holds_others(folder: Path) -> bool:
 def _refuse_mixing(name: str, found: dict[str, Any], identity: dict[str, Any]) -> None:
     if "settings" not in found:
         raise OutputError(f"{name} is not a result of ours: choose another folder")
-    there, here = _flat(found), _flat(identity)
-    for key, value in here.items():
-        if there.get(key) != value:
-            was = json.dumps(there.get(key))
+    there, here = _flat({key: found.get(key) for key in identity}), _flat(identity)
+    for key in {**here, **there}:  # what is null on one side has no key of its own on the other
+        if there.get(key) != here.get(key):
+            was, now = json.dumps(there.get(key)), json.dumps(here.get(key))
             raise OutputError(
-                f"{name} holds frames made otherwise ({key} is {was} there, {json.dumps(value)} here): choose another "
-                "folder, or run as before"
+                f"{name} holds frames made otherwise ({key} is {was} there, {now} here): choose another folder, or run "
+                "as before"
             )
 
 

@@ -1,7 +1,6 @@
 """Frames of a ``result.zarr``, read one at a time."""
 
 from collections.abc import Callable, Collection
-from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +11,7 @@ from pipeline.errors import FootageError, OutputError
 from pipeline.export import Mesh, write_mesh
 from pipeline.files import explain
 from pipeline.meshes import surface_mesh
+from pipeline.store import DONE, done_frames
 
 MeshKind = Literal["ply", "glb"]
 
@@ -22,9 +22,6 @@ _PROPERTIES = {
     "order_error_probability": "order_error_probability",
     "sigma_mm": "point_sigma",
 }
-# The array that marks frames which are whole: a record of JSON a frame, blanks where there is none.
-_MARKS, _BLANK = "done", 0x20
-_BATCH = 1024
 
 
 def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
@@ -44,8 +41,10 @@ class StoredResult:
     ----------
     attributes : dict
         What the store says of how its frames were decoded.
-    n_frames : int
-        Of the footage, whether decoded or not.
+    fields : frozenset of str
+        What is stored of each frame.
+    done : tuple of int
+        The numbers of the frames that are whole.
 
     Raises
     ------
@@ -58,32 +57,21 @@ class StoredResult:
 
         self.name = str(location)
         try:
-            self._group: Any = zarr.open_group(self.name, mode="r")
+            # Arrays of an older format may name codecs that run what they hold.
+            self._group: Any = zarr.open_group(self.name, mode="r", zarr_format=3)
             self.attributes: dict[str, Any] = self._group.attrs.asdict()
-            fields = set(self._group.array_keys())
+            arrays = frozenset(self._group.array_keys())
+            self.done = tuple(sorted(done_frames(location))) if DONE in arrays else ()
         except Exception as error:  # each file system has errors of its own
             raise FootageError(f"{self.name} is not a result.zarr that can be read: decode first") from error
-        if "settings" not in self.attributes or not fields - {_MARKS}:
+        self.fields = arrays - {DONE}
+        if "settings" not in self.attributes or DONE not in arrays or not self.fields:
             raise FootageError(f"{self.name} is not a result of colorphase decode")
-        self.fields = frozenset(fields - {_MARKS})
-        first: Any = self._group[min(self.fields)]
-        self.n_frames = int(first.shape[0])
 
     @property
     def in_mm(self) -> bool:
         """Whether ranges are in mm, and a mesh therefore needs points."""
         return bool(self.attributes.get("range_unit") == "mm")
-
-    @cached_property
-    def done(self) -> tuple[int, ...]:
-        """The numbers of the frames that are whole."""
-        if _MARKS not in self._group:  # a store of one picture has no marks
-            return tuple(range(self.n_frames))
-        marks, done = self._group[_MARKS], []
-        for begin in range(0, self.n_frames, _BATCH):
-            records = np.asarray(marks[begin : begin + _BATCH])
-            done += (begin + np.flatnonzero((records != _BLANK).any(axis=1))).tolist()
-        return tuple(done)
 
     @property
     def wanted(self) -> range:

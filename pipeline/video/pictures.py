@@ -14,7 +14,8 @@ from pipeline.errors import FootageError
 from pipeline.picture import check_whole, decode_levels, read_bytes
 from pipeline.video.messages import caught_messages
 from pipeline.video.planes import stored_planes
-from pipeline.video.stored import BadFrame, StoredAs, StoredFrame, other_than_first
+from pipeline.video.stored import GREY, BadFrame, StoredAs, StoredFrame, other_than_first
+from tikernels.errors import ShapeError
 from tikernels.pixel_format import FLOAT_BITS, PixelFormat
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
@@ -118,13 +119,11 @@ class Pictures:
             bits = {"uint8": 8, "uint16": 16}.get(image.dtype.name, FLOAT_BITS)
             if image.ndim == 2:
                 if self._says.bayer is None:
-                    raise FootageError(
-                        "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which (rggb, ...)"
-                    )
+                    raise FootageError(GREY)
                 return (image,), self._says.applied_to(PixelFormat("bayer", bits))
             image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
             return (image,), self._says.applied_to(PixelFormat("rgb", bits))
-        except FootageError as error:
+        except (FootageError, ShapeError) as error:
             text = str(error)
             raise FootageError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 

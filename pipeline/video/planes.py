@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
-from pipeline.video.stored import StoredAs
+from pipeline.video.stored import GREY, StoredAs
 from tikernels.pixel_format import BAYER_PATTERNS, Bayer, Matrix, PixelFormat, Siting
 
 # ITU-T H.273: matrix coefficients, and transfer characteristics.
 _MATRICES: dict[int, Matrix] = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
-_UNKNOWN_MATRIX, _RGB_MATRIX = 2, 0
+_UNKNOWN_MATRIX = 2
 _TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 8: "linear", 13: "srgb"}
 _OTHER_TRANSFERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SMPTE 428", 9: "logarithmic"}
 _FULL_RANGE, _UNKNOWN_RANGE = 2, 0
@@ -63,9 +63,7 @@ def stored_planes(
     if names is None:
         raise FootageError(f"its pixel format {name} is not supported: convert it with ffmpeg -pix_fmt bgr0 -c:v ffv1")
     if names.format.layout == "bayer" and not name.startswith("bayer") and says.bayer is None:
-        raise FootageError(
-            "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which (rggb, ...)"
-        )
+        raise FootageError(GREY)
     format = names.format
     assumed: tuple[str, ...] = ()
     if format.layout == "yuv":

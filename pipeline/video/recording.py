@@ -4,6 +4,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Iterator
+from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, Protocol
@@ -14,12 +15,10 @@ import numpy.typing as npt
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import explain
 from pipeline.video.stored import BadFrame, StoredAs, StoredFrame
-from pipeline.video.tags import VERSION, RecordingTags
+from pipeline.video.tags import VERSION, RecordingTags, rate_of
 from tikernels.errors import ShapeError
 from tikernels.pixel_format import PixelFormat
 
-# Matroska counts in ms: above this, two frames could share one.
-_MOST_FRAMES_A_SECOND = 500
 _ATTRIBUTE = "colorphase_recording"
 _FRAMES = "frames"
 # Frames by which a Zarr array grows; what is left over is cut off at the end.
@@ -44,6 +43,8 @@ class Recorder:
     ------
     OutputError
         The name has another ending, or is taken.
+    ShapeError
+        Such frames, this transfer or this rate cannot be recorded.
     """
 
     def __init__(
@@ -57,8 +58,6 @@ class Recorder:
         self._path = Path(path)
         if (format.layout, format.channels, format.shift) not in (("rgb", "rgb", 0), ("bayer", "rgb", 0)):
             raise ShapeError("recordings hold RGB in one plane, or a Bayer mosaic: develop other frames first")
-        if not 0 < rate_hz <= _MOST_FRAMES_A_SECOND:
-            raise ShapeError(f"rate_hz is {rate_hz}: give one above 0 and up to {_MOST_FRAMES_A_SECOND}")
         writers: dict[str, type[_Writer]] = {".mkv": _MatroskaWriter, ".zarr": _ZarrWriter}
         suffix = self._path.suffix.lower()
         if suffix not in writers:
@@ -133,17 +132,15 @@ class Recorder:
 
     def discard(self) -> None:
         """Stop, and leave nothing."""
-        if self._writer is None:
-            return
-        try:
-            self._writer.close()
-        except OSError:
-            pass  # it is thrown away
-        self._writer = None
+        if self._writer is not None:
+            with suppress(OSError, EOFError):  # it is thrown away, and an encoder ends but once
+                self._writer.close()
+            self._writer = None
         if self._temporary.is_dir():
             shutil.rmtree(self._temporary, ignore_errors=True)
         else:
-            self._temporary.unlink(missing_ok=True)
+            with suppress(OSError):  # where the folder is unreachable nothing was left in it
+                self._temporary.unlink(missing_ok=True)
 
 
 class _Writer(Protocol):
@@ -195,9 +192,11 @@ class _MatroskaWriter:
             self._container.mux(packet)
 
     def close(self) -> None:
-        for packet in self._stream.encode():
-            self._container.mux(packet)
-        self._container.close()
+        try:
+            for packet in self._stream.encode():
+                self._container.mux(packet)
+        finally:
+            self._container.close()
 
 
 def _plane(frame: Any, plane: int, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
@@ -255,7 +254,7 @@ class ZarrRecording:
     Raises
     ------
     FootageError
-        It is not a recording, or of a later version.
+        It is not a recording, of a later version, or damaged.
     """
 
     notes: tuple[str, ...] = ()
@@ -266,21 +265,27 @@ class ZarrRecording:
         self.name = str(path)
         self._path = path
         try:
-            group: Any = zarr.open_group(path, mode="r")
+            # Arrays of an older format may name codecs that run what they hold.
+            group: Any = zarr.open_group(path, mode="r", zarr_format=3)
             about = group.attrs[_ATTRIBUTE]
-            self._array = group[_FRAMES]
-            version, layout, bits = about["version"], about["layout"], int(about["bits"])
-            self.transfer: str | None = about["transfer"]
-            format = PixelFormat(layout, bits, **({"bayer": about["bayer"]} if layout == "bayer" else {}))
+            version = about["version"]
         except (KeyError, TypeError, ValueError, OSError):
             raise FootageError(
                 f"{path} is not a recording of frames: give a video, a folder of pictures or a recording"
             ) from None
         if version != VERSION:
             raise FootageError(f"{path} is a recording of version {version}, this program reads {VERSION}: update it")
-        height, width = self._array.shape[1:3]
-        if self._array.shape[1:] != format.plane_shapes(height, width)[0] or self._array.dtype != format.dtype:
-            raise FootageError(f"{path} is damaged: its frames are {self._array.shape[1:]} {self._array.dtype}")
+        try:
+            layout, bayer = about["layout"], about["bayer"]
+            tags = RecordingTags(rate_of(about["rate_hz"]), about["transfer"], bayer, int(about["bits"]))
+            format = PixelFormat(layout, tags.bits, **({"bayer": bayer} if layout == "bayer" else {}))
+            self._array = group[_FRAMES]
+            height, width = self._array.shape[1:3]
+            if self._array.shape[1:] != format.plane_shapes(height, width)[0] or self._array.dtype != format.dtype:
+                raise ValueError(f"its frames are {self._array.shape[1:]} {self._array.dtype}")
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise FootageError(f"{path} is damaged: {error}") from None
+        self.transfer = tags.transfer
         if len(self) == 0:
             raise FootageError(f"{path} holds no frames")
         self.size_px = (width, height)

@@ -9,6 +9,9 @@ import numpy.typing as npt
 from pipeline.errors import FootageError
 from tikernels.pixel_format import Bayer, Matrix, PixelFormat, Siting
 
+#: Why grey footage cannot be decoded.
+GREY = "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which (rggb, ...)"
+
 
 @dataclass(frozen=True)
 class StoredFrame:
@@ -84,16 +87,21 @@ class StoredAs:
             The bits do not fit the values.
         """
         said = replace(format, **{name: value for name, value in vars(self).items() if value is not None})
-        if said.dtype != format.dtype:
-            raise FootageError(f"bits is {said.bits}, but its values have {format.bits + format.shift}")
+        # Where bits are shifted up their number is known, and another one would need another shift.
+        if said.dtype != format.dtype or (format.shift and said.bits != format.bits):
+            raise FootageError(f"bits is {said.bits}, but its values have {format.bits}")
         return said
 
 
 def other_than_first(format: PixelFormat, size_px: tuple[int, int], source: "Source") -> str | None:
     """Say how a frame differs from its source's first in what the decoder cannot take in its stride."""
-    if size_px == source.size_px and format.layout == source.format.layout:
-        return None
-    here, first = (
-        f"{size[0]}x{size[1]} {kind.layout}" for size, kind in ((size_px, format), (source.size_px, source.format))
-    )
-    return f"it is {here}, the first is {first}"
+    for here, first in zip(_kind(format, size_px), _kind(source.format, source.size_px), strict=True):
+        if here != first:
+            return f"it is {here}, the first is {first}"
+    return None
+
+
+def _kind(format: PixelFormat, size_px: tuple[int, int]) -> tuple[str, ...]:
+    # Grey levels of one store are on one scale, and a region of interest begins at a sample of chroma.
+    across, down = format.subsampling
+    return f"{size_px[0]}x{size_px[1]} {format.layout}", f"of {format.bits} bits", f"subsampled by {across}x{down}"

@@ -1,5 +1,6 @@
 """What a Matroska recording of ours says of itself (`docs/footage.md`)."""
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -7,20 +8,50 @@ from typing import Any
 
 from pipeline.errors import FootageError
 from pipeline.video.stored import StoredAs
+from tikernels.errors import ShapeError
+from tikernels.linearization import TRANSFERS
 
 _PREFIX = "COLORPHASE_"
 #: Of the format of recordings, in Matroska and in Zarr.
 VERSION = "1"
+# Matroska counts in ms: above this, two frames could share one.
+_MOST_FRAMES_A_SECOND = 500
+
+
+def rate_of(text: str) -> Fraction:
+    """Return frames a second, from how a recording writes them.
+
+    Raises
+    ------
+    ValueError
+        It is no fraction.
+    """
+    # Of 1e999999999 Fraction would make a number of that many digits.
+    if re.fullmatch(r"[0-9]+(/0*[1-9][0-9]*)?", text) is None:
+        raise ValueError(f"rate {text!r} is no fraction")
+    return Fraction(text)
 
 
 @dataclass(frozen=True)
 class RecordingTags:
-    """Tags of the file, all of them texts that begin with COLORPHASE_."""
+    """Tags of the file, all of them texts that begin with COLORPHASE_.
+
+    Raises
+    ------
+    ShapeError
+        The rate or the transfer is none that a recording can have.
+    """
 
     rate_hz: Fraction  # frames a second
     transfer: str | None
     bayer: str | None  # None: RGB
     bits: int
+
+    def __post_init__(self) -> None:
+        if not 0 < self.rate_hz <= _MOST_FRAMES_A_SECOND:
+            raise ShapeError(f"rate_hz is {self.rate_hz}: give one above 0 and up to {_MOST_FRAMES_A_SECOND}")
+        if self.transfer not in (None, *TRANSFERS):
+            raise ShapeError(f"transfer is {self.transfer!r}: choose {', '.join(TRANSFERS)}")
 
     @classmethod
     def read(cls, metadata: Mapping[str, str]) -> "RecordingTags | None":
@@ -38,10 +69,10 @@ class RecordingTags:
         if version != VERSION:
             raise FootageError(f"it is a recording of version {version}, this program reads {VERSION}: update it")
         try:
-            rate_hz, bits = Fraction(tags[f"{_PREFIX}RATE"]), int(tags[f"{_PREFIX}BITS"])
+            rate_hz, bits = rate_of(tags[f"{_PREFIX}RATE"]), int(tags[f"{_PREFIX}BITS"])
+            return cls(rate_hz, tags.get(f"{_PREFIX}TRANSFER"), tags.get(f"{_PREFIX}BAYER"), bits)
         except (KeyError, ValueError) as error:
             raise FootageError(f"its tags are not those of a recording ({error}): remux it with all its tags") from None
-        return cls(rate_hz, tags.get(f"{_PREFIX}TRANSFER"), tags.get(f"{_PREFIX}BAYER"), bits)
 
     def write(self) -> dict[str, str]:
         """Return the tags to write."""

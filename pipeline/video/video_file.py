@@ -35,8 +35,8 @@ class _Index:
 
     @property
     def intra_only(self) -> bool:
-        """Whether every frame can be decoded by itself."""
-        return len(self.keys) == len(self.numbers)
+        """Whether every frame can be decoded by itself: without stamps only those before it tell which one it is."""
+        return bool(self.stamps) and len(self.keys) == len(self.numbers)
 
     def position_before(self, number: int) -> int:
         """Return the position to decode from, so that a frame comes out whole."""
@@ -93,8 +93,6 @@ class VideoFile:
             self._index = _index_of(container, stream, recording)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
             self._note_missing_end(container, stream)
-        # What a decoder makes of a damaged frame can stay in its state and spoil all later ones.
-        self._restarts = self._index.intra_only and bool(self._index.stamps)
         self._positions = {mark: position for position, mark in enumerate(self._index.marks)}
         reason = "it holds no frames"
         for frame in islice(self.frames(), _MOST_DAMAGED):
@@ -129,8 +127,9 @@ class VideoFile:
                         due += 1
                     if due == len(wanted):
                         return
-            # Where every frame stands alone, decoding ends at a damaged one and begins anew behind it.
-            last = max(reasons) if self._restarts and len(reasons) > n_damaged else len(self)
+            # Where every frame stands alone, decoding ends at a damaged one and begins anew behind it: what a decoder
+            # makes of a damaged frame can stay in its state and spoil all later ones.
+            last = max(reasons) if self._index.intra_only and len(reasons) > n_damaged else len(self)
             while due < len(wanted) and wanted[due] <= last:
                 yield BadFrame(wanted[due], reasons.get(wanted[due], _MISSING))
                 due += 1
@@ -214,7 +213,7 @@ class VideoFile:
                     spoilt = index.numbers[damaged[before]]
                     reasons.setdefault(number, f"it is predicted from frame {spoilt}, which is damaged")
                 yield number, frame
-            if packet is None or (damaged and self._restarts):
+            if packet is None or (damaged and index.intra_only):
                 return
 
     def _packets(self, container: Any, stream: Any, begin: int) -> Iterator[tuple[int, Any]]:
@@ -297,6 +296,8 @@ class VideoFile:
 def _index_of(container: Any, stream: Any, recording: RecordingTags | None) -> _Index:
     if recording is not None:
         n_frames = recording.n_frames(container.duration or 0)
+        if n_frames > container.size:  # each takes some bytes
+            raise FootageError(f"its head says that it holds {n_frames} frames, but it is too short: copy it again")
         stamps = [recording.stamp(number) for number in range(n_frames)]
         return _Index(stamps, stamps, "pts", range(n_frames), range(n_frames))
     entries = list(stream.index_entries)

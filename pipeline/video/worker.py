@@ -73,7 +73,7 @@ class Worker:
         todo : sequence of (range, frozenset)
             Which frames lean on each other, and which of them are to be stored; see `chains`.
         tell : callable
-            Told of every stored and every bad frame, in order.
+            Told of every stored and every bad frame, of a bad one sooner than of those that are still being written.
 
         Raises
         ------

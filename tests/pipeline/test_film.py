@@ -1,6 +1,5 @@
 """Films and meshes of a store's frames: what they show, and what is said of frames that are not there."""
 
-import json
 import subprocess
 import sys
 
@@ -15,7 +14,9 @@ from pipeline.export import read_mesh
 from pipeline.film import FilmOptions, render_film
 from pipeline.render import render_mesh
 from pipeline.stored_result import StoredResult, export_frames
+from pipeline.video.sources import open_source
 from tikernels import runtime
+from tikernels.development import develop
 
 SIZE = (160, 120)
 HEIGHT, WIDTH = 60, 80
@@ -30,7 +31,7 @@ def plane(distance_mm):
     return points, mask
 
 
-def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), marks=True):
+def store(path, distances, missing=(), in_mm=True, step=1, leave_out=()):
     """Write a store as a run over footage does; None stands for a frame without any surface."""
     n_frames = len(distances)
     group = zarr.open_group(
@@ -48,9 +49,15 @@ def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), marks=T
             )
         arrays[name][number] = values
 
-    if marks:
-        blank = {"shape": (n_frames, 64), "chunks": (1, 64), "dtype": "u1", "fill_value": 0x20}
-        done = group.create_array("done", **blank)
+    done = group.create_array(
+        "done",
+        shape=(n_frames, 1024),
+        chunks=(1, 1024),
+        dtype="u1",
+        fill_value=0x20,
+        compressors=None,
+        chunk_key_encoding={"name": "default", "separator": "."},
+    )
     for number, distance in enumerate(distances):
         if number in missing:
             continue
@@ -63,8 +70,7 @@ def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), marks=T
         if in_mm:
             put("points", number, points)
             put("point_sigma", number, np.where(mask, np.float32(0.1), np.float32(np.nan)))
-        if marks:
-            done[number] = np.frombuffer(json.dumps({}).encode().ljust(64), np.uint8)
+        done[number] = np.frombuffer(b"{}".ljust(1024), np.uint8)
     return path
 
 
@@ -133,7 +139,7 @@ def test_turning_and_swaying(tmp_path):
 @pytest.mark.usefixtures("can_draw")
 @pytest.mark.parametrize("colors", ["depth", "modulation", "sigma", "shaded"])
 def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
-    path = store(tmp_path / "r.zarr", [400.0], in_mm=False, marks=False)
+    path = store(tmp_path / "r.zarr", [400.0], in_mm=False)
     options = FilmOptions(colors=colors, fps=10, seconds=0.5, size_px=SIZE)
     assert render_film(path, tmp_path / "film.mp4", options).n_pictures == 5
     seen, _ = pictures(tmp_path / "film.mp4")
@@ -156,6 +162,22 @@ def test_frames_without_a_surface(tmp_path):
     assert not (tmp_path / "none.mp4").exists()
 
 
+@pytest.mark.parametrize("codec", ["libx264", "mpeg4"])
+@pytest.mark.parametrize("size", [(160, 120), (1280, 960)])
+def test_colors_are_those_that_were_drawn(tmp_path, monkeypatch, codec, size):
+    """Whatever a player guesses of a file that does not say its matrix; to 3 grey levels."""
+    runtime.init("cpu")
+    monkeypatch.setattr(av, "codecs_available", {codec})
+    color = (220, 60, 40)
+    with film._Encoder(str(tmp_path / "film.mp4"), FilmOptions(size_px=size)) as encoder:
+        encoder.add(np.full((*size[::-1], 3), color, np.uint8))
+    assert encoder.codec == codec
+    source = open_source(tmp_path / "film.mp4")
+    (frame,) = source.frames()
+    assert source.notes == ()
+    np.testing.assert_allclose(255 * develop(frame.planes, frame.format)[size[1] // 2, size[0] // 2], color, atol=3)
+
+
 def test_what_is_refused(tmp_path):
     path = store(tmp_path / "r.zarr", [400.0, 401.0], leave_out=("modulation",))
     with pytest.raises(FootageError, match="holds no modulation: decode with that field"):
@@ -174,9 +196,21 @@ def test_what_is_refused(tmp_path):
 def test_what_is_no_store(tmp_path):
     (tmp_path / "other").mkdir()
     zarr.open_group(tmp_path / "group.zarr", mode="w").create_array("a", shape=(3,), dtype="f4")
-    for name in ("none", "other", "group.zarr"):
-        with pytest.raises(FootageError, match=name):
+    zarr.open_group(tmp_path / "old.zarr", mode="w", zarr_format=2, attributes={"settings": {}})
+    for name, reason in (
+        ("none", "not a result.zarr that can be read"),
+        ("other", "not a result.zarr that can be read"),
+        ("group.zarr", "not a result of colorphase decode"),
+        ("old.zarr", "not a result.zarr that can be read"),  # codecs of that format may unpickle
+    ):
+        with pytest.raises(FootageError, match=f"{name} is {reason}"):
             StoredResult(tmp_path / name)
+
+
+def test_a_mark_that_was_cut_off_is_none(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0])
+    (path / "done" / "c.0.0").write_bytes(b"{}")
+    assert StoredResult(path).done == (1,)
 
 
 def test_a_damaged_chunk_is_named(tmp_path):

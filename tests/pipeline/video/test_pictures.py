@@ -92,12 +92,39 @@ def test_a_jpeg_gives_its_planes(tmp_path):
 
 
 def test_mixed_pictures_of_the_same_scene(tmp_path):
-    """The frames of a folder may be PNG and JPEG; only what differs from the first in size or layout is refused."""
+    """The frames of a folder may be PNG and JPEG; only what differs from the first in size or kind is refused."""
     write(tmp_path / "1.png", colors())
     write(tmp_path / "2.jpg", colors())
     first, second = open_source(tmp_path).frames()
     assert isinstance(first, StoredFrame)
     assert second == BadFrame(1, "2.jpg: it is 30x20 yuv, the first is 30x20 rgb")
+
+
+def test_pictures_of_other_levels_do_not_mix(tmp_path):
+    """One store holds grey levels on one scale."""
+    for name, picture in (("1.png", colors()), ("2.png", colors(np.uint16)), ("3.png", colors())):
+        write(tmp_path / name, picture)
+    first, second, third = open_source(tmp_path).frames()
+    assert second == BadFrame(1, "2.png: it is of 16 bits, the first is of 8 bits")
+    assert isinstance(first, StoredFrame) and isinstance(third, StoredFrame)
+
+
+def test_jpegs_of_other_subsampling_do_not_mix(tmp_path):
+    """A region of interest may begin at an odd pixel of one, and not of the other."""
+    for name, sampling in (("1.jpg", "444"), ("2.jpg", "420")):
+        factor = getattr(cv2, f"IMWRITE_JPEG_SAMPLING_FACTOR_{sampling}")
+        coded = cv2.imencode(".jpg", colors(), [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, factor])[1]
+        (tmp_path / name).write_bytes(coded.tobytes())
+    _, second = open_source(tmp_path).frames()
+    assert second == BadFrame(1, "2.jpg: it is subsampled by 2x2, the first is subsampled by 1x1")
+
+
+def test_a_grey_picture_of_floats_is_bad(tmp_path):
+    write(tmp_path / "1.png", RNG.integers(0, 4096, (20, 30)).astype(np.uint16))
+    write(tmp_path / "2.tif", np.eye(20, 30, dtype=np.float32))
+    _, second = open_source(tmp_path, bayer="rggb").frames()
+    assert isinstance(second, BadFrame)
+    assert second.reason.endswith("2.tif: bayer pixels of 32 bits: only RGB may be floats")
 
 
 @pytest.mark.parametrize("keep, reason", [(0.6, "is truncated"), (0.99, "is truncated")])

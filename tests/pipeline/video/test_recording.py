@@ -2,6 +2,8 @@
 
 import errno
 import shutil
+import signal
+from contextlib import contextmanager
 from fractions import Fraction
 
 import av
@@ -33,6 +35,20 @@ def record(path, format=RGB8, n_frames=9, **options):
         for frame in frames:
             recorder.add(frame)
     return frames
+
+
+def retagged(path, target, tags, last_ms=None):
+    """Copy a Matroska recording, with other tags and another time of its last frame."""
+    with av.open(str(path)) as source, av.open(str(target), "w") as copy:
+        copy.metadata.update({**source.metadata, **tags})
+        stream = copy.add_stream_from_template(source.streams.video[0])
+        packets = [packet for packet in source.demux(video=0) if packet.size]
+        if last_ms is not None:
+            packets[-1].pts = packets[-1].dts = last_ms
+        for packet in packets:
+            packet.stream = stream
+            copy.mux(packet)
+    return target
 
 
 def rgb(planes, format):
@@ -104,6 +120,32 @@ def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch, suffix):
     assert list(tmp_path.iterdir()) == []
 
 
+@contextmanager
+def no_room():
+    """Let no file grow beyond ten bytes: what a full disk does, with another number."""
+    resource = pytest.importorskip("resource", reason="Windows has no such limits")
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
+@pytest.mark.parametrize("n_frames", [0, 3])
+def test_a_disk_that_is_full_at_once_or_at_the_end(tmp_path, suffix, n_frames):
+    recorder = Recorder(tmp_path / f"a{suffix}", RGB8)
+    for frame in frames_of(RGB8, n_frames):
+        recorder.add(frame)
+    with no_room(), pytest.raises(OutputError, match=r"cannot record to .*: File too large"):
+        if not n_frames:
+            recorder.add(frames_of(RGB8)[0])
+        recorder.close()
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
 def test_nothing_recorded(tmp_path, suffix):
     Recorder(tmp_path / f"a{suffix}", RGB8).close()
@@ -120,6 +162,8 @@ def test_what_a_recorder_refuses(tmp_path):
         Recorder(tmp_path / "b.mkv", PixelFormat("yuv"))
     with pytest.raises(ShapeError, match="rate_hz is 501"):
         Recorder(tmp_path / "b.mkv", RGB8, rate_hz=501)
+    with pytest.raises(ShapeError, match="transfer is 'gamma'"):
+        Recorder(tmp_path / "b.mkv", RGB8, transfer="gamma")
     with pytest.raises(OutputError, match="its folder does not exist"):
         Recorder(tmp_path / "absent" / "b.mkv", RGB8).add(frames_of(RGB8)[0])
     with Recorder(tmp_path / "b.mkv", RGB8) as recorder:
@@ -187,6 +231,59 @@ def test_what_is_no_recording(tmp_path):
     for name in ("other.zarr", "empty.zarr", "array.zarr"):
         with pytest.raises(FootageError, match=rf"{name} is not a recording of frames"):
             open_source(tmp_path / name)
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
+@pytest.mark.parametrize(
+    "key, value, reason",
+    [
+        ("rate_hz", "0", "rate_hz is 0"),
+        ("rate_hz", "1/0", "rate '1/0' is no fraction"),
+        ("rate_hz", "1e999999999", "is no fraction"),
+        ("transfer", "gamma", "transfer is 'gamma': choose linear, srgb, bt709"),
+    ],
+)
+def test_what_no_recorder_writes(tmp_path, suffix, key, value, reason):
+    path = tmp_path / f"a{suffix}"
+    record(path, transfer="srgb")
+    if suffix == ".zarr":
+        group = zarr.open_group(path)
+        group.attrs["colorphase_recording"] = {**group.attrs["colorphase_recording"], key: value}
+    else:
+        path = retagged(path, tmp_path / "b.mkv", {f"COLORPHASE_{key.upper().removesuffix('_HZ')}": value})
+    with pytest.raises(FootageError, match=reason):
+        open_source(path)
+
+
+def test_a_length_that_cannot_be(tmp_path):
+    """How many frames there are is told by the length: of a wrong one no list is made."""
+    record(tmp_path / "a.mkv")
+    with pytest.raises(FootageError, match=r"says that it holds \d+ frames"):
+        open_source(retagged(tmp_path / "a.mkv", tmp_path / "b.mkv", {}, last_ms=10**12))
+
+
+def test_frames_of_another_shape(tmp_path):
+    for name, shape in (("line", (3,)), ("none", None)):
+        path = tmp_path / f"{name}.zarr"
+        record(path)
+        group = zarr.open_group(path)
+        del group["frames"]
+        if shape is None:
+            group.create_group("frames")
+        else:
+            group.create_array("frames", shape=shape, dtype="u1")
+        with pytest.raises(FootageError, match=rf"{name}\.zarr is damaged"):
+            open_source(path)
+
+
+def test_an_older_zarr_is_no_recording(tmp_path):
+    """Its arrays may name codecs that unpickle."""
+    record(tmp_path / "a.zarr")
+    about = zarr.open_group(tmp_path / "a.zarr").attrs.asdict()
+    group = zarr.open_group(tmp_path / "old.zarr", mode="w", zarr_format=2, attributes=about)
+    group.create_array("frames", shape=(9, 22, 34, 3), chunks=(1, 22, 34, 3), dtype="u1")
+    with pytest.raises(FootageError, match=r"old\.zarr is not a recording"):
+        open_source(tmp_path / "old.zarr")
 
 
 def test_a_recording_of_a_later_version(tmp_path):

@@ -226,6 +226,14 @@ def test_a_run_with_other_settings_does_not_mix(job, change, key):
     assert contents(Path(job.store)) == before
 
 
+def test_a_run_without_the_region_of_interest_does_not_mix(job):
+    decode_footage(replace(job, region=Region(0, 0, 64, 64)), stop=2)
+    before = contents(Path(job.store))
+    with pytest.raises(OutputError, match=r"region_of_interest\.x is 0 there, null here"):
+        decode_footage(job)
+    assert contents(Path(job.store)) == before
+
+
 def test_other_footage_and_other_rigs_do_not_mix(job, rig, tmp_path):
     decode_footage(job, stop=1)
     with pytest.raises(OutputError, match="calibration_sha256"):

@@ -9,6 +9,7 @@ from video_files import H264, MJPEG, encode, erase, moving_planes, packets
 
 from pipeline.errors import FootageError
 from pipeline.video.sources import BadFrame, StoredFrame, open_source
+from pipeline.video.stored import StoredAs
 from tikernels.pixel_format import PixelFormat
 
 YUV420 = PixelFormat("yuv", subsampling=(2, 2))
@@ -22,6 +23,7 @@ FILES = {
     "b-frames.mkv": ("libx264", "yuv420p", {"g": "12", "bf": "3"}),
     "open-gop.mp4": ("libx264", "yuv420p", {"x264-params": "open-gop=1:keyint=12:min-keyint=12:scenecut=0:b-adapt=0"}),
     "raw.264": ("libx264", "yuv420p", {"g": "12", "bf": "3"}),
+    "intra.264": ("libx264", "yuv420p", {"g": "1"}),
     "stream.ts": ("libx264", "yuv420p", {"g": "12", "bf": "3"}),
     "mpeg4.avi": ("mpeg4", "yuv420p", {"g": "12", "bf": "2", "qmin": "2", "qmax": "2"}),
 }
@@ -297,6 +299,14 @@ def test_grey_video_is_a_mosaic_only_if_somebody_says_so(tmp_path):
         open_source(path, bayer="gbrg", bits=12)
     with pytest.raises(FootageError, match="bayer is 'rgbg': choose"):
         open_source(path, bayer="rgbg")
+
+
+def test_bits_that_are_shifted_up_are_known():
+    shifted = PixelFormat("yuv", 10, 6, subsampling=(2, 2), interleaved=True)
+    assert StoredAs(bits=10).applied_to(shifted) == shifted
+    for bits in (8, 12):
+        with pytest.raises(FootageError, match=f"bits is {bits}, but its values have 10"):
+            StoredAs(bits=bits).applied_to(shifted)
 
 
 def test_unsupported_pixels(tmp_path):
