@@ -32,8 +32,9 @@ SOME_ARE_BAD = 3
 _STORE = "result.zarr"
 _SHOWN = 10  # bad frames that are named
 
-_out = Console()
-_err = Console(stderr=True)
+# Names of files may look like markup.
+_out = Console(markup=False, emoji=False)
+_err = Console(stderr=True, markup=False, emoji=False)
 
 
 @Parameter(name="*")

@@ -222,6 +222,16 @@ def test_radiometry_command(folder):
     assert done.returncode == 0 and (folder / "board.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_names_are_printed_as_they_are(folder):
+    """Brackets and colons are not markup."""
+    for name in ("no [red] film", "no [/film].png", "a :smile:.ply"):
+        for command in (("decode", name, "--out", "x"), ("render", name, "--out", "x.png")):
+            done = colorphase(*command, cwd=folder)
+            assert done.returncode == 1 and f"cannot read {name}" in done.stderr, done.stderr
+    done = colorphase("decode", "x", "--out", "x", "--arch", "[/red]", cwd=folder)
+    assert done.returncode == 2 and 'Invalid value "[/red]"' in done.stderr, done.stderr
+
+
 def test_decode_footage(folder):
     """Bad frames are told by number and by the exit code; a second run finds everything else done."""
     film = folder / "film é 1"
