@@ -2,17 +2,18 @@
 
 import os
 import signal
+import subprocess
 import threading
 import time
 from pathlib import Path
 
 import pytest
-from footage import contents, record
+from footage import command, contents, record
 
 from pipeline import DecodeSettings
 from pipeline.errors import ClusterError, FootageError
 from pipeline.store import chosen_fields
-from pipeline.video.job import Job
+from pipeline.video.job import CHAIN_FRAMES, Job
 from pipeline.video.run import decode_footage
 from pipeline.video.stored import StoredAs
 
@@ -84,6 +85,27 @@ def test_workers_that_are_killed(folder, here, tmp_path):
     assert killed[:2] == [15, 60]
     assert summary.bad == []
     assert contents(store) == here
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
+def test_ctrl_c_at_the_terminal(folder, tmp_path):
+    """Workers end with the frame that they are at, and neither they nor Dask say anything."""
+    arguments = command("decode", folder / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu", "--workers", "2")
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    signal.signal(signal.SIGINT, before)
+    marks = tmp_path / "out" / "result.zarr" / "done"
+    with process:
+        while len(list(marks.glob("c.*"))) < 5:
+            assert process.poll() is None
+            time.sleep(0.005)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    n_done = len(list(marks.glob("c.*")))
+    assert said == f"stopped: {n_done} of {N_FRAMES} frames are done; the same command goes on from there\n"
+    assert n_done < CHAIN_FRAMES
+    assert not list((tmp_path / "out").rglob("*.part*"))
 
 
 def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
