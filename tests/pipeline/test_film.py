@@ -1,6 +1,7 @@
 """Films and meshes of a store's frames: what they show, and what is said of frames that are not there."""
 
 import json
+import shutil
 import subprocess
 import sys
 
@@ -210,6 +211,17 @@ def test_export(tmp_path, in_mm):
     assert mesh.properties.keys() == {"modulation", "sigma_rad"} | ({"sigma_mm"} if in_mm else set())
     assert export_frames(path, tmp_path / "glb", "glb")[0] == 2
     assert (tmp_path / "glb" / "frame_000000.glb").read_bytes()[:4] == b"glTF"
+
+
+@pytest.mark.parametrize(
+    "lost, message", [("done/c", "holds no frame that is done: decode first"), ("mask", "holds no mask")]
+)
+def test_an_export_of_nothing_leaves_no_folder(tmp_path, lost, message):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0])
+    shutil.rmtree(path / lost)
+    with pytest.raises(FootageError, match=message):
+        export_frames(path, tmp_path / "meshes", "ply")
+    assert not (tmp_path / "meshes").exists()
 
 
 @pytest.mark.usefixtures("can_draw")
