@@ -296,7 +296,7 @@ def render(
 
     if not input.is_dir():
         if out.suffix.lower() != ".png":
-            raise OutputError(f"{out} is not a PNG file: name it .png")
+            raise OutputError(f"{out} is not a PNG file: name it .png, or give a result.zarr for a film of it")
         with _progress() as step:
             step("reading")
             mesh = read_mesh(input)

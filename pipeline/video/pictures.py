@@ -119,7 +119,7 @@ class Pictures:
             if image.ndim == 2:
                 if self._says.bayer is None:
                     raise FootageError(
-                        "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which (rggb, ...)"
+                        "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which: --bayer rggb"
                     )
                 return (image,), self._says.applied_to(PixelFormat("bayer", bits))
             image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)

@@ -117,7 +117,7 @@ def test_a_frame_without_fringes(folder):
         (("decode", "frame.png", "--out", "x", "--arch", "abacus"), "Invalid value"),
         (("render", "frame.png", "--out", "x.png"), "PLY"),
         (("render", "none.ply", "--out", "x.png"), "cannot read none.ply"),
-        (("render", "none.ply", "--out", "x.gif"), "name it .png"),
+        (("render", "none.ply", "--out", "x.gif"), "name it .png, or give a result.zarr"),
         (("pattern", "x.png", "--size", "wide"), "as in 1024x768"),
         (("pattern", "x.png", "--period", "1"), "period_px"),
         (("pattern", "x/y.png"), "create the folder first"),
