@@ -121,6 +121,8 @@ def local_cluster(n_workers: int) -> Iterator[Any]:
             processes=True,
             host="127.0.0.1",
             dashboard_address=None,
+            # Its server for pages about itself is there in any case, on a port that another one may have.
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             memory_limit=0,
             silence_logs=logging.CRITICAL,
             env={"TI_CPU_MAX_NUM_THREADS": os.environ.get("TI_CPU_MAX_NUM_THREADS", threads)},

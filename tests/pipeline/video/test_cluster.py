@@ -2,9 +2,11 @@
 
 import os
 import signal
+import socket
 import subprocess
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -13,6 +15,7 @@ from footage import command, contents, record
 from pipeline import DecodeSettings
 from pipeline.errors import ClusterError, FootageError
 from pipeline.store import chosen_fields
+from pipeline.video.cluster import local_cluster
 from pipeline.video.job import CHAIN_FRAMES, Job
 from pipeline.video.run import decode_footage
 from pipeline.video.stored import StoredAs
@@ -118,6 +121,17 @@ def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
     with pytest.raises(FootageError, match=r"frame 66 of .*film\.zarr: it is missing"):
         decode_footage(job, strict=True, workers=1)
     assert decode_footage(job).bad[0].number == 66
+
+
+def test_another_cluster_on_this_machine(recwarn):
+    """Its port for pages about itself, which nobody asks for, is taken."""
+    with socket.socket() as taken:
+        with suppress(OSError):  # or it is in use already
+            taken.bind(("127.0.0.1", 8787))
+            taken.listen()
+        with local_cluster(1) as cluster:
+            assert len(cluster.scheduler_info["workers"]) == 1
+    assert not recwarn.list
 
 
 def test_no_scheduler(folder, tmp_path, monkeypatch):
