@@ -5,6 +5,7 @@ import logging
 import os
 import secrets
 import signal
+import socket
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -70,7 +71,7 @@ def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: C
 
 
 def _check_address(address: str) -> None:
-    """Refuse what is no address at all: Dask would look for it for a minute."""
+    """Refuse an address where nobody is: Dask would look for it for a minute, and Ctrl-C would not end that."""
     try:
         parts = urlsplit(address)
         there = bool(parts.hostname and parts.port)
@@ -78,6 +79,15 @@ def _check_address(address: str) -> None:
         there = False
     if not there:
         raise ClusterError(f"no scheduler can be at {address}: give an address such as tcp://127.0.0.1:8786")
+    if parts.scheme in ("tcp", "tls"):
+        try:
+            socket.create_connection((str(parts.hostname), int(parts.port or 0)), _TIMEOUT_S).close()
+        except OSError as error:
+            raise _no_answer(address, error) from None
+
+
+def _no_answer(address: str, error: Exception) -> ClusterError:
+    return ClusterError(f"no scheduler answers at {address} ({error}): start one with dask scheduler")
 
 
 @contextmanager
@@ -93,9 +103,7 @@ def _client(where: int | str) -> Iterator[tuple[Any, Any]]:
             try:
                 client: Any = distributed.Client(where, timeout=_TIMEOUT_S, set_as_default=False)
             except (OSError, ValueError) as error:
-                raise ClusterError(
-                    f"no scheduler answers at {where} ({error}): start one with dask scheduler"
-                ) from None
+                raise _no_answer(where, error) from None
             with client:
                 yield distributed, client
         return

@@ -134,7 +134,7 @@ def test_another_cluster_on_this_machine(recwarn):
     assert not recwarn.list
 
 
-def test_no_scheduler(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr("pipeline.video.cluster._TIMEOUT_S", 0.5)
-    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127\.0\.0\.1:9"):
+def test_no_scheduler(folder, tmp_path):
+    """It is known at once where nobody listens."""
+    with pytest.raises(ClusterError, match=r"no scheduler answers at tcp://127\.0\.0\.1:9 \(.*refused"):
         decode_footage(job_of(folder, tmp_path / "result.zarr"), cluster="tcp://127.0.0.1:9")
