@@ -12,6 +12,7 @@ from cyclopts import App, Parameter
 from rich.console import Console
 from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from hardware.link import list_serial_ports
 from pipeline.calibration import Calibration
@@ -52,15 +53,16 @@ _BOARD = BoardOptions()
 _FOOTAGE = FootageOptions()
 _AS_IT_SAYS = StoredAs()
 
-_out = Console()
-_err = Console(stderr=True)
+# Names of files may look like markup.
+_out = Console(markup=False, emoji=False)
+_err = Console(stderr=True, markup=False, emoji=False)
 
 app = App(
     name="colorphase",
     help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,  # `main` says what it has stopped
-    error_formatter=lambda error: f"[red]error: {' '.join(str(error).split())}[/red]",
+    error_formatter=lambda error: Text(f"error: {' '.join(str(error).split())}", style="red"),
 )
 
 
@@ -300,7 +302,7 @@ def render(
 
     if not input.is_dir():
         if out.suffix.lower() != ".png":
-            raise OutputError(f"{out} is not a PNG file: name it .png")
+            raise OutputError(f"{out} is not a PNG file: name it .png, or give a result.zarr for a film of it")
         with _progress() as step:
             step("reading")
             mesh = read_mesh(input)

@@ -1,5 +1,7 @@
 """Read a colour picture, or say in one line why it is none."""
 
+import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,8 @@ import numpy.typing as npt
 from pipeline.errors import FootageError
 
 # How each kind of file begins and how a whole one ends; OpenCV decodes the rest of a truncated one as grey.
-_ENDS = {b"\x89PNG": b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
+_PNG = b"\x89PNG\r\n\x1a\n"
+_ENDS = {_PNG: b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
 
 
 def read_bytes(path: Path) -> bytes:
@@ -53,6 +56,7 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
     image: npt.NDArray[Any] | None = None
     try:
         if data:
+            data = _only_pixels(path, data) if data.startswith(_PNG) else data
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error:
         pass  # the message below says it in one line
@@ -62,6 +66,28 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
         raise FootageError(f"{path} holds {image.dtype} values: save it with 8 or 16 bits")
     levels: npt.NDArray[Any] = image
     return levels
+
+
+def _only_pixels(path: Path, data: bytes) -> bytes:
+    """Return a PNG without what does not change its levels; libpng prints what it thinks of that, and of damage.
+
+    Raises
+    ------
+    FootageError
+        A checksum is wrong.
+    """
+    kept: list[bytes | memoryview] = [_PNG]
+    begin, kind = len(_PNG), b""
+    view = memoryview(data)
+    while kind != b"IEND" and begin + 12 <= len(data):
+        size, kind = struct.unpack_from(">I4s", data, begin)
+        end = begin + 12 + size
+        if end > len(data) or zlib.crc32(view[begin + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+            raise FootageError(f"{path} is damaged: copy it again")
+        if kind[:1].isupper() or kind == b"tRNS":
+            kept.append(view[begin:end])
+        begin = end
+    return b"".join(kept)
 
 
 def read_picture(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]:

@@ -148,14 +148,16 @@ def export_frames(
         The folder cannot be written.
     """
     result, folder = StoredResult(location), Path(folder)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise OutputError(f"cannot write {folder}: {explain(error)}") from error
+    if not result.done:
+        raise FootageError(f"{result.name} holds no frame that is done: decode first")
     empty = []
     for i, number in enumerate(result.done):
         mesh = result.mesh(number)
         if len(mesh.faces):
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise OutputError(f"cannot write {folder}: {explain(error)}") from error
             write_mesh(mesh, folder / f"frame_{number:06d}.{kind}")
         else:
             empty.append(number)

@@ -32,7 +32,8 @@ if TYPE_CHECKING:
     from pipeline.results import DecodedFrame
     from tikernels.linearization import Transfer
 
-_out = Console()
+# Names of files may look like markup.
+_out = Console(markup=False, emoji=False)
 
 calibrate = App(name="calibrate", help="Measure the rig: its light, its geometry, and later whether both still hold.")
 

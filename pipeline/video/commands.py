@@ -1,5 +1,6 @@
 """`colorphase decode FOOTAGE`: parse, call, show progress, say what was found."""
 
+import re
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,10 +32,12 @@ from tikernels import runtime
 #: Exit code where some frames are bad and the rest is done.
 SOME_ARE_BAD = 3
 _STORE, _MESHES = "result.zarr", "meshes"
+_DIGITS = re.compile("[0-9]{1,6}")
 _SHOWN = 10  # bad frames that are named
 
-_out = Console()
-_err = Console(stderr=True)
+# Names of files may look like markup.
+_out = Console(markup=False, emoji=False)
+_err = Console(stderr=True, markup=False, emoji=False)
 
 
 @Parameter(name="*")
@@ -71,14 +74,10 @@ class FootageOptions:
         """
         if self.roi is None:
             return None
-        parts = self.roi.split(",")
-        if (
-            len(parts) != 4
-            or not all(part.strip().isdigit() for part in parts)
-            or "0" in (p.strip() for p in parts[2:])
-        ):
+        parts = [int(part) if _DIGITS.fullmatch(part.strip()) else -1 for part in self.roi.split(",")]
+        if len(parts) != 4 or min(parts) < 0 or min(parts[2:]) < 1:
             raise SettingsError(f"--roi is {self.roi!r}: give x,y,width,height in px, as in 100,50,640,480")
-        return Region(*map(int, parts))
+        return Region(*parts)
 
 
 def _at_least(least: int, value: int | None) -> None:

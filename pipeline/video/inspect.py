@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.calibration.doctor import Diagnosis, diagnose
 from pipeline.calibration.sequence_doctor import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.decoder import Decoder
-from pipeline.errors import DecodeWarning
+from pipeline.errors import DecodeWarning, FootageError
 from pipeline.settings import DecodeSettings
 from pipeline.video.container import ContainerFacts, container_facts
 from pipeline.video.evidence import (
@@ -194,10 +194,15 @@ def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str,
                 continue
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", DecodeWarning)
-                if decoder is None:
-                    seen.settings = _turned(stored, seen.settings)
-                    decoder = Decoder(decoder_settings(seen.settings), arch=arch)
-                look = look_at(stored, decoder, seen.settings)
+                try:
+                    if decoder is None:
+                        seen.settings = _turned(stored, seen.settings)
+                        decoder = Decoder(decoder_settings(seen.settings), arch=arch)
+                    look = look_at(stored, decoder, seen.settings)
+                except FootageError as error:
+                    seen.bad.append(BadFrame(stored.number, str(error)))
+                    before = None
+                    continue
                 if before is not None:
                     seen.n_pairs += 1
                     if _same(before[0], stored):

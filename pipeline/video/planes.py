@@ -61,7 +61,9 @@ def stored_planes(
     name = frame.format.name
     names = _names(name)
     if names is None:
-        raise FootageError(f"its pixel format {name} is not supported: convert it with ffmpeg -pix_fmt bgr0 -c:v ffv1")
+        kept = "bgr0" if max(part.bits for part in frame.format.components) <= 8 else "gbrp16le"
+        advice = f"convert it with ffmpeg -pix_fmt {kept} -c:v ffv1"
+        raise FootageError(f"its pixel format {name} is not supported: {advice}")
     if names.format.layout == "bayer" and not name.startswith("bayer") and says.bayer is None:
         raise FootageError(GREY)
     format = names.format

@@ -10,7 +10,7 @@ from pipeline.errors import FootageError
 from tikernels.pixel_format import Bayer, Matrix, PixelFormat, Siting
 
 #: Why grey footage cannot be decoded.
-GREY = "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which (rggb, ...)"
+GREY = "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which: --bayer rggb"
 
 
 @dataclass(frozen=True)

@@ -121,7 +121,7 @@ def test_a_frame_without_fringes(folder):
         (("decode", "pictures", "--out", "memory://x", "--export", "ply"), "run colorphase export"),
         (("render", "frame.png", "--out", "x.png"), "PLY"),
         (("render", "none.ply", "--out", "x.png"), "cannot read none.ply"),
-        (("render", "none.ply", "--out", "x.gif"), "name it .png"),
+        (("render", "none.ply", "--out", "x.gif"), "name it .png, or give a result.zarr"),
         (("pattern", "x.png", "--size", "wide"), "as in 1024x768"),
         (("pattern", "x.png", "--period", "1"), "period_px"),
         (("pattern", "x/y.png"), "create the folder first"),
@@ -226,6 +226,16 @@ def test_radiometry_command(folder):
     assert done.returncode == 0 and (folder / "board.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_names_are_printed_as_they_are(folder):
+    """Brackets and colons are not markup."""
+    for name in ("no [red] film", "no [/film].png", "a :smile:.ply"):
+        for command in (("decode", name, "--out", "x"), ("render", name, "--out", "x.png")):
+            done = colorphase(*command, cwd=folder)
+            assert done.returncode == 1 and f"cannot read {name}" in done.stderr, done.stderr
+    done = colorphase("decode", "x", "--out", "x", "--arch", "[/red]", cwd=folder)
+    assert done.returncode == 2 and 'Invalid value "[/red]"' in done.stderr, done.stderr
+
+
 def test_decode_footage(folder):
     """Bad frames are told by number and by the exit code; a second run finds everything else done."""
     film = folder / "film é 1"
@@ -245,6 +255,7 @@ def test_decode_footage(folder):
     for arguments, message in [
         (("--settings", "settings.toml"), r"settings.smoothing_px is 5 there, 3 here"),
         (("--roi", "1,2,3"), "give x,y,width,height"),
+        (("--roi", "0,0,00,²"), "give x,y,width,height"),
         (("--roi", "0,0,400,100"), "sticks out of the 320x240 frame"),
         (("--fields", "depth"), "no field is called 'depth'"),
         (("--step", "0"), "must be 1 or more"),

@@ -1,6 +1,8 @@
 """What users hand us: calibrations, settings and pictures; each mistake is one line that names the file and the key."""
 
 import json
+import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -127,6 +129,20 @@ def test_pictures_that_are_none(tmp_path):
         read_picture(tmp_path)
     with pytest.raises(FootageError, match="No such file"):
         read_picture(tmp_path / "none.png")
+
+
+def test_what_libpng_says_is_not_printed(tmp_path, capfd):
+    """Neither of damage nor of a colour profile that it does not like."""
+    image = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
+    data = cv2.imencode(".png", image[..., ::-1])[1].tobytes()
+    profile = b"iCCPx\0\0" + zlib.compress(bytes(200))
+    profile = struct.pack(">I", len(profile) - 4) + profile + struct.pack(">I", zlib.crc32(profile))
+    (tmp_path / "profile.png").write_bytes(data[:33] + profile + data[33:] + b"and more")
+    np.testing.assert_array_equal(read_picture(tmp_path / "profile.png"), image)
+    (tmp_path / "wrong.png").write_bytes(data[:2000] + bytes(50) + data[2050:])
+    with pytest.raises(FootageError, match=r"wrong\.png is damaged: copy it again"):
+        read_picture(tmp_path / "wrong.png")
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])

@@ -255,6 +255,18 @@ def test_ranges_in_mm_make_no_mesh_without_points(tmp_path):
         export_frames(path, tmp_path / "out", "ply")
 
 
+@pytest.mark.parametrize(
+    "lost, message", [("done/c.*", "holds no frame that is done: decode first"), ("mask", "holds no mask")]
+)
+def test_an_export_of_nothing_leaves_no_folder(tmp_path, lost, message):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0])
+    for place in path.glob(lost):
+        place.rename(tmp_path / place.name)
+    with pytest.raises(FootageError, match=message):
+        export_frames(path, tmp_path / "meshes", "ply")
+    assert not (tmp_path / "meshes").exists()
+
+
 @pytest.mark.usefixtures("can_draw")
 def test_the_commands(tmp_path):
     path = store(tmp_path / "r.zarr", [400.0, 401.0, 402.0], missing=(1,))

@@ -194,6 +194,13 @@ def test_damage(tmp_path, clip):
         inspect_footage(video, arch="cpu")
 
 
+def test_frames_that_cannot_be_decoded(tmp_path, clip):
+    """One NaN spoils its frame, and not what is said of the others."""
+    images = [frame / np.float32(255) for frame in clip[:5]]
+    images[2][5, 5] = np.nan
+    assert faults(record(tmp_path / "nan.zarr", images, PixelFormat("rgb", 32))) == {"damaged": "spoils"}
+
+
 def test_frames_that_are_missing_from_a_folder(tmp_path, clip):
     import cv2
 

@@ -312,8 +312,11 @@ def test_bits_that_are_shifted_up_are_known():
 def test_unsupported_pixels(tmp_path):
     planes = [[np.zeros((16, 32), np.uint8), np.zeros((16, 8), np.uint8), np.zeros((16, 8), np.uint8)]]
     path = encode(tmp_path / "old.mkv", planes, "ffv1", "yuv411p")
-    with pytest.raises(FootageError, match=r"old\.mkv: its pixel format yuv411p is not supported: convert it"):
+    with pytest.raises(FootageError, match=r"old\.mkv: its pixel format yuv411p is not supported: convert it .* bgr0"):
         open_source(path)
+    deep = encode(tmp_path / "deep.mov", [[np.zeros((16, 32, 3), ">u2")]], "rawvideo", "rgb48be")
+    with pytest.raises(FootageError, match=r"rgb48be is not supported: convert it .* gbrp16le"):
+        open_source(deep)
 
 
 def test_sound_alone(tmp_path):
