@@ -31,8 +31,10 @@ from pipeline.settings import DecodeSettings
 from pipeline.stored_result import MeshKind
 from pipeline.video.commands import FootageOptions, decode_video, write_meshes
 from pipeline.video.pictures import PICTURE_SUFFIXES
-from pipeline.video.stored import StoredAs
+from pipeline.video.sources import open_source
+from pipeline.video.stored import BadFrame, StoredAs
 from tikernels import runtime
+from tikernels.development import develop
 from tikernels.errors import DeviceNotReady, ShapeError
 
 Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
@@ -186,19 +188,21 @@ def decode(
     if input.suffix.lower() not in PICTURE_SUFFIXES or input.is_dir():
         decode_video(input, out, chosen, rig, arch, video, stored_as, force=force)
         return
-    if (video, stored_as) != (_FOOTAGE, _AS_IT_SAYS):
+    if video != _FOOTAGE:
         raise SettingsError(
             f"{input.name} is a picture, and these options are for footage: leave them away, or give its folder"
         )
     from pipeline.outputs import output_folder, write_frame
-    from pipeline.picture import read_picture
     from pipeline.report import frame_report
 
     with _progress() as step, output_folder(out, force=force) as folder:
         step("reading")
-        image = read_picture(input)
+        (stored,) = open_source(input, **vars(stored_as)).frames()
+        if isinstance(stored, BadFrame):
+            raise FootageError(stored.reason)
         step("decoding")
-        frame = Decoder(chosen, rig, arch=arch).decode(image)
+        decoder = Decoder(chosen, rig, arch=arch)
+        frame = decoder.decode(develop(stored.planes, stored.format, stripes=chosen.stripes))
         step("writing")
         write_frame(folder, frame, chosen, rig, frame_report(frame, chosen, rig, input.name))
     _out.print(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}", highlight=False, soft_wrap=True)

@@ -6,10 +6,12 @@ import shutil
 import subprocess
 import sys
 
+import cv2
 import numpy as np
 import pytest
 import zarr
 
+from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.export import read_mesh
 from pipeline.picture import read_picture
 from pipeline.range_image import write_png
@@ -116,7 +118,6 @@ def test_a_frame_without_fringes(folder):
         (("decode", "frame.png", "--out", "."), "holds something else"),
         (("decode", "frame.png", "--out", "x", "--arch", "abacus"), "Invalid value"),
         (("decode", "frame.png", "--out", "x", "--roi", "0,0,64,64"), "options are for footage"),
-        (("decode", "frame.png", "--out", "x", "--siting", "left"), "options are for footage"),
         (("decode", "pictures", "--out", "x", "--fields", "mask", "--export", "ply"), "made of range_image: add that"),
         (("decode", "pictures", "--out", "memory://x", "--export", "ply"), "run colorphase export"),
         (("render", "frame.png", "--out", "x.png"), "PLY"),
@@ -140,6 +141,29 @@ def test_mistakes_get_one_line_and_leave_nothing(folder, arguments, message):
     assert lines[0].startswith("error: ")
     assert message in lines[0]
     assert sorted(p.name for p in folder.iterdir()) == before
+
+
+def test_a_jpeg_is_read_as_footage_is(folder):
+    """From its planes, which costs less than the RGB that libraries make of them; and damage is told."""
+    jpeg = cv2.imencode(".jpg", cv2.imread(str(folder / "frame.png")))[1].tobytes()
+    (folder / "frame.jpg").write_bytes(jpeg)
+    (folder / "broken.jpg").write_bytes(jpeg[:5000] + bytes(2000) + jpeg[7000:])
+    done = colorphase("decode", "frame.jpg", "--out", "jpeg", "--calibration", "calibration.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    decoder = Decoder(DecodeSettings(), Calibration.read(folder / "calibration.json"), arch="cpu")
+    expected = decoder.decode(read_picture(folder / "frame.png"))
+    by_library = decoder.decode(read_picture(folder / "frame.jpg"))
+    stored = zarr.open_group(folder / "jpeg" / "result.zarr", mode="r")
+    both = expected.mask & by_library.mask & stored["mask"][0]
+    assert both.mean() > 0.3
+
+    def error(phase):
+        return np.sqrt(np.mean(np.angle(np.exp(1j * (phase - expected.wrapped_phase)[both])) ** 2))
+
+    assert error(stored["wrapped_phase"][0]) < 0.95 * error(by_library.wrapped_phase)
+    refused = colorphase("decode", "broken.jpg", "--out", "broken", cwd=folder)
+    assert refused.returncode == 1 and "damaged" in refused.stderr and len(refused.stderr.splitlines()) == 1
+    assert not (folder / "broken").exists()
 
 
 def test_demo_pattern_and_devices(folder):
