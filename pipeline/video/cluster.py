@@ -140,7 +140,13 @@ def _client(where: int | str) -> Iterator[tuple[Any, Any]]:
 
 @contextmanager
 def local_cluster(n_workers: int) -> Iterator[Any]:
-    """Start so many processes here, among which the cores are shared out; on the loopback interface."""
+    """Start so many processes here, among which the cores are shared out; on the loopback interface.
+
+    Raises
+    ------
+    ClusterError
+        They do not start.
+    """
     import dask
     import distributed
 
@@ -165,7 +171,10 @@ def local_cluster(n_workers: int) -> Iterator[Any]:
     ):
         hear()
         cluster.scale(n_workers)  # here, so that Ctrl-C meanwhile closes what has been started
-        cluster.wait_for_workers(n_workers, _START_S)
+        try:
+            cluster.wait_for_workers(n_workers, _START_S)
+        except TimeoutError:
+            raise ClusterError(f"{n_workers} processes did not start within {_START_S} s: ask for fewer") from None
         yield cluster
 
 
