@@ -262,17 +262,17 @@ def inspect(
 
 @app.command
 def render(
-    input: Path,
+    input: str,
     /,
     *,
     out: Path,
     view: Literal["three-quarter", "front"] = "three-quarter",
     size: Annotated[tuple[int, int], Parameter(consume_multiple=True)] = (1280, 960),
-    turn: float = 0.0,
-    sway: float = 0.0,
+    turn: Annotated[float, Parameter(validator=lambda _, value: _within(-3600, value, 3600))] = 0.0,
+    sway: Annotated[float, Parameter(validator=lambda _, value: _within(0, value, 180))] = 0.0,
     colors: Literal["depth", "shaded", "modulation", "sigma"] = "depth",
-    fps: Annotated[float, Parameter(validator=lambda _, value: _above_zero(value))] = 30.0,
-    seconds: Annotated[float, Parameter(validator=lambda _, value: _above_zero(value))] = 4.0,
+    fps: Annotated[float, Parameter(validator=lambda _, value: _within(0.1, value, 1000))] = 30.0,
+    seconds: Annotated[float, Parameter(validator=lambda _, value: _within(0.1, value, 3600))] = 4.0,
 ) -> None:
     """Draw a mesh, or a film of all frames of a result.zarr, off screen.
 
@@ -282,7 +282,7 @@ def render(
     Parameters
     ----------
     input
-        The mesh, a PLY file; or a result.zarr.
+        The mesh, a PLY file; or a result.zarr, a folder or an fsspec URL.
     out
         The PNG to write; of a result.zarr the MP4.
     view
@@ -304,7 +304,7 @@ def render(
     from pipeline.film import FilmOptions, render_film
     from pipeline.render import render_mesh
 
-    if not input.is_dir():
+    if "://" not in input and not Path(input).is_dir():
         if out.suffix.lower() != ".png":
             raise OutputError(f"{out} is not a PNG file: name it .png, or give a result.zarr for a film of it")
         with _progress() as step:
@@ -358,9 +358,9 @@ def devices() -> None:
     _out.print(table)
 
 
-def _above_zero(value: float) -> None:
-    if not value > 0:
-        raise ValueError("must be above 0")
+def _within(least: float, value: float, most: float) -> None:
+    if not least <= value <= most:  # nor NaN
+        raise ValueError(f"must be {least:g} to {most:g}")
 
 
 @contextmanager

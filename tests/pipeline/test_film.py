@@ -282,4 +282,6 @@ def test_the_commands(tmp_path):
     assert len(pictures(tmp_path / "film.mp4")[0]) == 3
     done = run("export", path, "--out", tmp_path / "meshes")
     assert done.returncode == 0 and "2 meshes" in done.stdout
-    assert run("render", path, "--out", tmp_path / "film.mp4", "--fps", 0).returncode != 0
+    for option, value in (("--fps", 0), ("--fps", 1e9), ("--turn", "nan"), ("--seconds", -1)):
+        refused = run("render", path, "--out", tmp_path / "film.mp4", option, value)
+        assert refused.returncode in (1, 2) and "error: " in refused.stderr
