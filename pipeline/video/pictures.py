@@ -2,7 +2,7 @@
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from pipeline.errors import FootageError
 from pipeline.picture import check_whole, decode_levels, read_bytes
 from pipeline.video.messages import caught_messages
 from pipeline.video.planes import stored_planes
-from pipeline.video.stored import GREY, BadFrame, StoredAs, StoredFrame, other_than_first
+from pipeline.video.stored import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
 from tikernels.errors import ShapeError
 from tikernels.pixel_format import FLOAT_BITS, PixelFormat
 
@@ -90,7 +90,7 @@ class Pictures:
     def __len__(self) -> int:
         return len(self.names)
 
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[StoredFrame | BadFrame]:
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield frames by number; see `Source`."""
         for number in range(len(self))[start:stop:step]:
             try:

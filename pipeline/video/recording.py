@@ -3,7 +3,6 @@
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy.typing as npt
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import explain
-from pipeline.video.stored import BadFrame, StoredAs, StoredFrame
+from pipeline.video.stored import BadFrame, Frames, StoredAs, StoredFrame
 from pipeline.video.tags import VERSION, RecordingTags, rate_of
 from tikernels.errors import ShapeError
 from tikernels.pixel_format import PixelFormat
@@ -294,7 +293,7 @@ class ZarrRecording:
     def __len__(self) -> int:
         return int(self._array.shape[0])
 
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[StoredFrame | BadFrame]:
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield frames by number; see `Source`."""
         for number in range(len(self))[start:stop:step]:
             yield self._read(number)

@@ -1,6 +1,6 @@
 """Frames in the form in which they were stored, and what every source of them can do."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -30,6 +30,10 @@ class BadFrame:
     reason: str  # one line, without the number
 
 
+#: Frames by number; closing them lets go of the file at once.
+Frames = Generator[StoredFrame | BadFrame, None, None]
+
+
 class Source(Protocol):
     """Frames in their order, as often as asked for; not to be shared between threads."""
 
@@ -56,7 +60,7 @@ class Source(Protocol):
     def __len__(self) -> int:
         """Return how many frames there are, damaged ones included."""
 
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[StoredFrame | BadFrame]:
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one."""
 
     def close(self) -> None:

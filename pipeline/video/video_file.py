@@ -11,7 +11,7 @@ from typing import Any, Literal
 from pipeline.errors import FootageError
 from pipeline.video.messages import caught_messages
 from pipeline.video.planes import stored_planes, transfer_of
-from pipeline.video.stored import BadFrame, StoredAs, StoredFrame, other_than_first
+from pipeline.video.stored import BadFrame, Frames, StoredAs, StoredFrame, other_than_first
 from pipeline.video.tags import RecordingTags
 from tikernels.pixel_format import PixelFormat
 
@@ -110,7 +110,7 @@ class VideoFile:
         shown = zip(self._index.numbers, self._index.stamps, strict=False)
         return [stamp for number, stamp in sorted(shown) if number >= 0]
 
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Iterator[StoredFrame | BadFrame]:
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield frames by number; see `Source`."""
         wanted = range(len(self))[start:stop:step]
         reasons: dict[int, str] = {}

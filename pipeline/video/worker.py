@@ -149,7 +149,7 @@ def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[St
     def run() -> None:
         try:
             for numbers in ranges:
-                with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:  # type: ignore[type-var]  # generators close
+                with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
                     for frame in frames:
                         read.put(frame)
                         if stopped.is_set():
