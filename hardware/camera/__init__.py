@@ -1,0 +1,1 @@
+"""Cameras: one file a maker or library, each with the methods of `hardware.protocols.Camera`."""

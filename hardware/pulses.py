@@ -1,0 +1,80 @@
+"""A burst of numbered pulses at projector and camera, and whether a trigger source can make it."""
+
+from dataclasses import dataclass, replace
+
+from hardware.errors import RigError
+
+
+@dataclass(frozen=True)
+class Pulse:
+    """One output's pulse in each period."""
+
+    delay_s: float  # from the start of the period
+    width_s: float
+
+
+@dataclass(frozen=True)
+class PulseTrain:
+    """Pulses at both outputs, numbered from 0: pulse k starts at k period_s + delay_s after the burst's start."""
+
+    period_s: float
+    count: int | None  # None: until it is aborted
+    projector: Pulse
+    camera: Pulse
+
+
+@dataclass(frozen=True)
+class TriggerLimits:
+    """What a trigger source can do; times are rounded to its tick."""
+
+    tick_s: float
+    min_period_s: float
+    max_period_s: float
+    min_width_s: float
+    min_gap_s: float  # between the end of an output's pulse and the start of its next
+    max_count: int  # pulses a burst
+    counts_strobes: bool  # whether it sees the camera's exposures
+    counts_vsyncs: bool  # whether it sees the projector's pictures
+
+
+def fitted(train: PulseTrain, limits: TriggerLimits) -> PulseTrain:
+    """Return a train rounded to the tick, or refuse it: a request that cannot be kept is never stretched.
+
+    Raises
+    ------
+    RigError
+        It is impossible; the message names the time, the limit and what to change.
+    """
+
+    def rounded(time_s: float) -> float:
+        return round(time_s / limits.tick_s) * limits.tick_s
+
+    if train.count is not None and not 1 <= train.count <= limits.max_count:
+        raise RigError(f"{train.count} pulses a burst: this trigger source makes 1 to {limits.max_count}")
+    period_s = rounded(train.period_s)
+    if not limits.min_period_s <= period_s <= limits.max_period_s:
+        raise RigError(
+            f"a period of {train.period_s:g} s: this trigger source makes {limits.min_period_s:g} to "
+            f"{limits.max_period_s:g} s"
+        )
+
+    def fitted_pulse(name: str, asked: Pulse) -> Pulse:
+        pulse = Pulse(rounded(asked.delay_s), rounded(asked.width_s))
+        if pulse.delay_s < 0:
+            raise RigError(f"the {name}'s delay is {asked.delay_s:g} s: it must not be negative")
+        if pulse.width_s < limits.min_width_s:
+            raise RigError(f"the {name}'s pulse is {asked.width_s:g} s wide: make it {limits.min_width_s:g} s or more")
+        gap_s = period_s - pulse.delay_s - pulse.width_s
+        if gap_s < limits.min_gap_s:
+            raise RigError(
+                f"the {name}'s pulse ends {gap_s:g} s before the period does: leave {limits.min_gap_s:g} s or more, "
+                "with a longer period, a shorter delay or a shorter width"
+            )
+        return pulse
+
+    return replace(
+        train,
+        period_s=period_s,
+        projector=fitted_pulse("projector", train.projector),
+        camera=fitted_pulse("camera", train.camera),
+    )

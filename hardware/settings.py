@@ -1,0 +1,89 @@
+"""``rig.toml``: what is wired to what, and when it is fired."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class TriggerSettings(_Section):
+    """Where the pulses come from."""
+
+    driver: Literal["box", "quantum-composers", "dg645", "software", "simulated"]
+    """"software": this program triggers the camera itself, some milliseconds late, and the projector not at all."""
+    port: str | None = None
+    """A serial device, as /dev/ttyUSB0 or COM3, or a pyserial URL, as socket://10.0.0.5:5025."""
+    baud: Count | None = None
+    """Bits a second; None: the instrument's usual ones are tried."""
+    projector_output: Literal["A", "B", "C", "D"] | None = None
+    """Which output goes to the projector, of an instrument that leaves the choice; None: the first."""
+    camera_output: Literal["A", "B", "C", "D"] | None = None
+    """Which one goes to the camera; None: the second."""
+    strobe: bool = False
+    """Whether the camera's exposure output is wired to the trigger source, which then counts exposures."""
+    vsync: bool = False
+    """Whether the projector's sync output is wired to the trigger source, which then counts pictures."""
+
+
+class TimingSettings(_Section):
+    """When they come."""
+
+    period_s: Positive
+    frames: Count = 1
+    """Pulses, and so frames, a burst."""
+    projector_delay_s: NonNegative = 0.0
+    projector_width_s: Positive = 100e-6
+    camera_delay_s: NonNegative = 0.0
+    camera_width_s: Positive = 100e-6
+
+
+class CameraSettings(_Section):
+    """The camera and what is fixed in it."""
+
+    driver: Literal["basler", "aravis", "opencv", "simulated"]
+    serial: str | None = None
+    """Its serial number, or for opencv its number; None: the only one there."""
+    exposure_s: Positive
+    gain_db: NonNegative = 0.0
+    pixel_format: str | None = None
+    """As GenICam spells it, as BayerRG12 or RGB8; None: the camera's deepest colour format that can be stored."""
+    size_px: tuple[Count, Count] | None = None
+    """Width and height of a part in the middle; None: all of the sensor."""
+    trigger: str = "Line1"
+    """The line that the trigger source is wired to, or "software"."""
+    strobe_line: str | None = None
+    """The line that is to tell of exposures, as Line2; None: none."""
+
+
+class ProjectorSettings(_Section):
+    """The projector, how it makes colours, and how it is spoken to."""
+
+    colour_cycle_s: Positive | None = None
+    """How long R, G and B take together, where the projector shows them one after another; None: it does not."""
+    control: Literal["pjlink", "infocus"] | None = None
+    """What switches it on; None: somebody does."""
+    port: str | None = None
+    """A serial device, or a URL such as socket://10.0.0.6:4352."""
+    baud: Count | None = None
+    password: str | None = None
+    alternating: bool = False
+    """Whether each projector pulse shows the other of two pictures, the second one dimmer (`colorphase pattern
+    --brightness 0.85`), so that a lost projector pulse is seen in the frames. Without, it goes unnoticed."""
+
+
+class RigSettings(_Section):
+    """A rig."""
+
+    trigger: TriggerSettings
+    timing: TimingSettings
+    camera: CameraSettings
+    projector: ProjectorSettings = ProjectorSettings()
+    calibration: str | None = None
+    """The rig's calibration.json, beside this file."""
