@@ -1,0 +1,371 @@
+"""Arm, fire, pair every frame with its pulse: a burst is kept whole, or thrown away and repeated."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from hardware.colour_cycle import check_exposure
+from hardware.errors import BurstError, CameraError, RigError, TriggerError
+from hardware.pairing import Evidence, Fault, find_faults
+from hardware.pictures import Alternation
+from hardware.protocols import Camera, CameraFrame, Strobe, Trigger, TriggerStatus
+from hardware.pulses import Pulse, PulseTrain
+from hardware.settings import RigSettings
+
+#: How often a burst is tried before it is given up.
+TRIES = 3
+# How long a frame may take to us after its readout: USB and Ethernet repeat lost packets for a while.
+_TRANSPORT_S = 0.5
+# How far the trigger source's clock may be off ours.
+_CLOCK = 1e-3
+# How often the trigger source is asked while pulses run; the box stops by itself after seconds without a question.
+_POLL_S = 0.25
+# How often it is asked for the end of a burst, or for an exposure that is not in its log yet.
+_SHORT_POLL_S = 0.01
+# Frames by which the rig learns which of two pictures the projector shows.
+_SYNC_FRAMES = 4
+
+
+@dataclass(frozen=True)
+class PairedFrame:
+    """A frame and the pulse that made it."""
+
+    pulse: int  # from 0, in its burst
+    frame: CameraFrame
+    pulse_s: float  # when its camera pulse began, from the burst's start, by the trigger source's clock
+    strobe_s: float | None  # when the camera said that it was exposing, by that clock; None: it does not tell
+    exposed_at_s: float  # the same by this machine's time.monotonic(), to some milliseconds
+
+
+@dataclass(frozen=True)
+class Burst:
+    """A run of pulses with a frame to every one of them."""
+
+    number: int  # from 0; pulses that run on without a gap are of one burst
+    frames: tuple[PairedFrame, ...]
+    status: TriggerStatus
+    n_repeated: int  # frames that were delivered twice, and are here once
+
+
+@dataclass(frozen=True)
+class Rejected:
+    """A run of pulses that was thrown away, and why."""
+
+    number: int
+    attempt: int  # from 1
+    faults: tuple[Fault, ...]
+
+
+class _Refused(Exception):
+    """A run is not whole."""
+
+    def __init__(self, found: Sequence[Fault]) -> None:
+        super().__init__(str(found[0]))
+        self.faults = tuple(found)
+
+
+@dataclass
+class _Run:
+    """Pulses that were fired, and how far their frames were taken."""
+
+    train: PulseTrain
+    armed: TriggerStatus  # before the first
+    fired_at_s: tuple[float, float]  # time.monotonic() before and after the command
+    next_pulse: int = 0
+    previous: CameraFrame | None = None  # the frame of the pulse before
+
+
+class Rig:
+    """A trigger source, a camera and a projector that work together.
+
+    Parameters
+    ----------
+    settings : RigSettings
+        What is wired to what, and when it is fired.
+    open_instruments : callable
+        Open trigger source and camera; called again after one was lost.
+    tell : callable, optional
+        Called with every run that is thrown away.
+
+    Attributes
+    ----------
+    trigger, camera : Trigger, Camera
+        The instruments.
+    train : PulseTrain
+        A burst as it is made, rounded to what the trigger source can do.
+
+    Raises
+    ------
+    TriggerError, CameraError
+        An instrument cannot be reached, or is another one.
+    RigError
+        What is asked for is impossible.
+    """
+
+    trigger: Trigger
+    camera: Camera
+
+    def __init__(
+        self,
+        settings: RigSettings,
+        open_instruments: Callable[[], tuple[Trigger, Camera]],
+        tell: Callable[[Rejected], None] = lambda rejected: None,
+    ) -> None:
+        self.settings = settings
+        self._open_instruments = open_instruments
+        self._tell = tell
+        self._is_open = False
+        self._alternation = Alternation() if settings.projector.alternating else None
+        self._configured: tuple[PulseTrain, PulseTrain] | None = None  # as asked for, and as it is
+        self._open()
+        try:
+            check_timing(settings, self.trigger, self.camera)
+            self._names = str(self.trigger.identity), str(self.camera.identity)
+            self.train = self._configure(train_of(settings))
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> "Rig":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stop, outputs low, camera stopped, and let go of both; harmless twice, and never raises."""
+        if self._is_open:
+            self._is_open = False
+            self._configured = None
+            self.trigger.close()
+            self.camera.close()
+
+    def bursts(self, *, endless: bool = False) -> Iterator[Burst]:
+        """Fire burst after burst, and yield each that is whole; one that is not is thrown away and fired again.
+
+        Parameters
+        ----------
+        endless : bool
+            Let pulses run on between bursts, without a gap. What was thrown away is then lost, and pulses start afresh.
+
+        Raises
+        ------
+        BurstError
+            Three tries in a row were not whole; the message names the pulse and the likely cable.
+        TriggerError, CameraError
+            An instrument was lost, and could not be opened again, or refuses.
+        """
+        run: _Run | None = None
+        number = failures = 0
+        try:
+            while True:
+                try:
+                    if run is None:
+                        run = self._fire(endless=endless)
+                    burst = self._take(run, number)
+                except (_Refused, TriggerError, CameraError) as error:
+                    run = None
+                    failures += 1
+                    self._throw_away(number, failures, error)
+                    number += endless
+                    continue
+                failures = 0
+                yield burst
+                if not endless:
+                    run = None
+                    number += 1
+        finally:
+            self._stop()
+
+    def _open(self) -> None:
+        self.trigger, self.camera = self._open_instruments()
+        self._is_open = True
+
+    def _reopen(self) -> None:
+        self._open()
+        names = str(self.trigger.identity), str(self.camera.identity)
+        for error, before, now in zip((TriggerError, CameraError), self._names, names, strict=True):
+            if before != now:
+                self.close()
+                raise error(f"{now} answers where {before} was: connect it again, or start anew")
+
+    def _configure(self, asked: PulseTrain) -> PulseTrain:
+        if self._configured is None or self._configured[0] != asked:
+            self._configured = asked, self.trigger.configure(asked)
+        return self._configured[1]
+
+    def _throw_away(self, number: int, attempt: int, error: Exception) -> None:
+        """Say why, or give up."""
+        if isinstance(error, _Refused):
+            found = error.faults
+        else:
+            found = (Fault(str(error)),)
+            self.close()  # it may be lost: the next try opens it again, and sets it up anew
+        self._stop()
+        self._tell(Rejected(number, attempt, found))
+        if attempt == TRIES:
+            if isinstance(error, _Refused):
+                raise BurstError(f"burst {number} was not whole in {TRIES} tries; {found[0]}") from None
+            raise error
+
+    def _stop(self) -> None:
+        if self._alternation is not None:
+            self._alternation.forget()
+        if self._is_open:
+            try:
+                self.trigger.abort()
+                self.camera.disarm()
+            except (TriggerError, CameraError):
+                self.close()
+
+    def _fire(self, *, endless: bool) -> _Run:
+        if not self._is_open:
+            self._reopen()
+        train = train_of(self.settings)
+        if self._alternation is not None and not self._alternation.known:
+            frames = self._whole(self._start(replace(train, count=_SYNC_FRAMES)), _SYNC_FRAMES).frames
+            found = self._alternation.start([paired.frame for paired in frames])
+            if found:
+                raise _Refused(found)
+        return self._start(replace(train, count=None) if endless else train)
+
+    def _start(self, asked: PulseTrain) -> _Run:
+        train = self._configure(asked)
+        self.camera.arm(train.count)
+        self.trigger.arm()
+        armed = self.trigger.status()
+        before_s = time.monotonic()
+        self.trigger.fire()
+        return _Run(train, armed, (before_s, time.monotonic()))
+
+    def _take(self, run: _Run, number: int) -> Burst:
+        """Return the next frames of a run once they are whole."""
+        first = run.next_pulse
+        burst = self._whole(run, self.settings.timing.frames, number)
+        if self._alternation is not None:
+            found = self._alternation.check([paired.frame for paired in burst.frames], first)
+            if found:
+                raise _Refused(found)
+        return burst
+
+    def _whole(self, run: _Run, count: int, number: int = 0) -> Burst:
+        train, first = run.train, run.next_pulse
+        frames, n_repeated = self._collect(run, count)
+        status = self._settled(run, first + count)
+        if train.count is not None:
+            surplus = self.camera.frame(self.camera.limits.min_period_s + _SHORT_POLL_S)
+            if surplus is not None and not _repeats(surplus, frames[-1] if frames else run.previous):
+                frames.append(surplus)
+        strobes: tuple[Strobe, ...] | None = None
+        if self.settings.trigger.strobe:
+            last = first + count
+            strobes = tuple(strobe for strobe in self.trigger.strobes() if first <= strobe.pulse < last)
+        found = find_faults(
+            Evidence(
+                train=train,
+                first_pulse=first,
+                count=count,
+                exposure_s=self.camera.exposure_s,
+                fired_at_s=run.fired_at_s[0],
+                frames=frames,
+                previous=run.previous,
+                armed=run.armed,
+                ended=status,
+                strobes=strobes,
+            )
+        )
+        if found:
+            raise _Refused(found)
+        run.next_pulse += count
+        run.previous = frames[-1]
+        if train.count is not None:
+            self.camera.disarm()
+        started_s = sum(run.fired_at_s) / 2
+        by_pulse = {strobe.pulse: strobe.time_s for strobe in strobes or ()}
+        paired = []
+        for pulse, frame in enumerate(frames, first):
+            pulse_s, strobe_s = pulse * train.period_s + train.camera.delay_s, by_pulse.get(pulse)
+            exposed_s = pulse_s if strobe_s is None else strobe_s
+            paired.append(PairedFrame(pulse, frame, pulse_s, strobe_s, started_s + exposed_s))
+        return Burst(number, tuple(paired), status, n_repeated)
+
+    def _collect(self, run: _Run, count: int) -> tuple[list[CameraFrame], int]:
+        """Wait for so many frames; fewer where they do not come in time. Second: how many came twice."""
+        frames: list[CameraFrame] = []
+        n_repeated = 0
+        pulses_s = (run.next_pulse + count) * run.train.period_s * (1 + _CLOCK)
+        due_s = run.fired_at_s[1] + pulses_s + self.camera.exposure_s + self.camera.limits.min_period_s
+        deadline = due_s + _TRANSPORT_S
+        poll_s = min(time.monotonic() + _POLL_S, due_s)
+        while len(frames) < count and (now_s := time.monotonic()) < deadline:
+            if now_s >= poll_s:
+                poll_s = now_s + _POLL_S
+                status = self.trigger.status()
+                if status.boot != run.armed.boot or status.complaints:
+                    break
+                # Where exposures are counted, none that was not made is waited for.
+                if self.settings.trigger.strobe and not status.running and status.strobes == len(frames):
+                    break
+            frame = self.camera.frame(min(deadline, poll_s) - now_s)
+            if frame is not None and _repeats(frame, frames[-1] if frames else run.previous):
+                n_repeated += 1
+            elif frame is not None:
+                frames.append(frame)
+        return frames, n_repeated
+
+    def _settled(self, run: _Run, last: int) -> TriggerStatus:
+        """Return the trigger source's status once a burst has ended."""
+        deadline = run.fired_at_s[1] + last * run.train.period_s * (1 + _CLOCK) + _TRANSPORT_S
+        while True:
+            status = self.trigger.status()
+            if run.train.count is None or not status.running:
+                return status
+            if status.boot != run.armed.boot or status.complaints:
+                return status
+            if time.monotonic() > deadline:
+                raise TriggerError("the trigger source does not end its burst: switch it off and on, and start anew")
+            time.sleep(_SHORT_POLL_S)
+
+
+def _repeats(frame: CameraFrame, before: CameraFrame | None) -> bool:
+    """Whether a frame was delivered twice: its number, and so its exposure, is that of the one before."""
+    return before is not None and frame.frame_id is not None and frame.frame_id == before.frame_id
+
+
+def train_of(settings: RigSettings) -> PulseTrain:
+    """Return the burst that a rig's file asks for."""
+    timing = settings.timing
+    return PulseTrain(
+        period_s=timing.period_s,
+        count=timing.frames,
+        projector=Pulse(timing.projector_delay_s, timing.projector_width_s),
+        camera=Pulse(timing.camera_delay_s, timing.camera_width_s),
+    )
+
+
+def check_timing(settings: RigSettings, trigger: Trigger, camera: Camera) -> None:
+    """Refuse what can never make whole bursts.
+
+    Raises
+    ------
+    RigError
+        The message names what contradicts what, and a value that would do.
+    """
+    timing, projector = settings.timing, settings.projector
+    if projector.colour_cycle_s is not None:
+        check_exposure(camera.exposure_s, projector.colour_cycle_s)
+    if timing.period_s < camera.limits.min_period_s:
+        raise RigError(
+            f"timing.period_s is {timing.period_s:g}, but a frame takes the camera {camera.limits.min_period_s:.6g} s, "
+            "exposure and readout: make the period that long, or the exposure shorter"
+        )
+    if (settings.trigger.driver == "software") != (settings.camera.trigger == "software"):
+        raise RigError('trigger.driver and camera.trigger must both be "software", or neither')
+    if settings.trigger.strobe and not trigger.limits.counts_strobes:
+        raise RigError(f"{trigger.identity} counts no exposures: leave trigger.strobe away")
+    if settings.trigger.vsync and not trigger.limits.counts_vsyncs:
+        raise RigError(f"{trigger.identity} counts no pictures: leave trigger.vsync away")
+    if projector.alternating and timing.frames < 2:
+        raise RigError("alternating pictures are told apart by two frames or more: make timing.frames 2 or more")
+    if projector.alternating and timing.camera_delay_s < timing.projector_delay_s:
+        raise RigError("the camera would expose before the projector's pulse: make timing.camera_delay_s longer")
