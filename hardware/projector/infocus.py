@@ -64,8 +64,8 @@ class InFocus:
             self._link.close()
         tried = "" if rates == (None,) else f" at {', '.join(map(str, rates))} baud"
         raise ProjectorError(
-            f"{url} does not answer (PWR?){tried} as an InFocus projector does: check its mains, the cable (some models "
-            "need a null modem) and baud under [projector]"
+            f"{url} does not answer (PWR?){tried} as an InFocus projector does: check its mains, the cable (some "
+            "models need a null modem) and baud under [projector]"
         )
 
     def power(self, on: bool, tell: Callable[[str], None] = lambda doing: None) -> None:
@@ -133,10 +133,11 @@ class InFocus:
                 return _Setting(int(found[3]), int(found[1]), int(found[2]))
             if found := re.search(rf"\(\s*{name}\W?(\d+)\s*$", line):
                 return _Setting(int(found[1]))
+        self._last_s = time.monotonic()  # time for an answer that comes late: it does not say to what it is one
         return None
 
     def _send(self, command: str) -> None:
         time.sleep(max(0.0, self._last_s + PAUSE_S - time.monotonic()))
-        self._link.settle()  # what came late is no answer to this
+        self._link.settle(0.02)  # what came late is no answer to this
         self._link.send(f"({command}")
         self._last_s = time.monotonic()

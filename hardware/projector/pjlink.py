@@ -7,16 +7,20 @@ JBMIA, PJLink Specifications, version 1.04 (2013).
 
 import hashlib
 import re
+import socket
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from urllib.parse import urlsplit
 
 from hardware.errors import ProjectorError
-from hardware.link import Link
 from hardware.projector.switching import switch_power
 from hardware.protocols import Identity, PowerState, ProjectorStatus
 
 #: The standard leaves a projector two seconds; some take longer while they warm up.
 ANSWER_S = 5.0
+#: Several times the longest line of the standard, 136 bytes; beyond it, it is something else.
+_LONGEST = 1024
 _POWER: dict[str, PowerState] = {"0": "off", "1": "on", "2": "cooling down", "3": "warming up"}
 _PARTS = ("fan", "lamp", "temperature", "cover", "filter", "other")
 _SEVERITY = {"1": "warning", "2": "error"}
@@ -132,47 +136,69 @@ class PJLink:
 
     @contextmanager
     def _session(self) -> Iterator["_Session"]:
-        link = Link(self._url, terminator=b"\r", timeout_s=ANSWER_S, error=ProjectorError)
+        session = _Session(self._url)
         try:
-            yield _Session(link, self._login(link))
+            session.log_in(self._password)
+            yield session
         finally:
-            link.close()
+            session.close()
 
-    def _login(self, link: Link) -> str:
-        """Return what goes before the first command."""
-        greeting = link.receive()
+
+class _Session:
+    """One connection. What is sent first may hold a digest of the password, so no message shows what was sent.
+
+    It is a socket of its own and no `Link`: opening one of those throws away what came before, and so the greeting.
+    """
+
+    def __init__(self, url: str) -> None:
+        self._url = url
+        self._prefix = ""
+        self._arrived = b""
+        try:
+            parts = urlsplit(url)
+            host, port = parts.hostname, parts.port
+        except ValueError:
+            host = port = None
+        if not url.startswith("socket://") or not host or not port:
+            raise ProjectorError(f'{url}: PJLink is spoken over the network: write port = "socket://10.0.0.6:4352"')
+        try:
+            self._socket = socket.create_connection((host, port), timeout=ANSWER_S)
+        except OSError as fault:
+            raise ProjectorError(
+                f"{url} cannot be reached ({fault.strerror or fault}): check the address, the network cable, and that "
+                "the projector's standby leaves the network on"
+            ) from None
+
+    def log_in(self, password: str | None) -> None:
+        """Take the greeting, and get ready to prove that the password is known."""
+        greeting = self._line()
         if greeting is None:
             raise ProjectorError(
                 f"{self._url} does not greet as PJLink does: switch PJLink on in the projector's network menu, close "
                 "other programs that control it, and check the port (4352 as a rule)"
             )
         if greeting.upper() == "PJLINK 0":
-            return ""
+            return
         salt = re.fullmatch("PJLINK 1 ([0-9a-f]+)", greeting, re.IGNORECASE)
         if salt is None:
-            _refuse_login(greeting, self._url)
+            self._check_login(greeting)
             raise ProjectorError(
                 f"{self._url} is no PJLink projector, it greets with {greeting[:40]!r}: check the port"
             )
-        if not self._password:
+        if not password:
             raise ProjectorError("the projector asks for its PJLink password: write password under [projector]")
-        return hashlib.md5((salt[1] + self._password).encode(), usedforsecurity=False).hexdigest()
-
-
-class _Session:
-    """One connection. What is sent first may hold a digest of the password, so no message shows what was sent."""
-
-    def __init__(self, link: Link, prefix: str) -> None:
-        self._link = link
-        self._prefix = prefix
+        self._prefix = hashlib.md5((salt[1] + password).encode(), usedforsecurity=False).hexdigest()
 
     def ask(self, command: str, parameter: str) -> str:
         """Return the answer to a command."""
-        self._link.send(f"{self._prefix}%1{command} {parameter}")
+        try:
+            self._socket.sendall(f"{self._prefix}%1{command} {parameter}\r".encode("ascii"))
+        except OSError:
+            raise self._gone() from None
         self._prefix = ""
         header = f"%1{command}="
-        while (line := self._link.receive()) is not None:
-            _refuse_login(line, self._link.url)
+        while (line := self._line()) is not None:
+            self._check_login(line)
             if not line.upper().startswith(header):
                 continue  # an answer that comes too late
             answer = line[len(header) :]
@@ -180,8 +206,8 @@ class _Session:
                 raise _RefusedError(answer[-1], f"{command} {parameter}")
             return answer
         raise ProjectorError(
-            f"{self._link.url} does not answer {command} {parameter} within {ANSWER_S:g} s: is it a PJLink projector? "
-            "Switch its standby to the one that leaves the network on"
+            f"{self._url} does not answer {command} {parameter} within {ANSWER_S:g} s: is it a PJLink projector? "
+            "Switch it off at the mains and on again"
         )
 
     def told(self, query: str, otherwise: str | None = None) -> str | None:
@@ -191,7 +217,35 @@ class _Session:
         except _RefusedError as refused:
             return otherwise if refused.code == "1" else None
 
+    def close(self) -> None:
+        """Hang up."""
+        self._socket.close()
 
-def _refuse_login(line: str, url: str) -> None:
-    if line.upper() == "PJLINK ERRA":
-        raise ProjectorError(f"{url} does not accept the PJLink password: correct password under [projector]")
+    def _line(self) -> str | None:
+        """Return the next line, or None where none comes in time."""
+        deadline_s = time.monotonic() + ANSWER_S
+        while b"\r" not in self._arrived:
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0 or len(self._arrived) > _LONGEST:
+                return None
+            self._socket.settimeout(left_s)
+            try:
+                more = self._socket.recv(4096)
+            except TimeoutError:
+                return None
+            except OSError:
+                more = b""
+            if not more:
+                raise self._gone()
+            self._arrived += more
+        line, _, self._arrived = self._arrived.partition(b"\r")
+        return line.strip().decode("utf-8", errors="replace")
+
+    def _check_login(self, line: str) -> None:
+        if line.upper() == "PJLINK ERRA":
+            raise ProjectorError(f"{self._url} does not accept the PJLink password: correct password under [projector]")
+
+    def _gone(self) -> ProjectorError:
+        return ProjectorError(
+            f"{self._url} hung up: another program may have it, as many serve one at a time; try again"
+        )
