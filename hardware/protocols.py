@@ -1,5 +1,6 @@
 """What the rig asks of its instruments: whatever has these methods can take part."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -142,3 +143,40 @@ class Camera(Protocol):
 
     def close(self) -> None:
         """Stop and let go of the camera; harmless twice, and never raises."""
+
+
+PowerState = Literal["off", "warming up", "on", "cooling down"]
+
+
+@dataclass(frozen=True)
+class ProjectorStatus:
+    """What a projector says of itself; None: it does not tell, or not while it is off."""
+
+    power: PowerState | None
+    input: str | None = None  # as its manual numbers them
+    blank: bool | None = None
+    faults: tuple[str, ...] | None = None  # as "lamp: warning"
+    lamp_hours: tuple[int, ...] | None = None  # one a lamp; empty: it has none
+
+
+class Projector(Protocol):
+    """What switches a projector. Every method but `power` returns or raises ProjectorError within seconds."""
+
+    @property
+    def identity(self) -> Identity:
+        """What was found when it was opened."""
+
+    def power(self, on: bool, tell: Callable[[str], None]) -> None:
+        """Switch it on or off and wait until it is, which may take minutes; `tell` hears what it is doing."""
+
+    def input(self, source: str) -> None:
+        """Choose what it shows, as its manual numbers them."""
+
+    def blank(self, on: bool) -> None:
+        """Show black, or the picture again."""
+
+    def status(self) -> ProjectorStatus:
+        """Ask it how it is."""
+
+    def close(self) -> None:
+        """Let go of it and leave it as it is; harmless twice, and never raises."""

@@ -14,6 +14,8 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from hardware.display import list_displays
+from hardware.errors import ProjectorError, RigError
 from hardware.link import list_serial_ports
 from pipeline.calibration import Calibration
 from pipeline.calibration.commands import BoardOptions, calibrate, chosen_pattern, size_of
@@ -27,6 +29,7 @@ from pipeline.errors import (
     RenderError,
     SettingsError,
 )
+from pipeline.projecting import project, projector
 from pipeline.settings import DecodeSettings
 from pipeline.stored_result import MeshKind
 from pipeline.video.commands import FootageOptions, decode_video, write_meshes
@@ -46,7 +49,9 @@ _USER_ERRORS = (
     DeviceNotReady,
     FootageError,
     OutputError,
+    ProjectorError,
     RenderError,
+    RigError,
     SettingsError,
     ShapeError,
 )
@@ -97,6 +102,8 @@ def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: boo
 
 
 app.command(calibrate)
+app.command(project)
+app.command(projector)
 
 
 @app.command
@@ -109,6 +116,7 @@ def pattern(
     stripes: Literal["horizontal", "vertical"] | None = None,
     code: Literal["contrast"] | None = None,
     calibration: Path | None = None,
+    brightness: float = 1.0,
     board: Literal["charuco", "chessboard"] | None = None,
     options: BoardOptions = _BOARD,
 ) -> None:
@@ -131,6 +139,9 @@ def pattern(
         "contrast": the modulation of each cycle tells which one it is, so that one frame gives absolute depth.
     calibration
         The rig's calibration.json; the projector's response is then undone in the pattern.
+    brightness
+        Show the same with so much of the light, above 0 to 1; without a calibration as if light were linear in the
+        codes. A rig that shows two pictures in turn tells them apart by it.
     board
         Write this kind of calibration board instead, in its true size, as PDF, SVG or PNG.
     """
@@ -144,7 +155,8 @@ def pattern(
         raise CalibrationError(f"{calibration} holds no response: run colorphase calibrate radiometry")
     size_px = rig.projector.size_px if rig is not None and rig.projector is not None else (1024, 768)
     chosen = chosen_pattern(rig, period, stripes, code)
-    write_pattern(file, size_px if size is None else size_of(size), chosen, None if rig is None else rig.response)
+    response = None if rig is None else rig.response
+    write_pattern(file, size_px if size is None else size_of(size), chosen, response, brightness)
 
 
 @app.command
@@ -343,7 +355,7 @@ def export(input: str, /, *, out: Path, kind: MeshKind = "ply") -> None:
 
 @app.command
 def devices() -> None:
-    """List where kernels can run, and the serial ports.
+    """List where kernels can run, the serial ports, and the displays that pictures can be shown on.
 
     Example: colorphase devices
     """
@@ -355,6 +367,8 @@ def devices() -> None:
     table.add_row("kernel language", runtime.kernel_language(), "")
     for port in list_serial_ports():
         table.add_row("serial port", port.device, port.description)
+    for display in list_displays():
+        table.add_row("display", str(display.number), "{}x{}".format(*display.size_px))
     _out.print(table)
 
 

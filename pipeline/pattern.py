@@ -17,7 +17,10 @@ CHANNEL_PHASES = (-2 * np.pi / 3, 0.0, 2 * np.pi / 3)
 
 
 def make_pattern(
-    size_px: tuple[int, int], pattern: Pattern, response: npt.NDArray[np.float64] | None = None
+    size_px: tuple[int, int],
+    pattern: Pattern,
+    response: npt.NDArray[np.float64] | None = None,
+    brightness: float = 1.0,
 ) -> npt.NDArray[np.float32]:
     """Return the pattern's projector codes.
 
@@ -29,6 +32,8 @@ def make_pattern(
         Its period, the direction of its stripes, and its code.
     response : (3, N) float64, optional
         Light of N evenly spaced codes of R, G, B, rising from 0 to 1. With it the light, not the codes, is sinusoidal.
+    brightness : float
+        How much of the light there is to be, above 0 to 1; without a response, of the codes.
 
     Returns
     -------
@@ -38,8 +43,11 @@ def make_pattern(
     Raises
     ------
     SettingsError
-        The size is not positive, or holds less than one cycle, or more of them than the code tells apart.
+        The size is not positive, or holds less than one cycle, or more of them than the code tells apart; or the
+        brightness is not above 0 and at most 1.
     """
+    if not 0 < brightness <= 1:
+        raise SettingsError(f"a brightness of {brightness:g}: give more than 0 and at most 1, as in 0.85")
     width, height = size_px
     length = height if pattern.stripes == "horizontal" else width
     if width < 1 or height < 1 or pattern.period_px > length:
@@ -53,7 +61,7 @@ def make_pattern(
                 f"{pattern.period_px:g} px: take a period of {length / CYCLES:.3g} px or more"
             )
         modulation = modulation_at(np.arange(length) / pattern.period_px)[:, None]
-    codes = 0.5 + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES))
+    codes = brightness * (0.5 + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES)))
     if response is not None:
         # Every response rises from 0 to 1, so the whole range of light is there to be used.
         codes = np.stack([codes_for_light(codes[:, j], response[j]) for j in range(3)], axis=-1)
@@ -74,6 +82,7 @@ def write_pattern(
     size_px: tuple[int, int],
     pattern: Pattern,
     response: npt.NDArray[np.float64] | None = None,
+    brightness: float = 1.0,
 ) -> None:
     """Write the pattern as an 8-bit PNG, and beside it, as JSON, what a calibration stores of it.
 
@@ -81,7 +90,7 @@ def write_pattern(
     ----------
     path : str or Path
         The PNG; the JSON has the same name.
-    size_px, pattern, response
+    size_px, pattern, response, brightness
         See `make_pattern`.
 
     Raises
@@ -89,12 +98,12 @@ def write_pattern(
     OutputError
         The name does not end in .png, or the place cannot be written.
     SettingsError
-        The size cannot hold the pattern.
+        The size cannot hold the pattern, or there is no such brightness.
     """
     path = Path(path)
     if path.suffix.lower() != ".png":
         raise OutputError(f"a pattern is written as PNG, not as {path.suffix or 'a name without suffix'}: name it .png")
-    codes = np.rint(make_pattern(size_px, pattern, response) * 255).astype(np.uint8)
+    codes = np.rint(make_pattern(size_px, pattern, response, brightness) * 255).astype(np.uint8)
     write_atomically(path, cv2.imencode(".png", codes[..., ::-1])[1].tobytes())
     described = pattern.model_dump(exclude={"compensated"})
     if response is not None:

@@ -90,6 +90,34 @@ def _only_pixels(path: Path, data: bytes) -> bytes:
     return b"".join(kept)
 
 
+def read_codes(path: str | Path) -> npt.NDArray[np.uint8]:
+    """Read a PNG as the codes that a projector is to show.
+
+    Returns
+    -------
+    (H, W, 3) uint8
+        Codes of R, G, B; of a grey picture three times the same.
+
+    Raises
+    ------
+    FootageError
+        The file cannot be read, is truncated, is no PNG, or is none of 8 bits without transparency.
+    """
+    path = Path(path)
+    data = read_bytes(path)
+    if not data.startswith(_PNG):
+        raise FootageError(f"{path} is no PNG: make one with colorphase pattern; other formats change colours")
+    check_whole(path, data)
+    image = decode_levels(path, data)
+    if image.dtype != np.uint8:
+        raise FootageError(f"{path} has 16 bits a colour, and displays take 8: save it with 8 bits")
+    if image.ndim == 2:
+        return np.repeat(image[..., None], 3, axis=2)
+    if image.shape[2] != 3:
+        raise FootageError(f"{path} has {image.shape[2]} channels: save it without transparency")
+    return np.ascontiguousarray(image[..., ::-1])
+
+
 def read_picture(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
     """Read an image file as RGB.
 

@@ -12,7 +12,19 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("tikernels", "pipeline", "hardware")
 LANGUAGES = {"taichi", "quadrants"}
 #: Heavy, or only needed by some: taken where they are used.
-LATE = ("pyvista", "vtkmodules", "zarr", "skimage", "scipy", "dask", "distributed", "fsspec", "numcodecs", "av")
+LATE = (
+    "pyvista",
+    "vtkmodules",
+    "zarr",
+    "skimage",
+    "scipy",
+    "dask",
+    "distributed",
+    "fsspec",
+    "numcodecs",
+    "av",
+    "pygame",
+)
 
 
 def sources(package: str) -> list[Path]:

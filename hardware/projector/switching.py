@@ -1,0 +1,50 @@
+"""Switch a projector on or off, which takes it minutes."""
+
+import time
+from collections.abc import Callable
+
+from hardware.errors import ProjectorError
+from hardware.protocols import PowerState
+
+#: Lamps take up to a minute and a half to light and two to cool, and one that was just switched off does both.
+DEADLINE_S = 240.0
+#: How often it is asked; its network part is slow, and busy with the change.
+POLL_S = 2.0
+
+
+def switch_power(
+    on: bool, state: Callable[[], PowerState | None], command: Callable[[], bool], tell: Callable[[str], None]
+) -> None:
+    """Send a command until it is taken, and wait until it is carried out.
+
+    Parameters
+    ----------
+    on : bool
+        What is wanted.
+    state : callable
+        Asks what it does now; None: it does not tell, and is taken to have obeyed.
+    command : callable
+        Sends the command; False: it cannot be taken now.
+    tell : callable
+        Hears what the projector is doing.
+
+    Raises
+    ------
+    ProjectorError
+        It does not get there in time.
+    """
+    wanted: PowerState = "on" if on else "off"
+    deadline_s = time.monotonic() + DEADLINE_S
+    taken = False
+    while (now := state()) != wanted:
+        if time.monotonic() >= deadline_s:
+            raise ProjectorError(
+                f"the projector is not {wanted} after {DEADLINE_S:g} s but {now or 'silent'}: `colorphase projector "
+                "status` may say why; look at its lamps"
+            )
+        if not taken:
+            taken = command()
+        elif now is None:
+            return
+        tell(now if taken and now is not None else f"waiting to switch it {wanted}")
+        time.sleep(POLL_S)
