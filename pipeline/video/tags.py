@@ -15,7 +15,7 @@ _PREFIX = "COLORPHASE_"
 #: Of the format of recordings, in Matroska and in Zarr.
 VERSION = "1"
 # Matroska counts in ms: above this, two frames could share one.
-_MOST_FRAMES_A_SECOND = 500
+MOST_FRAMES_A_SECOND = 500
 
 
 def rate_of(text: str) -> Fraction:
@@ -48,8 +48,8 @@ class RecordingTags:
     bits: int
 
     def __post_init__(self) -> None:
-        if not 0 < self.rate_hz <= _MOST_FRAMES_A_SECOND:
-            raise ShapeError(f"rate_hz is {self.rate_hz}: give one above 0 and up to {_MOST_FRAMES_A_SECOND}")
+        if not 0 < self.rate_hz <= MOST_FRAMES_A_SECOND:
+            raise ShapeError(f"rate_hz is {self.rate_hz}: give one above 0 and up to {MOST_FRAMES_A_SECOND}")
         if self.transfer not in (None, *TRANSFERS):
             raise ShapeError(f"transfer is {self.transfer!r}: choose {', '.join(TRANSFERS)}")
 

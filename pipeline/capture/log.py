@@ -1,0 +1,109 @@
+"""``log.jsonl``: a line of JSON for everything that happened; see `docs/rig.md`."""
+
+import json
+import os
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from hardware.rig import Burst, Rejected
+from pipeline.errors import OutputError
+from pipeline.files import explain
+
+
+class CaptureLog:
+    """The log of one capture. What was said of a burst can be taken back as long as no other was said.
+
+    Parameters
+    ----------
+    path : Path
+        The file to make.
+
+    Raises
+    ------
+    OutputError
+        It cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        # Monotonic times become those of the day, which other programs' logs have.
+        self._epoch_s = time.time() - time.monotonic()
+        self._whole = 0  # bytes that are to stay
+        try:
+            self._file = path.open("xb", buffering=0)
+        except OSError as error:
+            raise OutputError(f"cannot write {path}: {explain(error)}") from None
+
+    def say(self, event: str, **details: Any) -> None:
+        """Write one line."""
+        self._write([{"event": event, "time": self._epoch_s + time.monotonic(), **details}])
+
+    def reject(self, rejected: Rejected) -> None:
+        """Say that a burst was thrown away, and why."""
+        self.say(
+            "rejected",
+            burst=rejected.number,
+            attempt=rejected.attempt,
+            faults=[str(fault) for fault in rejected.faults],
+        )
+
+    def keep(self, burst: Burst, first_frame: int) -> None:
+        """Say which pulse each frame of a burst belongs to.
+
+        Parameters
+        ----------
+        burst : Burst
+            The burst.
+        first_frame : int
+            The number of its first frame in the recording.
+        """
+        frames = (
+            {
+                "event": "frame",
+                "frame": number,
+                "burst": burst.number,
+                "pulse": paired.pulse,
+                "pulse_s": paired.pulse_s,
+                "strobe_s": paired.strobe_s,
+                "frame_id": paired.frame.frame_id,
+                "device_time_s": paired.frame.device_time_s,
+                "time": self._epoch_s + paired.exposed_at_s,
+                "arrived": self._epoch_s + paired.frame.host_time_s,
+                "temperature_c": paired.frame.temperature_c,
+            }
+            for number, paired in enumerate(burst.frames, first_frame)
+        )
+        status = burst.status
+        end = {
+            "event": "burst",
+            "burst": burst.number,
+            "first_frame": first_frame,
+            "frames": len(burst.frames),
+            "pulses": status.pulses,
+            "strobes": status.strobes,
+            "vsyncs": status.vsyncs,
+            "delivered_twice": burst.n_repeated,
+        }
+        self._write([*frames, end])
+
+    def take_back(self) -> None:
+        """Remove what was written last: that burst is not in the recording."""
+        os.ftruncate(self._file.fileno(), self._whole)
+        self._file.seek(self._whole)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._file.close()
+
+    def _write(self, events: Iterable[dict[str, Any]]) -> None:
+        self._whole = self._file.tell()
+        text = "".join(json.dumps(event) + "\n" for event in events).encode()
+        try:
+            written = 0
+            while written < len(text):
+                written += self._file.write(text[written:]) or 0
+        except OSError as error:
+            self.take_back()
+            raise OutputError(f"cannot write {self._path}: {explain(error)}") from None

@@ -1,0 +1,246 @@
+"""One capture: fire, record, log, and decode the newest frame meanwhile."""
+
+import shutil
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from fractions import Fraction
+from importlib.metadata import version
+from itertools import islice
+from pathlib import Path
+
+from hardware.protocols import Camera, Trigger
+from hardware.rig import Burst, Rejected, Rig
+from hardware.settings import RigSettings
+from pipeline.calibration import Calibration
+from pipeline.capture.log import CaptureLog
+from pipeline.capture.stopping import Stopping
+from pipeline.errors import OutputError
+from pipeline.files import explain
+from pipeline.live import LiveDecoder
+from pipeline.settings import DecodeSettings
+from pipeline.video.recording import Recorder
+from pipeline.video.tags import MOST_FRAMES_A_SECOND
+from tikernels.pixel_format import PixelFormat
+
+#: What a capture's folder holds, beside the recording.
+LOG, CALIBRATION, PREVIEW = "log.jsonl", "calibration.json", "live.png"
+# Rates are those of so many bursts.
+_RATE_BURSTS = 10
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is to be captured, and how it is kept."""
+
+    n_bursts: int | None = 1  # None: until it is stopped
+    endless: bool = False  # pulses run on without a gap
+    keep_last_s: float | None = None  # keep frames in memory, and record only so many seconds before it is stopped
+    suffix: str = ".zarr"  # of the recording
+    live: bool = False  # decode the newest frame meanwhile
+    arch: str = "auto"
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How a capture stands."""
+
+    n_bursts: int
+    n_frames: int
+    n_rejected: int  # bursts that were thrown away
+    rate_hz: float  # whole frames a second, of late
+    latency_s: float | None  # from an exposure to its range image; None: none is decoded
+    note: str | None  # what went wrong last
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What became of a capture."""
+
+    n_bursts: int
+    n_frames: int
+    n_rejected: int
+    recording: Path
+    stopped: bool  # by its user
+
+
+def capture(
+    settings: RigSettings,
+    open_instruments: Callable[[], tuple[Trigger, Camera]],
+    folder: Path,
+    plan: Plan,
+    *,
+    calibration: Calibration | None,
+    decoding: DecodeSettings,
+    stopping: Stopping,
+    tell: Callable[[Progress], None] = lambda progress: None,
+) -> Summary:
+    """Capture bursts until there are enough, or until it is stopped.
+
+    Whatever happens, what was whole is kept: a burst stands in the recording and in its log, or in neither.
+
+    Parameters
+    ----------
+    settings : RigSettings
+        The rig.
+    open_instruments : callable
+        Open its trigger source and its camera.
+    folder : Path
+        The folder to make: the recording, ``log.jsonl``, ``calibration.json`` and, decoding live, ``live.png``.
+    plan : Plan
+        How much is captured, and how it is kept.
+    calibration : Calibration, optional
+        The rig's.
+    decoding : DecodeSettings
+        How frames are decoded live.
+    stopping : Stopping
+        Where Ctrl-C comes in.
+    tell : callable, optional
+        Hears how the capture stands, after every burst.
+
+    Raises
+    ------
+    RigError, TriggerError, CameraError, BurstError
+        See `Rig`.
+    OutputError
+        The folder is there already or cannot be written, or the disk is full.
+    """
+    keeper: _Keeper | None = None
+
+    def reject(rejected: Rejected) -> None:
+        if keeper is not None:
+            keeper.reject(rejected)
+
+    stopped = False
+    with Rig(settings, open_instruments, reject) as rig, _Keeper(folder, rig, plan, calibration, decoding) as keeper:
+        bursts = rig.bursts(endless=plan.endless)
+        try:
+            for burst in islice(bursts, plan.n_bursts):
+                with stopping.shield():
+                    keeper.keep(burst)
+                tell(keeper.progress())
+        except KeyboardInterrupt:
+            stopped = True
+        finally:
+            bursts.close()
+    return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped)
+
+
+class _Keeper:
+    """A capture's folder: whole bursts go in, with their log."""
+
+    def __init__(
+        self, folder: Path, rig: Rig, plan: Plan, calibration: Calibration | None, decoding: DecodeSettings
+    ) -> None:
+        self.n_bursts = self.n_frames = self.n_rejected = 0
+        self.recording = folder / f"recording{plan.suffix}"
+        self._folder = folder
+        self._plan = plan
+        self._ring: deque[Burst] = deque()
+        self._ended_s: deque[float] = deque([time.monotonic()], maxlen=_RATE_BURSTS + 1)
+        self._frames_a_burst = rig.settings.timing.frames
+        self._period_s = rig.train.period_s
+        self._note: str | None = None
+        limits = rig.camera.limits
+        kind = limits.format
+        format = PixelFormat(kind.layout, kind.bits, **({} if kind.bayer is None else {"bayer": kind.bayer}))
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            raise OutputError(f"{folder} exists: choose another folder") from None
+        except OSError as error:
+            raise OutputError(f"cannot write {folder}: {explain(error)}") from None
+        try:
+            if calibration is not None:
+                calibration.write(folder / CALIBRATION)
+            self._log = CaptureLog(folder / LOG)
+            self._log.say(
+                "start",
+                colorphase_version=version("colorphase"),
+                rig=rig.settings.model_dump(mode="json", exclude={"projector": {"password"}}),
+                trigger=str(rig.trigger.identity),
+                camera=str(rig.camera.identity),
+                pulses=asdict(rig.train),
+                exposure_s=rig.camera.exposure_s,
+                not_locked=list(rig.camera.unlocked),
+                calibration_sha256=None if calibration is None else calibration.digest(),
+            )
+            # A camera that takes frames when told to encodes them as it likes.
+            transfer = "linear" if limits.triggered else None
+            rate_hz = min(Fraction(1 / rig.train.period_s).limit_denominator(1000), Fraction(MOST_FRAMES_A_SECOND))
+            self._recorder = Recorder(self.recording, format, transfer=transfer, rate_hz=rate_hz)
+            self._live = None
+            if plan.live:
+                self._live = LiveDecoder(
+                    decoding, calibration, format, limits.size_px, folder / PREVIEW, plan.arch
+                )
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+    def __enter__(self) -> "_Keeper":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, *_: object) -> None:
+        """Finish; without any whole burst there is nothing."""
+        try:
+            if self._live is not None:
+                self._live.close()
+            if error is None or isinstance(error, KeyboardInterrupt):
+                while self._ring:
+                    self._write(self._ring.popleft())
+        finally:
+            self._recorder.close()
+            with suppress(OutputError):  # the disk may be full
+                self._log.say("end", frames=self.n_frames, error=None if error is None else str(error))
+            self._log.close()
+            if self.n_frames == 0:
+                shutil.rmtree(self._folder, ignore_errors=True)
+
+    def keep(self, burst: Burst) -> None:
+        """Record a burst, or remember it."""
+        if self._live is not None:
+            newest = burst.frames[-1]
+            self._live.offer(newest.frame.image, self.n_frames + len(burst.frames) - 1, newest.exposed_at_s)
+        if self._plan.keep_last_s is None:
+            self._write(burst)
+        else:
+            self._ring.append(burst)
+            while (len(self._ring) - 1) * self._frames_a_burst * self._period_s >= self._plan.keep_last_s:
+                self._ring.popleft()
+        self._ended_s.append(time.monotonic())
+
+    def reject(self, rejected: Rejected) -> None:
+        """Remember why a burst was thrown away."""
+        self.n_rejected += 1
+        self._note = str(rejected.faults[0])
+        self._log.reject(rejected)
+
+    def progress(self) -> Progress:
+        """Return how it stands."""
+        seconds = self._ended_s[-1] - self._ended_s[0]
+        rate_hz = (len(self._ended_s) - 1) * self._frames_a_burst / seconds if seconds > 0 else 0.0
+        decoded = None if self._live is None else self._live.latest()
+        n_bursts = self.n_bursts + len(self._ring)
+        return Progress(
+            n_bursts=n_bursts,
+            n_frames=n_bursts * self._frames_a_burst,
+            n_rejected=self.n_rejected,
+            rate_hz=rate_hz,
+            latency_s=None if decoded is None else decoded.latency_s,
+            note=self._note,
+        )
+
+    def _write(self, burst: Burst) -> None:
+        self._log.keep(burst, self.n_frames)
+        try:
+            for paired in burst.frames:
+                self._recorder.add(paired.frame.image)
+            self._recorder.commit()
+        except BaseException:
+            self._log.take_back()
+            raise
+        self.n_frames += len(burst.frames)
+        self.n_bursts += 1

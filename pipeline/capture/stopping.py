@@ -1,0 +1,48 @@
+"""Ctrl-C at any moment, but never in the middle of what belongs together."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+
+class Stopping:
+    """Turn the first request to stop into a KeyboardInterrupt, and ignore others: then everything is being put away.
+
+    Ctrl-C, a request to terminate and a terminal that is closed are all the same to it.
+    """
+
+    def __init__(self) -> None:
+        self.asked = False
+        self._raised = self._shielded = False
+
+    @contextmanager
+    def listening(self) -> Iterator[None]:
+        """Take the requests that come in here."""
+        names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows lacks the last
+        before = {name: signal.signal(getattr(signal, name), self._take) for name in names}
+        try:
+            yield
+        finally:
+            for name, handler in before.items():
+                signal.signal(getattr(signal, name), handler)
+
+    @contextmanager
+    def shield(self) -> Iterator[None]:
+        """Let a request wait until what is in here is done."""
+        self._shielded = True
+        try:
+            yield
+        finally:
+            self._shielded = False
+        self._raise()
+
+    def _take(self, number: int, frame: FrameType | None) -> None:
+        self.asked = True
+        if not self._shielded:
+            self._raise()
+
+    def _raise(self) -> None:
+        if self.asked and not self._raised:
+            self._raised = True
+            raise KeyboardInterrupt
