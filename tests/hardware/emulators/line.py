@@ -219,7 +219,7 @@ class Emulator:
             self.before_answer = b""
             if self.in_pieces:
                 half = len(text) // 2
-                self._output += [(due, text[:half]), (due + 0.03, text[half:])]
+                self._output += [(due, text[:half]), (due + 0.01, text[half:])]
             else:
                 self._output.append((due, text))
 
