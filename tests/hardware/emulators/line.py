@@ -3,6 +3,7 @@
 import os
 import selectors
 import socket
+import termios
 import threading
 import time
 import tty
@@ -67,6 +68,8 @@ class Emulator:
         """Answers come in two parts, with a pause between them."""
         self.babbling = False
         """Sends noise without an end."""
+        self.baud: int | None = None
+        """The one baud rate at which it is understood, both ways; None: any."""
 
         self._speed = speed
         self._clock_s = 0.0
@@ -188,6 +191,8 @@ class Emulator:
             self._client.close()
             self._client = None
         with self._lock:
+            if self._at_another_baud():
+                arrived = _garbled(arrived)
             for byte in arrived:
                 if byte not in self.TERMINATORS:
                     self._input.append(byte)
@@ -214,11 +219,18 @@ class Emulator:
             self.before_answer = b""
             if self.in_pieces:
                 half = len(text) // 2
-                self._output += [(due, text[:half]), (due + 0.03, text[half:])]
+                self._output += [(due, text[:half]), (due + 0.01, text[half:])]
             else:
                 self._output.append((due, text))
 
+    def _at_another_baud(self) -> bool:
+        if self.baud is None or not self._descriptors:
+            return False
+        return bool(termios.tcgetattr(self._descriptors[1])[5] != getattr(termios, f"B{self.baud}"))
+
     def _write(self, text: bytes) -> None:
+        if self._at_another_baud():
+            text = _garbled(text)
         try:
             if self._client is not None:
                 self._client.sendall(text)
@@ -226,3 +238,7 @@ class Emulator:
                 os.write(self._descriptors[0], text)
         except OSError:  # nobody listens, or nobody reads
             pass
+
+
+def _garbled(text: bytes) -> bytes:
+    return bytes(byte ^ 0xC5 for byte in text)

@@ -3,8 +3,8 @@
 Commands end with CR LF, and to every command comes one line, CR LF behind it: ``ok``, a value, or ``?n``. With echo on,
 the command comes back before it. Keywords have a long and a short form, in either case, and nothing between them.
 
-The manuals do not say, and this emulator assumes: a burst's state falls back to 0 one period after its last pulse began;
-settings may be changed while it runs; ``*RST`` leaves the echo as it is.
+The manuals do not say, and this emulator assumes: a burst's state falls back to 0 one period after its last pulse
+began; settings may be changed while it runs; ``*RST`` leaves the echo as it is.
 """
 
 import re
@@ -67,7 +67,7 @@ KEYWORDS = {
 
 
 class QuantumComposersEmulator(Emulator):
-    """A four-channel instrument.
+    """The instrument.
 
     Parameters
     ----------
@@ -75,6 +75,8 @@ class QuantumComposersEmulator(Emulator):
         What ``*IDN?`` is answered.
     echo
         Whether commands come back before their answer.
+    channels
+        How many outputs it has.
     trigger_keyword
         "TRIG", or "EXT" as older models call the group of the external trigger.
     """
@@ -84,6 +86,7 @@ class QuantumComposersEmulator(Emulator):
         *,
         identity: str = "QC,9524,06312,2.4.3-2.0.11",
         echo: bool = False,
+        channels: int = 4,
         trigger_keyword: str = "TRIG",
         network: bool = False,
         speed: float = 1.0,
@@ -94,6 +97,7 @@ class QuantumComposersEmulator(Emulator):
         """Every command but a query is answered ``?8``."""
         self.bursts: list[Burst] = []
         """Every burst that was started."""
+        self._count = channels
         self._trigger_keyword = trigger_keyword
         super().__init__(network=network, speed=speed)
 
@@ -103,7 +107,7 @@ class QuantumComposersEmulator(Emulator):
             self._stop()
             self._input.clear()
             self._system = {path: default for path, (default, _) in SYSTEM.items()}
-            self._channels = [{path: default for path, (default, _) in CHANNEL.items()} for _ in range(4)]
+            self._channels = [{path: default for path, (default, _) in CHANNEL.items()} for _ in range(self._count)]
             self._armed = False
 
     @property
@@ -206,7 +210,7 @@ class QuantumComposersEmulator(Emulator):
         count = {"SING": 1, "BURS": self._system["BCO",]}.get(str(self._system["MODE",]), float("inf"))
         outputs = {
             letter: (float(channel["DEL",]), float(channel["WIDT",]))
-            for letter, channel in zip("ABCD", self._channels, strict=True)
+            for letter, channel in zip("ABCDEFGH", self._channels, strict=False)
             if channel["STATE",] == "1"
         }
         self.bursts.append(Burst(self.now, float(self._system["PER",]), float(count), outputs))
