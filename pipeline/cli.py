@@ -14,6 +14,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from hardware.camera import list_cameras
 from hardware.link import list_serial_ports
 from pipeline.calibration import Calibration
 from pipeline.calibration.commands import BoardOptions, calibrate, chosen_pattern, size_of
@@ -343,7 +344,7 @@ def export(input: str, /, *, out: Path, kind: MeshKind = "ply") -> None:
 
 @app.command
 def devices() -> None:
-    """List where kernels can run, and the serial ports.
+    """List where kernels can run, the cameras and the serial ports.
 
     Example: colorphase devices
     """
@@ -353,6 +354,9 @@ def devices() -> None:
         names = ", ".join(device.name for device in runtime.vulkan_devices()) if arch == "vulkan" else ""
         table.add_row("arch", arch, f"{names} (software: for checking, slow)" if software else names)
     table.add_row("kernel language", runtime.kernel_language(), "")
+    for camera in list_cameras():
+        note = f"driver {camera.driver}" + (f": {camera.note}" if camera.note else "")
+        table.add_row("camera", str(camera.identity or ""), note)
     for port in list_serial_ports():
         table.add_row("serial port", port.device, port.description)
     _out.print(table)
