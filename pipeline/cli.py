@@ -14,11 +14,13 @@ from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
+from hardware.camera import list_cameras
 from hardware.display import list_displays
-from hardware.errors import ProjectorError, RigError
+from hardware.errors import BurstError, CameraError, ProjectorError, RigError, TriggerError
 from hardware.link import list_serial_ports
 from pipeline.calibration import Calibration
 from pipeline.calibration.commands import BoardOptions, calibrate, chosen_pattern, size_of
+from pipeline.capture.commands import capture
 from pipeline.decoder import Decoder
 from pipeline.errors import (
     CalibrationError,
@@ -44,7 +46,9 @@ Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
 
 #: Every error that a user can cause; each message is one line.
 _USER_ERRORS = (
+    BurstError,
     CalibrationError,
+    CameraError,
     ClusterError,
     DeviceNotReady,
     FootageError,
@@ -54,6 +58,7 @@ _USER_ERRORS = (
     RigError,
     SettingsError,
     ShapeError,
+    TriggerError,
 )
 
 _BOARD = BoardOptions()
@@ -102,6 +107,7 @@ def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: boo
 
 
 app.command(calibrate)
+app.command(capture)
 app.command(project)
 app.command(projector)
 
@@ -355,7 +361,7 @@ def export(input: str, /, *, out: Path, kind: MeshKind = "ply") -> None:
 
 @app.command
 def devices() -> None:
-    """List where kernels can run, the serial ports, and the displays that pictures can be shown on.
+    """List where kernels can run, the cameras, the serial ports, and the displays that pictures can be shown on.
 
     Example: colorphase devices
     """
@@ -365,6 +371,9 @@ def devices() -> None:
         names = ", ".join(device.name for device in runtime.vulkan_devices()) if arch == "vulkan" else ""
         table.add_row("arch", arch, f"{names} (software: for checking, slow)" if software else names)
     table.add_row("kernel language", runtime.kernel_language(), "")
+    for camera in list_cameras():
+        note = f"driver {camera.driver}" + (f": {camera.note}" if camera.note else "")
+        table.add_row("camera", str(camera.identity or ""), note)
     for port in list_serial_ports():
         table.add_row("serial port", port.device, port.description)
     for display in list_displays():

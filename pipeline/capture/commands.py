@@ -8,12 +8,14 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress as Bar
 from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from hardware.instruments import open_instruments
 from pipeline.calibration import Calibration
-from pipeline.capture.session import CALIBRATION, Plan, Progress, capture
+from pipeline.capture import session
+from pipeline.capture.session import CALIBRATION, LOG, Plan, Progress
 from pipeline.capture.stopping import Stopping
 from pipeline.errors import SettingsError
 from pipeline.rig_file import read_rig
@@ -27,7 +29,7 @@ _out = Console(markup=False, emoji=False)
 _err = Console(stderr=True, markup=False, emoji=False)
 
 
-def capture_command(
+def capture(
     *,
     rig: str,
     out: Path,
@@ -88,7 +90,7 @@ def capture_command(
             arch=arch,
         )
         show("opening trigger source and camera")
-        summary = capture(
+        summary = session.capture(
             wiring,
             opened,
             out,
@@ -98,3 +100,39 @@ def capture_command(
             stopping=stopping,
             tell=lambda progress: show(_line(progress)),
         )
+    if not summary.n_frames:
+        _err.print("stopped before a burst was whole: nothing is kept", style="red")
+        sys.exit(_STOPPED)
+    if summary.n_rejected:
+        again = f"{summary.n_rejected} bursts were thrown away and fired again; {out / LOG} says why"
+        _err.print(again, style="yellow", highlight=False, soft_wrap=True)
+    what = f"{summary.n_frames} frames of {summary.n_bursts} bursts are in {summary.recording}"
+    _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
+    rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
+    _out.print(
+        f"colorphase decode {summary.recording} --out {out / 'decoded'}{rig_file}", highlight=False, soft_wrap=True
+    )
+    if summary.stopped and bursts is not None:
+        sys.exit(_STOPPED)
+
+
+def _positive(value: float | None) -> None:
+    if value is not None and not value > 0:  # nor NaN
+        raise ValueError("must be above 0")
+
+
+def _line(progress: Progress) -> str:
+    parts = [f"{progress.n_frames} frames of {progress.n_bursts} bursts", f"{progress.rate_hz:.0f} frames/s"]
+    if progress.latency_s is not None:
+        parts.append(f"{1e3 * progress.latency_s:.0f} ms from strobe to range image")
+    parts.append(f"{progress.n_rejected} bursts thrown away" + (f" ({progress.note})" if progress.note else ""))
+    return ", ".join(parts)
+
+
+@contextmanager
+def _status() -> Iterator[Callable[[str], None]]:
+    """Show one line, live on a terminal."""
+    columns = SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn()
+    with Bar(*columns, console=_err, transient=True, disable=not _err.is_terminal) as bar:
+        task = bar.add_task("starting")
+        yield lambda line: bar.update(task, description=escape(line))

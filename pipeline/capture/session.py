@@ -173,9 +173,7 @@ class _Keeper:
             self._recorder = Recorder(self.recording, format, transfer=transfer, rate_hz=rate_hz)
             self._live = None
             if plan.live:
-                self._live = LiveDecoder(
-                    decoding, calibration, format, limits.size_px, folder / PREVIEW, plan.arch
-                )
+                self._live = LiveDecoder(decoding, calibration, format, limits.size_px, folder / PREVIEW, plan.arch)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise

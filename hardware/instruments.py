@@ -1,0 +1,29 @@
+"""Open what a rig's file names."""
+
+from hardware.camera import open_camera
+from hardware.protocols import Camera, Trigger
+from hardware.settings import RigSettings
+from hardware.trigger import open_trigger
+from hardware.trigger.software import SoftwareTrigger
+
+
+def open_instruments(settings: RigSettings) -> tuple[Trigger, Camera]:
+    """Open a rig's trigger source and its camera, or neither.
+
+    Raises
+    ------
+    RigError
+        The settings contradict each other.
+    TriggerError, CameraError
+        One of them cannot be reached, or is another one.
+    """
+    if settings.trigger.driver == "software":
+        camera = open_camera(settings.camera)
+        return SoftwareTrigger(camera), camera
+    # The trigger source first: its outputs are low from then on.
+    trigger = open_trigger(settings.trigger)
+    try:
+        return trigger, open_camera(settings.camera)
+    except BaseException:
+        trigger.close()
+        raise
