@@ -1,14 +1,14 @@
 """Arm, fire, pair every frame with its pulse: a burst is kept whole, or thrown away and repeated."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 
 from hardware.colour_cycle import check_exposure
 from hardware.errors import BurstError, CameraError, RigError, TriggerError
 from hardware.pairing import Evidence, Fault, find_faults
 from hardware.pictures import Alternation
-from hardware.protocols import Camera, CameraFrame, Strobe, Trigger, TriggerStatus
+from hardware.protocols import Camera, CameraFrame, Levels, Strobe, Trigger, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
 from hardware.settings import RigSettings
 
@@ -31,7 +31,8 @@ class PairedFrame:
     """A frame and the pulse that made it."""
 
     pulse: int  # from 0, in its burst
-    frame: CameraFrame
+    image: Levels
+    frame: CameraFrame  # as it arrived
     pulse_s: float  # when its camera pulse began, from the burst's start, by the trigger source's clock
     strobe_s: float | None  # when the camera said that it was exposing, by that clock; None: it does not tell
     exposed_at_s: float  # the same by this machine's time.monotonic(), to some milliseconds
@@ -140,7 +141,7 @@ class Rig:
             self.trigger.close()
             self.camera.close()
 
-    def bursts(self, *, endless: bool = False) -> Iterator[Burst]:
+    def bursts(self, *, endless: bool = False) -> Generator[Burst]:
         """Fire burst after burst, and yield each that is whole; one that is not is thrown away and fired again.
 
         Parameters
@@ -284,9 +285,11 @@ class Rig:
         by_pulse = {strobe.pulse: strobe.time_s for strobe in strobes or ()}
         paired = []
         for pulse, frame in enumerate(frames, first):
+            if frame.image is None:  # which is a fault
+                raise _Refused([Fault("its frame is not whole", pulse)])
             pulse_s, strobe_s = pulse * train.period_s + train.camera.delay_s, by_pulse.get(pulse)
             exposed_s = pulse_s if strobe_s is None else strobe_s
-            paired.append(PairedFrame(pulse, frame, pulse_s, strobe_s, started_s + exposed_s))
+            paired.append(PairedFrame(pulse, frame.image, frame, pulse_s, strobe_s, started_s + exposed_s))
         return Burst(number, tuple(paired), status, n_repeated)
 
     def _collect(self, run: _Run, count: int) -> tuple[list[CameraFrame], int]:

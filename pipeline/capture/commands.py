@@ -17,7 +17,6 @@ from pipeline.calibration import Calibration
 from pipeline.capture import session
 from pipeline.capture.session import CALIBRATION, LOG, Plan, Progress
 from pipeline.capture.stopping import Stopping
-from pipeline.errors import SettingsError
 from pipeline.rig_file import read_rig
 from pipeline.settings import DecodeSettings
 
@@ -71,12 +70,13 @@ def capture(
         Where --live computes, and the simulated rig is rendered.
     """
     stopping = Stopping()
+    calibration: Calibration | None
     with stopping.listening(), _status() as show:
         if rig == _SIMULATED:
             from pipeline.capture.simulated_rig import SETTINGS, simulated_instruments
 
-            opened, calibration = simulated_instruments(arch, show)
             wiring = SETTINGS
+            opened, calibration = simulated_instruments(arch, show)
         else:
             wiring = read_rig(rig)
             calibration = None if wiring.calibration is None else Calibration.read(wiring.calibration)

@@ -107,14 +107,11 @@ def capture(
     OutputError
         The folder is there already or cannot be written, or the disk is full.
     """
-    keeper: _Keeper | None = None
-
-    def reject(rejected: Rejected) -> None:
-        if keeper is not None:
-            keeper.reject(rejected)
-
     stopped = False
-    with Rig(settings, open_instruments, reject) as rig, _Keeper(folder, rig, plan, calibration, decoding) as keeper:
+    with (
+        Rig(settings, open_instruments, lambda rejected: keeper.reject(rejected)) as rig,
+        _Keeper(folder, rig, plan, calibration, decoding) as keeper,
+    ):
         bursts = rig.bursts(endless=plan.endless)
         try:
             for burst in islice(bursts, plan.n_bursts):
@@ -145,7 +142,7 @@ class _Keeper:
         self._note: str | None = None
         limits = rig.camera.limits
         kind = limits.format
-        format = PixelFormat(kind.layout, kind.bits, **({} if kind.bayer is None else {"bayer": kind.bayer}))
+        format = PixelFormat(kind.layout, kind.bits, bayer=kind.bayer or "rggb")
         try:
             folder.mkdir(parents=True)
         except FileExistsError:
@@ -201,7 +198,7 @@ class _Keeper:
         """Record a burst, or remember it."""
         if self._live is not None:
             newest = burst.frames[-1]
-            self._live.offer(newest.frame.image, self.n_frames + len(burst.frames) - 1, newest.exposed_at_s)
+            self._live.offer(newest.image, self.n_frames + len(burst.frames) - 1, newest.exposed_at_s)
         if self._plan.keep_last_s is None:
             self._write(burst)
         else:
@@ -235,7 +232,7 @@ class _Keeper:
         self._log.keep(burst, self.n_frames)
         try:
             for paired in burst.frames:
-                self._recorder.add(paired.frame.image)
+                self._recorder.add(paired.image)
             self._recorder.commit()
         except BaseException:
             self._log.take_back()
