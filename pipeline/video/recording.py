@@ -1,8 +1,13 @@
 """Our own lossless recordings: FFV1 in Matroska, or Zarr; `docs/footage.md` defines both."""
 
+import errno
 import os
 import secrets
 import shutil
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
@@ -11,21 +16,34 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.errors import FootageError, OutputError
+from pipeline.errors import OutputError
 from pipeline.files import explain
-from pipeline.video.stored import BadFrame, Frames, StoredAs, StoredFrame
-from pipeline.video.tags import VERSION, RecordingTags, rate_of
+from pipeline.video.matroska import MatroskaWriter
+from pipeline.video.tags import RecordingTags
+from pipeline.video.zarr_recording import ZarrWriter
 from tikernels.errors import ShapeError
 from tikernels.pixel_format import PixelFormat
 
-_ATTRIBUTE = "colorphase_recording"
-_FRAMES = "frames"
-# Frames by which a Zarr array grows; what is left over is cut off at the end.
-_GROWTH = 1024
+# Frames in hand, waiting and being written: some 80 ms at 200 frames a second, which is what other programs take a core
+# for; of large frames what fits into this many bytes.
+_MOST_IN_HAND, _IN_HAND_BYTES = 16, 256_000_000
+# A disk that has not taken a single frame for so long is gone.
+_PATIENCE_S = 30.0
+# So long the frame that is just being written may take when a recording is to end.
+_END_S = 10.0
+# No lossless coder makes noise larger than this.
+_LARGEST = 1.25
+# What a file system, the list of frames and other programs need.
+_SPARE_BYTES = 64_000_000
 
 
 class Recorder:
-    """Write frames without loss, under their final name only once all of them are there.
+    """Write frames without loss, under their final name only when that holds nothing half-written.
+
+    Threads compress and write, a few frames behind the caller, whose thread only copies them; what goes wrong there is
+    raised by the next call. `commit` says that all frames so far belong together: after an error, Ctrl-C or a full disk
+    the recording ends with the last of them, and stands under its name; frames that were never committed leave nothing.
+    To be used by one thread.
 
     Parameters
     ----------
@@ -57,7 +75,7 @@ class Recorder:
         self._path = Path(path)
         if (format.layout, format.channels, format.shift) not in (("rgb", "rgb", 0), ("bayer", "rgb", 0)):
             raise ShapeError("recordings hold RGB in one plane, or a Bayer mosaic: develop other frames first")
-        writers: dict[str, type[_Writer]] = {".mkv": _MatroskaWriter, ".zarr": _ZarrWriter}
+        writers: dict[str, type[_Writer]] = {".mkv": MatroskaWriter, ".zarr": ZarrWriter}
         suffix = self._path.suffix.lower()
         if suffix not in writers:
             raise OutputError(f"cannot record to {path}: the name must end in {' or '.join(writers)}")
@@ -69,21 +87,50 @@ class Recorder:
         self._tags = RecordingTags(
             Fraction(rate_hz), transfer, format.bayer if format.layout == "bayer" else None, format.bits
         )
-        self._writer: _Writer | None = None
         self._shape: tuple[int, ...] = ()
+        self._crew: _Crew | None = None
+        self._ended = False
 
     def __enter__(self) -> "Recorder":
         return self
 
     def __exit__(self, error: object, *_: object) -> None:
-        """Finish the recording, or leave nothing after an error."""
+        """Finish the recording; after an error with what was committed."""
         if error is None:
             self.close()
         else:
-            self.discard()
+            self.stop()
+
+    @property
+    def n_frames(self) -> int:
+        """How many frames it holds: those added, and once it has ended those that were kept."""
+        if self._crew is None:
+            return 0
+        return self._crew.writer.n_frames if self._ended else self._crew.n_added
+
+    @property
+    def n_bytes(self) -> int:
+        """How many bytes have been written."""
+        return 0 if self._crew is None else self._crew.n_bytes
+
+    def room_for(self, n_frames: int, size_px: tuple[int, int]) -> bool:
+        """Whether the disk has room for so many more frames, of width and height, however badly they compress.
+
+        Raises
+        ------
+        OutputError
+            The folder is not there.
+        """
+        (shape,) = self._format.plane_shapes(size_px[1], size_px[0])
+        frame_bytes = np.dtype(self._format.dtype).itemsize * int(np.prod(shape))
+        try:
+            free = shutil.disk_usage(self._path.absolute().parent).free
+        except OSError as error:
+            raise OutputError(f"cannot record to {self._path}: {explain(error)}") from error
+        return free >= _LARGEST * n_frames * frame_bytes + _SPARE_BYTES
 
     def add(self, frame: npt.NDArray[Any]) -> None:
-        """Write one frame.
+        """Hand over a frame, which is copied; waits where the disk falls behind.
 
         Parameters
         ----------
@@ -95,46 +142,85 @@ class Recorder:
         ShapeError
             It has another shape or type than the format says, or than the first frame.
         OutputError
-            The disk is full, or the folder cannot be written.
+            The disk is full or has gone, or the folder cannot be written: the recording has ended.
         """
         shape = self._format.plane_shapes(*frame.shape[:2])[0] if frame.ndim >= 2 else ()
         if frame.shape != (self._shape or shape) or frame.dtype != self._format.dtype:
             expected = self._shape or ("(H, W, 3)" if self._format.layout == "rgb" else "(H, W)")
             raise ShapeError(f"frame is {frame.shape} {frame.dtype}, expected {expected} {self._format.dtype}")
+        if self._ended:
+            raise OutputError(f"cannot record to {self._path}: the recording has ended")
         try:
-            if self._writer is None:
-                self._writer = self._new_writer(self._temporary, frame, self._format, self._tags)
-                self._shape = frame.shape
-            self._writer.add(frame)
+            if self._crew is None:
+                writer = self._new_writer(self._temporary, frame.shape[1::-1], self._format, self._tags)
+                self._crew, self._shape = _Crew(writer, frame), frame.shape
+            self._crew.add(frame)
         except OSError as error:
-            self.discard()
-            raise OutputError(f"cannot record to {self._path}: {explain(error)}") from error
+            raise self._ended_by(error) from error
 
-    def close(self) -> None:
-        """Finish: only now the recording stands under its name. Without frames there is none.
+    def commit(self) -> None:
+        """Keep the frames so far, whatever comes; returns when they are written.
 
         Raises
         ------
         OutputError
-            The disk is full, or the folder cannot be written.
+            They cannot be: the recording has ended with those that were committed before.
         """
-        if self._writer is None:
+        if self._ended:
+            raise OutputError(f"cannot record to {self._path}: the recording has ended")
+        if self._crew is not None:
+            try:
+                self._crew.commit()
+            except OSError as error:
+                raise self._ended_by(error) from error
+
+    def close(self) -> None:
+        """Keep all frames, and finish: now the recording stands under its name. Without frames there is none.
+
+        Raises
+        ------
+        OutputError
+            The disk is full, or the folder cannot be written: it holds what was committed.
+        """
+        if not self._ended:
+            try:
+                self.commit()
+            finally:
+                self.stop()
+
+    def stop(self) -> None:
+        """Finish with what was committed, or leave nothing; harmless twice.
+
+        Raises
+        ------
+        OutputError
+            The recording cannot get its name, or the disk does not answer: what is there stays under a temporary one.
+        """
+        if self._ended:
             return
         try:
-            self._writer.close()
-            os.replace(self._temporary, self._path)
-            self._writer = None
+            self._finish()
+        except KeyboardInterrupt:  # the first one may come only now
+            self._finish()
+            raise
         except OSError as error:
-            raise OutputError(f"cannot record to {self._path}: {explain(error)}") from error
+            raise OutputError(f"cannot finish {self._path}, see {self._temporary}: {explain(error)}") from error
         finally:
-            self.discard()
+            self._ended = True
 
-    def discard(self) -> None:
-        """Stop, and leave nothing."""
-        if self._writer is not None:
-            with suppress(OSError, EOFError):  # it is thrown away, and an encoder ends but once
-                self._writer.close()
-            self._writer = None
+    def _ended_by(self, error: OSError) -> OutputError:
+        """Finish with what was committed, and return what to raise."""
+        self.stop()
+        kept = f"; its first {self.n_frames} frames are kept" if self.n_frames else ""
+        return OutputError(f"cannot record to {self._path}: {explain(error)}{kept}")
+
+    def _finish(self) -> None:
+        if self._crew is not None:
+            self._crew.stop()
+            if self._crew.writer.n_frames:
+                if self._temporary.exists():
+                    os.replace(self._temporary, self._path)
+                return
         if self._temporary.is_dir():
             shutil.rmtree(self._temporary, ignore_errors=True)
         else:
@@ -143,170 +229,128 @@ class Recorder:
 
 
 class _Writer(Protocol):
-    def __init__(self, path: Path, first: npt.NDArray[Any], format: PixelFormat, tags: RecordingTags, /) -> None: ...
+    """What stores frames; its methods but the first are called by the threads of a crew."""
 
-    def add(self, frame: npt.NDArray[Any]) -> None: ...
+    most_threads: int
+    """How many of them may call `write`."""
+    n_frames: int
+    """How many frames are committed."""
+
+    def __init__(self, path: Path, size_px: tuple[int, int], format: PixelFormat, tags: RecordingTags, /) -> None: ...
+
+    def write(self, number: int, frame: npt.NDArray[Any]) -> int: ...
+
+    def commit(self, n_frames: int) -> None: ...
 
     def close(self) -> None: ...
 
 
-class _MatroskaWriter:
-    def __init__(self, path: Path, first: npt.NDArray[Any], format: PixelFormat, tags: RecordingTags) -> None:
-        import av  # slow to import, and only needed here
+class _Crew:
+    """Threads that write frames, of which a bounded number is in hand.
 
-        if format.dtype == np.float32:
-            raise ShapeError("Matroska recordings hold 8 to 16 bits: record floats to .zarr")
-        deep = format.dtype == np.uint16
-        if format.layout == "bayer":
-            self._pixels = "gray16le" if deep else "gray"
-        else:
-            self._pixels = "gbrp16le" if deep else "bgr0"
-        self._tags = tags
-        self._n_frames = 0
-        self._container = av.open(f"file:{path.absolute()}", "w", format="matroska")
-        self._container.metadata.update(tags.write())
-        # Every frame by itself, in slices that are coded in parallel, each with a checksum.
-        options = {"g": "1", "level": "3", "slicecrc": "1", "slices": "16"}
-        self._stream: Any = self._container.add_stream("ffv1", rate=tags.rate_hz, options=options)
-        self._stream.height, self._stream.width = first.shape[:2]
-        self._stream.pix_fmt = self._pixels
-        self._stream.codec_context.time_base = Fraction(1, 1000)
-
-    def add(self, frame: npt.NDArray[Any]) -> None:
-        import av
-
-        coded = av.VideoFrame(frame.shape[1], frame.shape[0], self._pixels)
-        if self._pixels == "bgr0":
-            _plane(coded, 0, (*frame.shape[:2], 4), np.uint8)[..., :3] = frame[..., ::-1]
-        elif self._pixels == "gbrp16le":
-            for i, color in enumerate((1, 2, 0)):
-                _plane(coded, i, frame.shape[:2], np.uint16)[...] = frame[..., color]
-        else:
-            _plane(coded, 0, frame.shape, frame.dtype)[...] = frame
-        coded.time_base = Fraction(1, 1000)
-        coded.pts = self._tags.stamp(self._n_frames)
-        coded.duration = self._tags.stamp(self._n_frames + 1) - coded.pts
-        self._n_frames += 1
-        for packet in self._stream.encode(coded):
-            self._container.mux(packet)
-
-    def close(self) -> None:
-        try:
-            for packet in self._stream.encode():
-                self._container.mux(packet)
-        finally:
-            self._container.close()
-
-
-def _plane(frame: Any, plane: int, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
-    """Return a plane of a frame of FFmpeg to write into."""
-    size = np.dtype(dtype).itemsize
-    strides = (frame.planes[plane].line_size, size * (shape[2] if len(shape) == 3 else 1), size)
-    return np.ndarray(shape, dtype, frame.planes[plane], 0, strides[: len(shape)])
-
-
-class _ZarrWriter:
-    def __init__(self, path: Path, first: npt.NDArray[Any], format: PixelFormat, tags: RecordingTags) -> None:
-        import zarr  # slow to import, and only needed here
-        from zarr.codecs import BloscCodec, Crc32cCodec
-
-        about: dict[str, Any] = {
-            "version": VERSION,
-            "layout": format.layout,
-            "bits": format.bits,
-            "bayer": tags.bayer,
-            "transfer": tags.transfer,
-            "rate_hz": str(tags.rate_hz),
-        }
-        group = zarr.open_group(path, mode="w-", attributes={_ATTRIBUTE: about})
-        self._array = group.create_array(
-            _FRAMES,
-            shape=(_GROWTH, *first.shape),
-            chunks=(1, *first.shape),
-            dtype=first.dtype,
-            # A checksum, because one wrong bit would change the rest of a chunk.
-            compressors=[BloscCodec(cname="lz4", clevel=5, shuffle="bitshuffle"), Crc32cCodec()],
-            config={"write_empty_chunks": True},  # so that a chunk that is not there is a frame that is missing
-        )
-        self._n_frames = 0
-
-    def add(self, frame: npt.NDArray[Any]) -> None:
-        if self._n_frames == self._array.shape[0]:
-            self._array.resize((self._n_frames + _GROWTH, *frame.shape))
-        self._array[self._n_frames] = frame
-        self._n_frames += 1
-
-    def close(self) -> None:
-        self._array.resize((self._n_frames, *self._array.shape[1:]))
-
-
-class ZarrRecording:
-    """A recording of ours in a Zarr group; a `Source`.
-
-    Parameters
-    ----------
-    path : Path
-        The group.
-    says : StoredAs
-        What the user says of the pixels.
-
-    Raises
-    ------
-    FootageError
-        It is not a recording, of a later version, or damaged.
+    Ctrl-C comes to the main thread only: what must not be torn apart is done, and counted, by these.
     """
 
-    notes: tuple[str, ...] = ()
+    def __init__(self, writer: _Writer, like: npt.NDArray[Any]) -> None:
+        self.writer = writer
+        self.n_bytes = 0
+        n_slots = min(_MOST_IN_HAND, max(writer.most_threads + 1, _IN_HAND_BYTES // like.nbytes))
+        self._free = [np.empty(like.shape, like.dtype) for _ in range(n_slots)]
+        self._waiting: deque[npt.NDArray[Any] | None] = deque()  # None: a commit, which comes when nothing is in hand
+        self._changed = threading.Condition()
+        self._n_taken = 0  # frames, whose numbers this gives
+        self._n_done = 0  # frames and commits
+        self._n_in_work = 0
+        self._stopping = False
+        self._error: Exception | None = None
+        # Daemons: a disk that never answers keeps no program from ending.
+        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(writer.most_threads)]
+        self._n_working = len(self._threads)
+        for thread in self._threads:
+            thread.start()
 
-    def __init__(self, path: Path, says: StoredAs) -> None:
-        import zarr  # slow to import, and only needed here
+    @property
+    def n_added(self) -> int:
+        return self._n_taken + len(self._waiting)
 
-        self.name = str(path)
-        self._path = path
+    def add(self, frame: npt.NDArray[Any]) -> None:
+        with self._changed:
+            self._wait(lambda: bool(self._free))
+            slot = self._free.pop()
+        np.copyto(slot, frame)
+        with self._changed:
+            self._waiting.append(slot)
+            self._changed.notify_all()
+
+    def commit(self) -> None:
+        with self._changed:
+            self._wait(self._is_idle)
+            self._waiting.append(None)
+            self._changed.notify_all()
+            self._wait(self._is_idle)
+
+    def stop(self) -> None:
+        """Drop what waits, and return when the threads have ended and the writer is closed."""
+        with self._changed:
+            self._stopping = True
+            self._changed.notify_all()
+        end = time.monotonic() + _END_S
+        for thread in self._threads:
+            thread.join(max(0.0, end - time.monotonic()))
+            if thread.is_alive():
+                raise OSError(errno.ETIMEDOUT, "the disk does not answer")
+
+    def _is_idle(self) -> bool:
+        return not self._waiting and not self._n_in_work
+
+    def _wait(self, done: Callable[[], bool]) -> None:
+        """Wait until that is so, or nothing is done for too long."""
+        n_done, end = self._n_done, time.monotonic() + _PATIENCE_S
+        while True:
+            if self._error is not None:
+                raise self._error
+            if done():
+                return
+            if self._n_done != n_done:
+                n_done, end = self._n_done, time.monotonic() + _PATIENCE_S
+            if time.monotonic() > end:
+                raise OSError(errno.ETIMEDOUT, f"the disk has taken no frame for {_PATIENCE_S:.0f} s")
+            self._changed.wait(end - time.monotonic())
+
+    def _work(self) -> None:
+        while self._do_next():
+            pass
+        with self._changed:
+            self._n_working -= 1
+            last = not self._n_working
+        if last:
+            with suppress(OSError):  # what stays is behind the end
+                self.writer.close()
+
+    def _do_next(self) -> bool:
+        """Do what comes next; whether there is more to come."""
+        with self._changed:
+            while not self._waiting and not self._stopping:
+                self._changed.wait()
+            if self._stopping or self._error is not None:
+                return False
+            slot = self._waiting.popleft()
+            number = self._n_taken
+            self._n_taken += slot is not None
+            self._n_in_work += 1
+        n_bytes = 0
         try:
-            # Arrays of an older format may name codecs that run what they hold.
-            group: Any = zarr.open_group(path, mode="r", zarr_format=3)
-            about = group.attrs[_ATTRIBUTE]
-            version = about["version"]
-        except (KeyError, TypeError, ValueError, OSError):
-            raise FootageError(
-                f"{path} is not a recording of frames: give a video, a folder of pictures or a recording"
-            ) from None
-        if version != VERSION:
-            raise FootageError(f"{path} is a recording of version {version}, this program reads {VERSION}: update it")
-        try:
-            layout, bayer = about["layout"], about["bayer"]
-            tags = RecordingTags(rate_of(about["rate_hz"]), about["transfer"], bayer, int(about["bits"]))
-            format = PixelFormat(layout, tags.bits, **({"bayer": bayer} if layout == "bayer" else {}))
-            self._array = group[_FRAMES]
-            height, width = self._array.shape[1:3]
-            if self._array.shape[1:] != format.plane_shapes(height, width)[0] or self._array.dtype != format.dtype:
-                raise ValueError(f"its frames are {self._array.shape[1:]} {self._array.dtype}")
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
-            raise FootageError(f"{path} is damaged: {error}") from None
-        self.transfer = tags.transfer
-        if len(self) == 0:
-            raise FootageError(f"{path} holds no frames")
-        self.size_px = (width, height)
-        self.format = says.applied_to(format)
-
-    def __len__(self) -> int:
-        return int(self._array.shape[0])
-
-    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
-        """Yield frames by number; see `Source`."""
-        for number in range(len(self))[start:stop:step]:
-            yield self._read(number)
-
-    def close(self) -> None:
-        """Do nothing: no file is open between two frames."""
-
-    def _read(self, number: int) -> StoredFrame | BadFrame:
-        chunk = self._path / _FRAMES / self._array.metadata.encode_chunk_key((number, *(0,) * (self._array.ndim - 1)))
-        if not chunk.exists():
-            return BadFrame(number, "it is missing: its chunk is not there")
-        try:
-            levels = np.asarray(self._array[number])
-        except Exception as error:  # each codec has errors of its own
-            return BadFrame(number, f"it is damaged: {' '.join(str(error).split())}")
-        return StoredFrame(number, (levels,), self.format)
+            if slot is None:
+                self.writer.commit(number)
+            else:
+                n_bytes = self.writer.write(number, slot)
+        except Exception as error:
+            self._error = error
+        with self._changed:
+            if slot is not None:
+                self._free.append(slot)
+            self.n_bytes += n_bytes
+            self._n_done += 1
+            self._n_in_work -= 1
+            self._changed.notify_all()
+        return self._error is None

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from pipeline.errors import FootageError
 from pipeline.video.pictures import PICTURE_SUFFIXES, Pictures
-from pipeline.video.recording import ZarrRecording
 from pipeline.video.stored import BadFrame, Source, StoredAs, StoredFrame
 from pipeline.video.video_file import VideoFile
+from pipeline.video.zarr_recording import ZarrRecording
 from tikernels.errors import ShapeError
 from tikernels.pixel_format import Bayer, Matrix, PixelFormat, Siting
 

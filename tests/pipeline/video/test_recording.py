@@ -111,12 +111,13 @@ def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch, suffix):
     recorder = Recorder(tmp_path / f"a{suffix}", RGB8)
     recorder.add(frames_of(RGB8)[0])
 
-    def full(frame):
+    def full(number, frame):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(recorder._writer, "add", full)
+    monkeypatch.setattr(recorder._crew.writer, "write", full)
     with pytest.raises(OutputError, match="the disk is full: free some space"):
         recorder.add(frames_of(RGB8)[0])
+        recorder.commit()
     assert list(tmp_path.iterdir()) == []
 
 
@@ -186,11 +187,11 @@ def test_one_wrong_bit_is_found(tmp_path):
 
 def test_one_wrong_bit_is_found_in_zarr(tmp_path):
     record(tmp_path / "a.zarr")
-    chunk = tmp_path / "a.zarr" / "frames" / "c" / "5" / "0" / "0" / "0"
+    chunk = tmp_path / "a.zarr" / "frames" / "c.5.0.0.0"
     data = bytearray(chunk.read_bytes())
     data[len(data) // 2] ^= 4
     chunk.write_bytes(data)
-    (tmp_path / "a.zarr" / "frames" / "c" / "7" / "0" / "0" / "0").unlink()
+    (tmp_path / "a.zarr" / "frames" / "c.7.0.0.0").unlink()
     frames = list(open_source(tmp_path / "a.zarr").frames())
     reasons = {frame.number: frame.reason for frame in frames if isinstance(frame, BadFrame)}
     assert list(reasons) == [5, 7]
