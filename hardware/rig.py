@@ -4,6 +4,8 @@ import time
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hardware.colour_cycle import check_exposure
 from hardware.errors import BurstError, CameraError, RigError, TriggerError
 from hardware.pairing import Evidence, Fault, find_faults
@@ -22,6 +24,10 @@ _CLOCK = 1e-3
 _POLL_S = 0.25
 # How often it is asked for the end of a burst, or for an exposure that is not in its log yet.
 _SHORT_POLL_S = 0.01
+# From so far behind on, lost frames are laid to this machine, and not to a cable.
+_BEHIND_S = 0.1
+# Frames from which on two clocks are compared.
+_LEAST_FOR_CLOCK = 5
 # Frames by which the rig learns which of two pictures the projector shows.
 _SYNC_FRAMES = 4
 
@@ -46,6 +52,7 @@ class Burst:
     frames: tuple[PairedFrame, ...]
     status: TriggerStatus
     n_repeated: int  # frames that were delivered twice, and are here once
+    camera_ppm: float | None  # by how much the camera's clock is faster than the trigger source's; None: not known
 
 
 @dataclass(frozen=True)
@@ -116,6 +123,7 @@ class Rig:
         self._open_instruments = open_instruments
         self._tell = tell
         self._is_open = False
+        self._has_clock = True  # the camera's frames have times
         self._alternation = Alternation() if settings.projector.alternating else None
         self._configured: tuple[PulseTrain, PulseTrain] | None = None  # as asked for, and as it is
         self._open()
@@ -177,6 +185,17 @@ class Rig:
                     number += 1
         finally:
             self._stop()
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What cannot be seen or held with what is wired, a sentence each."""
+        notes = list(self.camera.unlocked)
+        if not self.settings.trigger.strobe and not self._has_clock:
+            notes.append(
+                "the camera tells no times and its exposures are not wired back: frames are paired by their number and "
+                "by when they arrive; wire its exposure output to the trigger source, and set trigger.strobe = true"
+            )
+        return tuple(notes)
 
     def _open(self) -> None:
         self.trigger, self.camera = self._open_instruments()
@@ -251,6 +270,7 @@ class Rig:
 
     def _whole(self, run: _Run, count: int, number: int = 0) -> Burst:
         train, first = run.train, run.next_pulse
+        behind_s = time.monotonic() - run.fired_at_s[1] - first * train.period_s - self.camera.limits.min_period_s
         frames, n_repeated = self._collect(run, count)
         status = self._settled(run, first + count)
         if train.count is not None:
@@ -275,8 +295,12 @@ class Rig:
                 strobes=strobes,
             )
         )
+        if found and behind_s > _BEHIND_S:
+            slow = f"this machine is {behind_s:.1f} s behind the camera: record fewer frames a second, or to .zarr"
+            found.insert(0, Fault(slow, first))
         if found:
             raise _Refused(found)
+        self._has_clock = all(frame.device_time_s is not None for frame in frames)
         run.next_pulse += count
         run.previous = frames[-1]
         if train.count is not None:
@@ -290,7 +314,7 @@ class Rig:
             pulse_s, strobe_s = pulse * train.period_s + train.camera.delay_s, by_pulse.get(pulse)
             exposed_s = pulse_s if strobe_s is None else strobe_s
             paired.append(PairedFrame(pulse, frame.image, frame, pulse_s, strobe_s, started_s + exposed_s))
-        return Burst(number, tuple(paired), status, n_repeated)
+        return Burst(number, tuple(paired), status, n_repeated, _camera_ppm(paired))
 
     def _collect(self, run: _Run, count: int) -> tuple[list[CameraFrame], int]:
         """Wait for so many frames; fewer where they do not come in time. Second: how many came twice."""
@@ -333,6 +357,16 @@ class Rig:
 def _repeats(frame: CameraFrame, before: CameraFrame | None) -> bool:
     """Whether a frame was delivered twice: its number, and so its exposure, is that of the one before."""
     return before is not None and frame.frame_id is not None and frame.frame_id == before.frame_id
+
+
+def _camera_ppm(paired: Sequence[PairedFrame]) -> float | None:
+    """Return how much faster the camera's clock is, by a straight line through its times over the exposures'."""
+    camera_s = [each.frame.device_time_s for each in paired]
+    if len(paired) < _LEAST_FOR_CLOCK or None in camera_s:
+        return None
+    trigger_s = [each.pulse_s if each.strobe_s is None else each.strobe_s for each in paired]
+    slope = np.polyfit(trigger_s, np.array(camera_s, np.float64) - (camera_s[0] or 0.0), 1)[0]
+    return float(1e6 * (slope - 1))
 
 
 def train_of(settings: RigSettings) -> PulseTrain:

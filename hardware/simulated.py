@@ -40,7 +40,7 @@ _TRIGGER_LIMITS = TriggerLimits(
 # Of a camera with a global shutter that reads out 480 rows.
 _READOUT_S = 2e-3
 # Frames that wait in the camera's driver to be taken; those that find it full are lost, as they are in real ones.
-_BUFFERS = 64
+_BUFFERS = 128
 _NOTHING_SET_UP = "the simulated trigger has no burst to make: configure it first"
 # How long a thread that was told to stop may take.
 _STOP_S = 5.0

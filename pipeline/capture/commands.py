@@ -2,7 +2,8 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,7 +13,10 @@ from rich.markup import escape
 from rich.progress import Progress as Bar
 from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
+from hardware.errors import ProjectorError
 from hardware.instruments import open_instruments
+from hardware.projector import open_projector
+from hardware.settings import RigSettings
 from pipeline.calibration import Calibration
 from pipeline.capture import session
 from pipeline.capture.session import CALIBRATION, LOG, Plan, Progress
@@ -80,7 +84,8 @@ def capture(
         else:
             wiring = read_rig(rig)
             calibration = None if wiring.calibration is None else Calibration.read(wiring.calibration)
-            opened = lambda: open_instruments(wiring)  # noqa: E731
+            opened = partial(open_instruments, wiring)
+            _check_projector(wiring)
         plan = Plan(
             n_bursts=1 if bursts is None and not endless else bursts,
             endless=endless,
@@ -100,12 +105,13 @@ def capture(
             stopping=stopping,
             tell=lambda progress: show(_line(progress)),
         )
+    for note in (*_differences(wiring, calibration), *summary.notes):
+        _say(f"note: {note}")
     if not summary.n_frames:
         _err.print("stopped before a burst was whole: nothing is kept", style="red")
         sys.exit(_STOPPED)
     if summary.n_rejected:
-        again = f"{summary.n_rejected} bursts were thrown away and fired again; {out / LOG} says why"
-        _err.print(again, style="yellow", highlight=False, soft_wrap=True)
+        _say(f"{summary.n_rejected} bursts were thrown away; {out / LOG} says why")
     what = f"{summary.n_frames} frames of {summary.n_bursts} bursts are in {summary.recording}"
     _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
     rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
@@ -114,6 +120,30 @@ def capture(
     )
     if summary.stopped and bursts is not None:
         sys.exit(_STOPPED)
+
+
+def _check_projector(wiring: RigSettings) -> None:
+    """Refuse a projector that is known to show nothing."""
+    if wiring.projector.control is None:
+        return
+    with closing(open_projector(wiring.projector)) as projector:
+        found = projector.status()
+    if found.power not in ("on", None):
+        raise ProjectorError(f"the projector is {found.power}: run colorphase projector on --rig, and wait until it is")
+    if found.blank:
+        raise ProjectorError("the projector shows black: run colorphase projector unblank --rig")
+
+
+def _differences(wiring: RigSettings, calibration: Calibration | None) -> list[str]:
+    """Say where the camera stands otherwise than at calibration."""
+    before = None if calibration is None or calibration.capture is None else calibration.capture.exposure_s
+    if before is None or abs(wiring.camera.exposure_s / before - 1) < 1e-3:
+        return []
+    return [f"the exposure is {wiring.camera.exposure_s:g} s, and was {before:g} s at calibration"]
+
+
+def _say(text: str) -> None:
+    _err.print(text, style="yellow", highlight=False, soft_wrap=True)
 
 
 def _positive(value: float | None) -> None:

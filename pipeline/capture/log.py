@@ -85,6 +85,7 @@ class CaptureLog:
             "strobes": status.strobes,
             "vsyncs": status.vsyncs,
             "delivered_twice": burst.n_repeated,
+            "camera_clock_ppm": burst.camera_ppm,
         }
         self._write([*frames, end])
 

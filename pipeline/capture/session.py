@@ -64,6 +64,7 @@ class Summary:
     n_rejected: int
     recording: Path
     stopped: bool  # by its user
+    notes: tuple[str, ...]  # what could not be seen or held, a sentence each
 
 
 def capture(
@@ -122,7 +123,8 @@ def capture(
             stopped = True
         finally:
             bursts.close()
-    return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped)
+        notes = rig.notes
+    return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped, notes)
 
 
 class _Keeper:

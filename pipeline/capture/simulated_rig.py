@@ -26,7 +26,7 @@ _SIZE_PX = (640, 480)
 # The bust turns to one side and back.
 _SWING_DEG = 15.0
 _SWING_S = 2.0
-_POSES = 10
+_POSES = 6
 # How much dimmer the second picture is; see `hardware.pictures`.
 _DIM = 0.85
 
@@ -49,7 +49,7 @@ def simulated_instruments(
         The machine lacks the arch.
     """
     runtime.init(arch)
-    rig = simulated_rig(_SIZE_PX)
+    rig = simulated_rig(_SIZE_PX, code="contrast")
     geometry = rig.geometry()
     codes = make_pattern(geometry.projector.size_px, geometry.pattern)
     settings = SimulationSettings(exposure=1.0)

@@ -69,9 +69,7 @@ class Bench:
         self._pulse = -1  # that the trigger source makes now
         self._causes: int | None = None  # the pulse that exposes now; None: noise
         self._pictures = 0  # that reached the projector in this period
-        self._truth: list[
-            tuple[int, int | None, bool]
-        ] = []  # of every exposure: run, pulse, whether the picture is new
+        self.truth: list[tuple[int, int | None, bool]] = []  # of every exposure: run, pulse, whether the picture is new
         self._fault = Faulty()
         self._boot = 1
         self._held: CameraFrame | None = None
@@ -100,7 +98,7 @@ class Bench:
 
     def mispaired(self, burst: Burst) -> list[int]:
         """Return the pulses whose frame they did not expose, or that shows the picture before."""
-        seen = [self._truth[number_in(paired.frame.image)] for paired in burst.frames]
+        seen = [self.truth[number_in(paired.frame.image)] for paired in burst.frames]
         return [
             paired.pulse
             for paired, truth in zip(burst.frames, seen, strict=True)
@@ -160,8 +158,8 @@ class Bench:
         image = self._random.integers(90, 110, (HEIGHT, WIDTH, 3), dtype=np.uint8)
         if picture:
             image -= 15
-        image[0, 0] = np.frombuffer(len(self._truth).to_bytes(3, "little"), np.uint8)
-        self._truth.append((self._run, self._causes, self._pictures % 2 == 1))
+        image[0, 0] = np.frombuffer(len(self.truth).to_bytes(3, "little"), np.uint8)
+        self.truth.append((self._run, self._causes, self._pictures % 2 == 1))
         return image
 
     def _transport(self, frame: CameraFrame) -> None:
