@@ -48,7 +48,7 @@ def list_displays() -> list[DisplayInfo]:
 
     A process of its own asks, because a display server that hangs would hang this one.
     """
-    command = [sys.executable, "-c", "from hardware.display import _print_sizes; _print_sizes()"]
+    command = [sys.executable, "-P", "-c", "from hardware.display import _print_sizes; _print_sizes()"]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_LIST_TIMEOUT_S, check=True)
         return [DisplayInfo(number, (size[0], size[1])) for number, size in enumerate(json.loads(done.stdout))]
