@@ -48,7 +48,7 @@ def list_displays() -> list[DisplayInfo]:
 
     A process of its own asks, because a display server that hangs would hang this one.
     """
-    command = [sys.executable, "-c", "from hardware.display import _print_sizes; _print_sizes()"]
+    command = [sys.executable, "-P", "-c", "from hardware.display import _print_sizes; _print_sizes()"]
     try:
         done = subprocess.run(command, capture_output=True, timeout=_LIST_TIMEOUT_S, check=True)
         return [DisplayInfo(number, (size[0], size[1])) for number, size in enumerate(json.loads(done.stdout))]
@@ -178,8 +178,9 @@ class Display:
                 f"the desktop scales display {self.number} from {_times(self._window.size)} to {_times(self.size_px)}: "
                 "set its scaling to 100 %"
             )
-        bits = min(mask.bit_count() for mask in self._window.get_surface().get_masks()[:3])
-        if bits < 8:
+        # Of the display: the window's surface always has 8, and is converted. Unknown ones, as of depth 30, are all 0.
+        bits = min(mask.bit_count() for mask in self._pygame.display.Info().masks[:3])
+        if 0 < bits < 8:
             raise ProjectorError(
                 f"display {self.number} has {bits} bits a colour, and pictures 8: set its colour depth to 24 bits"
             )

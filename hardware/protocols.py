@@ -166,8 +166,11 @@ class Projector(Protocol):
     def identity(self) -> Identity:
         """What was found when it was opened."""
 
-    def power(self, on: bool, tell: Callable[[str], None]) -> None:
-        """Switch it on or off and wait until it is, which may take minutes; `tell` hears what it is doing."""
+    def power(self, on: bool, tell: Callable[[str], None]) -> bool:
+        """Switch it on or off and wait until it is, which may take minutes; `tell` hears what it is doing.
+
+        False: the command is sent, but this projector does not tell whether it is on.
+        """
 
     def input(self, source: str) -> None:
         """Choose what it shows, as its manual numbers them."""

@@ -3,9 +3,8 @@
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
 
-from cyclopts import App, Parameter
+from cyclopts import App
 from rich.console import Console
 from rich.table import Table
 
@@ -17,8 +16,6 @@ from pipeline.rig_file import read_rig
 
 _out = Console(markup=False, emoji=False)
 _err = Console(stderr=True, markup=False, emoji=False)
-
-Rig = Annotated[Path, Parameter(name="--rig")]
 
 projector = App(name="projector", help="Switch the rig's projector, over PJLink or InFocus's RS-232 commands.")
 
@@ -48,7 +45,7 @@ def project(picture: Path, /, *, display: int | None = None, seconds: float | No
 
 
 @projector.command
-def on(*, rig: Rig) -> None:
+def on(*, rig: Path) -> None:
     """Switch it on, and wait until it is.
 
     Example: colorphase projector on --rig rig.toml
@@ -62,7 +59,7 @@ def on(*, rig: Rig) -> None:
 
 
 @projector.command
-def off(*, rig: Rig) -> None:
+def off(*, rig: Path) -> None:
     """Switch it off, and wait until it has cooled.
 
     Parameters
@@ -74,7 +71,7 @@ def off(*, rig: Rig) -> None:
 
 
 @projector.command
-def blank(*, rig: Rig) -> None:
+def blank(*, rig: Path) -> None:
     """Show black, the lamp staying on.
 
     Parameters
@@ -87,7 +84,7 @@ def blank(*, rig: Rig) -> None:
 
 
 @projector.command
-def unblank(*, rig: Rig) -> None:
+def unblank(*, rig: Path) -> None:
     """Show the picture again.
 
     Parameters
@@ -100,7 +97,7 @@ def unblank(*, rig: Rig) -> None:
 
 
 @projector.command(name="input")
-def choose_input(source: str, /, *, rig: Rig) -> None:
+def choose_input(source: str, /, *, rig: Path) -> None:
     """Choose what it shows.
 
     Example: colorphase projector input 31 --rig rig.toml
@@ -117,7 +114,7 @@ def choose_input(source: str, /, *, rig: Rig) -> None:
 
 
 @projector.command
-def status(*, rig: Rig) -> None:
+def status(*, rig: Path) -> None:
     """Say what it does, and what is wrong with it.
 
     Parameters
@@ -145,8 +142,9 @@ def status(*, rig: Rig) -> None:
 def _switch(rig: Path, on: bool) -> None:
     with _opened(rig) as device, _err.status("asking") as shown:
         tell: Callable[[str], None] = shown.update
-        device.power(on, tell)
-    _out.print(f"the projector is {'on' if on else 'off'}")
+        sure = device.power(on, tell)
+    what = "the projector is" if sure else "the projector does not tell whether it is, but was told to be"
+    _out.print(f"{what} {'on' if on else 'off'}")
 
 
 @contextmanager

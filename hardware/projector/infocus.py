@@ -56,7 +56,8 @@ class InFocus:
         for rate in rates:
             self._link = Link(url, baud=rate or BAUDS[0], terminator=b")", timeout_s=ANSWER_S, error=ProjectorError)
             try:
-                if self._read("PWR") is not None:
+                if (power := self._read("PWR")) is not None:
+                    self._tells_power = power.value in _POWER
                     return
             except BaseException:
                 self._link.close()
@@ -68,14 +69,18 @@ class InFocus:
             "models need a null modem) and baud under [projector]"
         )
 
-    def power(self, on: bool, tell: Callable[[str], None] = lambda doing: None) -> None:
+    def power(self, on: bool, tell: Callable[[str], None] = lambda doing: None) -> bool:
         """Switch it on or off and wait until it says so; see `Projector`."""
 
         def command() -> bool:
             self._send(f"PWR{on:d}")
             return True
 
+        if not self._tells_power:
+            self._send(f"PWR{on:d}")
+            return False
         switch_power(on, self._power, command, tell)
+        return True
 
     def input(self, source: str) -> None:
         """Choose what it shows, as its manual numbers sources; see `Projector`."""

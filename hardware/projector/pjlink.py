@@ -65,7 +65,7 @@ class PJLink:
             session.ask("POWR", "?")  # what every projector answers, and what tells of a wrong password
             self.identity = Identity(session.told("INF1") or "", session.told("INF2") or "")
 
-    def power(self, on: bool, tell: Callable[[str], None] = lambda doing: None) -> None:
+    def power(self, on: bool, tell: Callable[[str], None] = lambda doing: None) -> bool:
         """Switch it on or off and wait until it is; see `Projector`."""
 
         def command() -> bool:
@@ -79,6 +79,7 @@ class PJLink:
             return True
 
         switch_power(on, self._power, command, tell)
+        return True
 
     def input(self, source: str) -> None:
         """Choose what it shows, as 31 for the first digital input; see `Projector`."""

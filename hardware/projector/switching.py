@@ -22,7 +22,7 @@ def switch_power(
     on : bool
         What is wanted.
     state : callable
-        Asks what it does now; None: it does not tell, and is taken to have obeyed.
+        Asks what it does now; None: it is busy, and silent.
     command : callable
         Sends the command; False: it cannot be taken now.
     tell : callable
@@ -44,7 +44,5 @@ def switch_power(
             )
         if not taken:
             taken = command()
-        elif now is None:
-            return
         tell(now if taken and now is not None else f"waiting to switch it {wanted}")
         time.sleep(POLL_S)

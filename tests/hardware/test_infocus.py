@@ -48,7 +48,8 @@ def test_power_however_it_is_told(answer, echo):
         device.switching_s = 0.1
         projector = InFocus(device.url)
         said = []
-        projector.power(True, said.append)
+        device.lost_answers = 1 + echo  # it is busy
+        assert projector.power(True, said.append) is True
         assert device.settings["PWR"] == 1
         assert said
         projector.power(False)
@@ -71,7 +72,8 @@ def test_a_power_state_of_its_own_is_not_guessed():
     with InFocusProjector(power_answer="(0-3,2)") as device:
         projector = InFocus(device.url)
         assert projector.status().power is None
-        projector.power(True)  # nothing tells when it is, so it only is sent
+        assert projector.power(True) is False  # nothing tells when it is, so it only is sent
+        assert projector.status().blank is False  # by now it has obeyed
         assert device.settings["PWR"] == 1
         projector.close()
 
