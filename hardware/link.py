@@ -142,18 +142,17 @@ class Link:
         """Take the next whole line from what arrived."""
         while True:
             line, end, rest = self._arrived.partition(self._terminator[-1:])
-            whole = bool(end) and not self._overlong and len(line) <= LONGEST_LINE
-            if end:
-                self._arrived = rest
-                self._overlong = False
-            elif len(line) > LONGEST_LINE:
-                self._arrived.clear()
-                self._overlong = True
             text = line.strip(b"\r\n").decode("ascii", errors="replace")
-            if whole and text.isascii() and text.isprintable():
-                return text
+            fits = not self._overlong and len(text) <= LONGEST_LINE
             if not end:
+                if not fits:
+                    self._arrived.clear()
+                    self._overlong = True
                 return None
+            self._arrived = rest
+            self._overlong = False
+            if fits and text.isascii() and text.isprintable():
+                return text
             self.damaged += 1
 
     def _read(self, wait: bool) -> bool:
@@ -187,6 +186,8 @@ class Link:
         scheme, separator, _ = self.url.lower().partition("://")
         if separator:
             self._check_address(scheme)
+        if baud < 1:  # 0 hangs up
+            raise self._error(f"{self.url} cannot be set to {baud} baud: use the instrument's own")
         try:
             port = serial.serial_for_url(
                 self.url,
@@ -230,7 +231,8 @@ class Link:
             return f"{self.url} is in use: close the other program that has it open"
         if code in (errno.EACCES, errno.EPERM):
             return f"{self.url} may not be opened: {self._permission()}"
-        return f"{self.url} is not a serial port that works ({text.rpartition('] ')[2]}): `colorphase devices` lists this machine's"
+        detail = text.rpartition("] ")[2]
+        return f"{self.url} is not a serial port that works ({detail}): `colorphase devices` lists this machine's"
 
     def _permission(self) -> str:
         """Return how to get the right to open the port."""

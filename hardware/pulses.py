@@ -1,6 +1,8 @@
 """A burst of numbered pulses at projector and camera, and whether a trigger source can make it."""
 
+import math
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 from hardware.errors import RigError
 
@@ -44,37 +46,53 @@ def fitted(train: PulseTrain, limits: TriggerLimits) -> PulseTrain:
     ------
     RigError
         It is impossible; the message names the time, the limit and what to change.
-    """
 
-    def rounded(time_s: float) -> float:
-        return round(time_s / limits.tick_s) * limits.tick_s
+    Notes
+    -----
+    Times are compared in whole ticks, and every time is taken for the decimal number that it is written as: 3e-7 s is
+    thirty ticks of 1e-8 s, although their quotient as floats is less.
+    """
+    tick = _exact(limits.tick_s)
+
+    def ticks(name: str, time_s: float) -> int:
+        if not math.isfinite(time_s):
+            raise RigError(f"the {name} is {time_s} s: give a number of seconds")
+        return round(_exact(time_s) / tick)
+
+    def seconds(ticks: int) -> float:
+        return float(ticks * tick)
 
     if train.count is not None and not 1 <= train.count <= limits.max_count:
         raise RigError(f"{train.count} pulses a burst: this trigger source makes 1 to {limits.max_count}")
-    period_s = rounded(train.period_s)
-    if not limits.min_period_s <= period_s <= limits.max_period_s:
+    period = ticks("period", train.period_s)
+    if not limits.min_period_s <= seconds(period) <= limits.max_period_s:
         raise RigError(
             f"a period of {train.period_s:g} s: this trigger source makes {limits.min_period_s:g} to "
             f"{limits.max_period_s:g} s"
         )
 
     def fitted_pulse(name: str, asked: Pulse) -> Pulse:
-        pulse = Pulse(rounded(asked.delay_s), rounded(asked.width_s))
-        if pulse.delay_s < 0:
+        delay, width = ticks(f"{name}'s delay", asked.delay_s), ticks(f"{name}'s width", asked.width_s)
+        if delay < 0:
             raise RigError(f"the {name}'s delay is {asked.delay_s:g} s: it must not be negative")
-        if pulse.width_s < limits.min_width_s:
+        if seconds(width) < limits.min_width_s:
             raise RigError(f"the {name}'s pulse is {asked.width_s:g} s wide: make it {limits.min_width_s:g} s or more")
-        gap_s = period_s - pulse.delay_s - pulse.width_s
+        gap_s = seconds(period - delay - width)
         if gap_s < limits.min_gap_s:
             raise RigError(
                 f"the {name}'s pulse ends {gap_s:g} s before the period does: leave {limits.min_gap_s:g} s or more, "
                 "with a longer period, a shorter delay or a shorter width"
             )
-        return pulse
+        return Pulse(seconds(delay), seconds(width))
 
     return replace(
         train,
-        period_s=period_s,
+        period_s=seconds(period),
         projector=fitted_pulse("projector", train.projector),
         camera=fitted_pulse("camera", train.camera),
     )
+
+
+def _exact(time_s: float) -> Fraction:
+    """Return the decimal number that a float is written as."""
+    return Fraction(repr(float(time_s)))

@@ -1,0 +1,94 @@
+"""Questions to an instrument that answers each of them with one line, in their order."""
+
+import re
+import time
+
+from hardware.errors import TriggerError
+from hardware.link import Link
+from hardware.protocols import Identity
+
+#: An instrument that is busy, or was asked for its name by noise, may swallow the first questions.
+TRIES = 3
+
+
+class Dialogue:
+    """Questions and answers that stay in step: after an answer that did not come, or makes no sense, the name is asked.
+
+    Parameters
+    ----------
+    link
+        The open line.
+    name
+        A pattern of the whole answer to ``*IDN?``, with the groups maker, model, serial and firmware.
+    instrument
+        What is expected there, in words.
+
+    Raises
+    ------
+    TriggerError
+        Nothing answers, or something else does.
+    """
+
+    def __init__(self, link: Link, name: str, instrument: str) -> None:
+        self.link = link
+        self._instrument = instrument
+        self._in_step = False
+        self._name = ""
+        other = ""
+        for _ in range(TRIES):
+            link.settle()
+            link.send("*IDN?")
+            while (line := link.receive(min(1.0, link.timeout_s))) is not None:
+                if match := re.fullmatch(name, line):
+                    self._name = line
+                    self.identity = Identity(**match.groupdict())
+                    self._in_step = True
+                    return
+                if line.count(",") >= 2:  # a name; what else comes is an echo, or was meant for somebody before
+                    other = line
+            if other:
+                raise TriggerError(
+                    f"{link.url}: this is {other!r}, not a {instrument}: correct the trigger's port or driver"
+                )
+        raise TriggerError(
+            f"{link.url}: no {instrument} answers: is it on, its cable in, this its remote interface, the baud rate "
+            "its own?"
+        )
+
+    def ask(self, question: str, answer: str, *, once: bool = False) -> str:
+        """Return the answer, which must match a pattern; what comes to nothing is asked again, unless only once."""
+        for _ in range(1 if once else 2):
+            if not self._in_step:
+                self._catch_up()
+            while self.link.receive(0) is not None:  # left over
+                pass
+            self.link.send(question)
+            said = self._next(question, time.monotonic() + self.link.timeout_s)
+            if said is not None and re.fullmatch(answer, said):
+                return said
+            self._in_step = False
+        if said is None:
+            raise TriggerError(f"{self.link.url}: the {self._instrument} does not answer {question!r}: is it still on?")
+        raise TriggerError(
+            f"{self.link.url}: the {self._instrument} answers {question!r} with {said!r}, which makes no sense: is the "
+            "cable good, and no other program on the port?"
+        )
+
+    def _next(self, question: str, deadline: float) -> str | None:
+        """Return the next line that is not the question itself, as an instrument with echo on sends it back."""
+        while (line := self.link.receive(max(0.0, deadline - time.monotonic()))) is not None:
+            if line not in (question, ""):
+                return line
+        return None
+
+    def _catch_up(self) -> None:
+        """Wait until the instrument says its name: every answer before that is to an older question."""
+        for _ in range(2):  # noise in front of the first one may spoil it
+            self.link.settle()
+            self.link.send("*IDN?")
+            deadline = time.monotonic() + self.link.timeout_s
+            while (line := self._next("*IDN?", deadline)) is not None:
+                if line == self._name:
+                    self._in_step = True
+                    return
+        raise TriggerError(f"{self.link.url}: the {self._instrument} does not answer any more: is it still on?")
