@@ -10,7 +10,7 @@
 
 void line_init(void);
 
-// Lines that arrived damaged since the start.
+// Lines that arrived damaged since ARM.
 extern uint16_t line_garbled;
 
 enum arrival { NOTHING, REQUEST, GARBLED };

@@ -136,10 +136,9 @@ INLINE void matched(struct output *output, const struct unit *unit)
         if (output == &camera)
             output->rise += train.period;
     }
-    if (late) {
-        PORTB &= ~(PROJECTOR_PIN | CAMERA_PIN);
-        TCCR1A = 0;
-        projector.active = camera.active = false;
+    if (late) { // pulses_poll tells it; not called, so that no registers are saved for it
+        release(&projector, &projector_unit);
+        release(&camera, &camera_unit);
     }
 }
 
@@ -309,6 +308,13 @@ void pulses_stop(enum state why)
     }
 }
 
+static void poll_strobes(void)
+{
+    uint8_t seen = strobes_logged;
+    strobes += (uint8_t)(seen - strobes_seen);
+    strobes_seen = seen;
+}
+
 // Look at the inputs, every 128 us at most.
 static void poll_inputs(void)
 {
@@ -326,10 +332,8 @@ static void poll_inputs(void)
         else
             TIMSK1 &= ~_BV(ICIE1);
     }
-    uint8_t seen = strobes_logged;
-    strobes += (uint8_t)(seen - strobes_seen);
-    strobes_seen = seen;
-    seen = TCNT0;
+    poll_strobes();
+    uint8_t seen = TCNT0;
     if (state == RUNNING && train.vsync)
         vsyncs += (uint8_t)(seen - vsyncs_seen);
     vsyncs_seen = seen;
@@ -365,7 +369,8 @@ static uint32_t begun(const struct output *output)
 
 void pulses_counts(struct counts *counts)
 {
-    counts->strobes = strobes; // before the pulses, of which there must not be fewer
+    poll_strobes(); // before the pulses, of which there must not be fewer
+    counts->strobes = strobes;
     counts->projector = begun(&projector);
     counts->camera = begun(&camera);
     counts->vsyncs = vsyncs;

@@ -60,6 +60,7 @@ static void put_state(void)
 
 static void put_train(void)
 {
+    put_boot();
     const struct train *train = pulses_train();
     NUMBER(" period=", train->period);
     NUMBER(" count=", train->count);
@@ -178,8 +179,8 @@ static void arm(const char *words)
         return;
     }
     pulses_arm();
+    line_garbled = 0;
     TEXT(" OK");
-    put_boot();
     put_train();
 }
 
