@@ -35,7 +35,7 @@ def line(text: str) -> str:
 
 
 def exchanges(*conversation: tuple[str, str]) -> Iterator[tuple[bytes, bytes]]:
-    """Number requests and answers and give them a CRC; an answer that is empty or ends a line is sent as it is."""
+    """Give requests and answers their number and CRC; an answer that is empty or ends a line is sent as it is."""
     for number, (request, answer) in enumerate(conversation, start=1):
         if answer and not answer.endswith("\n"):
             answer = line(f"{number:03d} {answer}")
@@ -122,7 +122,7 @@ def test_what_it_boots_with_is_waited_for():
 def test_answers_to_others_are_not_taken():
     """Late, damaged, for people, cut, or meant for another number."""
     noise = (
-        "01 OK\n" + line("! END state=DONE pulses=9") + line("002 OK state=DONE") + "\x07\n" + "003 OK tick_ns=1*00\n"
+        "01 OK\n" + line("! END state=DONE pulses=9") + line("001 OK state=DONE") + "\x07\n" + "003 OK tick_ns=1*00\n"
     )
     with conversation(("ID", NAME), ("LIMITS", noise + line(f"002 {LIMITS}")), status()) as link:
         box = TriggerBox(link)
