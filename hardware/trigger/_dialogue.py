@@ -12,11 +12,13 @@ from hardware.protocols import Identity
 TRIES = 3
 #: How long a name may take: at 4800 baud, the longest takes 0.15 s on its way.
 NAME_S = 0.6
+#: Lines over USB or a network come with pauses of some hundredths of a second in them.
+QUIET_S = 0.1
 
 
 def names(link: Link) -> Iterator[str]:
     """Ask for the name; yield what comes and can be one, not an echo or what was meant for somebody before."""
-    link.settle()
+    link.settle(QUIET_S)
     link.send("*IDN?")
     while (line := link.receive(NAME_S)) is not None:
         if line.count(",") >= 2:
@@ -89,7 +91,7 @@ class Dialogue:
     def _catch_up(self) -> None:
         """Wait until the instrument says its name: every answer before that is to an older question."""
         for _ in range(2):  # noise in front of the first one may spoil it
-            self.link.settle()
+            self.link.settle(QUIET_S)
             self.link.send("*IDN?")
             deadline = time.monotonic() + self.link.timeout_s
             while (line := self._next("*IDN?", deadline)) is not None:

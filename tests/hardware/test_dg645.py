@@ -9,6 +9,7 @@ from hardware.errors import RigError, TriggerError
 from hardware.link import Link
 from hardware.protocols import Identity, Trigger, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
+from hardware.trigger import _dialogue
 from hardware.trigger.dg645 import DG645, TERMINATOR
 
 pytestmark = pytest.mark.timeout(30)
@@ -137,6 +138,12 @@ def test_what_is_impossible_is_refused_before_anything_is_sent(train):
 
 
 # What follows speaks to the emulator.
+
+
+@pytest.fixture(autouse=True)
+def little_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing here comes with pauses in it that are longer."""
+    monkeypatch.setattr(_dialogue, "QUIET_S", 0.03)
 
 
 @pytest.fixture

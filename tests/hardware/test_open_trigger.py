@@ -29,6 +29,7 @@ TRAIN = PulseTrain(0.005, 3, Pulse(0.0, 0.0001), Pulse(0.001, 0.00025))
 def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let silence be found soon."""
     monkeypatch.setattr(_dialogue, "NAME_S", 0.1)
+    monkeypatch.setattr(_dialogue, "QUIET_S", 0.03)
 
 
 @pytest.mark.parametrize(

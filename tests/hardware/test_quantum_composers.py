@@ -9,6 +9,7 @@ from hardware.errors import RigError, TriggerError
 from hardware.link import Link
 from hardware.protocols import Identity, Trigger, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
+from hardware.trigger import _dialogue
 from hardware.trigger.quantum_composers import TERMINATOR, QuantumComposers
 
 pytestmark = pytest.mark.timeout(30)
@@ -180,6 +181,12 @@ def test_its_relatives_are_taken(name):
 
 
 # What follows speaks to the emulator.
+
+
+@pytest.fixture(autouse=True)
+def little_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing here comes with pauses in it that are longer."""
+    monkeypatch.setattr(_dialogue, "QUIET_S", 0.03)
 
 
 @pytest.fixture
