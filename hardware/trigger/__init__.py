@@ -6,6 +6,7 @@ from hardware.errors import RigError, TriggerError
 from hardware.link import Link
 from hardware.protocols import Trigger
 from hardware.settings import TriggerSettings
+from hardware.trigger._dialogue import names
 
 
 def open_trigger(settings: TriggerSettings) -> Trigger:
@@ -57,7 +58,8 @@ def _opened(
     for each in bauds:
         link = Link(port, baud=each, terminator=terminator)
         try:
-            if len(bauds) == 1 or _says_its_name(link):
+            # The first question may run into what another baud rate left there.
+            if len(bauds) == 1 or any(name for _ in range(2) for name in names(link)):
                 return driver(link)
         except BaseException:
             link.close()
@@ -67,14 +69,3 @@ def _opened(
     raise TriggerError(
         f"{port}: nothing answers at {tried} baud: is the instrument on, its cable in, this its remote interface?"
     )
-
-
-def _says_its_name(link: Link) -> bool:
-    """Return whether something says its name; the first question may run into what another baud rate left there."""
-    for _ in range(2):
-        link.settle()
-        link.send("*IDN?")
-        while (line := link.receive(0.5)) is not None:
-            if line.count(",") >= 2:
-                return True
-    return False
