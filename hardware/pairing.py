@@ -48,7 +48,8 @@ class Evidence:
     previous: CameraFrame | None  # the frame of the pulse before the first
     armed: TriggerStatus  # before the burst
     ended: TriggerStatus  # now
-    strobes: Sequence[Strobe] | None  # of these pulses; None: they are not wired, or not remembered
+    strobes: Sequence[Strobe] | None  # of these pulses; None: they are not wired
+    picture_a_pulse: bool  # whether the projector reports every picture that a pulse made it show
 
 
 def find_faults(seen: Evidence) -> list[Fault]:
@@ -67,6 +68,10 @@ def _trigger_faults(seen: Evidence) -> list[Fault]:
         found.append(Fault("the trigger source restarted in mid-burst: check its power supply"))
     elif seen.train.count is not None and seen.ended.pulses not in (None, seen.train.count):
         found.append(Fault(f"the trigger source made only {seen.ended.pulses} pulses", seen.ended.pulses))
+    # While pulses run on, the projector may not have answered the last one yet.
+    n, vsyncs, running = seen.ended.pulses, seen.ended.vsyncs, seen.train.count is None
+    if seen.picture_a_pulse and n is not None and vsyncs is not None and not n - running <= vsyncs <= n + running:
+        found.append(Fault(f"the projector reported {vsyncs} pictures to {n} pulses: check its trigger cable"))
     return found + [Fault(f"the trigger source says: {complaint}") for complaint in seen.ended.complaints]
 
 

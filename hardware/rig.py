@@ -293,6 +293,7 @@ class Rig:
                 armed=run.armed,
                 ended=status,
                 strobes=strobes,
+                picture_a_pulse=self.settings.trigger.vsync == "per-pulse",
             )
         )
         if found and behind_s > _BEHIND_S:

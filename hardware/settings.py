@@ -28,8 +28,9 @@ class TriggerSettings(_Section):
     """Which one goes to the camera; None: the second."""
     strobe: bool = False
     """Whether the camera's exposure output is wired to the trigger source, which then counts exposures."""
-    vsync: bool = False
-    """Whether the projector's sync output is wired to the trigger source, which then counts pictures."""
+    vsync: Literal["free-running", "per-pulse"] | None = None
+    """Whether the projector's sync output is wired to the trigger source, which then counts its pictures: it shows so
+    many a second ("free-running"), or one to every pulse ("per-pulse"), so that a lost one is seen."""
 
 
 class TimingSettings(_Section):

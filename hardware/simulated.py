@@ -35,7 +35,7 @@ _TRIGGER_LIMITS = TriggerLimits(
     min_gap_s=50e-6,
     max_count=2**32 - 1,
     counts_strobes=True,
-    counts_vsyncs=False,
+    counts_vsyncs=True,
 )
 # Of a camera with a global shutter that reads out 480 rows.
 _READOUT_S = 2e-3
@@ -61,6 +61,7 @@ class SimulatedTrigger:
         self._pulses = 0
         self._started_s = 0.0  # of the burst, by its own clock
         self._strobes: list[Strobe] = []
+        self._vsyncs = 0
 
     def configure(self, train: PulseTrain) -> PulseTrain:
         """Set a burst up; see `Trigger`."""
@@ -75,6 +76,7 @@ class SimulatedTrigger:
         self._stop()
         self._pulses = 0
         self._strobes = []
+        self._vsyncs = 0
 
     def fire(self) -> None:
         """Start the burst; see `Trigger`."""
@@ -88,7 +90,7 @@ class SimulatedTrigger:
     def status(self) -> TriggerStatus:
         """Return what became of the burst; see `Trigger`."""
         running = self._thread is not None and self._thread.is_alive()
-        return TriggerStatus(running, self._pulses, len(self._strobes), boot=1)
+        return TriggerStatus(running, self._pulses, len(self._strobes), self._vsyncs, boot=1)
 
     def strobes(self) -> tuple[Strobe, ...]:
         """Return the exposures of the last burst; see `Trigger`."""
@@ -112,6 +114,10 @@ class SimulatedTrigger:
         """Take an exposure that the camera reports."""
         self._strobes.append(Strobe(self._pulses - 1, time_s - self._started_s))
 
+    def vsync(self, time_s: float) -> None:
+        """Take a picture that the projector reports."""
+        self._vsyncs += 1
+
     def _run(self, train: PulseTrain) -> None:
         pulse = 0
         outputs = sorted(((train.projector.delay_s, "projector"), (train.camera.delay_s, "camera")), reverse=True)
@@ -134,10 +140,12 @@ class SimulatedProjector:
 
     def __init__(self) -> None:
         self.picture = 0
+        self.sync: Wire = lambda time_s: None
 
     def pulse(self, time_s: float) -> None:
         """Show the other picture."""
         self.picture = 1 - self.picture
+        self.sync(time_s)
 
 
 class MemoryCamera:
@@ -257,7 +265,7 @@ class SimulatedInstruments:
         size_px, format
             Of these frames.
         settings : RigSettings
-            The exposure, and whether the exposure output is wired.
+            The exposure, and which outputs of camera and projector are wired back.
         """
         trigger, projector = SimulatedTrigger(), SimulatedProjector()
         camera = MemoryCamera(
@@ -266,4 +274,6 @@ class SimulatedInstruments:
         trigger.projector, trigger.camera = projector.pulse, camera.pulse
         if settings.trigger.strobe:
             camera.strobe = trigger.strobe
+        if settings.trigger.vsync:
+            projector.sync = trigger.vsync
         return cls(trigger, projector, camera)

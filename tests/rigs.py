@@ -43,10 +43,12 @@ class Faulty:
         return replace(self, late_frame=frozenset(), repeated_frame=frozenset()) == Faulty()
 
 
-def settings(*, strobe: bool = True, alternating: bool = True, frames: int = FRAMES, **timing: Any) -> RigSettings:
+def settings(
+    *, strobe: bool = True, vsync: str | None = None, alternating: bool = True, frames: int = FRAMES, **timing: Any
+) -> RigSettings:
     return RigSettings.model_validate(
         {
-            "trigger": {"driver": "simulated", "strobe": strobe},
+            "trigger": {"driver": "simulated", "strobe": strobe, "vsync": vsync},
             "timing": {"period_s": PERIOD_S, "frames": frames, "camera_delay_s": 2e-4, **timing},
             "camera": {"driver": "simulated", "exposure_s": 5e-4},
             "projector": {"alternating": alternating},

@@ -29,7 +29,7 @@ def open_trigger(settings: TriggerSettings) -> Trigger:
         from hardware.trigger.box import TriggerBox  # type: ignore[import-not-found, unused-ignore]
 
         def box(link: Link) -> Trigger:
-            return TriggerBox(link, strobe=settings.strobe, vsync=settings.vsync)  # type: ignore[no-any-return, unused-ignore]
+            return TriggerBox(link, strobe=settings.strobe, vsync=settings.vsync is not None)  # type: ignore[no-any-return, unused-ignore]
 
         return _opened(settings.port, settings.baud, (115200,), b"\n", box)
     if settings.strobe or settings.vsync:

@@ -97,6 +97,17 @@ def test_every_fault_is_seen_and_the_burst_repeated(name, endless):
     assert bench.n_opened == (2 if "unplugged" in name else 1)
 
 
+@pytest.mark.parametrize("endless", [False, True])
+@pytest.mark.parametrize(
+    "fault, n", [(Faulty(lost_picture=frozenset({1, 3})), 4), (Faulty(extra_picture=frozenset({1, 3})), 8)]
+)
+def test_pictures_that_are_reported_tell_of_a_lost_pulse(fault, n, endless):
+    bench = Bench(settings(alternating=False, vsync="per-pulse"), [fault])
+    with bench.rig() as rig:
+        assert bench.mispaired(next(rig.bursts(endless=endless))) == []
+    assert f"the projector reported {n}" in str(bench.rejected[0].faults[0])
+
+
 def test_a_cable_that_is_not_there_is_named():
     bench = Bench(settings(alternating=False), [Faulty(lost_trigger=frozenset(range(9)))])
     assert bench.mispaired(burst_of(bench)) == []
