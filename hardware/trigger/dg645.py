@@ -60,7 +60,7 @@ BUSY, BURST = 1 << 1, 1 << 2
 COMPLAINTS = {
     RATE: "a trigger came while the DG645 was busy, and was lost: make the period longer",
     INHIBIT: "the DG645's inhibit input held a trigger back",
-    ABORT: "the DG645 broke its burst off",
+    ABORT: "the DG645 broke a cycle off",
     PLL_UNLOCKED: "the DG645's clock is not locked to its reference",
     RUBIDIUM_UNLOCKED: "the DG645's rubidium clock is not locked",
 }
