@@ -205,7 +205,10 @@ class DG645:
         )
 
     def _read_registers(self) -> bool:
-        """Note what the registers tell, which reading clears, and return whether a burst is under way."""
+        """Note what the registers tell, and return whether a burst is under way.
+
+        Reading clears them: what was in an answer that is lost is lost too, and a burst then counts as unfinished.
+        """
         running = int(self._dialogue.ask("*STB?", r"\d+")) & (BUSY | BURST) != 0
         self._events |= int(self._dialogue.ask("INSR?", r"\d+"))
         if int(self._dialogue.ask("*ESR?", r"\d+")) & POWER_ON:
