@@ -60,7 +60,7 @@ BUSY, BURST = 1 << 1, 1 << 2
 COMPLAINTS = {
     RATE: "a trigger came while the DG645 was busy, and was lost: make the period longer",
     INHIBIT: "the DG645's inhibit input held a trigger back",
-    ABORT: "the DG645 broke its burst off",
+    ABORT: "the DG645 broke a cycle off",
     PLL_UNLOCKED: "the DG645's clock is not locked to its reference",
     RUBIDIUM_UNLOCKED: "the DG645's rubidium clock is not locked",
 }
@@ -205,7 +205,10 @@ class DG645:
         )
 
     def _read_registers(self) -> bool:
-        """Note what the registers tell, which reading clears, and return whether a burst is under way."""
+        """Note what the registers tell, and return whether a burst is under way.
+
+        Reading clears them: what was in an answer that is lost is lost too, and a burst then counts as unfinished.
+        """
         running = int(self._dialogue.ask("*STB?", r"\d+")) & (BUSY | BURST) != 0
         self._events |= int(self._dialogue.ask("INSR?", r"\d+"))
         if int(self._dialogue.ask("*ESR?", r"\d+")) & POWER_ON:

@@ -222,7 +222,16 @@ def test_closing_stops_it(generator, device):
 
 
 @pytest.mark.parametrize(
-    "left", ["TSRC 0", "DLAY 2,0,3;DLAY 3,2,4", "DLAY 6,0,1;DLAY 4,6,0", "BURD 5", "ADVT 1", "LPOL 1,0;LPOL 2,0"]
+    "left",
+    [
+        "TSRC 0",
+        "DLAY 4,0,30;TSRC 0",
+        "DLAY 2,0,3;DLAY 3,2,4",
+        "DLAY 6,0,1;DLAY 4,6,0",
+        "BURD 5",
+        "ADVT 1",
+        "LPOL 1,0;LPOL 2,0",
+    ],
 )
 def test_whatever_it_was_set_to_before(device, left):
     link = Link(device.url, terminator=TERMINATOR)
@@ -257,14 +266,33 @@ def test_an_inhibited_trigger_is_told(generator, device):
     assert "did not come to the end of a burst" in status.complaints[1]
 
 
-def test_a_burst_that_somebody_breaks_off_is_told(generator, device):
+def test_a_burst_that_somebody_ends_is_told(generator, device):
     generator.configure(PulseTrain(0.1, 50, TRAIN.projector, TRAIN.camera))
     generator.arm()
     generator.fire()
-    device.answer("DLAY 9,8,1e-6")  # at its panel
+    device.answer("BURM 0")  # at its panel
+    wait(lambda: not generator.status().running)
+    assert "did not come to the end of a burst" in generator.status().complaints[-1]
+
+
+def test_a_cycle_that_somebody_breaks_off_is_told(generator, device):
+    generator.configure(PulseTrain(5.0, 2, TRAIN.projector, Pulse(3.0, 1.0)))
+    generator.arm()
+    generator.fire()
+    device.answer("DLAY 9,8,1e-6")
     status = generator.status()
-    assert not status.running
-    assert "broke its burst off" in status.complaints[0]
+    assert status.running
+    assert status.complaints == ("the DG645 broke a cycle off",)
+
+
+@pytest.mark.parametrize("count", [1, 2, None])
+def test_a_long_cycle_is_aborted_at_once(generator, device, count):
+    generator.configure(PulseTrain(50.0, count, TRAIN.projector, Pulse(30.0, 10.0)))
+    generator.arm()
+    generator.fire()
+    assert generator.status().running
+    generator.abort()
+    assert not device.running
 
 
 @pytest.mark.parametrize("forgets", [False, True])
@@ -360,7 +388,8 @@ def test_arming_what_was_not_configured(generator):
 
 def test_what_does_not_stop_is_told(generator, device, monkeypatch):
     monkeypatch.setattr("hardware.trigger.dg645.STOPPED_S", 0.05)
-    monkeypatch.setattr(device, "_stop", lambda: None)
+    for way in ("_stop", "_break_off", "_end_with_this_cycle"):
+        monkeypatch.setattr(device, way, lambda: None)
     generator.configure(PulseTrain(0.1, 50, TRAIN.projector, TRAIN.camera))
     generator.arm()
     generator.fire()

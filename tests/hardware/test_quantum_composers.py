@@ -283,8 +283,9 @@ def test_a_restart_between_bursts_is_made_good(generator, device):
 
 
 @pytest.mark.parametrize("fault", ["restart", "press_stop"])
-def test_a_burst_that_was_cut_short_is_told(generator, device, fault):
-    generator.configure(PulseTrain(0.1, 50, TRAIN.projector, TRAIN.camera))
+@pytest.mark.parametrize("count", [50, None])
+def test_a_burst_that_was_cut_short_is_told(generator, device, fault, count):
+    generator.configure(PulseTrain(0.1, count, TRAIN.projector, TRAIN.camera))
     generator.arm()
     generator.fire()
     assert generator.status().running

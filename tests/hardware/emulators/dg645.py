@@ -4,8 +4,9 @@ Commands end with LF or CR, several on a line are separated by semicolons; lette
 Only queries are answered, CR LF behind; errors wait in a queue of twenty for ``LERR?``.
 
 The manual's summary does not say, and this emulator assumes: a delay cycle takes 60 ns longer than its longest delay,
-and a cycle that is due before that is left out (RATE); setting a delay, or the burst mode, ends what runs (ABORT);
-settings outlive a power cycle, unless `forgets` is set.
+and a cycle that is due before that is left out (RATE); setting a delay breaks off the cycle that is under way (ABORT),
+after which a burst, or internal triggering, goes on; setting the burst, or the trigger's source, lets them end with
+that cycle; settings outlive a power cycle, unless `forgets` is set.
 """
 
 import re
@@ -37,8 +38,6 @@ SETTINGS: dict[str, tuple[float, float, float]] = {
 }
 #: The same for what each output has, 0 T0, 1 AB, 2 CD, 3 EF, 4 GH.
 OUTPUTS: dict[str, tuple[float, float, float]] = {"LAMP": (2.5, 0.5, 5.0), "LOFF": (0.0, -2.0, 2.0), "LPOL": (1, 0, 1)}
-#: What stops the pulses when it is set.
-STOPPING = ("DLAY", "BURM", "BURC", "BURP", "BURD", "TSRC")
 
 
 class DG645Emulator(Emulator):
@@ -115,8 +114,12 @@ class DG645Emulator(Emulator):
     def _obeyed(self, name: str, query: bool, arguments: list[str]) -> str | None:
         if name.startswith("*") or name in ("LERR", "INSR"):
             return self._common(name, query, arguments)
-        if name in STOPPING and not query:
-            self._stop()
+        if not query and name == "DLAY":
+            self._break_off()
+        elif not query and name.startswith("BUR") and self._bursting:
+            self._end_with_this_cycle()
+        elif not query and name == "TSRC" and not self._bursting:
+            self._end_with_this_cycle()
         if name in SETTINGS:
             return self._one(self._settings, name, name, SETTINGS[name], query, arguments)
         if name in OUTPUTS:
@@ -151,6 +154,7 @@ class DG645Emulator(Emulator):
         if name == "TSRC" and value == 0:
             self._bursting = False
             self.bursts.append(Burst(self.now, 1 / self._settings["TRAT"], float("inf"), self._pulses()))
+            self._leave_out(self.bursts[-1])
         return None
 
     def _whole(self, arguments: list[str], low: int, high: int) -> int | None:
@@ -266,9 +270,13 @@ class DG645Emulator(Emulator):
             self.bursts.append(burst)
             self._followed = burst
             self._instrument |= TRIG
-            if burst.count > 1 and self._cycle_s(burst) > period_s:
-                self._instrument |= RATE
-                burst.period_s *= -(-self._cycle_s(burst) // period_s)  # every second one, or third, is left out
+            self._leave_out(burst)
+
+    def _leave_out(self, burst: Burst) -> None:
+        """Leave every second cycle out, or two of three, where one is due while another is under way."""
+        if burst.count > 1 and self._cycle_s(burst) > burst.period_s:
+            self._instrument |= RATE
+            burst.period_s *= -(-self._cycle_s(burst) // burst.period_s)
 
     def _pulses(self) -> dict[str, tuple[float, float]]:
         pulses = {}
@@ -281,6 +289,21 @@ class DG645Emulator(Emulator):
         if self.running:
             self.bursts[-1].stopped_s = self.now
             self._instrument |= ABORT
+        self._followed = None
+
+    def _break_off(self) -> None:
+        if not self._status() & BUSY:
+            return
+        self._instrument |= ABORT
+        if self._settings["TSRC"] != 0 and not self._bursting:
+            self.bursts[-1].stopped_s = self.now
+            self._followed = None
+
+    def _end_with_this_cycle(self) -> None:
+        if self.running:
+            burst = self.bursts[-1]
+            burst.count = max(0, (self.now - burst.start_s) // burst.period_s + 1)
+            self._bursting = False
             self._followed = None
 
     def _note(self) -> None:
