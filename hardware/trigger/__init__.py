@@ -26,10 +26,10 @@ def open_trigger(settings: TriggerSettings) -> Trigger:
     if chosen and settings.driver != "quantum-composers":
         raise RigError(f"trigger.{next(iter(chosen))}: the outputs of {settings.driver} are fixed; leave it out")
     if settings.driver == "box":
-        from hardware.trigger.box import TriggerBox  # type: ignore[import-not-found, unused-ignore]
+        from hardware.trigger.box import TriggerBox
 
         def box(link: Link) -> Trigger:
-            return TriggerBox(link, strobe=settings.strobe, vsync=settings.vsync is not None)  # type: ignore[no-any-return, unused-ignore]
+            return TriggerBox(link, strobe=settings.strobe, vsync=settings.vsync is not None)
 
         return _opened(settings.port, settings.baud, (115200,), b"\n", box)
     if settings.strobe or settings.vsync:
