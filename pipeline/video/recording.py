@@ -6,7 +6,6 @@ import secrets
 import shutil
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -26,9 +25,9 @@ from pipeline.video.zarr_recording import ZarrWriter
 from tikernels.errors import ShapeError
 from tikernels.pixel_format import PixelFormat
 
-# Frames in hand, waiting and being written: some 80 ms at 200 frames a second, which is what other programs take a core
-# for; of large frames what fits into this many bytes.
-_MOST_IN_HAND, _IN_HAND_BYTES = 16, 256_000_000
+# Frames in hand, waiting and being written: 0.3 s at 200 frames a second, for which a busy disk may stall; of large
+# frames what fits into this many bytes.
+_MOST_IN_HAND, _IN_HAND_BYTES = 64, 128_000_000
 # A disk that has not taken a single frame for so long is gone.
 _PATIENCE_S = 30.0
 # So long the frame that is just being written may take when a recording is to end.
@@ -269,7 +268,8 @@ class _Crew:
         self._open = open
         self._writer: _Writer | None = None
         n_slots = min(_MOST_IN_HAND, max(n_threads + 1, _IN_HAND_BYTES // like.nbytes))
-        self._free = deque(np.empty(like.shape, like.dtype) for _ in range(n_slots))
+        # The last one that came back is taken first: memory that is not needed is never touched.
+        self._free = [np.empty(like.shape, like.dtype) for _ in range(n_slots)]
         self._waiting: SimpleQueue[npt.NDArray[Any] | _Commit | None] = SimpleQueue()  # None: wake up
         self._taking, self._done = threading.Lock(), threading.Condition()
         self._n_taken = 0  # frames, whose numbers this gives
@@ -291,7 +291,7 @@ class _Crew:
 
     def add(self, frame: npt.NDArray[Any]) -> None:
         self._wait(lambda: bool(self._free))
-        slot = self._free.popleft()
+        slot = self._free.pop()
         np.copyto(slot, frame)
         self._waiting.put(slot)
         self.n_added += 1
