@@ -11,14 +11,13 @@ CHUNK_KEYS: Any = {"name": "default", "separator": "."}
 # A quarter of the time of zarr's default, and smaller: `docs/video.md` has the table for results, `docs/footage.md` for
 # recordings.
 _NAME: Literal["lz4"] = "lz4"
-_LEVEL = 5
 
 
-def chunk_codec() -> Any:
-    """Return the codec of zarr by which chunks are compressed."""
+def chunk_codec(level: int) -> Any:
+    """Return the codec of zarr by which chunks are compressed, faster (1) or smaller (9)."""
     from zarr.codecs import BloscCodec  # slow to import, and only needed where something is stored
 
-    return BloscCodec(cname=_NAME, clevel=_LEVEL, shuffle="bitshuffle")
+    return BloscCodec(cname=_NAME, clevel=level, shuffle="bitshuffle")
 
 
 def chunk_key(number: int, n_axes: int) -> str:
@@ -26,16 +25,16 @@ def chunk_key(number: int, n_axes: int) -> str:
     return f"c.{number}" + ".0" * n_axes
 
 
-def encode_chunk(values: npt.NDArray[Any]) -> bytes:
+def encode_chunk(values: npt.NDArray[Any], level: int) -> bytes:
     """Return a frame's chunk as `chunk_codec` makes it; from any number of threads at once."""
     values = np.asarray(values, order="C")
-    chunk: bytes = _compressor().encode(values.astype(values.dtype.newbyteorder("<"), copy=False))
+    chunk: bytes = _compressor(level).encode(values.astype(values.dtype.newbyteorder("<"), copy=False))
     return chunk
 
 
 @functools.cache
-def _compressor() -> Any:
+def _compressor(level: int) -> Any:
     from numcodecs import Blosc
 
-    chunk_codec()  # its import keeps blosc to the thread that calls
-    return Blosc(_NAME, clevel=_LEVEL, shuffle=Blosc.BITSHUFFLE)
+    chunk_codec(level)  # its import keeps blosc to the thread that calls
+    return Blosc(_NAME, clevel=level, shuffle=Blosc.BITSHUFFLE)

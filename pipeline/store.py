@@ -53,6 +53,8 @@ _PHASE_STEP_RAD = 2.0**-14
 _NOISE_STEP = 0.1
 # A standard deviation is never known to 0.4 %.
 _SIGMA_BITS = 7
+# Of the compressor.
+_LEVEL = 5
 # A mark is its frame's record as JSON, padded with blanks: whoever finds another length finds a mark cut off.
 _MARK_BYTES = 1024
 _BLANK = 0x20
@@ -149,7 +151,7 @@ class ResultStore:
                     chunks=(1, *shape),
                     dtype=dtype,
                     fill_value=fill,
-                    compressors=None if name == DONE else chunk_codec(),
+                    compressors=None if name == DONE else chunk_codec(_LEVEL),
                     chunk_key_encoding=CHUNK_KEYS,
                     dimension_names=("frame", *axes),
                 )
@@ -172,7 +174,7 @@ class ResultStore:
             for name in self._fields:
                 values = np.asarray(_rounded(name, getattr(frame, name), frame))
                 # Unlike zarr never into a store that is gone.
-                self._put(name, chunk_key(number, values.ndim), encode_chunk(values))
+                self._put(name, chunk_key(number, values.ndim), encode_chunk(values, _LEVEL))
             self._put(DONE, chunk_key(number, 1), _mark(frame))
 
     def _put(self, name: str, key: str, content: bytes) -> None:

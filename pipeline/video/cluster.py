@@ -4,16 +4,15 @@ import asyncio
 import logging
 import os
 import secrets
-import signal
 import socket
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from multiprocessing import resource_tracker
 from typing import Any
 from urllib.parse import urlsplit
 
 from pipeline.errors import ClusterError
+from pipeline.processes import deaf_children
 from pipeline.video.job import Job
 from pipeline.video.worker import Chain, Report, Worker
 
@@ -155,7 +154,7 @@ def local_cluster(n_workers: int) -> Iterator[Any]:
     with (
         # Dask makes the C library give all memory back at once: asking for it anew took a fifth of a worker's time.
         dask.config.set({"distributed.nanny.pre-spawn-environ": {}}),
-        _deaf_children() as hear,
+        deaf_children() as hear,
         distributed.LocalCluster(
             n_workers=0,
             threads_per_worker=1,
@@ -176,25 +175,6 @@ def local_cluster(n_workers: int) -> Iterator[Any]:
         except TimeoutError:
             raise ClusterError(f"{n_workers} processes did not start within {_START_S} s: ask for fewer") from None
         yield cluster
-
-
-@contextmanager
-def _deaf_children() -> Iterator[Callable[[], None]]:
-    """Keep Ctrl-C from the processes that are started by threads which begin before `hear` is called."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield lambda: None
-        return
-    # Where the first process is started it would let Ctrl-C through again.
-    resource_tracker.ensure_running()
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-
-    def hear() -> None:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-    try:
-        yield hear
-    finally:
-        hear()
 
 
 def _decode_task(chains: Sequence[Chain], job: Job, run: str) -> list[Report]:

@@ -6,11 +6,12 @@ import secrets
 import shutil
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,15 +25,17 @@ from pipeline.video.zarr_recording import ZarrWriter
 from tikernels.errors import ShapeError
 from tikernels.pixel_format import PixelFormat
 
-# Frames in hand, waiting and being written: some 80 ms at 200 frames a second, which is what other programs take a core
-# for; of large frames what fits into this many bytes.
-_MOST_IN_HAND, _IN_HAND_BYTES = 16, 256_000_000
+# Frames in hand, waiting and being written: 0.3 s at 200 frames a second, for which a busy disk may stall; of large
+# frames what fits into this many bytes.
+_MOST_IN_HAND, _IN_HAND_BYTES = 64, 128_000_000
 # A disk that has not taken a single frame for so long is gone.
 _PATIENCE_S = 30.0
 # So long the frame that is just being written may take when a recording is to end.
 _END_S = 10.0
 # No lossless coder makes noise larger than this.
-_LARGEST = 1.25
+_LARGEST = 1.5
+# The caller's thread looks so often for what it waits for.
+_POLL_S = 0.0005
 # What a file system, the list of frames and other programs need.
 _SPARE_BYTES = 64_000_000
 
@@ -106,7 +109,7 @@ class Recorder:
         """How many frames it holds: those added, and once it has ended those that were kept."""
         if self._crew is None:
             return 0
-        return self._crew.writer.n_frames if self._ended else self._crew.n_added
+        return self._crew.n_committed if self._ended else self._crew.n_added
 
     @property
     def n_bytes(self) -> int:
@@ -152,8 +155,10 @@ class Recorder:
             raise OutputError(f"cannot record to {self._path}: the recording has ended")
         try:
             if self._crew is None:
-                writer = self._new_writer(self._temporary, frame.shape[1::-1], self._format, self._tags)
-                self._crew, self._shape = _Crew(writer, frame), frame.shape
+                place = (self._temporary, frame.shape[1::-1], self._format, self._tags)
+                self._crew = _Crew(lambda: self._new_writer(*place), self._new_writer.most_threads, frame)
+                self._crew.start()
+                self._shape = frame.shape
             self._crew.add(frame)
         except OSError as error:
             raise self._ended_by(error) from error
@@ -217,7 +222,7 @@ class Recorder:
     def _finish(self) -> None:
         if self._crew is not None:
             self._crew.stop()
-            if self._crew.writer.n_frames:
+            if self._crew.n_committed:
                 if self._temporary.exists():
                     os.replace(self._temporary, self._path)
                 return
@@ -229,7 +234,7 @@ class Recorder:
 
 
 class _Writer(Protocol):
-    """What stores frames; its methods but the first are called by the threads of a crew."""
+    """What stores frames; made and called by the threads of a crew."""
 
     most_threads: int
     """How many of them may call `write`."""
@@ -245,112 +250,135 @@ class _Writer(Protocol):
     def close(self) -> None: ...
 
 
+@dataclass
+class _Commit:
+    done: bool = False
+
+
 class _Crew:
     """Threads that write frames, of which a bounded number is in hand.
 
-    Ctrl-C comes to the main thread only: what must not be torn apart is done, and counted, by these.
+    Ctrl-C comes to the caller's thread only, at any moment: so that thread never holds a lock, and what must not be
+    torn apart is done, and counted, by these.
     """
 
-    def __init__(self, writer: _Writer, like: npt.NDArray[Any]) -> None:
-        self.writer = writer
+    def __init__(self, open: Callable[[], _Writer], n_threads: int, like: npt.NDArray[Any]) -> None:
+        self.n_added = 0  # frames
         self.n_bytes = 0
-        n_slots = min(_MOST_IN_HAND, max(writer.most_threads + 1, _IN_HAND_BYTES // like.nbytes))
+        self._open = open
+        self._writer: _Writer | None = None
+        n_slots = min(_MOST_IN_HAND, max(n_threads + 1, _IN_HAND_BYTES // like.nbytes))
+        # The last one that came back is taken first: memory that is not needed is never touched.
         self._free = [np.empty(like.shape, like.dtype) for _ in range(n_slots)]
-        self._waiting: deque[npt.NDArray[Any] | None] = deque()  # None: a commit, which comes when nothing is in hand
-        self._changed = threading.Condition()
+        self._waiting: SimpleQueue[npt.NDArray[Any] | _Commit | None] = SimpleQueue()  # None: wake up
+        self._taking, self._done = threading.Lock(), threading.Condition()
         self._n_taken = 0  # frames, whose numbers this gives
-        self._n_done = 0  # frames and commits
         self._n_in_work = 0
-        self._stopping = False
+        self._n_done = 0
+        self._running = self._stopping = False
         self._error: Exception | None = None
-        # Daemons: a disk that never answers keeps no program from ending.
-        self._threads = [threading.Thread(target=self._work, daemon=True) for _ in range(writer.most_threads)]
-        self._n_working = len(self._threads)
-        for thread in self._threads:
-            thread.start()
+        self._n_threads = n_threads
 
     @property
-    def n_added(self) -> int:
-        return self._n_taken + len(self._waiting)
+    def n_committed(self) -> int:
+        return 0 if self._writer is None else self._writer.n_frames
+
+    def start(self) -> None:
+        """Return when there is a writer; raise what keeps it from being there."""
+        # Daemons: a disk that never answers keeps no program from ending.
+        threading.Thread(target=self._run, daemon=True).start()
+        self._wait(lambda: self._writer is not None)
 
     def add(self, frame: npt.NDArray[Any]) -> None:
-        with self._changed:
-            self._wait(lambda: bool(self._free))
-            slot = self._free.pop()
+        self._wait(lambda: bool(self._free))
+        slot = self._free.pop()
         np.copyto(slot, frame)
-        with self._changed:
-            self._waiting.append(slot)
-            self._changed.notify_all()
+        self._waiting.put(slot)
+        self.n_added += 1
 
     def commit(self) -> None:
-        with self._changed:
-            self._wait(self._is_idle)
-            self._waiting.append(None)
-            self._changed.notify_all()
-            self._wait(self._is_idle)
+        commit = _Commit()
+        self._waiting.put(commit)
+        self._wait(lambda: commit.done)
 
     def stop(self) -> None:
-        """Drop what waits, and return when the threads have ended and the writer is closed."""
-        with self._changed:
-            self._stopping = True
-            self._changed.notify_all()
+        """Drop what waits, and return when the writer is closed."""
+        self._stopping = True
+        self._waiting.put(None)
         end = time.monotonic() + _END_S
-        for thread in self._threads:
-            thread.join(max(0.0, end - time.monotonic()))
-            if thread.is_alive():
+        while self._running:
+            if time.monotonic() > end:
                 raise OSError(errno.ETIMEDOUT, "the disk does not answer")
+            time.sleep(_POLL_S)
 
-    def _is_idle(self) -> bool:
-        return not self._waiting and not self._n_in_work
-
-    def _wait(self, done: Callable[[], bool]) -> None:
-        """Wait until that is so, or nothing is done for too long."""
+    def _wait(self, so: Callable[[], bool]) -> None:
+        """Wait until that is so; raise what went wrong, or that nothing has been done for too long."""
         n_done, end = self._n_done, time.monotonic() + _PATIENCE_S
-        while True:
-            if self._error is not None:
-                raise self._error
-            if done():
-                return
+        while self._error is None and not so():
             if self._n_done != n_done:
                 n_done, end = self._n_done, time.monotonic() + _PATIENCE_S
             if time.monotonic() > end:
                 raise OSError(errno.ETIMEDOUT, f"the disk has taken no frame for {_PATIENCE_S:.0f} s")
-            self._changed.wait(end - time.monotonic())
+            time.sleep(_POLL_S)
+        if self._error is not None:
+            raise self._error
 
-    def _work(self) -> None:
-        while self._do_next():
-            pass
-        with self._changed:
-            self._n_working -= 1
-            last = not self._n_working
-        if last:
-            with suppress(OSError):  # what stays is behind the end
-                self.writer.close()
-
-    def _do_next(self) -> bool:
-        """Do what comes next; whether there is more to come."""
-        with self._changed:
-            while not self._waiting and not self._stopping:
-                self._changed.wait()
-            if self._stopping or self._error is not None:
-                return False
-            slot = self._waiting.popleft()
-            number = self._n_taken
-            self._n_taken += slot is not None
-            self._n_in_work += 1
-        n_bytes = 0
+    def _run(self) -> None:
+        self._running = True
         try:
-            if slot is None:
-                self.writer.commit(number)
-            else:
-                n_bytes = self.writer.write(number, slot)
+            if not self._stopping:
+                self._writer = writer = self._open()
+                others = [
+                    threading.Thread(target=self._work, args=(writer,), daemon=True) for _ in range(1, self._n_threads)
+                ]
+                for thread in others:
+                    thread.start()
+                self._work(writer)
+                for thread in others:
+                    thread.join()
+                writer.close()
         except Exception as error:
-            self._error = error
-        with self._changed:
-            if slot is not None:
-                self._free.append(slot)
+            self._error = self._error or error
+        finally:
+            self._running = False
+
+    def _work(self, writer: _Writer) -> None:
+        while True:
+            with self._taking:
+                job = self._waiting.get()
+                if self._stopping or self._error is not None:
+                    self._waiting.put(None)  # for the others
+                    return
+                number = self._n_taken
+                if isinstance(job, np.ndarray):
+                    self._n_taken += 1
+                    self._n_in_work += 1
+                elif job is not None:
+                    self._commit(writer, job)
+            if isinstance(job, np.ndarray):
+                self._write(writer, number, job)
+
+    def _write(self, writer: _Writer, number: int, slot: npt.NDArray[Any]) -> None:
+        n_bytes, failure = 0, None
+        try:
+            n_bytes = writer.write(number, slot)
+        except Exception as error:
+            failure = error
+        self._free.append(slot)
+        with self._done:
+            self._error = self._error or failure
             self.n_bytes += n_bytes
             self._n_done += 1
             self._n_in_work -= 1
-            self._changed.notify_all()
-        return self._error is None
+            self._done.notify()
+
+    def _commit(self, writer: _Writer, commit: _Commit) -> None:
+        """Commit what has been taken, once it is written; nothing is taken meanwhile."""
+        with self._done:
+            self._done.wait_for(lambda: not self._n_in_work)
+        try:
+            if self._error is None:
+                writer.commit(self._n_taken)
+                commit.done = True
+        except Exception as error:
+            self._error = error

@@ -115,7 +115,7 @@ def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
     """A damaged frame ends a strict run with its number."""
     film = tmp_path / "film.zarr"
     record(film, 70)
-    (film / "frames" / "c" / "66" / "0" / "0" / "0").unlink()
+    (film / "frames" / "c.66.0.0.0").unlink()
     fields = chosen_fields(("mask",), in_mm=False)
     job = Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r.zarr"), "cpu")
     with pytest.raises(FootageError, match=r"frame 66 of .*film\.zarr: it is missing"):

@@ -258,7 +258,7 @@ def test_bad_frames_are_left_out(job, folder, tmp_path, undisturbed):
     film = tmp_path / "film.zarr"
     shutil.copytree(folder / "film.zarr", film)
     for number in (6, 13):
-        (film / "frames" / "c" / str(number) / "0" / "0" / "0").unlink()
+        (film / "frames" / f"c.{number}.0.0.0").unlink()
     job = replace(job, footage=str(film))
     summary = decode_footage(job)
     assert [bad.number for bad in summary.bad] == [6, 13]
@@ -276,7 +276,7 @@ def test_bad_frames_are_left_out(job, folder, tmp_path, undisturbed):
 def test_strict_stops_at_a_bad_frame(job, folder, tmp_path):
     film = tmp_path / "film.zarr"
     shutil.copytree(folder / "film.zarr", film)
-    (film / "frames" / "c" / "6" / "0" / "0" / "0").unlink()
+    (film / "frames" / "c.6.0.0.0").unlink()
     with pytest.raises(FootageError, match=r"frame 6 of .*film.zarr: it is missing"):
         decode_footage(replace(job, footage=str(film)), strict=True)
     assert {0, 1} <= marked(job.store) <= {0, 1, 2, 3, 4, 5}
