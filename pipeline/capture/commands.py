@@ -111,7 +111,7 @@ def capture(
         _err.print("stopped before a burst was whole: nothing is kept", style="red")
         sys.exit(_STOPPED)
     if summary.n_rejected:
-        _say(f"{summary.n_rejected} bursts were thrown away; {out / LOG} says why")
+        _say(f"{_times(summary.n_rejected)} a burst was thrown away; {out / LOG} says why")
     what = f"{summary.n_frames} frames of {summary.n_bursts} bursts are in {summary.recording}"
     _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
     rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
@@ -146,6 +146,10 @@ def _say(text: str) -> None:
     _err.print(text, style="yellow", highlight=False, soft_wrap=True)
 
 
+def _times(n: int) -> str:
+    return {1: "once", 2: "twice"}.get(n, f"{n} times")
+
+
 def _positive(value: float | None) -> None:
     if value is not None and not value > 0:  # nor NaN
         raise ValueError("must be above 0")
@@ -155,7 +159,8 @@ def _line(progress: Progress) -> str:
     parts = [f"{progress.n_frames} frames of {progress.n_bursts} bursts", f"{progress.rate_hz:.0f} frames/s"]
     if progress.latency_s is not None:
         parts.append(f"{1e3 * progress.latency_s:.0f} ms from strobe to range image")
-    parts.append(f"{progress.n_rejected} bursts thrown away" + (f" ({progress.note})" if progress.note else ""))
+    if progress.n_rejected:
+        parts.append(f"{_times(progress.n_rejected)} a burst was thrown away ({progress.note})")
     return ", ".join(parts)
 
 

@@ -123,7 +123,7 @@ def capture(
             stopped = True
         finally:
             bursts.close()
-        notes = rig.notes
+        notes = rig.notes + keeper.notes
     return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped, notes)
 
 
@@ -214,6 +214,12 @@ class _Keeper:
         self.n_rejected += 1
         self._note = str(rejected.faults[0])
         self._log.reject(rejected)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What went wrong beside the bursts, a sentence each."""
+        ended = None if self._live is None else self._live.ended
+        return () if ended is None else (ended,)
 
     def progress(self) -> Progress:
         """Return how it stands."""
