@@ -13,6 +13,7 @@ PACKAGES = ("tikernels", "pipeline", "hardware")
 LANGUAGES = {"taichi", "quadrants"}
 #: Heavy, or only needed by some: taken where they are used.
 LATE = ("pyvista", "vtkmodules", "zarr", "skimage", "scipy", "dask", "distributed", "fsspec", "numcodecs", "av")
+LATE += ("pypylon",)
 
 
 def sources(package: str) -> list[Path]:
