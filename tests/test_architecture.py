@@ -24,6 +24,7 @@ LATE = (
     "numcodecs",
     "av",
     "pygame",
+    "pypylon",
 )
 
 

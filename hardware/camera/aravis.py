@@ -121,7 +121,7 @@ class AravisCamera:
             for _ in range(buffers_for(count, payload)):
                 self._give(self._aravis.arv_buffer_new_allocate(payload))
             self._aravis.arv_camera_start_acquisition(self._camera)
-            wait_until_ready(self._features)
+            wait_until_ready(self._features, self.exposure_s)
 
     def frame(self, timeout_s: float) -> CameraFrame | None:
         """Return the next frame in the order of their arrival, whole or not; None: none came in time."""
@@ -140,12 +140,13 @@ class AravisCamera:
         return None
 
     def trigger(self) -> None:
-        """Take one frame now; only where the settings say trigger = "software"."""
+        """Take one frame as soon as it can; only where the settings say trigger = "software"."""
         if not self._by_software:
             raise RigError('the camera waits for a line: set trigger = "software" to trigger it from here')
         if not self._stream:
             raise CameraError(f"camera {self._identity.serial} is not armed")
         with self._told("cannot be triggered"):
+            wait_until_ready(self._features, self.exposure_s)
             self._aravis.arv_device_execute_command(self._device, b"TriggerSoftware")
 
     def disarm(self) -> None:

@@ -111,31 +111,31 @@ class BaslerCamera:
             self._camera.MaxNumBuffer.Value = buffers_for(count, frame_bytes(self.limits))
             # Never the latest only: that loses frames in silence (pypylon issue 332).
             self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
-            wait_until_ready(self._features)
+            wait_until_ready(self._features, self.exposure_s)
 
     def frame(self, timeout_s: float) -> CameraFrame | None:
         """Return the next frame in the order of their arrival, whole or not; None: none came in time."""
         with self._told("gives no frames; look for its power and its cable"):
             if not self._open or not self._camera.IsGrabbing():
                 raise CameraError(f"camera {self._identity.serial} is not armed")
-            result = self._camera.RetrieveResult(ceil(1000 * timeout_s), self._pylon.TimeoutHandling_Return)
-            host_time_s = monotonic()
-            try:
-                if result.IsValid():
-                    return self._frame_of(result, host_time_s)
-            finally:
-                result.Release()
+            # Its own RetrieveResult was seen to wait for ever with a timeout of 0.2 s; this keeps it.
+            if self._camera.GetGrabResultWaitObject().Wait(ceil(1000 * timeout_s)):
+                with self._camera.RetrieveResult(0, self._pylon.TimeoutHandling_Return) as result:
+                    host_time_s = monotonic()
+                    if result.IsValid():
+                        return self._frame_of(result, host_time_s)
             if self._camera.IsCameraDeviceRemoved():
                 raise CameraError(f"camera {self._identity.serial} is gone: look for its power and its cable")
         return None
 
     def trigger(self) -> None:
-        """Take one frame now; only where the settings say trigger = "software"."""
+        """Take one frame as soon as it can; only where the settings say trigger = "software"."""
         if not self._by_software:
             raise RigError('the camera waits for a line: set trigger = "software" to trigger it from here')
         with self._told("cannot be triggered"):
             if not self._open or not self._camera.IsGrabbing():
                 raise CameraError(f"camera {self._identity.serial} is not armed")
+            wait_until_ready(self._features, self.exposure_s)
             self._camera.GetNodeMap().GetNode("TriggerSoftware").Execute()
 
     def disarm(self) -> None:
@@ -202,7 +202,10 @@ class _PylonFeatures:
 
     def set(self, name: str, value: Value) -> None:
         with _told(self._genicam, f"{name} cannot be set to {value}"):
-            self._map.GetNode(name).Value = value
+            node = self._map.GetNode(name)
+            if isinstance(value, str) != isinstance(node.Value, str):
+                raise CameraError(f"{name} cannot be set to {value}: it is {node.Value}")
+            node.Value = type(node.Value)(value)
 
     def options(self, name: str) -> tuple[str, ...]:
         with _told(self._genicam, f"{name} cannot be read"):
@@ -239,6 +242,6 @@ def _told(genicam: Any, what: str) -> Iterator[None]:
     """Tell in one line what pylon tells in several, with its own file names and lines."""
     try:
         yield
-    except (genicam.GenericException, TypeError) as error:
+    except genicam.GenericException as error:
         said = str(error).split(" : ")[0].split("(file")[0]
         raise CameraError(f"{what}: {' '.join(said.split()).rstrip('.')}") from error

@@ -8,6 +8,7 @@ features there are, and an exposure can only be set when nothing else chooses it
 import re
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import lcm
 from typing import Literal, Protocol
@@ -141,22 +142,23 @@ def set_up(features: Features, settings: CameraSettings) -> Setup:
     return Setup(limits, exposure_s, tuple(unlocked), swapped=name.startswith("BGR"))
 
 
-def wait_until_ready(features: Features) -> None:
-    """Return when the camera takes triggers, where it tells.
+def wait_until_ready(features: Features, exposure_s: float) -> None:
+    """Return when the camera takes triggers, where it tells; one that comes before is lost.
 
     Raises
     ------
     CameraError
-        It does not within two seconds.
+        It does not within two seconds and an exposure.
     """
     selector, waiting = "AcquisitionStatusSelector", "FrameTriggerWait"
     if not (features.has("AcquisitionStatus") and features.has(selector) and waiting in features.options(selector)):
         return
     features.set(selector, waiting)
-    deadline = time.monotonic() + _READY_S
+    wait_s = exposure_s + _READY_S
+    deadline = time.monotonic() + wait_s
     while not features.get("AcquisitionStatus"):
         if time.monotonic() > deadline:
-            raise CameraError(f"the camera takes no triggers {_READY_S:g} s after it was armed: switch it off and on")
+            raise CameraError(f"the camera has taken no triggers for {wait_s:g} s: switch it off and on")
         time.sleep(0.001)
 
 
@@ -311,12 +313,14 @@ def _set_size(features: Features, asked: tuple[int, int] | None) -> tuple[int, i
 def _fix(features: Features, name: str, value: Value, harm: str, unlocked: list[str]) -> None:
     if not features.has(name):
         return
-    try:
+    with suppress(CameraError):  # what counts is what it is then
         if features.get(name) != value:
             features.set(name, value)
+    try:
         found = features.get(name)
     except CameraError:
-        found = features.get(name)
+        unlocked.append(f"{name} cannot be read back; where it is not {value}, {harm}: look in the maker's own program")
+        return
     # A ratio of 1 may come back as the nearest one in fixed point.
     near = isinstance(value, float) and not isinstance(found, str) and abs(found - value) < 0.005
     if found != value and not near:
