@@ -13,9 +13,11 @@ import numpy as np
 from hardware.protocols import CameraFrame, Levels, Strobe, TriggerStatus
 from hardware.pulses import PulseTrain
 
-#: How far two frames' distance may be off the period, as a fraction of it: clocks are off by some 0.0001, timestamps by
-#: some microseconds, and what is further off was exposed by something else, or under the light of another period.
-TOLERANCE = 0.05
+# How far two frames' distance may be off the period, as a fraction of it: clocks are off by some 0.0001, timestamps by
+# some microseconds, and what is further off was exposed by something else, or under the light of another period.
+_TOLERANCE = 0.05
+# However much pulses jitter, a lost one is a whole period.
+_MOST_TOLERANCE = 0.45
 # Where only the times of arrival are known, which are late by whatever the computer was doing.
 _ARRIVAL_TOLERANCE = 0.5
 # What to look at, the likeliest first.
@@ -43,6 +45,7 @@ class Evidence:
     first_pulse: int  # its number, where the run is part of a longer one
     count: int  # pulses it has
     exposure_s: float
+    jitter_s: float  # of the pulses
     fired_at_s: float  # time.monotonic() before the burst was started: no pulse came before that
     frames: Sequence[CameraFrame]  # in the order of arrival
     previous: CameraFrame | None  # the frame of the pulse before the first
@@ -50,6 +53,11 @@ class Evidence:
     ended: TriggerStatus  # now
     strobes: Sequence[Strobe] | None  # of these pulses; None: they are not wired
     picture_a_pulse: bool  # whether the projector reports every picture that a pulse made it show
+
+    @property
+    def tolerance(self) -> float:
+        """How far two frames' distance may be off the period, in periods."""
+        return min(_TOLERANCE + 2 * self.jitter_s / self.train.period_s, _MOST_TOLERANCE)
 
 
 def find_faults(seen: Evidence) -> list[Fault]:
@@ -103,7 +111,9 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
         return []
     if n == 0 and not seen.frames:
         reason = f"no exposure was seen, and no frame came: {_TRIGGER}, and that its trigger line is the one in use"
-    elif len(seen.frames) == seen.count and all(step is not None and step < 1 + TOLERANCE for step in _steps(seen)):
+    elif len(seen.frames) == seen.count and all(
+        step is not None and step < 1 + seen.tolerance for step in _steps(seen)
+    ):
         reason = f"{n} exposures were counted for {seen.count} frames: check the strobe cable"
     elif len(without) > 2 and len(set(np.diff(without))) == 1:
         reason = f"the camera misses pulses regularly ({n} exposures to {seen.count}): make the period longer"
@@ -118,7 +128,7 @@ def _first_gap(seen: Evidence) -> int | None:
     for i, step in enumerate(steps):
         if step is None:
             return None
-        if step > 1 + TOLERANCE:
+        if step > 1 + seen.tolerance:
             return seen.first_pulse + i
     # None is missing between them. Of the first and the last, the last is more often late for good.
     return seen.first_pulse + len(seen.frames)
@@ -166,7 +176,7 @@ def _same(one: Levels | None, other: Levels | None) -> bool:
 def _time_faults(seen: Evidence) -> list[Fault]:
     steps = _steps(seen)
     for pulse, step in enumerate(steps, seen.first_pulse):
-        if step is not None and abs(step - 1) > TOLERANCE:
+        if step is not None and abs(step - 1) > seen.tolerance:
             likely = _TRIGGER if step > 1 else _NOISE
             return [Fault(f"its frame is {step:.2f} periods after the one before: {likely}", pulse)]
     pulses = seen.first_pulse + np.arange(len(steps))

@@ -37,6 +37,7 @@ class TriggerLimits:
     max_count: int  # pulses a burst
     counts_strobes: bool  # whether it sees the camera's exposures
     counts_vsyncs: bool  # whether it sees the projector's pictures
+    jitter_s: float = 0.0  # how far off its time a pulse may come; below 10 us it does not matter
 
 
 def fitted(train: PulseTrain, limits: TriggerLimits) -> PulseTrain:

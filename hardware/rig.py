@@ -287,6 +287,7 @@ class Rig:
                 first_pulse=first,
                 count=count,
                 exposure_s=self.camera.exposure_s,
+                jitter_s=self.trigger.limits.jitter_s,
                 fired_at_s=run.fired_at_s[0],
                 frames=frames,
                 previous=run.previous,

@@ -16,6 +16,7 @@ _LIMITS = TriggerLimits(
     max_count=2**31 - 1,
     counts_strobes=False,
     counts_vsyncs=False,
+    jitter_s=10e-3,  # what an operating system and a camera's driver take, mostly
 )
 # A camera answers a command within this; see `Camera`.
 _STOP_S = 5.0
