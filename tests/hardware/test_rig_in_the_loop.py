@@ -16,7 +16,7 @@ from hardware.rig import Rig
 from hardware.settings import CameraSettings, RigSettings
 from hardware.trigger.box import TriggerBox
 
-PERIOD_S = 0.08
+PERIOD_S = 0.16
 FRAMES = 5
 WIDTH, HEIGHT = 96, 64
 
@@ -79,7 +79,8 @@ def settings(**projector):
     return RigSettings.model_validate(
         {
             "trigger": {"driver": "box", "port": "emulated"},
-            "timing": {"period_s": PERIOD_S, "frames": FRAMES, "camera_delay_s": 0.03},
+            # Aravis's fake camera may lose a trigger that comes sooner after it was armed.
+            "timing": {"period_s": PERIOD_S, "frames": FRAMES, "camera_delay_s": 0.1},
             # A camera that its line triggers; what stands in for the line is the thread above.
             "camera": {"driver": "aravis", "exposure_s": 1e-3},
             "projector": projector,
