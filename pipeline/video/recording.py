@@ -35,7 +35,7 @@ _END_S = 10.0
 # No lossless coder makes noise larger than this.
 _LARGEST = 1.5
 # The caller's thread looks so often for what it waits for.
-_POLL_S = 0.0005
+_POLL_S = 0.001
 # What a file system, the list of frames and other programs need.
 _SPARE_BYTES = 64_000_000
 
