@@ -188,8 +188,9 @@ class _Keeper:
             if error is None or isinstance(error, KeyboardInterrupt):
                 while self._ring:
                     self._write(self._ring.popleft())
-        finally:
             self._recorder.close()
+        finally:
+            self._recorder.stop()
             with suppress(OutputError):  # the disk may be full
                 self._log.say("end", frames=self.n_frames, error=None if error is None else str(error))
             self._log.close()
