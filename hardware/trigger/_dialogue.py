@@ -2,6 +2,7 @@
 
 import re
 import time
+from collections.abc import Iterator
 
 from hardware.errors import TriggerError
 from hardware.link import Link
@@ -9,6 +10,19 @@ from hardware.protocols import Identity
 
 #: An instrument that is busy, or was asked for its name by noise, may swallow the first questions.
 TRIES = 3
+#: How long a name may take: at 4800 baud, the longest takes 0.15 s on its way.
+NAME_S = 0.6
+#: Lines over USB or a network come with pauses of some hundredths of a second in them.
+QUIET_S = 0.1
+
+
+def names(link: Link) -> Iterator[str]:
+    """Ask for the name; yield what comes and can be one, not an echo or what was meant for somebody before."""
+    link.settle(QUIET_S)
+    link.send("*IDN?")
+    while (line := link.receive(NAME_S)) is not None:
+        if line.count(",") >= 2:
+            yield line
 
 
 class Dialogue:
@@ -33,22 +47,15 @@ class Dialogue:
         self.link = link
         self._instrument = instrument
         self._in_step = False
-        self._name = ""
-        other = ""
         for _ in range(TRIES):
-            link.settle()
-            link.send("*IDN?")
-            while (line := link.receive(min(1.0, link.timeout_s))) is not None:
+            for line in names(link):
                 if match := re.fullmatch(name, line):
                     self._name = line
                     self.identity = Identity(**match.groupdict())
                     self._in_step = True
                     return
-                if line.count(",") >= 2:  # a name; what else comes is an echo, or was meant for somebody before
-                    other = line
-            if other:
                 raise TriggerError(
-                    f"{link.url}: this is {other!r}, not a {instrument}: correct the trigger's port or driver"
+                    f"{link.url}: this is {line!r}, not a {instrument}: correct the trigger's port or driver"
                 )
         raise TriggerError(
             f"{link.url}: no {instrument} answers: is it on, its cable in, this its remote interface, the baud rate "
@@ -84,7 +91,7 @@ class Dialogue:
     def _catch_up(self) -> None:
         """Wait until the instrument says its name: every answer before that is to an older question."""
         for _ in range(2):  # noise in front of the first one may spoil it
-            self.link.settle()
+            self.link.settle(QUIET_S)
             self.link.send("*IDN?")
             deadline = time.monotonic() + self.link.timeout_s
             while (line := self._next("*IDN?", deadline)) is not None:

@@ -27,10 +27,13 @@ class Parrot(Emulator):
         """Know nothing, as before."""
 
 
-@pytest.fixture(params=["pty", "tcp"])
+@pytest.fixture
 def parrot(request: pytest.FixtureRequest) -> Iterator[Parrot]:
-    with Parrot(network=request.param == "tcp") as parrot:
+    with Parrot(network=getattr(request, "param", False)) as parrot:
         yield parrot
+
+
+over_tcp_too = pytest.mark.parametrize("parrot", [False, True], ids=["pty", "tcp"], indirect=True)
 
 
 @pytest.fixture
@@ -40,12 +43,14 @@ def link(parrot: Parrot) -> Iterator[Link]:
     link.close()
 
 
+@over_tcp_too
 def test_lines_come_back_without_their_ends(link):
     assert link.ask("A 1") == "A 1"
     assert link.ask("") == ""
     assert link.receive(0) is None
 
 
+@over_tcp_too
 def test_part_of_a_line_waits_for_its_rest(link, parrot):
     link.ask("x")  # the network's other side is there
     parrot.say(b"OK 12")
@@ -81,6 +86,7 @@ def test_settling_throws_away_what_came_and_what_still_comes(link, parrot):
     assert link.ask("third") == "third"
 
 
+@over_tcp_too
 def test_what_never_stops_sending_is_an_error_and_no_trap(link, parrot):
     link.ask("x")
     parrot.babbling = True
@@ -95,6 +101,7 @@ def test_silence_is_told_with_the_question(link, parrot):
         link.ask("*IDN?")
 
 
+@over_tcp_too
 def test_every_use_of_an_unplugged_port_is_one_error(link, parrot):
     link.ask("x")
     parrot.unplug()
@@ -129,6 +136,7 @@ def test_the_three_exceptions_of_an_unplugged_port_are_one(failure, method):
     assert caught.value.__cause__ is failure
 
 
+@over_tcp_too
 def test_a_port_that_takes_nothing_is_told_and_can_be_closed(parrot):
     parrot.stuck = True
     link = Link(parrot.url, timeout_s=0.3)
@@ -162,8 +170,6 @@ def test_closing_drops_what_a_port_does_not_take():
 
 
 def test_a_port_is_taken_by_one_program_and_free_again_after(parrot):
-    if parrot.url.startswith("socket"):
-        pytest.skip("a network port leaves that to the other side")
     first = Link(parrot.url)
     with pytest.raises(TriggerError, match=r"is in use: close the other program"):
         Link(parrot.url)

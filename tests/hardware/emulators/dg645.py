@@ -1,11 +1,12 @@
 """A Stanford Research Systems DG645, from the remote commands in its manual.
 
-Commands end with LF or CR, several on a line are separated by semicolons; letters in either case, spaces where one likes.
+Commands end with LF or CR, several on a line are separated by semicolons; letters in either case, spaces at will.
 Only queries are answered, CR LF behind; errors wait in a queue of twenty for ``LERR?``.
 
-The manual's summary does not say, and this emulator assumes: a delay cycle takes 60 ns longer than its longest delay, and
-a cycle that is due before that is left out (RATE); setting a delay, or the burst mode, ends what runs (ABORT); settings
-outlive a power cycle, unless `forgets` is set.
+The manual's summary does not say, and this emulator assumes: a delay cycle takes 60 ns longer than its longest delay,
+and a cycle that is due before that is left out (RATE); setting a delay breaks off the cycle that is under way (ABORT),
+after which a burst, or internal triggering, goes on; setting the burst, or the trigger's source, lets them end with
+that cycle; settings outlive a power cycle, unless `forgets` is set.
 """
 
 import re
@@ -13,16 +14,8 @@ import re
 from emulators.line import Burst, Emulator
 
 ILLEGAL_VALUE, ILLEGAL_MODE, ILLEGAL_DELAY, ILLEGAL_LINK = 10, 11, 12, 13
-UNDEFINED, ILLEGAL_QUERY, ILLEGAL_SET, EXTRA, MISSING, BAD_FLOAT, BAD_INTEGER, TOO_MANY = (
-    111,
-    112,
-    113,
-    115,
-    116,
-    118,
-    120,
-    254,
-)
+UNDEFINED, ILLEGAL_QUERY, ILLEGAL_SET, EXTRA, MISSING = 111, 112, 113, 115, 116
+BAD_FLOAT, BAD_INTEGER, TOO_MANY = 118, 120, 254
 TRIG, RATE, END_OF_DELAY, END_OF_BURST, INHIBIT, ABORT, PLL_UNLOCK = (1 << bit for bit in range(7))
 EXECUTION_ERROR, COMMAND_ERROR, POWER_ON = 1 << 4, 1 << 5, 1 << 7
 BUSY, BURST, EVENT_SUMMARY = 1 << 1, 1 << 2, 1 << 5
@@ -45,8 +38,6 @@ SETTINGS: dict[str, tuple[float, float, float]] = {
 }
 #: The same for what each output has, 0 T0, 1 AB, 2 CD, 3 EF, 4 GH.
 OUTPUTS: dict[str, tuple[float, float, float]] = {"LAMP": (2.5, 0.5, 5.0), "LOFF": (0.0, -2.0, 2.0), "LPOL": (1, 0, 1)}
-#: What stops the pulses when it is set.
-STOPPING = ("DLAY", "BURM", "BURC", "BURP", "BURD", "TSRC")
 
 
 class DG645Emulator(Emulator):
@@ -69,6 +60,7 @@ class DG645Emulator(Emulator):
         self.bursts: list[Burst] = []
         """Every burst that was triggered."""
         self._settings: dict[str, float] = {}
+        self._bursting = False  # what runs is a burst, not single cycles
         super().__init__(network=network, speed=speed)
 
     def restart(self) -> None:
@@ -112,7 +104,7 @@ class DG645Emulator(Emulator):
         self._settings = {name: default for name, (default, _, _) in SETTINGS.items()}
         self._outputs = {name: [default] * 5 for name, (default, _, _) in OUTPUTS.items()}
         # Channels 2 to 9 are A to H: from which one, and how much later.
-        self._delays: dict[int, tuple[int, float]] = {channel: (0, 0.0) for channel in range(2, 10)}
+        self._delays: dict[int, tuple[int, float]] = dict.fromkeys(range(2, 10), (0, 0.0))
 
     def _fail(self, code: int) -> None:
         self._events |= EXECUTION_ERROR if code < 100 else COMMAND_ERROR
@@ -122,8 +114,12 @@ class DG645Emulator(Emulator):
     def _obeyed(self, name: str, query: bool, arguments: list[str]) -> str | None:
         if name.startswith("*") or name in ("LERR", "INSR"):
             return self._common(name, query, arguments)
-        if name in STOPPING and not query:
-            self._stop()
+        if not query and name == "DLAY":
+            self._break_off()
+        elif not query and name.startswith("BUR") and self._bursting:
+            self._end_with_this_cycle()
+        elif not query and name == "TSRC" and not self._bursting:
+            self._end_with_this_cycle()
         if name in SETTINGS:
             return self._one(self._settings, name, name, SETTINGS[name], query, arguments)
         if name in OUTPUTS:
@@ -155,6 +151,10 @@ class DG645Emulator(Emulator):
             self._fail(ILLEGAL_VALUE)
             return None
         store[key] = value  # type: ignore[index]
+        if name == "TSRC" and value == 0:
+            self._bursting = False
+            self.bursts.append(Burst(self.now, 1 / self._settings["TRAT"], float("inf"), self._pulses()))
+            self._leave_out(self.bursts[-1])
         return None
 
     def _whole(self, arguments: list[str], low: int, high: int) -> int | None:
@@ -241,7 +241,7 @@ class DG645Emulator(Emulator):
             since = self.now - burst.start_s
             if since >= 0 and since % burst.period_s < self._cycle_s(burst):
                 status |= BUSY
-            if burst.count > 1:
+            if self._bursting:
                 status |= BURST
         return status
 
@@ -259,29 +259,51 @@ class DG645Emulator(Emulator):
         elif self.inhibited and self._settings["INHB"]:
             self._instrument |= INHIBIT
         else:
-            burst_mode = bool(self._settings["BURM"])
-            outputs = {}
-            for name, first in (("AB", 2), ("CD", 4), ("EF", 6), ("GH", 8)):
-                start, end = sorted((self._from_start(first), self._from_start(first + 1)))
-                outputs[name] = (start, end - start)
+            burst_mode = self._bursting = bool(self._settings["BURM"])
             period_s = self._settings["BURP"] if burst_mode else MAX_DELAY_S
             burst = Burst(
                 self.now + (self._settings["BURD"] if burst_mode else 0.0),
                 period_s,
                 self._settings["BURC"] if burst_mode else 1,
-                outputs,
+                self._pulses(),
             )
             self.bursts.append(burst)
             self._followed = burst
             self._instrument |= TRIG
-            if burst.count > 1 and self._cycle_s(burst) > period_s:
-                self._instrument |= RATE
-                burst.period_s *= -(-self._cycle_s(burst) // period_s)  # every second one, or third, is left out
+            self._leave_out(burst)
+
+    def _leave_out(self, burst: Burst) -> None:
+        """Leave every second cycle out, or two of three, where one is due while another is under way."""
+        if burst.count > 1 and self._cycle_s(burst) > burst.period_s:
+            self._instrument |= RATE
+            burst.period_s *= -(-self._cycle_s(burst) // burst.period_s)
+
+    def _pulses(self) -> dict[str, tuple[float, float]]:
+        pulses = {}
+        for name, first in (("AB", 2), ("CD", 4), ("EF", 6), ("GH", 8)):
+            start, end = sorted((self._from_start(first), self._from_start(first + 1)))
+            pulses[name] = (start, end - start)
+        return pulses
 
     def _stop(self) -> None:
         if self.running:
             self.bursts[-1].stopped_s = self.now
             self._instrument |= ABORT
+        self._followed = None
+
+    def _break_off(self) -> None:
+        if not self._status() & BUSY:
+            return
+        self._instrument |= ABORT
+        if self._settings["TSRC"] != 0 and not self._bursting:
+            self.bursts[-1].stopped_s = self.now
+            self._followed = None
+
+    def _end_with_this_cycle(self) -> None:
+        if self.running:
+            burst = self.bursts[-1]
+            burst.count = max(0, (self.now - burst.start_s) // burst.period_s + 1)
+            self._bursting = False
             self._followed = None
 
     def _note(self) -> None:
