@@ -42,7 +42,7 @@ static const struct unit camera_unit = {&OCR1B, _BV(COM1B0), _BV(COM1B1), _BV(FO
 static struct train train;
 static struct output projector, camera;
 static volatile enum state state;
-static volatile bool late;
+static volatile enum state failure; // LATE or SHORTED: both outputs were released; pulses_poll tells it
 static bool listening; // strobes are counted
 static bool fired;     // and its end is still to be told
 static uint32_t ended; // tick at which the burst ended
@@ -113,7 +113,7 @@ INLINE void prepare(struct output *output, const struct unit *unit, uint16_t fro
     if (spent > worst)
         worst = spent;
     if (spent >= hop)
-        late = true; // the match may have been missed, and would come only after another round
+        failure = LATE; // the match may have been missed, and would come only after another round
 }
 
 INLINE void matched(struct output *output, const struct unit *unit)
@@ -124,6 +124,8 @@ INLINE void matched(struct output *output, const struct unit *unit)
     uint32_t rest = output->rest;
     if (rest) {
         prepare(output, unit, now, rest);
+    } else if (output->high == !!(PINB & unit->pin)) {
+        failure = SHORTED; // the edge was not made; or it was one too many, and all that follow were upside down
     } else if (!output->high) {
         output->high = true;
         prepare(output, unit, now, output->high_ticks);
@@ -136,7 +138,7 @@ INLINE void matched(struct output *output, const struct unit *unit)
         if (output == &camera)
             output->rise += train.period;
     }
-    if (late) { // pulses_poll tells it; not called, so that no registers are saved for it
+    if (failure) { // released here and not in a function, so that no registers are saved for a call
         release(&projector, &projector_unit);
         release(&camera, &camera_unit);
     }
@@ -267,7 +269,8 @@ void pulses_arm(void)
         strobes = vsyncs = 0;
         strobes_logged = strobes_seen = 0;
         strays = noise = worst = 0;
-        listening = late = false;
+        listening = false;
+        failure = IDLE;
         state = ARMED;
     }
 }
@@ -342,14 +345,17 @@ static void poll_inputs(void)
 bool pulses_poll(void)
 {
     poll_inputs();
-    if (late && state == RUNNING)
-        ATOMIC_BLOCK(ATOMIC_RESTORESTATE) halt(LATE);
-    // The burst lasts to the end of the last period, so that the next one cannot come too early for the camera.
+    bool at_rest; // then no interrupt changes anything any more
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) at_rest = !projector.active && !camera.active;
     uint32_t now = pulses_ticks();
-    if (state == RUNNING && !projector.active && !camera.active
-        && (int32_t)(now - (camera.rise - train.camera.delay)) >= 0) {
-        state = DONE;
-        ended = now;
+    if (state == RUNNING && at_rest) {
+        if (failure) {
+            ATOMIC_BLOCK(ATOMIC_RESTORESTATE) halt(failure);
+        } else if ((int32_t)(now - (camera.rise - train.camera.delay)) >= 0) {
+            // Only at the end of the last period, so that the next burst cannot come too early for the camera.
+            state = DONE;
+            ended = now;
+        }
     }
     // The last exposure may be reported a little later.
     if (listening && state != RUNNING && now - ended >= train.period)

@@ -32,7 +32,8 @@ enum state {
     DONE,
     STOPPED, // by STOP
     SILENT,  // stopped because the host said nothing
-    LATE,    // stopped because an edge could not be made in time
+    LATE,    // stopped because an edge could not be prepared in time
+    SHORTED, // stopped because an output did not follow
 };
 
 struct strobe {

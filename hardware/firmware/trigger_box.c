@@ -53,7 +53,8 @@ static void put_boot(void)
 
 static void put_state(void)
 {
-    static const char names[][8] PROGMEM = {"IDLE", "READY", "ARMED", "RUNNING", "DONE", "STOPPED", "SILENT", "LATE"};
+    static const char names[][8] PROGMEM = {"IDLE", "READY",   "ARMED",  "RUNNING", "DONE",
+                                            "STOPPED", "SILENT", "LATE", "SHORTED"};
     TEXT(" state=");
     line_text(names[pulses_state()]);
 }

@@ -38,6 +38,7 @@ CAUSES = {
 }
 OUTCOMES = {
     "LATE": "the trigger box stopped the burst because it could not make an edge in time: make widths and gaps longer",
+    "SHORTED": "the trigger box stopped the burst because an output did not follow: is its cable shorted, or driven?",
     "SILENT": "the trigger box stopped the burst because this program said nothing for too long",
 }
 

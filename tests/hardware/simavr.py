@@ -1,6 +1,7 @@
 """The trigger box's firmware, built by gcc-avr and run by libsimavr in a process of its own."""
 
 import os
+import select
 import shutil
 import signal
 import subprocess
@@ -55,6 +56,8 @@ class Board:
         assert self.process.stdout is not None
         self.process.stdin.write(f"{command}\n")
         self.process.stdin.flush()
+        answered, _, _ = select.select([self.process.stdout], [], [], 10)
+        assert answered, f"the emulator does not answer {command!r}"
         answer = self.process.stdout.readline().split()
         assert answer[:1] == ["OK"], answer
         return answer[1:]
@@ -130,7 +133,11 @@ def simavr_board(simavr_build: Path, tmp_path: Path) -> Iterator[Callable[..., B
         return boards[-1]
 
     yield start
-    left_high = [board.outputs() for board in boards if board.process.poll() is None]
+    left_high = []
     for board in boards:
-        board.close()
-    assert not any(map(any, left_high)), "an output was left high"
+        try:
+            if board.process.poll() is None:
+                left_high.append(any(board.outputs()))
+        finally:
+            board.close()
+    assert not any(left_high), "an output was left high"

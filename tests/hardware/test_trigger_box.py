@@ -230,6 +230,7 @@ def test_a_box_that_somebody_else_set_is_refused():
     "words, complaint",
     [
         ({"state": "LATE"}, "could not make an edge in time"),
+        ({"state": "SHORTED"}, "an output did not follow: is its cable shorted"),
         ({"state": "SILENT"}, "said nothing for too long"),
         ({"noise": 2}, "2 edges at the strobe input came too fast"),
         ({"strays": 5}, "exposed 5 times before the first pulse"),

@@ -14,7 +14,7 @@ from hardware.protocols import Trigger, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
 from hardware.trigger.box import TriggerBox, crc8
 
-pytestmark = pytest.mark.timeout(60)
+pytestmark = pytest.mark.timeout(30)
 
 Start = Callable[..., Board]
 #: Of the emulated board's time: longer than its watchdog and than the boot that follows.
@@ -241,6 +241,45 @@ def test_commands_out_of_turn_are_refused(simavr_board: Start):
         box.fire()
     assert finish(box).pulses == 40
     assert len(board.edges("camera")[0]) == 40
+
+
+@pytest.mark.parametrize("period_us", [300, 2_000])
+def test_an_edge_that_would_be_late_ends_the_burst(simavr_board: Start, period_us: int):
+    """What its limits rule out: the program is kept from preparing an edge."""
+    board = simavr_board()
+    box = TriggerBox(board.link())
+    box.configure(train(period_us, None, (0, 60), (10, 60)))
+    box.arm()
+    box.fire()
+    while (status := box.status()).running:
+        board.tell("block 150")  # until one hits a pulse
+    assert "could not make an edge in time" in status.complaints[0]
+    assert board.outputs() == (False, False)
+    for pin in ("projector", "camera"):
+        rises, falls = (np.array(edges) for edges in board.edges(pin))
+        assert len(rises) == len(falls)
+        assert np.all(np.abs(np.diff(rises) - period_us * 1e-6 * CYCLES) < 1.001)
+        assert np.all(np.abs(falls - rises - 60e-6 * CYCLES)[:-1] < 1.001)
+        assert falls[-1] - rises[-1] < 250e-6 * CYCLES  # and not for another round of the timer
+    assert status.pulses == len(board.edges("camera")[0])
+
+
+@pytest.mark.parametrize("pin", ["P", "C"])
+def test_an_output_that_does_not_follow_ends_the_burst(simavr_board: Start, pin: str):
+    """Otherwise all edges after it would be upside down."""
+    board = simavr_board()
+    box = TriggerBox(board.link())
+    box.configure(train(1_000, None, (0, 60), (10, 900)))
+    box.arm()
+    box.fire()
+    wait_for_pulses(box, 2)
+    board.tell(f"short {pin}")
+    status = finish(box)
+    assert "an output did not follow" in status.complaints[0]
+    assert board.outputs() == (False, False)
+    for name, width_us in (("projector", 60), ("camera", 900)):
+        rises, falls = (np.array(edges) for edges in board.edges(name))
+        assert max(falls - rises) < (width_us + 50) * 1e-6 * CYCLES
 
 
 def test_an_endless_burst_ends_when_told_to(simavr_board: Start):

@@ -9,6 +9,8 @@
 //   sync                  answers the cycle, and whether projector and camera output are high; EDGES.csv is complete
 //   reset CAUSE           restart with this MCUSR (1 power-on, which forgets the RAM; 2 external; 4 brown-out)
 //   hang 0|1              let the program loop for ever, 1: with its interrupts off
+//   block MICROSECONDS    keep all interrupts off for so long
+//   short P|C             let an output miss its next edge
 //   strobe DELAY WIDTH    microseconds after each camera pulse, an exposure at the strobe input; WIDTH 0: none
 //   drop N                leave the next N exposures out
 //   vsync PERIOD          microseconds between the projector's pictures; 0: none
@@ -127,6 +129,24 @@ static void output_changed(avr_irq_t *irq, uint32_t value, void *name)
         avr_cycle_timer_register(avr, strobe_delay, strobe_up, NULL);
 }
 
+static avr_cycle_count_t matched_at;
+
+static void compare_matched(avr_irq_t *irq, uint32_t value, void *unused)
+{
+    if (value)
+        matched_at = due();
+}
+
+// Run an instruction. libsimavr 1.6 repeats a match when one compare register is written in the very cycle in which the
+// other one has matched, so the program, not the timer, waits for that cycle to pass.
+static int step(void)
+{
+    int state = avr_run(avr);
+    if (avr->cycle == matched_at)
+        avr->cycle++;
+    return state;
+}
+
 static void sent_by_firmware(avr_irq_t *irq, uint32_t value, void *unused)
 {
     char byte = value;
@@ -156,9 +176,40 @@ static void feed_uart(void)
         avr_raise_irq(uart_input, (unsigned char)byte);
 }
 
+// Send the program into a loop in the last word of the flash, which no program reaches.
+static void hang(bool with_interrupts_off)
+{
+    avr->flash[avr->flashend - 1] = 0xFF; // rjmp to itself
+    avr->flash[avr->flashend] = 0xCF;
+    avr->pc = avr->flashend - 1;
+    if (with_interrupts_off)
+        avr->sreg[S_I] = avr->interrupt_state = 0;
+}
+
+static avr_flashaddr_t blocked_at;
+static avr_cycle_count_t blocked_until;
+
+static void block(avr_cycle_count_t cycles)
+{
+    for (int i = 0; i < 100000 && !avr->sreg[S_I]; i++) // not in the middle of an interrupt
+        step();
+    blocked_at = avr->pc;
+    blocked_until = avr->cycle + cycles;
+    hang(true);
+}
+
+static void unblock(void)
+{
+    blocked_until = 0;
+    avr->pc = blocked_at;
+    avr->sreg[S_I] = 1;
+    avr->interrupt_state = -1; // it looks for pending ones after the next instruction
+}
+
 static void restart(int cause)
 {
     drops = noise_left = 0;
+    blocked_until = 0;
     avr_reset(avr);
     // The chip lets go of its pins, and the pull-downs take them low.
     record('P', false);
@@ -174,15 +225,6 @@ static void restart(int cause)
     uart_takes = true;
 }
 
-static void hang(bool with_interrupts_off)
-{
-    avr->flash[avr->flashend - 1] = 0xFF; // rjmp to itself, in the last word, which no program reaches
-    avr->flash[avr->flashend] = 0xCF;
-    avr->pc = avr->flashend - 1;
-    if (with_interrupts_off)
-        avr->sreg[S_I] = 0;
-}
-
 static void obey(const char *line)
 {
     char word[16] = "", pin = 0;
@@ -195,6 +237,11 @@ static void obey(const char *line)
         printf("OK\n");
         return;
     }
+    if (sscanf(line, "short %c", &pin) == 1) {
+        avr->data[0x25] ^= pin == 'P' ? 2 : 4; // of PORTB, from which the next toggle goes back
+        printf("OK\n");
+        return;
+    }
     sscanf(line, "%15s %ld %ld", word, &a, &b);
     if (!strcmp(word, "sync")) {
         fflush(edges);
@@ -204,6 +251,8 @@ static void obey(const char *line)
         restart(a);
     } else if (!strcmp(word, "hang")) {
         hang(a);
+    } else if (!strcmp(word, "block")) {
+        block(a * (HZ / 1000000));
     } else if (!strcmp(word, "strobe")) {
         strobe_delay = a * (HZ / 1000000) + !a;
         strobe_width = b * (HZ / 1000000);
@@ -271,6 +320,13 @@ static void connect_pins(void)
     avr_irq_register_notify(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), 2), output_changed, (void *)camera);
 }
 
+static void connect_matches(void)
+{
+    static const int compare_a = 11, compare_b = 12; // vectors
+    avr_irq_register_notify(avr_get_interrupt_irq(avr, compare_a) + AVR_INT_IRQ_PENDING, compare_matched, NULL);
+    avr_irq_register_notify(avr_get_interrupt_irq(avr, compare_b) + AVR_INT_IRQ_PENDING, compare_matched, NULL);
+}
+
 static void connect_uart(void)
 {
     uint32_t flags = 0; // neither print what is sent, nor sleep where the firmware waits
@@ -316,17 +372,20 @@ int main(int count, char **arguments)
     avr_load_firmware(avr, &firmware);
     fprintf(edges, "cycle,pin,level\n");
     connect_pins();
+    connect_matches();
     connect_uart();
     open_pty();
     restart(1);
     while (control()) {
         feed_uart();
         for (avr_cycle_count_t end = avr->cycle + SLICE; avr->cycle < end;) {
-            int state = avr_run(avr);
+            int state = step();
             if (state == cpu_Crashed || state == cpu_Done) {
                 fprintf(stderr, "the firmware crashed\n");
                 return 1;
             }
+            if (blocked_until && avr->cycle >= blocked_until)
+                unblock();
         }
         if (speed > 0)
             pace(speed);
