@@ -51,7 +51,8 @@ class Evidence:
     previous: CameraFrame | None  # the frame of the pulse before the first
     armed: TriggerStatus  # before the burst
     ended: TriggerStatus  # now
-    strobes: Sequence[Strobe] | None  # of these pulses; None: they are not wired
+    strobe_wired: bool  # whether the trigger source sees exposures
+    strobes: Sequence[Strobe] | None  # of these pulses; None: not wired, or too many to be remembered one by one
     picture_a_pulse: bool  # whether the projector reports every picture that a pulse made it show
 
     @property
@@ -88,6 +89,10 @@ def _count_faults(seen: Evidence) -> list[Fault]:
         found = _strobe_faults(seen, len(seen.strobes))
         if found:
             return found
+    elif seen.strobe_wired:
+        found = _strobe_count_faults(seen)
+        if found:
+            return found
     n = len(seen.frames)
     if n > seen.count:
         return [Fault(f"{n} frames to {seen.count} pulses: {_NOISE}")]
@@ -98,6 +103,14 @@ def _count_faults(seen: Evidence) -> list[Fault]:
     if n == 0:
         return [Fault(f"no frame came: {_TRIGGER}, and that its trigger line is the one in use", seen.first_pulse)]
     return [Fault(f"{n} frames to {seen.count} pulses: {_TRIGGER}, then its data cable", _first_gap(seen))]
+
+
+def _strobe_count_faults(seen: Evidence) -> list[Fault]:
+    pulses, strobes = seen.ended.pulses or 0, seen.ended.strobes or 0
+    # While pulses run on, the last one's exposure may be still to come.
+    if pulses - (seen.train.count is None) <= strobes <= pulses:
+        return []
+    return [Fault(f"{strobes} exposures to {pulses} pulses: {_TRIGGER if strobes < pulses else _NOISE}")]
 
 
 def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:

@@ -69,7 +69,7 @@ class Trigger(Protocol):
         """Return what became of the burst; harmless at any time."""
 
     def strobes(self) -> tuple[Strobe, ...]:
-        """Return the exposures of the last burst that it still remembers; empty where it sees none."""
+        """Return the exposures of the last burst that were not returned yet; what it has forgotten is missing."""
 
     def abort(self) -> None:
         """Stop, outputs low; harmless at any time."""

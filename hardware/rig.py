@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -80,6 +80,8 @@ class _Run:
     armed: TriggerStatus  # before the first
     fired_at_s: tuple[float, float]  # time.monotonic() before and after the command
     next_pulse: int = 0
+    strobes: list[Strobe] = field(default_factory=list)  # that were told, of pulses that are to be taken
+    n_strobes: int = 0  # that were told in all
     previous: CameraFrame | None = None  # the frame of the pulse before
 
 
@@ -277,10 +279,7 @@ class Rig:
             surplus = self.camera.frame(self.camera.limits.min_period_s + _SHORT_POLL_S)
             if surplus is not None and not _repeats(surplus, frames[-1] if frames else run.previous):
                 frames.append(surplus)
-        strobes: tuple[Strobe, ...] | None = None
-        if self.settings.trigger.strobe:
-            last = first + count
-            strobes = tuple(strobe for strobe in self.trigger.strobes() if first <= strobe.pulse < last)
+        strobes = self._exposures(run, first + count, status) if self.settings.trigger.strobe else None
         found = find_faults(
             Evidence(
                 train=train,
@@ -293,6 +292,7 @@ class Rig:
                 previous=run.previous,
                 armed=run.armed,
                 ended=status,
+                strobe_wired=self.settings.trigger.strobe,
                 strobes=strobes,
                 picture_a_pulse=self.settings.trigger.vsync == "per-pulse",
             )
@@ -341,6 +341,18 @@ class Rig:
             elif frame is not None:
                 frames.append(frame)
         return frames, n_repeated
+
+    def _exposures(self, run: _Run, last: int, status: TriggerStatus) -> list[Strobe] | None:
+        """Return the exposures of the pulses up to the last one; None: the trigger source has forgotten some."""
+        told = self.trigger.strobes()
+        run.n_strobes += len(told)
+        run.strobes += told
+        taken = [strobe for strobe in run.strobes if strobe.pulse < last]
+        run.strobes = [strobe for strobe in run.strobes if strobe.pulse >= last]
+        if run.n_strobes < (status.strobes or 0):
+            run.n_strobes = status.strobes or 0
+            return None
+        return taken
 
     def _settled(self, run: _Run, last: int) -> TriggerStatus:
         """Return the trigger source's status once a burst has ended."""

@@ -60,8 +60,8 @@ class SimulatedTrigger:
         self._stopped = threading.Event()
         self._pulses = 0
         self._started_s = 0.0  # of the burst, by its own clock
-        self._strobes: list[Strobe] = []
-        self._vsyncs = 0
+        self._log: deque[Strobe] = deque()
+        self._strobes = self._vsyncs = 0
 
     def configure(self, train: PulseTrain) -> PulseTrain:
         """Set a burst up; see `Trigger`."""
@@ -75,8 +75,8 @@ class SimulatedTrigger:
             raise TriggerError(_NOTHING_SET_UP)
         self._stop()
         self._pulses = 0
-        self._strobes = []
-        self._vsyncs = 0
+        self._log.clear()
+        self._strobes = self._vsyncs = 0
 
     def fire(self) -> None:
         """Start the burst; see `Trigger`."""
@@ -90,11 +90,14 @@ class SimulatedTrigger:
     def status(self) -> TriggerStatus:
         """Return what became of the burst; see `Trigger`."""
         running = self._thread is not None and self._thread.is_alive()
-        return TriggerStatus(running, self._pulses, len(self._strobes), self._vsyncs, boot=1)
+        return TriggerStatus(running, self._pulses, self._strobes, self._vsyncs, boot=1)
 
     def strobes(self) -> tuple[Strobe, ...]:
         """Return the exposures of the last burst; see `Trigger`."""
-        return tuple(self._strobes)
+        found = []
+        while self._log:
+            found.append(self._log.popleft())
+        return tuple(found)
 
     def abort(self) -> None:
         """Stop; see `Trigger`."""
@@ -112,7 +115,8 @@ class SimulatedTrigger:
 
     def strobe(self, time_s: float) -> None:
         """Take an exposure that the camera reports."""
-        self._strobes.append(Strobe(self._pulses - 1, time_s - self._started_s))
+        self._strobes += 1
+        self._log.append(Strobe(self._pulses - 1, time_s - self._started_s))
 
     def vsync(self, time_s: float) -> None:
         """Take a picture that the projector reports."""

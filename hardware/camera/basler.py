@@ -104,6 +104,8 @@ class BaslerCamera:
 
     def arm(self, count: int | None) -> None:
         """Get ready for so many triggers (None: until disarmed), queues empty; returns when it takes them."""
+        if not self._open:  # its features are gone, and asking them crashes
+            raise CameraError(f"camera {self._identity.serial} is closed")
         self.disarm()
         with self._told("cannot be armed"):
             self._temperature_c = sensor_temperature_c(self._features)

@@ -228,10 +228,12 @@ class TriggerBox:
         )
 
     def strobes(self) -> tuple[Strobe, ...]:
-        """Return the exposures of the last burst; those that were overwritten before they were read are missing."""
+        """Return the exposures that it did not return yet; those that were overwritten before are missing."""
         if self._strobe and self._is_same_life(self._ask("STATUS")):
             self._read_log(None)
-        return tuple(self._log)
+        found = tuple(self._log)
+        self._log.clear()
+        return found
 
     def abort(self) -> None:
         """Stop, outputs low."""

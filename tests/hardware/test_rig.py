@@ -108,6 +108,21 @@ def test_pictures_that_are_reported_tell_of_a_lost_pulse(fault, n, endless):
     assert f"the projector reported {n}" in str(bench.rejected[0].faults[0])
 
 
+@pytest.mark.parametrize("endless", [False, True])
+def test_exposures_too_many_to_be_remembered_are_counted(endless):
+    """The trigger source forgets every other one; one that the camera did not make is noticed all the same."""
+    bench = Bench(settings(alternating=False), [Faulty(lost_trigger=frozenset({4}))])
+    with bench.rig() as rig:
+        trigger = bench.devices.trigger
+        remembered = trigger.strobes
+        trigger.strobes = lambda: remembered()[::2]
+        bursts = list(islice(rig.bursts(endless=endless), 2))
+        assert bench.mispaired(bursts[-1]) == []
+    assert len(bench.rejected) == 1
+    assert re.search("exposures to|2.00 periods after", str(bench.rejected[0].faults[0]))
+    assert {paired.strobe_s for burst in bursts for paired in burst.frames} == {None}
+
+
 def test_a_cable_that_is_not_there_is_named():
     bench = Bench(settings(alternating=False), [Faulty(lost_trigger=frozenset(range(9)))])
     assert bench.mispaired(burst_of(bench)) == []
