@@ -26,6 +26,8 @@ _POLL_S = 0.25
 _SHORT_POLL_S = 0.01
 # From so far behind on, lost frames are laid to this machine, and not to a cable.
 _BEHIND_S = 0.1
+# How long an instrument may stay away: a board starts for three seconds, a cable is put back in somewhat more.
+_REOPEN_S = 5.0
 # Frames from which on two clocks are compared.
 _LEAST_FOR_CLOCK = 5
 # Frames by which the rig learns which of two pictures the projector shows.
@@ -204,7 +206,14 @@ class Rig:
         self._is_open = True
 
     def _reopen(self) -> None:
-        self._open()
+        deadline = time.monotonic() + _REOPEN_S
+        while not self._is_open:
+            try:
+                self._open()
+            except (TriggerError, CameraError):
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(_POLL_S)
         names = str(self.trigger.identity), str(self.camera.identity)
         for error, before, now in zip((TriggerError, CameraError), self._names, names, strict=True):
             if before != now:

@@ -73,16 +73,15 @@ def capture(
     arch
         Where --live computes, and the simulated rig is rendered.
     """
+    from pipeline.capture.simulated_rig import SETTINGS, simulated_instruments
+
     stopping = Stopping()
     calibration: Calibration | None
     with stopping.listening(), _status() as show:
-        if rig == _SIMULATED:
-            from pipeline.capture.simulated_rig import SETTINGS, simulated_instruments
-
-            wiring = SETTINGS
-            opened, calibration = simulated_instruments(arch, show)
+        wiring = SETTINGS if rig == _SIMULATED else read_rig(rig)
+        if wiring.trigger.driver == wiring.camera.driver == _SIMULATED:
+            opened, calibration = simulated_instruments(wiring, arch, show)
         else:
-            wiring = read_rig(rig)
             calibration = None if wiring.calibration is None else Calibration.read(wiring.calibration)
             opened = partial(open_instruments, wiring)
             _check_projector(wiring)

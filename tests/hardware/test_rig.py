@@ -8,7 +8,7 @@ import pytest
 from rigs import FRAMES, PERIOD_S, Bench, Faulty, settings
 
 from hardware import rig as rig_module
-from hardware.errors import BurstError, CameraError, RigError
+from hardware.errors import BurstError, CameraError, RigError, TriggerError
 from hardware.rig import Burst, Rejected, Rig
 
 one = frozenset({2})
@@ -198,6 +198,21 @@ def test_a_trigger_source_that_hangs_is_opened_again(monkeypatch):
         assert bench.mispaired(next(rig.bursts())) == []
     assert bench.n_opened == 2
     assert "the trigger source does not end its burst" in str(bench.rejected[0].faults[0])
+
+
+def test_a_cable_that_is_put_back_in_is_waited_for():
+    bench = Bench(settings(alternating=False), [Faulty(unplugged_trigger=1)])
+    with bench.rig() as rig:
+        away = iter(2 * [True])
+
+        def open_instruments():
+            if next(away, False):
+                raise TriggerError("there is no port /dev/ttyUSB0")
+            return bench.open()
+
+        rig._open_instruments = open_instruments
+        assert bench.mispaired(next(rig.bursts())) == []
+    assert len(bench.rejected) == 1
 
 
 def test_another_instrument_in_its_place_is_refused():
