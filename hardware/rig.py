@@ -283,6 +283,7 @@ class Rig:
         found = find_faults(
             Evidence(
                 train=train,
+                by_software=self.settings.trigger.driver == "software",
                 first_pulse=first,
                 count=count,
                 exposure_s=self.camera.exposure_s,

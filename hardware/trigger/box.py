@@ -265,10 +265,6 @@ class TriggerBox:
         damaged = self._damaged + self._link.damaged - self._damaged_before + said.number("garbled")
         if damaged > FEW_DAMAGED:
             complaints.append(f"{damaged} lines to and from the trigger box were damaged: look at its cable")
-        if state == "DONE" and self._strobe and not said.number("strobes"):
-            complaints.append(
-                "no exposure was reported: look at the camera's trigger and strobe cables, and at its TriggerSource"
-            )
         if state == "DONE" and self._vsync and not said.number("vsyncs"):
             complaints.append("the projector reported no picture: look at its sync cable, and whether it is on")
         return complaints

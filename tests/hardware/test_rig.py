@@ -131,6 +131,29 @@ def test_a_cable_that_is_not_there_is_named():
     )
 
 
+def test_two_cables_that_are_not_there_are_named():
+    every = frozenset(range(9))
+    bench = Bench(settings(alternating=False, vsync="per-pulse"), [Faulty(lost_trigger=every, lost_picture=every)])
+    assert bench.mispaired(burst_of(bench)) == []
+    assert "neither a frame nor a picture came: check both trigger cables" in str(bench.rejected[0].faults[0])
+
+
+def test_what_the_trigger_source_says_comes_before_the_pulses_that_it_did_not_make(monkeypatch):
+    bench = Bench(settings(alternating=False))
+    with bench.rig() as rig:
+        trigger = bench.devices.trigger
+        status = trigger.status
+        said = iter([status])  # the first is before the burst
+
+        def shorted():
+            ask = next(said, lambda: replace(status(), pulses=3, complaints=("an output did not follow",)))
+            return ask()
+
+        monkeypatch.setattr(trigger, "status", shorted)
+        with pytest.raises(BurstError, match="the trigger source says: an output did not follow"):
+            next(rig.bursts())
+
+
 @pytest.mark.parametrize(
     "fault, message",
     [
