@@ -8,7 +8,7 @@ import pytest
 from rigs import FRAMES, PERIOD_S, Bench, Faulty, settings
 
 from hardware import rig as rig_module
-from hardware.errors import BurstError, CameraError, RigError
+from hardware.errors import BurstError, CameraError, RigError, TriggerError
 from hardware.rig import Burst, Rejected, Rig
 
 one = frozenset({2})
@@ -211,6 +211,20 @@ def test_an_instrument_that_stays_away_is_an_error():
     assert bench.calls[-2:] == ["trigger.close", "camera.close"]
 
 
+def test_an_instrument_that_cannot_be_opened_again_is_said_to_be_lost(monkeypatch):
+    monkeypatch.setattr(rig_module, "_REOPEN_S", 0.0)
+    bench = Bench(settings(alternating=False), [Faulty(unplugged_trigger=1)])
+
+    def absent():
+        raise TriggerError("there is no such port")
+
+    with bench.rig() as rig:
+        rig._open_instruments = absent
+        with pytest.raises(TriggerError, match="the cable is out"):
+            next(rig.bursts())
+    assert [str(rejected.faults[0]) for rejected in bench.rejected][1:] == 2 * ["there is no such port"]
+
+
 def test_a_trigger_source_that_hangs_is_opened_again(monkeypatch):
     monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.05)
     bench = Bench(settings(alternating=False))
@@ -293,6 +307,7 @@ def random_fault(random: np.random.Generator) -> Faulty:
 def test_random_faults_neither_mispair_nor_cost_a_good_burst(strobe, n_bursts, monkeypatch):
     """Every burst that is kept is right, every run without a fault is kept."""
     monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.2)
+    monkeypatch.setattr(rig_module, "_REOPEN_S", 0.0)
     random = np.random.default_rng(1)
     fates: list[Faulty] = []  # of the runs of this try
     n_failed = n_faults = lost = wrong = 0
