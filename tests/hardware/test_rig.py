@@ -131,6 +131,29 @@ def test_a_cable_that_is_not_there_is_named():
     )
 
 
+def test_two_cables_that_are_not_there_are_named():
+    every = frozenset(range(9))
+    bench = Bench(settings(alternating=False, vsync="per-pulse"), [Faulty(lost_trigger=every, lost_picture=every)])
+    assert bench.mispaired(burst_of(bench)) == []
+    assert "neither a frame nor a picture came: check both trigger cables" in str(bench.rejected[0].faults[0])
+
+
+def test_what_the_trigger_source_says_comes_before_the_pulses_that_it_did_not_make(monkeypatch):
+    bench = Bench(settings(alternating=False))
+    with bench.rig() as rig:
+        trigger = bench.devices.trigger
+        status = trigger.status
+        said = iter([status])  # the first is before the burst
+
+        def shorted():
+            ask = next(said, lambda: replace(status(), pulses=3, complaints=("an output did not follow",)))
+            return ask()
+
+        monkeypatch.setattr(trigger, "status", shorted)
+        with pytest.raises(BurstError, match="the trigger source says: an output did not follow"):
+            next(rig.bursts())
+
+
 @pytest.mark.parametrize(
     "fault, message",
     [
@@ -186,6 +209,20 @@ def test_an_instrument_that_stays_away_is_an_error():
     with bench.rig() as rig, pytest.raises(CameraError, match="the cable is out"):
         next(rig.bursts())
     assert bench.calls[-2:] == ["trigger.close", "camera.close"]
+
+
+def test_an_instrument_that_cannot_be_opened_again_is_said_to_be_lost(monkeypatch):
+    monkeypatch.setattr(rig_module, "_REOPEN_S", 0.0)
+    bench = Bench(settings(alternating=False), [Faulty(unplugged_trigger=1)])
+
+    def absent():
+        raise TriggerError("there is no such port")
+
+    with bench.rig() as rig:
+        rig._open_instruments = absent
+        with pytest.raises(TriggerError, match="the cable is out"):
+            next(rig.bursts())
+    assert [str(rejected.faults[0]) for rejected in bench.rejected][1:] == 2 * ["there is no such port"]
 
 
 def test_a_trigger_source_that_hangs_is_opened_again(monkeypatch):
@@ -285,6 +322,7 @@ def random_fault(random: np.random.Generator) -> Faulty:
 def test_random_faults_neither_mispair_nor_cost_a_good_burst(strobe, n_bursts, monkeypatch):
     """Every burst that is kept is right, every run without a fault is kept."""
     monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.2)
+    monkeypatch.setattr(rig_module, "_REOPEN_S", 0.0)
     random = np.random.default_rng(1)
     fates: list[Faulty] = []  # of the runs of this try
     n_failed = n_faults = lost = wrong = 0
