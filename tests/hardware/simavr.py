@@ -8,6 +8,7 @@ import subprocess
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
+from threading import Lock
 
 import pytest
 
@@ -37,6 +38,7 @@ class Board:
         command = [build / "simavr_host", build / "trigger_box.elf", edges, str(speed)]
         self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         self._links: list[Link] = []
+        self._talking = Lock()  # tests have threads
         assert self.process.stdout is not None
         for line in self.process.stdout:  # libelf's messages come first
             if line.startswith("PTY "):
@@ -54,11 +56,12 @@ class Board:
         """Have the emulator do something, as its source lists; return what it answers."""
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        self.process.stdin.write(f"{command}\n")
-        self.process.stdin.flush()
-        answered, _, _ = select.select([self.process.stdout], [], [], 10)
-        assert answered, f"the emulator does not answer {command!r}"
-        answer = self.process.stdout.readline().split()
+        with self._talking:
+            self.process.stdin.write(f"{command}\n")
+            self.process.stdin.flush()
+            answered, _, _ = select.select([self.process.stdout], [], [], 10)
+            assert answered, f"the emulator does not answer {command!r}"
+            answer = self.process.stdout.readline().split()
         assert answer[:1] == ["OK"], answer
         return answer[1:]
 
