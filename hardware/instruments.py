@@ -25,7 +25,7 @@ def open_instruments(settings: RigSettings) -> tuple[Trigger, Camera]:
     if settings.trigger.driver == "software":
         camera = open_camera(settings.camera)
         return SoftwareTrigger(camera), camera
-    # The trigger source first: its outputs are low from then on.
+    # The trigger source first: a wrong port is told at once, while cameras take seconds.
     trigger = open_trigger(settings.trigger)
     try:
         return trigger, open_camera(settings.camera)
