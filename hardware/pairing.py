@@ -23,7 +23,7 @@ _ARRIVAL_TOLERANCE = 0.5
 # What to look at, the likeliest first.
 _TRIGGER = "check the camera's trigger cable"
 _NOISE = "check the shields of the camera's cables"
-_SOFTWARE = "the camera or this machine is too slow: make the period longer"
+_SOFTWARE = "the camera or this machine is too slow; make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
 
 
@@ -143,7 +143,7 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
     elif len(seen.frames) == seen.count and all(
         step is not None and step < 1 + seen.tolerance for step in _steps(seen)
     ):
-        reason = f"{n} exposures were counted for {seen.count} frames: check the strobe cable"
+        reason = f"{n} exposures were counted for {seen.count} frames: check the strobe cable, and camera.strobe_line"
     elif len(without) > 2 and len(set(np.diff(without))) == 1:
         reason = f"the camera misses pulses regularly ({n} exposures to {seen.count}): make the period longer"
     else:
