@@ -56,7 +56,11 @@ def crc8(text: str) -> int:
 
 
 class _Lost(TriggerError):
-    """No answer came that belongs to the request, which may have been obeyed or not."""
+    """No answer came that belongs to the request, which may have been obeyed or not; what was heard instead."""
+
+    def __init__(self, message: str, heard: str = "") -> None:
+        super().__init__(message)
+        self.heard = heard
 
 
 class _Refused(TriggerError):
@@ -267,10 +271,6 @@ class TriggerBox:
         damaged = self._damaged + self._link.damaged - self._damaged_before + said.number("garbled")
         if damaged > FEW_DAMAGED:
             complaints.append(f"{damaged} lines to and from the trigger box were damaged: look at its cable")
-        if state == "DONE" and self._strobe and not said.number("strobes"):
-            complaints.append(
-                "no exposure was reported: look at the camera's trigger and strobe cables, and at its TriggerSource"
-            )
         if state == "DONE" and self._vsync and not said.number("vsyncs"):
             complaints.append("the projector reported no picture: look at its sync cable, and whether it is on")
         return complaints
@@ -306,7 +306,8 @@ class TriggerBox:
             except _Lost as failure:
                 if time.monotonic() > deadline_s:
                     raise TriggerError(
-                        f"{self._link.url}: no trigger box answers ({failure}): is it in, flashed, and this its port?"
+                        f"{self._link.url}: no trigger box answers{failure.heard}: is it in, flashed, and this its "
+                        "port?"
                     ) from None
         if said.words[:1] != (NAME,):
             raise TriggerError(f"{self._link.url}: this is {' '.join(said.words)!r}, not a {NAME}: correct the port")
@@ -362,7 +363,7 @@ class TriggerBox:
                 raise _Refused(f"{self._link.url}: the trigger box refuses {command!r}: {' '.join(words[1:])}")
             if number == "?":
                 raise _Lost(f"{self._link.url}: the trigger box could not read {command!r}: look at its cable")
-        raise _Lost(f"{self._link.url}: the trigger box does not answer {command!r}{heard}: is it still on?")
+        raise _Lost(f"{self._link.url}: the trigger box does not answer {command!r}{heard}: is it still on?", heard)
 
 
 def _cause(said: _Answer) -> str:

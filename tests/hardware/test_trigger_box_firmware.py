@@ -347,8 +347,8 @@ def test_exposures_that_nothing_triggered(simavr_board: Start):
     board.tell("noise S 16000 6")  # three, 2 ms apart
     status = finish(box)
     assert (status.pulses, status.strobes) == (1, 0)
-    assert "exposed 3 times before the first pulse" in status.complaints[0]
-    assert "no exposure was reported" in status.complaints[1]
+    (complaint,) = status.complaints
+    assert "exposed 3 times before the first pulse" in complaint
 
 
 def test_cables_that_are_out(simavr_board: Start):
@@ -358,10 +358,8 @@ def test_cables_that_are_out(simavr_board: Start):
     box.fire()
     status = finish(box)
     assert (status.pulses, status.strobes, status.vsyncs) == (40, 0, 0)
-    assert [complaint.partition(":")[0] for complaint in status.complaints] == [
-        "no exposure was reported",
-        "the projector reported no picture",
-    ]
+    (complaint,) = status.complaints
+    assert complaint.startswith("the projector reported no picture:")
 
 
 @pytest.mark.parametrize("period_cycles", [10, 100, 700])
