@@ -241,7 +241,8 @@ def test_closing_stops_it(generator, device):
 def test_an_external_trigger_left_on_does_not_hold_the_burst_back():
     with QuantumComposersEmulator(trigger_keyword="EXT") as device:
         link = Link(device.url, terminator=TERMINATOR)
-        assert link.ask(":PULSE0:EXTERNAL:MODE TRIG") == "ok"
+        link.send(":PULSE0:EXTERNAL:MODE TRIG")
+        assert link.receive() == "ok"
         generator = QuantumComposers(link)
         generator.configure(TRAIN)
         run(generator)
