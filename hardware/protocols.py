@@ -35,6 +35,7 @@ class TriggerStatus:
     vsyncs: int | None = None  # pictures that the projector reported back
     boot: int | None = None  # another number after every restart
     complaints: tuple[str, ...] = ()  # what it found wrong since it was armed, a sentence each
+    clock_ppm: float | None = None  # by how much its clock is faster than this machine's; None: not known, or not yet
 
 
 @dataclass(frozen=True)

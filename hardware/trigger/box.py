@@ -6,8 +6,11 @@ damaged, is never taken for another one.
 
 import time
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+
+import numpy as np
 
 from hardware.errors import TriggerError
 from hardware.link import Link
@@ -31,6 +34,12 @@ BACKLOG = MEMORY // 2
 LOG_ANSWERS = 4
 #: An endless burst is not remembered for ever: the last hour at 30 Hz.
 REMEMBERED = 108_000
+
+#: Clocks are compared over so long at least: an answer's delay, unknown by a millisecond, is 100 ppm of it.
+CLOCK_S = 10.0
+CLOCK_SAMPLES = 100
+#: Answers that took so many times as long as the fastest one were held up on their way, and tell no time.
+SLOW = 1.5
 
 CAUSES = {
     1: "its power came on",
@@ -133,6 +142,7 @@ class TriggerBox:
         self._overdue = False
         self._log: deque[Strobe] = deque(maxlen=REMEMBERED)
         self._logged = 0  # exposures that were read from the box, or lost there
+        self._clock: deque[tuple[float, float, int]] = deque(maxlen=CLOCK_SAMPLES)  # asked and answered at, s; tick
         self._identity = self._identified()
         self._limits = self._asked_limits()
 
@@ -215,7 +225,11 @@ class TriggerBox:
 
     def status(self) -> TriggerStatus:
         """Return what became of the burst, and read out exposures that the box would soon forget."""
+        asked_s = time.monotonic()
         said = self._ask("STATUS")
+        if not self._is_same_life(said):
+            self._clock.clear()
+        self._clock.append((asked_s, time.monotonic(), said.number("tick")))
         running = said.text("state") == "RUNNING"
         if running and self._deadline_s is not None and time.monotonic() > self._deadline_s:
             self._overdue = True
@@ -231,6 +245,7 @@ class TriggerBox:
             vsyncs=said.number("vsyncs") if self._vsync else None,
             boot=said.number("boot"),
             complaints=tuple(self._complaints(said)),
+            clock_ppm=clock_ppm(self._clock, self._limits.tick_s),
         )
 
     def strobes(self) -> tuple[Strobe, ...]:
@@ -364,6 +379,31 @@ class TriggerBox:
             if number == "?":
                 raise _Lost(f"{self._link.url}: the trigger box could not read {command!r}: look at its cable")
         raise _Lost(f"{self._link.url}: the trigger box does not answer {command!r}{heard}: is it still on?", heard)
+
+
+def clock_ppm(samples: Sequence[tuple[float, float, int]], tick_s: float) -> float | None:
+    """Return by how much the box's clock is faster than this machine's.
+
+    Parameters
+    ----------
+    samples : (s, s, ticks)
+        When it was asked and when it answered, by this machine's clock, and its tick then, modulo 2^32.
+    tick_s : float
+        How long a tick is by its own clock.
+
+    Returns
+    -------
+    float or None
+        By the straight line through the ticks over the middles of question and answer; None: too little is known.
+    """
+    fastest_s = min((answered_s - asked_s for asked_s, answered_s, _ in samples), default=0.0)
+    prompt = [sample for sample in samples if sample[1] - sample[0] <= SLOW * fastest_s]
+    if len(prompt) < 3 or prompt[-1][0] - prompt[0][0] < CLOCK_S:
+        return None
+    middle_s = np.array([(asked_s + answered_s) / 2 for asked_s, answered_s, _ in prompt])
+    steps = np.diff([tick for _, _, tick in prompt]) % 2**32  # it is asked more often than once in 35 minutes
+    its_s = tick_s * np.concatenate([[0], np.cumsum(steps)])
+    return float(1e6 * (np.polyfit(middle_s - middle_s[0], its_s, 1)[0] - 1))
 
 
 def _cause(said: _Answer) -> str:

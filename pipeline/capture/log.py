@@ -86,6 +86,7 @@ class CaptureLog:
             "vsyncs": status.vsyncs,
             "delivered_twice": burst.n_repeated,
             "camera_clock_ppm": burst.camera_ppm,
+            "trigger_clock_ppm": status.clock_ppm,
         }
         self._write([*frames, end])
 

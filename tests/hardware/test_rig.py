@@ -124,6 +124,13 @@ def test_exposures_too_many_to_be_remembered_are_counted(endless):
     assert {paired.strobe_s for burst in bursts for paired in burst.frames} == {None}
 
 
+def test_a_camera_that_is_triggered_too_fast_is_told_so():
+    """It takes every other pulse, as real ones do, which the period's check could not know."""
+    bench = Bench(settings(alternating=False), [Faulty(lost_trigger=frozenset({1, 3, 5}))])
+    assert bench.mispaired(burst_of(bench)) == []
+    assert "misses pulses regularly (3 exposures to 6)" in str(bench.rejected[0].faults[0])
+
+
 def test_a_cable_that_is_not_there_is_named():
     bench = Bench(settings(alternating=False), [Faulty(lost_trigger=frozenset(range(9)))])
     assert bench.mispaired(burst_of(bench)) == []

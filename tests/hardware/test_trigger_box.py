@@ -4,6 +4,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import pytest
 from byte_script import ScriptedPort, scripted
 
@@ -12,7 +13,7 @@ from hardware.link import Link
 from hardware.protocols import Identity, Strobe, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain, TriggerLimits
 from hardware.trigger import box as module
-from hardware.trigger.box import TriggerBox, crc8
+from hardware.trigger.box import TriggerBox, clock_ppm, crc8
 
 pytestmark = pytest.mark.timeout(30)
 
@@ -104,6 +105,23 @@ def test_a_burst_byte_by_byte():
         assert box.strobes() == (Strobe(0, 401 * 5e-7), Strobe(1, 2402 * 5e-7), Strobe(2, 4401 * 5e-7))
         box.close()
         assert not link._port.is_open
+
+
+@pytest.mark.parametrize("ppm", [-1500.0, 0.0, 40.0])
+def test_clocks_are_compared_by_prompt_answers(ppm):
+    """A minute of questions, every seventh held up by half a second on its way back, the tick running over."""
+    random = np.random.default_rng(0)
+    samples = []
+    for i in range(100):
+        asked_s = 100.0 + 0.6 * i
+        there_s, back_s = random.uniform(1e-3, 1.2e-3, 2)
+        tick = 2**32 - 10_000_000 + (asked_s + there_s) * (1 + 1e-6 * ppm) / 5e-7
+        samples.append((asked_s, asked_s + there_s + back_s + 0.5 * (i % 7 == 0), int(tick) % 2**32))
+    found = clock_ppm(samples, 5e-7)
+    assert found is not None
+    assert abs(found - ppm) < 2
+    assert clock_ppm(samples[:15], 5e-7) is None  # eight seconds
+    assert clock_ppm([], 5e-7) is None
 
 
 def test_later_firmware_may_say_more():
