@@ -102,7 +102,7 @@ def test_every_fault_is_seen_and_the_burst_repeated(name, endless):
     "fault, n", [(Faulty(lost_picture=frozenset({1, 3})), 4), (Faulty(extra_picture=frozenset({1, 3})), 8)]
 )
 def test_pictures_that_are_reported_tell_of_a_lost_pulse(fault, n, endless):
-    bench = Bench(settings(alternating=False, vsync="per-pulse"), [fault])
+    bench = Bench(settings(alternating=False, vsync="per-pulse"), [*endless * [Faulty()], fault])
     with bench.rig() as rig:
         assert bench.mispaired(next(rig.bursts(endless=endless))) == []
     assert f"the projector reported {n}" in str(bench.rejected[0].faults[0])
@@ -111,7 +111,8 @@ def test_pictures_that_are_reported_tell_of_a_lost_pulse(fault, n, endless):
 @pytest.mark.parametrize("endless", [False, True])
 def test_exposures_too_many_to_be_remembered_are_counted(endless):
     """The trigger source forgets every other one; one that the camera did not make is noticed all the same."""
-    bench = Bench(settings(alternating=False), [Faulty(lost_trigger=frozenset({4}))])
+    plan = [*endless * [Faulty()], Faulty(lost_trigger=frozenset({4}))]
+    bench = Bench(settings(alternating=False), plan)
     with bench.rig() as rig:
         trigger = bench.devices.trigger
         remembered = trigger.strobes
