@@ -75,51 +75,52 @@ def capture(
     """
     stopping = Stopping()
     calibration: Calibration | None
-    with stopping.listening(), _status() as show:
-        if rig == _SIMULATED:
-            from pipeline.capture.simulated_rig import SETTINGS, simulated_instruments
+    with stopping.listening():  # to the last line, which who asks twice is not to miss
+        with _status() as show:
+            if rig == _SIMULATED:
+                from pipeline.capture.simulated_rig import SETTINGS, simulated_instruments
 
-            wiring = SETTINGS
-            opened, calibration = simulated_instruments(arch, show)
-        else:
-            wiring = read_rig(rig)
-            calibration = None if wiring.calibration is None else Calibration.read(wiring.calibration)
-            opened = partial(open_instruments, wiring)
-            _check_projector(wiring)
-        plan = Plan(
-            n_bursts=1 if bursts is None and not endless else bursts,
-            endless=endless,
-            keep_last_s=keep_last,
-            suffix=f".{format}",
-            live=live,
-            arch=arch,
+                wiring = SETTINGS
+                opened, calibration = simulated_instruments(arch, show)
+            else:
+                wiring = read_rig(rig)
+                calibration = None if wiring.calibration is None else Calibration.read(wiring.calibration)
+                opened = partial(open_instruments, wiring)
+                _check_projector(wiring)
+            plan = Plan(
+                n_bursts=1 if bursts is None and not endless else bursts,
+                endless=endless,
+                keep_last_s=keep_last,
+                suffix=f".{format}",
+                live=live,
+                arch=arch,
+            )
+            show("opening trigger source and camera")
+            summary = session.capture(
+                wiring,
+                opened,
+                out,
+                plan,
+                calibration=calibration,
+                decoding=DecodeSettings() if settings is None else DecodeSettings.read(settings),
+                stopping=stopping,
+                tell=lambda progress: show(_line(progress)),
+            )
+        for note in (*_differences(wiring, calibration), *summary.notes):
+            _say(f"note: {note}")
+        if not summary.n_frames:
+            _err.print("stopped before a burst was whole: nothing is kept", style="red")
+            sys.exit(_STOPPED)
+        if summary.n_rejected:
+            _say(f"{_times(summary.n_rejected)} a burst was thrown away; {out / LOG} says why")
+        what = f"{summary.n_frames} frames of {summary.n_bursts} bursts are in {summary.recording}"
+        _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
+        rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
+        _out.print(
+            f"colorphase decode {summary.recording} --out {out / 'decoded'}{rig_file}", highlight=False, soft_wrap=True
         )
-        show("opening trigger source and camera")
-        summary = session.capture(
-            wiring,
-            opened,
-            out,
-            plan,
-            calibration=calibration,
-            decoding=DecodeSettings() if settings is None else DecodeSettings.read(settings),
-            stopping=stopping,
-            tell=lambda progress: show(_line(progress)),
-        )
-    for note in (*_differences(wiring, calibration), *summary.notes):
-        _say(f"note: {note}")
-    if not summary.n_frames:
-        _err.print("stopped before a burst was whole: nothing is kept", style="red")
-        sys.exit(_STOPPED)
-    if summary.n_rejected:
-        _say(f"{_times(summary.n_rejected)} a burst was thrown away; {out / LOG} says why")
-    what = f"{summary.n_frames} frames of {summary.n_bursts} bursts are in {summary.recording}"
-    _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
-    rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
-    _out.print(
-        f"colorphase decode {summary.recording} --out {out / 'decoded'}{rig_file}", highlight=False, soft_wrap=True
-    )
-    if summary.stopped and bursts is not None:
-        sys.exit(_STOPPED)
+        if summary.stopped and bursts is not None:
+            sys.exit(_STOPPED)
 
 
 def _check_projector(wiring: RigSettings) -> None:

@@ -122,6 +122,7 @@ def capture(
         except KeyboardInterrupt:
             stopped = True
         finally:
+            stopping.ignore()
             bursts.close()
         notes = rig.notes + keeper.notes
     return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped, notes)
@@ -185,12 +186,13 @@ class _Keeper:
         try:
             if self._live is not None:
                 self._live.close()
-            if error is None or isinstance(error, KeyboardInterrupt):
-                while self._ring:
-                    self._write(self._ring.popleft())
+            while self._ring:
+                self._write(self._ring.popleft())
             self._recorder.close()
+        except BaseException as failure:
+            error = failure
+            raise
         finally:
-            self._recorder.stop()
             with suppress(OutputError):  # the disk may be full
                 self._log.say("end", frames=self.n_frames, error=None if error is None else str(error))
             self._log.close()
