@@ -63,7 +63,7 @@ class Summary:
     n_frames: int
     n_rejected: int
     recording: Path
-    stopped: bool  # by its user
+    stopped: bool  # by its user, before all bursts were there
     notes: tuple[str, ...]  # what could not be seen or held, a sentence each
 
 
@@ -109,6 +109,7 @@ def capture(
         The folder is there already or cannot be written, or the disk is full.
     """
     stopped = False
+    n_taken = 0
     with (
         Rig(settings, open_instruments, lambda rejected: keeper.reject(rejected)) as rig,
         _Keeper(folder, rig, plan, calibration, decoding) as keeper,
@@ -118,9 +119,10 @@ def capture(
             for burst in islice(bursts, plan.n_bursts):
                 with stopping.shield():
                     keeper.keep(burst)
+                    n_taken += 1
                 tell(keeper.progress())
         except KeyboardInterrupt:
-            stopped = True
+            stopped = n_taken != plan.n_bursts
         finally:
             stopping.ignore()
             bursts.close()

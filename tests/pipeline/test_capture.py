@@ -123,6 +123,11 @@ def test_ctrl_c_keeps_the_whole_bursts(tmp_path):
     assert bench.calls[-4:] == ["trigger.abort", "camera.disarm", "trigger.close", "camera.close"]
 
 
+def test_ctrl_c_in_the_last_burst_stops_nothing(tmp_path):
+    summary = captured(Bench(settings()), tmp_path / "out", Plan(3), stopping=Interrupted(3))
+    assert (summary.n_bursts, summary.stopped) == (3, False)
+
+
 @pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
 def test_a_full_disk_keeps_the_whole_bursts(tmp_path, monkeypatch, suffix):
     """The disk fills up in the middle of the third burst."""
