@@ -1,6 +1,7 @@
 """Open what a rig's file names."""
 
 from hardware.camera import open_camera
+from hardware.errors import RigError
 from hardware.protocols import Camera, Trigger
 from hardware.settings import RigSettings
 from hardware.trigger import open_trigger
@@ -17,10 +18,14 @@ def open_instruments(settings: RigSettings) -> tuple[Trigger, Camera]:
     TriggerError, CameraError
         One of them cannot be reached, or is another one.
     """
+    if "simulated" in (settings.trigger.driver, settings.camera.driver):
+        raise RigError(
+            'a simulated trigger source and a simulated camera go together: set driver = "simulated" for both'
+        )
     if settings.trigger.driver == "software":
         camera = open_camera(settings.camera)
         return SoftwareTrigger(camera), camera
-    # The trigger source first: its outputs are low from then on.
+    # The trigger source first: a wrong port is told at once, while cameras take seconds.
     trigger = open_trigger(settings.trigger)
     try:
         return trigger, open_camera(settings.camera)

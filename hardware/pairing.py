@@ -26,6 +26,7 @@ _REGULAR_MISSES, _CLOSEST_MISSES = 3, 2
 # What to look at, the likeliest first.
 _TRIGGER = "check the camera's trigger cable"
 _NOISE = "check the shields of the camera's cables"
+_SOFTWARE = "the camera or this machine is too slow: make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
 
 
@@ -45,6 +46,7 @@ class Evidence:
     """All that is known of a run of pulses that has ended, or of a part of one that goes on."""
 
     train: PulseTrain
+    by_software: bool  # whether this program triggers the camera, and no cable does
     first_pulse: int  # its number, where the run is part of a longer one
     count: int  # pulses it has
     exposure_s: float
@@ -69,6 +71,7 @@ class Evidence:
 def find_faults(seen: Evidence) -> list[Fault]:
     """Return all that keeps frame i from being pulse i's beyond doubt, the likeliest cause first; none: it is."""
     return [
+        *_cable_faults(seen),
         *_trigger_faults(seen),
         *_count_faults(seen),
         *_frame_faults(seen),
@@ -76,17 +79,28 @@ def find_faults(seen: Evidence) -> list[Fault]:
     ]
 
 
+def _cable_faults(seen: Evidence) -> list[Fault]:
+    """Say where neither camera nor projector is heard of, whose cables have the trigger source in common."""
+    whole = seen.ended.pulses == seen.train.count or seen.train.count is None
+    if seen.picture_a_pulse and whole and not (seen.frames or seen.ended.strobes or seen.ended.vsyncs):
+        return [Fault("neither a frame nor a picture came: check both trigger cables and their ground")]
+    return []
+
+
 def _trigger_faults(seen: Evidence) -> list[Fault]:
     found = []
-    if seen.armed.boot != seen.ended.boot:
+    restarted = seen.armed.boot != seen.ended.boot
+    if restarted:
         found.append(Fault("the trigger source restarted in mid-burst: check its power supply"))
-    elif seen.train.count is not None and seen.ended.pulses not in (None, seen.train.count):
+    # It says why; that pulses are missing is what comes of it.
+    found += [Fault(f"the trigger source says: {complaint}") for complaint in seen.ended.complaints]
+    if not restarted and seen.train.count is not None and seen.ended.pulses not in (None, seen.train.count):
         found.append(Fault(f"the trigger source made {seen.ended.pulses} pulses instead of {seen.train.count}"))
     # While pulses run on, the projector may not have answered the last one yet.
     n, vsyncs, running = seen.ended.pulses, seen.ended.vsyncs, seen.train.count is None
     if seen.picture_a_pulse and n is not None and vsyncs is not None and not n - running <= vsyncs <= n + running:
         found.append(Fault(f"the projector reported {vsyncs} pictures to {n} pulses: check its trigger cable"))
-    return found + [Fault(f"the trigger source says: {complaint}") for complaint in seen.ended.complaints]
+    return found
 
 
 def _count_faults(seen: Evidence) -> list[Fault]:
@@ -106,8 +120,10 @@ def _count_faults(seen: Evidence) -> list[Fault]:
     if seen.strobes is not None:
         return [Fault(f"only {n} frames of {seen.count} exposures arrived: {_DATA}", _first_gap(seen))]
     if n == 0:
-        return [Fault(f"no frame came: {_TRIGGER}, and that its trigger line is the one in use", seen.first_pulse)]
-    return [Fault(f"{n} frames to {seen.count} pulses: {_TRIGGER}, then its data cable", _first_gap(seen))]
+        look = _DATA if seen.by_software else f"{_TRIGGER}, and that its trigger line is the one in use"
+        return [Fault(f"no frame came: {look}", seen.first_pulse)]
+    look = _SOFTWARE if seen.by_software else f"{_TRIGGER}, then its data cable"
+    return [Fault(f"{n} frames to {seen.count} pulses: {look}", _first_gap(seen))]
 
 
 def _strobe_count_faults(seen: Evidence) -> list[Fault]:
@@ -218,7 +234,7 @@ def _time_faults(seen: Evidence) -> list[Fault]:
     steps = _steps(seen)
     for pulse, step in enumerate(steps, seen.first_pulse):
         if step is not None and abs(step - 1) > seen.tolerance:
-            likely = _TRIGGER if step > 1 else _NOISE
+            likely = _SOFTWARE if seen.by_software else _TRIGGER if step > 1 else _NOISE
             return [Fault(f"its frame is {step:.2f} periods after the one before: {likely}", pulse)]
     late_s = _late_s(seen)
     # Timestamps are taken some time after the fact.
@@ -265,5 +281,7 @@ def latencies_s(frames: Sequence[CameraFrame], first_pulse: int, period_s: float
 
 
 def _likely(seen: Evidence) -> str:
-    """Return which cable has lost frames of which none is missing between the others."""
+    """Return what has lost frames of which none is missing between the others."""
+    if seen.by_software:
+        return _SOFTWARE
     return _DATA if seen.strobes is not None else _TRIGGER

@@ -80,8 +80,9 @@ def fitted(train: PulseTrain, limits: TriggerLimits) -> PulseTrain:
             raise RigError(f"the {name}'s pulse is {asked.width_s:g} s wide: make it {limits.min_width_s:g} s or more")
         gap_s = seconds(period - delay - width)
         if gap_s < limits.min_gap_s:
+            ends = f"{gap_s:g} s before the period does" if gap_s >= 0 else f"{-gap_s:g} s after the period has"
             raise RigError(
-                f"the {name}'s pulse ends {gap_s:g} s before the period does: leave {limits.min_gap_s:g} s or more, "
+                f"the {name}'s pulse ends {ends}: leave {limits.min_gap_s:g} s or more, "
                 "with a longer period, a shorter delay or a shorter width"
             )
         return Pulse(seconds(delay), seconds(width))

@@ -26,6 +26,8 @@ _POLL_S = 0.25
 _SHORT_POLL_S = 0.01
 # From so far behind on, lost frames are laid to this machine, and not to a cable.
 _BEHIND_S = 0.1
+# How long an instrument may stay away: a board starts for three seconds, a cable is put back in somewhat more.
+_REOPEN_S = 5.0
 # Frames from which on two clocks are compared.
 _LEAST_FOR_CLOCK = 5
 # Frames by which the rig learns which of two pictures the projector shows, and how long a frame takes to us.
@@ -136,6 +138,7 @@ class Rig:
         self._open_instruments = open_instruments
         self._tell = tell
         self._is_open = False
+        self._lost: Exception | None = None  # why instruments were let go of
         self._has_clock = True  # the camera's frames have times
         self._alternation = Alternation() if settings.projector.alternating else None
         self._configured: tuple[PulseTrain, PulseTrain] | None = None  # as asked for, and as it is
@@ -205,8 +208,9 @@ class Rig:
         notes = list(self.camera.unlocked)
         if not self.settings.trigger.strobe and not self._has_clock:
             notes.append(
-                "the camera tells no times and its exposures are not wired back: frames are paired by their number and "
-                "by when they arrive; wire its exposure output to the trigger source, and set trigger.strobe = true"
+                "the camera tells no times and its exposures are not counted: frames are paired by their number and by "
+                "when they arrive; a trigger box with its exposure output wired back, and trigger.strobe = true, tells "
+                "more"
             )
         return tuple(notes)
 
@@ -215,11 +219,17 @@ class Rig:
         self._is_open = True
 
     def _reopen(self) -> None:
-        self._open()
+        deadline = time.monotonic() + _REOPEN_S
+        while not self._is_open:
+            try:
+                self._open()
+            except (TriggerError, CameraError):
+                if time.monotonic() > deadline:
+                    raise
+                time.sleep(_POLL_S)
         names = str(self.trigger.identity), str(self.camera.identity)
         for error, before, now in zip((TriggerError, CameraError), self._names, names, strict=True):
             if before != now:
-                self.close()
                 raise error(f"{now} answers where {before} was: connect it again, or start anew")
 
     def _configure(self, asked: PulseTrain) -> PulseTrain:
@@ -233,13 +243,15 @@ class Rig:
             found = error.faults
         else:
             found = (Fault(str(error)),)
+            if self._is_open:  # else it could not be opened again, and why it was let go of says more
+                self._lost = error
             self.close()  # it may be lost: the next try opens it again, and sets it up anew
         self._stop()
         self._tell(Rejected(number, attempt, found))
         if attempt == TRIES:
             if isinstance(error, _Refused):
                 raise BurstError(f"burst {number} was not whole in {TRIES} tries; {found[0]}") from None
-            raise error
+            raise self._lost or error
 
     def _stop(self) -> None:
         if self._alternation is not None:
@@ -298,6 +310,7 @@ class Rig:
         found = find_faults(
             Evidence(
                 train=train,
+                by_software=self.settings.trigger.driver == "software",
                 first_pulse=first,
                 count=count,
                 exposure_s=self.camera.exposure_s,

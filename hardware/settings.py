@@ -49,7 +49,7 @@ class CameraSettings(_Section):
     """The camera and what is fixed in it."""
 
     driver: Literal["basler", "aravis", "opencv", "simulated"]
-    serial: str | None = None
+    serial: Annotated[str | None, Field(coerce_numbers_to_str=True)] = None
     """Its serial number, or for opencv its number; None: the only one there."""
     exposure_s: Positive
     gain_db: NonNegative = 0.0

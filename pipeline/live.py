@@ -211,7 +211,10 @@ class LiveDecoder:
     def _note_end(self) -> None:
         self._process.join(_DIE_S)
         code = self._process.exitcode
-        how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
+        if code is None:
+            how = "does not answer any more"
+        else:
+            how = f"was killed by signal {-code}" if code < 0 else f"ended with code {code}"
         self._end(f"its process {how}")
 
     def _end(self, reason: str) -> None:

@@ -79,6 +79,8 @@ def read_file(path: str | Path, model: type[M], parse: Callable[[str], Any], err
         values = parse(Path(path).read_text(encoding="utf-8"))
     except OSError as fault:
         raise error(f"cannot read {path}: {fault.strerror or fault}") from None
+    except UnicodeDecodeError:
+        raise error(f"{path} is not what it should be: it is no text file") from None
     except ValueError as fault:  # JSON, TOML and UTF-8 all raise one
         raise error(f"{path} is not what it should be: {str(fault).splitlines()[0]}") from None
     return build(model, values, error, str(path))

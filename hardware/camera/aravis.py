@@ -163,18 +163,19 @@ class AravisCamera:
 
     def close(self) -> None:
         """Stop and let go of the camera; harmless twice, and never raises."""
+        if not self._device:
+            return
+        stream, camera, device = self._stream, self._camera, self._device
+        self._stream = self._camera = self._device = 0
 
         def let_go() -> None:
-            with suppress(CameraError):  # it is gone: there is nothing left to stop
-                self.disarm()
-            camera, device = self._camera, self._device
-            self._camera = self._device = 0
-            for instance in (camera, device):
+            if stream:
+                with suppress(CameraError):  # it is gone: there is nothing left to stop
+                    self._aravis.arv_camera_stop_acquisition(camera)
+            for instance in (stream, camera, device):
                 if instance:
                     self._aravis.g_object_unref(instance)
 
-        if not self._device:
-            return
         closing = Thread(target=let_go, name="close camera", daemon=True)
         closing.start()
         closing.join(_CLOSE_S)

@@ -6,7 +6,7 @@ a trigger here means: throw away as many frames as could have been begun before 
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from math import log2
 from pathlib import Path
@@ -51,9 +51,10 @@ def list_webcams() -> list[Identity]:
         raise CameraError('webcams go by their numbers here: serial = "0" is the first')
     found = []
     for folder in sorted(Path("/sys/class/video4linux").glob("video*"), key=lambda path: (len(path.name), path.name)):
-        # One camera has several devices, of which the first one gives pictures.
-        if (folder / "index").read_text().strip() == "0":
-            found.append(Identity("", (folder / "name").read_text().strip(), folder.name.removeprefix("video")))
+        with suppress(OSError):  # it is being unplugged
+            # One camera has several devices, of which the first one gives pictures.
+            if (folder / "index").read_text().strip() == "0":
+                found.append(Identity("", (folder / "name").read_text().strip(), folder.name.removeprefix("video")))
     return found
 
 
@@ -79,7 +80,7 @@ class OpenCVCamera:
         if settings.pixel_format not in (None, "RGB8"):
             raise RigError(f"a webcam has no pixel_format {settings.pixel_format}: leave it out, frames come as RGB8")
         number = settings.serial or "0"
-        if not number.isdecimal():
+        if not number.isdecimal() or int(number) >= 2**31:  # it takes no larger ones
             raise RigError(f"serial is {number}: a webcam goes by its number, as 0")
         with _quiet():
             self._capture = cv2.VideoCapture(int(number))

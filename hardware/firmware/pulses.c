@@ -225,6 +225,27 @@ const struct train *pulses_train(void)
     return &train;
 }
 
+INLINE void rewind_output(struct output *output, const struct pulse *pulse)
+{
+    output->high_ticks = pulse->width;
+    output->low_ticks = train.period - pulse->width;
+    output->left = train.count;
+    output->high = false;
+}
+
+// Go back to the first pulse, with nothing counted. Interrupts are off.
+static void rewind(enum state next)
+{
+    rewind_output(&projector, &train.projector);
+    rewind_output(&camera, &train.camera);
+    strobes = vsyncs = 0;
+    strobes_logged = strobes_seen = 0;
+    strays = noise = worst = 0;
+    listening = false;
+    failure = IDLE;
+    state = next;
+}
+
 static bool fits(const struct pulse *pulse, uint32_t period)
 {
     return pulse->delay <= period && pulse->width <= period - pulse->delay
@@ -246,33 +267,14 @@ const char *pulses_set(const struct train *asked)
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         train = *asked;
-        listening = false;
-        state = READY;
+        rewind(READY);
     }
     return NULL;
 }
 
-INLINE void rewind_output(struct output *output, const struct pulse *pulse)
-{
-    output->high_ticks = pulse->width;
-    output->low_ticks = train.period - pulse->width;
-    output->left = train.count;
-    output->high = false;
-}
-
 void pulses_arm(void)
 {
-    ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
-    {
-        rewind_output(&projector, &train.projector);
-        rewind_output(&camera, &train.camera);
-        strobes = vsyncs = 0;
-        strobes_logged = strobes_seen = 0;
-        strays = noise = worst = 0;
-        listening = false;
-        failure = IDLE;
-        state = ARMED;
-    }
+    ATOMIC_BLOCK(ATOMIC_RESTORESTATE) rewind(ARMED);
 }
 
 INLINE void start(struct output *output, const struct unit *unit, const struct pulse *pulse, uint32_t now)
@@ -287,6 +289,10 @@ uint32_t pulses_fire(void)
     uint32_t now;
     // What the compare units still hold must not match while they are prepared.
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE) OCR1A = OCR1B = TCNT1 - 2;
+    // Nor must an older match be told once they are. Both may wait by now, and between two interrupts the chip runs one
+    // instruction, which would be the one that keeps the second out.
+    while (TIFR1 & (_BV(OCF1A) | _BV(OCF1B)))
+        ;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
         vsyncs_seen = TCNT0;

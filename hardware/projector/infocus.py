@@ -77,7 +77,7 @@ class InFocus:
             return True
 
         if not self._tells_power:
-            self._send(f"PWR{on:d}")
+            command()
             return False
         switch_power(on, self._power, command, tell)
         return True

@@ -164,6 +164,8 @@ class _Session:
             raise ProjectorError(f'{url}: PJLink is spoken over the network: write port = "socket://10.0.0.6:4352"')
         try:
             self._socket = socket.create_connection((host, port), timeout=ANSWER_S)
+        except UnicodeError:
+            raise ProjectorError(f"{url}: {host} can be no host's name: correct port under [projector]") from None
         except OSError as fault:
             raise ProjectorError(
                 f"{url} cannot be reached ({fault.strerror or fault}): check the address, the network cable, and that "
@@ -172,7 +174,7 @@ class _Session:
 
     def log_in(self, password: str | None) -> None:
         """Take the greeting, and get ready to prove that the password is known."""
-        greeting = self._line()
+        greeting = self._line(time.monotonic() + ANSWER_S)
         if greeting is None:
             raise ProjectorError(
                 f"{self._url} does not greet as PJLink does: switch PJLink on in the projector's network menu, close "
@@ -198,7 +200,8 @@ class _Session:
             raise self._gone() from None
         self._prefix = ""
         header = f"%1{command}="
-        while (line := self._line()) is not None:
+        deadline_s = time.monotonic() + ANSWER_S
+        while (line := self._line(deadline_s)) is not None:
             self._check_login(line)
             if not line.upper().startswith(header):
                 continue  # an answer that comes too late
@@ -222,9 +225,8 @@ class _Session:
         """Hang up."""
         self._socket.close()
 
-    def _line(self) -> str | None:
+    def _line(self, deadline_s: float) -> str | None:
         """Return the next line, or None where none comes in time."""
-        deadline_s = time.monotonic() + ANSWER_S
         while b"\r" not in self._arrived:
             left_s = deadline_s - time.monotonic()
             if left_s <= 0 or len(self._arrived) > _LONGEST:

@@ -67,5 +67,6 @@ def _opened(
         link.close()
     tried = ", ".join(map(str, bauds))
     raise TriggerError(
-        f"{port}: nothing answers at {tried} baud: is the instrument on, its cable in, this its remote interface?"
+        f"{port}: nothing answers at {tried} baud: is the instrument on, its cable in, this its remote interface, "
+        "and trigger.driver right?"
     )

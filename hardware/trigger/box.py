@@ -23,8 +23,10 @@ IDENTIFY_S = 3.0
 OVERDUE_S = 1.0
 #: Damaged lines during a burst: a few were asked for again, of more one may have passed, as one in 256 does.
 FEW_DAMAGED = 3
-#: Exposures that the box remembers when `status` begins to read them out: half of what it can.
-BACKLOG = 64
+#: Exposures that the box remembers at most.
+MEMORY = 128
+#: With how many that it was not asked for yet `status` begins to read them out.
+BACKLOG = MEMORY // 2
 #: Answers, of six exposures and 16 ms each, that one `status` waits for.
 LOG_ANSWERS = 4
 #: An endless burst is not remembered for ever: the last hour at 30 Hz.
@@ -54,7 +56,11 @@ def crc8(text: str) -> int:
 
 
 class _Lost(TriggerError):
-    """No answer came that belongs to the request, which may have been obeyed or not."""
+    """No answer came that belongs to the request, which may have been obeyed or not; what was heard instead."""
+
+    def __init__(self, message: str, heard: str = "") -> None:
+        super().__init__(message)
+        self.heard = heard
 
 
 class _Refused(TriggerError):
@@ -162,7 +168,7 @@ class TriggerBox:
             f"period={period} count={count} projector={pulses[0]},{pulses[1]} camera={pulses[2]},{pulses[3]} "
             f"strobe={self._strobe:d} vsync={self._vsync:d}"
         )
-        if " ".join(answer.words[2:]) != expected:
+        if not set(expected.split()) <= set(answer.words):  # later firmware may say more
             raise TriggerError(f"{self._link.url}: the trigger box makes {' '.join(answer.words)!r} of {expected!r}")
         self._set, self._count, self._period = answer, count, period
         return train
@@ -217,7 +223,7 @@ class TriggerBox:
             running = False
         strobes = said.number("strobes")
         if self._strobe and self._is_same_life(said) and strobes - self._logged > BACKLOG:
-            self._read_log(LOG_ANSWERS)
+            self._read_log(strobes, LOG_ANSWERS)
         return TriggerStatus(
             running=running,
             pulses=said.number("pulses"),
@@ -229,8 +235,8 @@ class TriggerBox:
 
     def strobes(self) -> tuple[Strobe, ...]:
         """Return the exposures that it did not return yet; those that were overwritten before are missing."""
-        if self._strobe and self._is_same_life(self._ask("STATUS")):
-            self._read_log(None)
+        if self._strobe and self._is_same_life(said := self._ask("STATUS")):
+            self._read_log(said.number("strobes"), MEMORY)
         found = tuple(self._log)
         self._log.clear()
         return found
@@ -265,10 +271,6 @@ class TriggerBox:
         damaged = self._damaged + self._link.damaged - self._damaged_before + said.number("garbled")
         if damaged > FEW_DAMAGED:
             complaints.append(f"{damaged} lines to and from the trigger box were damaged: look at its cable")
-        if state == "DONE" and self._strobe and not said.number("strobes"):
-            complaints.append(
-                "no exposure was reported: look at the camera's trigger and strobe cables, and at its TriggerSource"
-            )
         if state == "DONE" and self._vsync and not said.number("vsyncs"):
             complaints.append("the projector reported no picture: look at its sync cable, and whether it is on")
         return complaints
@@ -283,18 +285,16 @@ class TriggerBox:
                 "configure it again"
             )
 
-    def _read_log(self, answers: int | None) -> None:
-        """Read exposures that were not read yet, in so many answers; None: all."""
-        while answers is None or answers > 0:
+    def _read_log(self, strobes: int, answers: int) -> None:
+        """Read exposures that were not read yet, in so many answers at most; more than that many may come meanwhile."""
+        while self._logged < strobes and answers > 0:
             said = self._ask(f"LOG {self._logged}")
             entries = said.pairs()
             for pulse, offset in entries:
                 self._log.append(Strobe(pulse, (pulse * self._period + offset) * self._limits.tick_s))
             self._logged = said.number("from") + len(entries)
-            if self._logged >= said.number("strobes"):
-                return
-            if answers is not None:
-                answers -= 1
+            strobes = min(strobes, said.number("strobes"))  # it may have restarted
+            answers -= 1
 
     def _identified(self) -> Identity:
         """Wait until it says who it is."""
@@ -306,7 +306,8 @@ class TriggerBox:
             except _Lost as failure:
                 if time.monotonic() > deadline_s:
                     raise TriggerError(
-                        f"{self._link.url}: no trigger box answers ({failure}): is it in, flashed, and this its port?"
+                        f"{self._link.url}: no trigger box answers{failure.heard}: is it in, flashed, and this its "
+                        "port?"
                     ) from None
         if said.words[:1] != (NAME,):
             raise TriggerError(f"{self._link.url}: this is {' '.join(said.words)!r}, not a {NAME}: correct the port")
@@ -362,7 +363,7 @@ class TriggerBox:
                 raise _Refused(f"{self._link.url}: the trigger box refuses {command!r}: {' '.join(words[1:])}")
             if number == "?":
                 raise _Lost(f"{self._link.url}: the trigger box could not read {command!r}: look at its cable")
-        raise _Lost(f"{self._link.url}: the trigger box does not answer {command!r}{heard}: is it still on?")
+        raise _Lost(f"{self._link.url}: the trigger box does not answer {command!r}{heard}: is it still on?", heard)
 
 
 def _cause(said: _Answer) -> str:

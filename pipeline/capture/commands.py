@@ -19,8 +19,9 @@ from hardware.projector import open_projector
 from hardware.settings import RigSettings
 from pipeline.calibration import Calibration
 from pipeline.capture import session
-from pipeline.capture.session import CALIBRATION, LOG, Plan, Progress
+from pipeline.capture.session import CALIBRATION, LOG, Plan, Progress, Summary
 from pipeline.capture.stopping import Stopping
+from pipeline.errors import SettingsError
 from pipeline.rig_file import read_rig
 from pipeline.settings import DecodeSettings
 
@@ -59,11 +60,11 @@ def capture(
     out
         The folder to make.
     bursts
-        How many; left out, one, or with --endless as many as come until Ctrl-C.
+        How many; left out, one, or with --endless or --keep-last as many as come until Ctrl-C.
     endless
         Let pulses run on without a gap, until Ctrl-C.
     keep_last
-        Keep frames in memory, and record only so many seconds before it is stopped.
+        Keep frames in memory until Ctrl-C, and record only so many seconds before it.
     format
         "zarr" is fast, "mkv" (FFV1) a third smaller.
     live
@@ -73,22 +74,25 @@ def capture(
     arch
         Where --live computes, and the simulated rig is rendered.
     """
+    from pipeline.capture.simulated_rig import SETTINGS, simulated_instruments
+
+    if settings is not None and not live:
+        raise SettingsError(f"{settings} tells how --live decodes: add --live, or leave --settings away")
     stopping = Stopping()
     calibration: Calibration | None
     with stopping.listening():  # to the last line, which who asks twice is not to miss
         with _status() as show:
-            if rig == _SIMULATED:
-                from pipeline.capture.simulated_rig import SETTINGS, simulated_instruments
-
-                wiring = SETTINGS
-                opened, calibration = simulated_instruments(arch, show)
+            wiring = SETTINGS if rig == _SIMULATED else read_rig(rig)
+            if wiring.trigger.driver == wiring.camera.driver == _SIMULATED:
+                opened, calibration = simulated_instruments(wiring, arch, show)
             else:
-                wiring = read_rig(rig)
                 calibration = None if wiring.calibration is None else Calibration.read(wiring.calibration)
                 opened = partial(open_instruments, wiring)
-                _check_projector(wiring)
+                _check_projector(wiring, rig)
+            for note in _differences(wiring, calibration):
+                _say(f"note: {note}")
             plan = Plan(
-                n_bursts=1 if bursts is None and not endless else bursts,
+                n_bursts=1 if bursts is None and not endless and keep_last is None else bursts,
                 endless=endless,
                 keep_last_s=keep_last,
                 suffix=f".{format}",
@@ -106,14 +110,14 @@ def capture(
                 stopping=stopping,
                 tell=lambda progress: show(_line(progress)),
             )
-        for note in (*_differences(wiring, calibration), *summary.notes):
+        for note in summary.notes:
             _say(f"note: {note}")
         if not summary.n_frames:
             _err.print("stopped before a burst was whole: nothing is kept", style="red")
             sys.exit(_STOPPED)
         if summary.n_rejected:
             _say(f"{_times(summary.n_rejected)} a burst was thrown away; {out / LOG} says why")
-        what = f"{summary.n_frames} frames of {summary.n_bursts} bursts are in {summary.recording}"
+        what = f"{_frames(summary)} are in {summary.recording}"
         _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
         rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
         _out.print(
@@ -123,16 +127,16 @@ def capture(
             sys.exit(_STOPPED)
 
 
-def _check_projector(wiring: RigSettings) -> None:
+def _check_projector(wiring: RigSettings, rig: str) -> None:
     """Refuse a projector that is known to show nothing."""
     if wiring.projector.control is None:
         return
     with closing(open_projector(wiring.projector)) as projector:
         found = projector.status()
     if found.power not in ("on", None):
-        raise ProjectorError(f"the projector is {found.power}: run colorphase projector on --rig, and wait until it is")
+        raise ProjectorError(f"the projector is {found.power}: run `colorphase projector on --rig {rig}`")
     if found.blank:
-        raise ProjectorError("the projector shows black: run colorphase projector unblank --rig")
+        raise ProjectorError(f"the projector shows black: run `colorphase projector unblank --rig {rig}`")
 
 
 def _differences(wiring: RigSettings, calibration: Calibration | None) -> list[str]:
@@ -151,13 +155,18 @@ def _times(n: int) -> str:
     return {1: "once", 2: "twice"}.get(n, f"{n} times")
 
 
+def _frames(counted: Progress | Summary) -> str:
+    counts = ((counted.n_frames, "frame"), (counted.n_bursts, "burst"))
+    return " of ".join(f"{n} {word}{'' if n == 1 else 's'}" for n, word in counts)
+
+
 def _positive(value: float | None) -> None:
     if value is not None and not value > 0:  # nor NaN
         raise ValueError("must be above 0")
 
 
 def _line(progress: Progress) -> str:
-    parts = [f"{progress.n_frames} frames of {progress.n_bursts} bursts", f"{progress.rate_hz:.0f} frames/s"]
+    parts = [_frames(progress), f"{progress.rate_hz:.0f} frames/s"]
     if progress.latency_s is not None:
         parts.append(f"{1e3 * progress.latency_s:.0f} ms from strobe to range image")
     if progress.n_rejected:

@@ -17,7 +17,7 @@ from hardware.settings import RigSettings
 from pipeline.calibration import Calibration
 from pipeline.capture.log import CaptureLog
 from pipeline.capture.stopping import Stopping
-from pipeline.errors import OutputError
+from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
 from pipeline.live import LiveDecoder
 from pipeline.settings import DecodeSettings
@@ -99,21 +99,29 @@ def capture(
     stopping : Stopping
         Where Ctrl-C comes in.
     tell : callable, optional
-        Hears how the capture stands, after every burst.
+        Hears how the capture stands, at its start and after every burst that is kept or thrown away.
 
     Raises
     ------
     RigError, TriggerError, CameraError, BurstError
         See `Rig`.
+    CalibrationError
+        The calibration is for frames of another size.
     OutputError
         The folder is there already or cannot be written, or the disk is full.
     """
     stopped = False
     n_taken = 0
     with (
-        Rig(settings, open_instruments, lambda rejected: keeper.reject(rejected)) as rig,
+        Rig(settings, open_instruments, lambda rejected: reject(rejected)) as rig,
         _Keeper(folder, rig, plan, calibration, decoding) as keeper,
     ):
+
+        def reject(rejected: Rejected) -> None:
+            keeper.reject(rejected)
+            tell(keeper.progress())
+
+        tell(keeper.progress())
         bursts = rig.bursts(endless=plan.endless)
         try:
             for burst in islice(bursts, plan.n_bursts):
@@ -148,6 +156,12 @@ class _Keeper:
         limits = rig.camera.limits
         kind = limits.format
         format = PixelFormat(kind.layout, kind.bits, bayer=kind.bayer or "rggb")
+        if calibration is not None and calibration.camera is not None and calibration.camera.size_px != limits.size_px:
+            here, there = ("{}x{}".format(*size_px) for size_px in (limits.size_px, calibration.camera.size_px))
+            raise CalibrationError(
+                f"the camera's frames are {here} but the calibration is for {there}: set camera.size_px, calibrate "
+                "anew, or leave calibration away"
+            )
         try:
             folder.mkdir(parents=True)
         except FileExistsError:

@@ -1,4 +1,4 @@
-"""`colorphase capture --rig simulated`: a swinging bust before a rig of which nothing is there."""
+"""A swinging bust before a rig of which nothing is there."""
 
 from collections.abc import Callable
 
@@ -13,7 +13,7 @@ from pipeline.pattern import make_pattern
 from pipeline.simulate import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
 
-#: The rig, as its file would say it.
+#: `colorphase capture --rig simulated`, as its file would say it.
 SETTINGS = RigSettings.model_validate(
     {
         "trigger": {"driver": "simulated", "strobe": True},
@@ -32,12 +32,14 @@ _DIM = 0.85
 
 
 def simulated_instruments(
-    arch: str, step: Callable[[str], None]
+    wiring: RigSettings, arch: str, step: Callable[[str], None]
 ) -> tuple[Callable[[], tuple[Trigger, Camera]], Calibration]:
     """Return what opens the simulated rig, and its calibration.
 
     Parameters
     ----------
+    wiring : RigSettings
+        Its exposure, and which outputs are wired back.
     arch : str
         Where the frames are rendered.
     step : callable
@@ -68,7 +70,7 @@ def simulated_instruments(
         return frames[round(swing * (_POSES - 1))][picture]
 
     def open_instruments() -> tuple[Trigger, Camera]:
-        devices = SimulatedInstruments.wired(render, _SIZE_PX, FrameFormat("rgb"), SETTINGS)
+        devices = SimulatedInstruments.wired(render, _SIZE_PX, FrameFormat("rgb"), wiring)
         return devices.trigger, devices.camera
 
     calibration = rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix})

@@ -1,6 +1,5 @@
 """Emulated instruments: the trigger box, Basler's cameras, and Aravis's fake one, a real GigE Vision camera."""
 
-import os
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
@@ -9,6 +8,7 @@ from importlib.util import find_spec
 
 import pytest
 from aravis_twin import AravisTwin, Render, gige_port, until_it_listens
+from missing import skip_but_fail_in_ci
 from simavr import simavr_board, simavr_build
 
 from hardware.camera.aravis_library import load_aravis
@@ -17,18 +17,11 @@ from hardware.errors import CameraError
 __all__ = ["simavr_board", "simavr_build"]
 
 
-def missing(what: str) -> None:
-    """Skip; CI installs every emulator, so there a missing one is a failure."""
-    if os.environ.get("CI") == "true":
-        pytest.fail(f"{what} is not installed, and CI must test every camera")
-    pytest.skip(f"{what} is not installed")
-
-
 @pytest.fixture
 def emulator(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two emulated Basler cameras, 0815-0000 and 0815-0001."""
     if find_spec("pypylon") is None:
-        missing("pypylon")
+        skip_but_fail_in_ci("pypylon is not installed")
     monkeypatch.setenv("PYLON_CAMEMU", "2")  # read whenever cameras are looked for
 
 
@@ -38,7 +31,7 @@ def aravis() -> None:
     try:
         load_aravis()
     except CameraError:
-        missing("Aravis")
+        skip_but_fail_in_ci("Aravis is not installed")
 
 
 @pytest.fixture
@@ -46,7 +39,7 @@ def start_fake_camera(aravis: None) -> Iterator[Callable[..., "subprocess.Popen[
     """Start Aravis's fake camera with a serial number; it is killed whatever happens."""
     program = shutil.which("arv-fake-gv-camera-0.8")
     if program is None:
-        missing("arv-fake-gv-camera-0.8")
+        skip_but_fail_in_ci("arv-fake-gv-camera-0.8 is not installed")
     with ExitStack() as stack:
 
         def start(serial: str, lost_permille: int = 0) -> "subprocess.Popen[bytes]":

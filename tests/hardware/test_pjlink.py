@@ -150,6 +150,7 @@ def test_the_password_is_asked_for_checked_and_never_told(caplog):
         ({"greeting": b"PJLINK 2 0123456789abcdef\r"}, "is no PJLink projector"),
         ({"greeting": b"\xff\xfd\x18"}, "does not greet as PJLink does"),
         ({"silent": True}, "does not answer POWR"),
+        ({"rambles": True}, "does not answer POWR"),
         ({"delay_s": 1.0}, "does not answer POWR"),
         ({"hangs_up_after": 0}, "hung up"),
         ({"fixed": {"POWR": "7"}}, "answers '7' when asked for its power"),
@@ -183,6 +184,9 @@ def test_nobody_there():
         port = free.getsockname()[1]
     with pytest.raises(ProjectorError, match="cannot be reached"):
         PJLink(f"socket://127.0.0.1:{port}")
+    for host in ("a..b", "a" * 64):
+        with pytest.raises(ProjectorError, match="can be no host's name"):
+            PJLink(f"socket://{host}:{port}")
     with pytest.raises(ProjectorError, match="PJLink is spoken over the network"):
         PJLink("socket://127.0.0.1")
 

@@ -1,4 +1,5 @@
 import re
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -8,7 +9,7 @@ import pytest
 from rigs import FRAMES, PERIOD_S, Bench, Faulty, settings
 
 from hardware import rig as rig_module
-from hardware.errors import BurstError, CameraError, RigError
+from hardware.errors import BurstError, CameraError, RigError, TriggerError
 from hardware.pictures import Alternation
 from hardware.protocols import CameraFrame
 from hardware.rig import Burst, Rejected, Rig
@@ -134,6 +135,29 @@ def test_a_cable_that_is_not_there_is_named():
     )
 
 
+def test_two_cables_that_are_not_there_are_named():
+    every = frozenset(range(9))
+    bench = Bench(settings(alternating=False, vsync="per-pulse"), [Faulty(lost_trigger=every, lost_picture=every)])
+    assert bench.mispaired(burst_of(bench)) == []
+    assert "neither a frame nor a picture came: check both trigger cables" in str(bench.rejected[0].faults[0])
+
+
+def test_what_the_trigger_source_says_comes_before_the_pulses_that_it_did_not_make(monkeypatch):
+    bench = Bench(settings(alternating=False))
+    with bench.rig() as rig:
+        trigger = bench.devices.trigger
+        status = trigger.status
+        said = iter([status])  # the first is before the burst
+
+        def shorted():
+            ask = next(said, lambda: replace(status(), pulses=3, complaints=("an output did not follow",)))
+            return ask()
+
+        monkeypatch.setattr(trigger, "status", shorted)
+        with pytest.raises(BurstError, match="the trigger source says: an output did not follow"):
+            next(rig.bursts())
+
+
 @pytest.mark.parametrize(
     "fault, message",
     [
@@ -191,6 +215,20 @@ def test_an_instrument_that_stays_away_is_an_error():
     assert bench.calls[-2:] == ["trigger.close", "camera.close"]
 
 
+def test_an_instrument_that_cannot_be_opened_again_is_said_to_be_lost(monkeypatch):
+    monkeypatch.setattr(rig_module, "_REOPEN_S", 0.0)
+    bench = Bench(settings(alternating=False), [Faulty(unplugged_trigger=1)])
+
+    def absent():
+        raise TriggerError("there is no such port")
+
+    with bench.rig() as rig:
+        rig._open_instruments = absent
+        with pytest.raises(TriggerError, match="the cable is out"):
+            next(rig.bursts())
+    assert [str(rejected.faults[0]) for rejected in bench.rejected][1:] == 2 * ["there is no such port"]
+
+
 def test_a_trigger_source_that_hangs_is_opened_again(monkeypatch):
     monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.05)
     bench = Bench(settings(alternating=False))
@@ -201,6 +239,21 @@ def test_a_trigger_source_that_hangs_is_opened_again(monkeypatch):
         assert bench.mispaired(next(rig.bursts())) == []
     assert bench.n_opened == 2
     assert "the trigger source does not end its burst" in str(bench.rejected[0].faults[0])
+
+
+def test_a_cable_that_is_put_back_in_is_waited_for():
+    bench = Bench(settings(alternating=False), [Faulty(unplugged_trigger=1)])
+    with bench.rig() as rig:
+        away = iter(2 * [True])
+
+        def open_instruments():
+            if next(away, False):
+                raise TriggerError("there is no port /dev/ttyUSB0")
+            return bench.open()
+
+        rig._open_instruments = open_instruments
+        assert bench.mispaired(next(rig.bursts())) == []
+    assert len(bench.rejected) == 1
 
 
 def test_another_instrument_in_its_place_is_refused():
@@ -269,11 +322,9 @@ def random_fault(random: np.random.Generator) -> Faulty:
     return Faulty(**found)
 
 
-@pytest.mark.parametrize("strobe, n_bursts", [(True, 1000), (False, 200)])
-def test_random_faults_neither_mispair_nor_cost_a_good_burst(strobe, n_bursts, monkeypatch):
-    """Every burst that is kept is right, every run without a fault is kept."""
-    monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.2)
-    random = np.random.default_rng(1)
+def suffer(seed: int, strobe: bool, n_bursts: int) -> tuple[int, int, int]:
+    """Return how many frames were mispaired, how many good runs were thrown away, and how many all in all."""
+    random = np.random.default_rng(seed)
     fates: list[Faulty] = []  # of the runs of this try
     n_failed = n_faults = lost = wrong = 0
 
@@ -299,6 +350,17 @@ def test_random_faults_neither_mispair_nor_cost_a_good_burst(strobe, n_bursts, m
             n_faults += n_failed
             n_failed = 0
             fates.clear()
+    return wrong, lost, n_faults
+
+
+@pytest.mark.parametrize("strobe, n_bursts", [(True, 1000), (False, 200)])
+def test_random_faults_neither_mispair_nor_cost_a_good_burst(strobe, n_bursts, monkeypatch):
+    """Every burst that is kept is right, every run without a fault is kept."""
+    monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.3)
+    n_rigs = 4  # at a time: they do little but wait
+    with ThreadPoolExecutor(n_rigs) as pool:
+        tolls = pool.map(suffer, range(n_rigs), n_rigs * [strobe], n_rigs * [n_bursts // n_rigs])
+        wrong, lost, n_faults = np.sum(list(tolls), axis=0)
     assert (wrong, lost) == (0, 0)
     assert n_faults > n_bursts / 4
 

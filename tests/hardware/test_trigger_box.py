@@ -160,8 +160,8 @@ def test_a_lost_answer_is_asked_for_once_more():
         ([("ID", "OK colorphase-trigger-box firmware=1.0.0")], "instead of protocol: flash its firmware anew"),
         ([("ID", NAME), ("LIMITS", LIMITS.replace("100 ", "x "))], "instead of min_width: flash its firmware anew"),
         ([("ID", "ERR COMMAND unknown")], "refuses 'ID': COMMAND unknown"),
-        ([("ID", "")], "no trigger box answers .* does not answer 'ID': is it still on"),
-        ([("ID", "?1\r\n")], r"no trigger box answers .* but hears '\?1'"),
+        ([("ID", "")], "no trigger box answers: is it in, flashed"),
+        ([("ID", "?1\r\n")], r"no trigger box answers, but hears '\?1': is it in, flashed"),
         ([("ID", line("001 ID"))], "no trigger box answers"),  # an echo
     ],
 )
@@ -171,7 +171,8 @@ def test_what_is_not_a_trigger_box_is_refused(monkeypatch, opening, message):
         TriggerBox(link)
 
 
-def test_a_silent_port_is_given_up_after_seconds():
+def test_a_silent_port_is_given_up(monkeypatch):
+    monkeypatch.setattr(module, "IDENTIFY_S", 0.5)
     link = Link("loop://")
     link._port.close()
     link._port = port = ScriptedPort([])
@@ -179,7 +180,7 @@ def test_a_silent_port_is_given_up_after_seconds():
     started_s = time.monotonic()
     with pytest.raises(TriggerError, match="no trigger box answers"):
         TriggerBox(link)
-    assert 3 < time.monotonic() - started_s < 5
+    assert 0.5 < time.monotonic() - started_s < 2.5
 
 
 @pytest.mark.parametrize("state", ["RUNNING", "DONE"])
@@ -235,7 +236,6 @@ def test_a_box_that_somebody_else_set_is_refused():
         ({"noise": 2}, "2 edges at the strobe input came too fast"),
         ({"strays": 5}, "exposed 5 times before the first pulse"),
         ({"garbled": 9}, "9 lines to and from the trigger box were damaged"),
-        ({"strobes": 0}, "no exposure was reported"),
         ({"vsyncs": 0}, "the projector reported no picture"),
         ({"boot": 8, "cause": 0}, "has restarted since it was configured: its boot loader does not tell why"),
         ({"boot": 8, "cause": 8}, "has restarted since it was configured: its program hung"),

@@ -347,8 +347,8 @@ def test_exposures_that_nothing_triggered(simavr_board: Start):
     board.tell("noise S 16000 6")  # three, 2 ms apart
     status = finish(box)
     assert (status.pulses, status.strobes) == (1, 0)
-    assert "exposed 3 times before the first pulse" in status.complaints[0]
-    assert "no exposure was reported" in status.complaints[1]
+    (complaint,) = status.complaints
+    assert "exposed 3 times before the first pulse" in complaint
 
 
 def test_cables_that_are_out(simavr_board: Start):
@@ -358,10 +358,8 @@ def test_cables_that_are_out(simavr_board: Start):
     box.fire()
     status = finish(box)
     assert (status.pulses, status.strobes, status.vsyncs) == (40, 0, 0)
-    assert [complaint.partition(":")[0] for complaint in status.complaints] == [
-        "no exposure was reported",
-        "the projector reported no picture",
-    ]
+    (complaint,) = status.complaints
+    assert complaint.startswith("the projector reported no picture:")
 
 
 @pytest.mark.parametrize("period_cycles", [10, 100, 700])
@@ -382,11 +380,11 @@ def test_a_long_burst_is_read_out_while_it_runs(simavr_board: Start):
     board = simavr_board(speed=1)
     board.tell("strobe 50 100")
     box = TriggerBox(board.link(), strobe=True)
-    box.configure(train(4_000, 400, (0, 60), (0, 80)))
+    box.configure(train(8_000, 200, (0, 60), (0, 80)))  # of which the box remembers 128
     box.arm()
     box.fire()
-    assert finish(box).strobes == 400
-    assert [strobe.pulse for strobe in box.strobes()] == list(range(400))
+    assert finish(box).strobes == 200
+    assert [strobe.pulse for strobe in box.strobes()] == list(range(200))
     assert box.strobes() == ()  # once
 
 
@@ -403,6 +401,32 @@ def test_what_was_overwritten_is_not_made_up(simavr_board: Start):
     assert [strobe.pulse for strobe in strobes] == list(range(400 - len(strobes), 400))
     assert 120 <= len(strobes) <= 128
     assert finish(box).strobes == 400
+
+
+def test_exposures_that_come_faster_than_they_are_read_out(simavr_board: Start):
+    board = simavr_board()
+    board.tell("strobe 0 20")
+    box = TriggerBox(board.link(), strobe=True)
+    box.configure(train(200, None, (0, 50), (0, 50)))
+    box.arm()
+    box.fire()
+    wait_for_pulses(box, 1_000)
+    box.strobes()  # it does not read for ever
+    assert box.status().running
+
+
+def test_a_new_burst_begins_with_nothing_counted(simavr_board: Start):
+    board = simavr_board()
+    board.tell("strobe 20 100")
+    box = TriggerBox(board.link(), strobe=True)
+    box.configure(SHORT)
+    box.arm()
+    box.fire()
+    finish(box)
+    box.configure(train(500, 1_000, (0, 60), (100, 80)))
+    status = box.status()
+    assert (status.pulses, status.strobes, status.complaints) == (0, 0, ())
+    assert box.strobes() == ()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hardware.errors import BurstError, CameraError, RigError
 from pipeline.calibration import Calibration
 from pipeline.capture.session import Plan, capture
 from pipeline.capture.stopping import Stopping
-from pipeline.errors import OutputError
+from pipeline.errors import CalibrationError, OutputError
 from pipeline.settings import DecodeSettings
 from pipeline.simulate import simulated_rig
 from pipeline.video.recording import Recorder
@@ -174,6 +174,22 @@ def test_a_folder_that_exists_is_left_alone(tmp_path):
         with pytest.raises(OutputError, match="exists: choose another folder"):
             captured(bench, out, Plan(1))
     assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_calibration_of_another_size_is_refused_before_anything_is_fired(tmp_path):
+    bench = Bench(settings())
+    with pytest.raises(CalibrationError, match=r"frames are 96x64 but the calibration is for 64x48: set camera"):
+        captured(bench, tmp_path / "out", Plan(1), calibration=simulated_rig((64, 48)))
+    assert not (tmp_path / "out").exists()
+    assert "trigger.fire" not in bench.calls
+    assert bench.calls[-2:] == ["trigger.close", "camera.close"]
+
+
+def test_how_it_stands_is_told_from_the_start_and_after_every_burst(tmp_path):
+    bench = Bench(settings(alternating=False), [Faulty(lost_trigger=one)])
+    told = []
+    captured(bench, tmp_path / "out", Plan(2), tell=told.append)
+    assert [(progress.n_bursts, progress.n_rejected) for progress in told] == [(0, 0), (0, 1), (1, 1), (2, 1)]
 
 
 def test_impossible_timing_leaves_nothing(tmp_path):

@@ -34,6 +34,11 @@ def test_a_rig(tmp_path):
     assert read_rig(str(write(tmp_path, projector=None))).projector.control is None
 
 
+def test_a_serial_number_may_be_written_as_a_number(tmp_path):
+    rig = read_rig(write(tmp_path, camera='driver = "basler"\nexposure_s = 0.01\nserial = 40012345'))
+    assert rig.camera.serial == "40012345"
+
+
 def test_the_calibration_is_found_beside_it(tmp_path, monkeypatch):
     (tmp_path / "rigs").mkdir()
     path = write(tmp_path / "rigs", 'calibration = "measured/calibration.json"')

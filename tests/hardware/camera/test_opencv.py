@@ -155,6 +155,7 @@ def test_what_it_does_not_obey_is_said(plug_in):
         ({"strobe_line": "Line2"}, "no output lines"),
         ({"pixel_format": "BayerRG8"}, "no pixel_format BayerRG8"),
         ({"serial": "front"}, "a webcam goes by its number, as 0"),
+        ({"serial": "9999999999"}, "a webcam goes by its number, as 0"),
         ({"size_px": (640, 480)}, r"this webcam gives \(8, 6\)"),
     ],
 )

@@ -1,7 +1,6 @@
 """A PJLink projector of class 1, from the standard (version 1.04), on a loopback port."""
 
 import hashlib
-import socket
 import socketserver
 import threading
 import time
@@ -34,6 +33,8 @@ class PJLinkProjector(socketserver.ThreadingTCPServer):
         self.before_answer = b""
         self.delay_s = 0.0
         self.silent = False
+        self.rambles = False
+        """Says again and again, for half a minute, what was not asked."""
         self.hangs_up_after: int | None = None
         """Closes a connection in place of the answer after so many."""
         self.connections = 0
@@ -132,6 +133,10 @@ class _Connection(socketserver.BaseRequestHandler):
                     return
                 if projector.silent:
                     continue
+                for _ in range(300 * projector.rambles):
+                    if not self._say(b"%1LAMP=99 0\r"):
+                        return
+                    time.sleep(0.1)
                 time.sleep(projector.delay_s)
                 if text[:2] != "%1" or text[6:7] != " ":
                     self._say(b"%1" + text[2:6].encode() + b"=ERR1\r")
@@ -140,8 +145,10 @@ class _Connection(socketserver.BaseRequestHandler):
                 self._say(projector.before_answer + f"%1{text[2:6]}={said}\r".encode())
                 n_answered += 1
 
-    def _say(self, text: bytes) -> None:
+    def _say(self, text: bytes) -> bool:
+        """Return whether somebody listens."""
         try:
             self.request.sendall(text)
-        except OSError:  # nobody listens
-            self.request.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            return False
+        return True
