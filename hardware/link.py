@@ -96,18 +96,6 @@ class Link:
                 return self._next_line()
         return line
 
-    def ask(self, text: str, timeout_s: float | None = None) -> str:
-        """Send a line and return the next one that is received; none in time is an error."""
-        self.send(text)
-        answer = self.receive(timeout_s)
-        if answer is None:
-            seconds = self.timeout_s if timeout_s is None else timeout_s
-            raise self._error(
-                f"{self.url} does not answer {text!r} within {seconds:g} s: is the instrument on, its cable in, and "
-                "the baud rate its own?"
-            )
-        return answer
-
     def settle(self, quiet_s: float = 0.1) -> None:
         """Throw away what has come and what still comes, until nothing does for so long."""
         deadline = time.monotonic() + self.timeout_s + quiet_s

@@ -26,7 +26,7 @@ _REGULAR_MISSES, _CLOSEST_MISSES = 3, 2
 # What to look at, the likeliest first.
 _TRIGGER = "check the camera's trigger cable"
 _NOISE = "check the shields of the camera's cables"
-_SOFTWARE = "the camera or this machine is too slow: make the period longer"
+_SOFTWARE = "the camera or this machine is too slow; make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
 
 
@@ -147,7 +147,7 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
     if n == 0 and not seen.frames:
         reason = f"no exposure was seen, and no frame came: {_TRIGGER}, and that its trigger line is the one in use"
     elif len(seen.frames) == seen.count and not _time_faults(seen):
-        reason = f"{n} exposures were counted for {seen.count} frames: check the strobe cable"
+        reason = f"{n} exposures were counted for {seen.count} frames: check the strobe cable, and camera.strobe_line"
     elif len(without) >= _REGULAR_MISSES and len(gaps) == 1 and gaps.pop() >= _CLOSEST_MISSES:
         reason = f"the camera misses pulses regularly ({n} exposures to {seen.count}): make the period longer"
     else:

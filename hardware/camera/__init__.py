@@ -50,7 +50,7 @@ def open_camera(settings: CameraSettings) -> Camera:
         from hardware.camera.opencv import OpenCVCamera
 
         return OpenCVCamera(settings)
-    raise RigError('a simulated camera sees a simulated scene: set driver = "simulated" for the trigger, too')
+    raise RigError("camera.driver: a file's rig is real; without one, use `colorphase capture --rig simulated`")
 
 
 def list_cameras() -> list[CameraListing]:

@@ -12,6 +12,7 @@ import numpy as np
 from hardware.camera.aravis_library import load_aravis
 from hardware.camera.genicam import (
     FrameNumbers,
+    GenICamCamera,
     Value,
     buffers_for,
     choose,
@@ -21,7 +22,7 @@ from hardware.camera.genicam import (
     wait_until_ready,
 )
 from hardware.errors import CameraError, RigError
-from hardware.protocols import CameraFrame, CameraLimits, Identity
+from hardware.protocols import CameraFrame, Identity
 from hardware.settings import CameraSettings
 
 _SUCCESS = 0
@@ -49,7 +50,7 @@ def list_aravis_cameras() -> list[Identity]:
     return [identity for _, identity in _found()]
 
 
-class AravisCamera:
+class AravisCamera(GenICamCamera):
     """A GigE Vision or USB3 Vision camera, opened and set up; the methods are those of `hardware.protocols.Camera`.
 
     Raises
@@ -87,26 +88,6 @@ class AravisCamera:
         self._from_one = is_gige
         self._numbers = FrameNumbers()
         self._temperature_c: float | None = None
-
-    @property
-    def identity(self) -> Identity:
-        """What was found when it was opened."""
-        return self._identity
-
-    @property
-    def limits(self) -> CameraLimits:
-        """What it can do as it is set up."""
-        return self._setup.limits
-
-    @property
-    def exposure_s(self) -> float:
-        """The exposure as read back."""
-        return self._setup.exposure_s
-
-    @property
-    def unlocked(self) -> tuple[str, ...]:
-        """What it may still change by itself, or what could not be read back, a sentence each."""
-        return self._setup.unlocked
 
     def arm(self, count: int | None) -> None:
         """Get ready for so many triggers (None: until disarmed), queues empty; returns when it takes them."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from hardware.camera.genicam import (
     FrameNumbers,
+    GenICamCamera,
     Value,
     buffers_for,
     choose,
@@ -22,7 +23,7 @@ from hardware.camera.genicam import (
     wait_until_ready,
 )
 from hardware.errors import CameraError, RigError
-from hardware.protocols import CameraFrame, CameraLimits, Identity
+from hardware.protocols import CameraFrame, Identity
 from hardware.settings import CameraSettings
 
 _NO_BLOCK_ID = 2**64 - 1
@@ -43,7 +44,7 @@ def list_basler_cameras() -> list[Identity]:
         return [_identity(info) for info in pylon.TlFactory.GetInstance().EnumerateDevices()]
 
 
-class BaslerCamera:
+class BaslerCamera(GenICamCamera):
     """A Basler camera, opened and set up; the methods are those of `hardware.protocols.Camera`.
 
     Raises
@@ -81,26 +82,6 @@ class BaslerCamera:
             raise
         self._numbers = FrameNumbers()
         self._temperature_c: float | None = None
-
-    @property
-    def identity(self) -> Identity:
-        """What was found when it was opened."""
-        return self._identity
-
-    @property
-    def limits(self) -> CameraLimits:
-        """What it can do as it is set up."""
-        return self._setup.limits
-
-    @property
-    def exposure_s(self) -> float:
-        """The exposure as read back."""
-        return self._setup.exposure_s
-
-    @property
-    def unlocked(self) -> tuple[str, ...]:
-        """What it may still change by itself, or what could not be read back, a sentence each."""
-        return self._setup.unlocked
 
     def arm(self, count: int | None) -> None:
         """Get ready for so many triggers (None: until disarmed), queues empty; returns when it takes them."""

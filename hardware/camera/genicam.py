@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hardware.errors import CameraError, RigError
-from hardware.protocols import CameraLimits, FrameFormat, Levels
+from hardware.protocols import CameraLimits, FrameFormat, Identity, Levels
 from hardware.settings import CameraSettings
 
 Value = str | float | int | bool
@@ -61,6 +61,33 @@ class Setup:
     exposure_s: float
     unlocked: tuple[str, ...]
     swapped: bool  # blue comes first
+
+
+class GenICamCamera:
+    """What is alike in every GenICam camera once it is set up."""
+
+    _identity: Identity
+    _setup: Setup
+
+    @property
+    def identity(self) -> Identity:
+        """What was found when it was opened."""
+        return self._identity
+
+    @property
+    def limits(self) -> CameraLimits:
+        """What it can do as it is set up."""
+        return self._setup.limits
+
+    @property
+    def exposure_s(self) -> float:
+        """The exposure as read back."""
+        return self._setup.exposure_s
+
+    @property
+    def unlocked(self) -> tuple[str, ...]:
+        """What it may still change by itself, or what could not be read back, a sentence each."""
+        return self._setup.unlocked
 
 
 #: What changes levels or geometry by itself or behind one's back: the feature, what it must be, and what it would do.

@@ -19,6 +19,8 @@ def open_trigger(settings: TriggerSettings) -> Trigger:
     TriggerError
         It cannot be reached, or something else is there.
     """
+    if settings.driver == "simulated":
+        raise RigError("trigger.driver: a file's rig is real; without one, use `colorphase capture --rig simulated`")
     if settings.port is None:
         raise RigError("trigger.port: write where the trigger source is; `colorphase devices` lists serial ports")
     outputs = {"projector_output": settings.projector_output, "camera_output": settings.camera_output}

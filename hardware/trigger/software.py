@@ -98,7 +98,8 @@ class SoftwareTrigger:
             if self._stopped.wait(max(0.0, wait_s)):
                 return
             if wait_s < -train.period_s / 2:
-                self._complaints = (f"pulse {pulse} came {-wait_s:.3f} s late: the machine or the camera is too slow",)
+                late = f"pulse {pulse} came {-wait_s:.3f} s late"
+                self._complaints = (f"{late}: the machine or the camera is too slow; make the period longer",)
                 return
             try:
                 self._camera.trigger()

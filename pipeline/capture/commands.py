@@ -117,7 +117,7 @@ def capture(
             sys.exit(_STOPPED)
         if summary.n_rejected:
             _say(f"{_times(summary.n_rejected)} a burst was thrown away; {out / LOG} says why")
-        what = f"{_frames(summary)} are in {summary.recording}"
+        what = f"recorded {_frames(summary)} in {summary.recording}"
         _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
         rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
         _out.print(

@@ -24,7 +24,7 @@ SETTINGS = RigSettings.model_validate(
 )
 _SIZE_PX = (640, 480)
 # The bust turns to one side and back.
-_SWING_DEG = 15.0
+_SWING_DEG = 5.0
 _SWING_S = 2.0
 _POSES = 6
 # How much dimmer the second picture is; see `hardware.pictures`.

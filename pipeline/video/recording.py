@@ -32,12 +32,8 @@ _MOST_IN_HAND, _IN_HAND_BYTES = 64, 128_000_000
 _PATIENCE_S = 30.0
 # So long the frame that is just being written may take when a recording is to end.
 _END_S = 10.0
-# No lossless coder makes noise larger than this.
-_LARGEST = 1.5
 # The caller's thread looks so often for what it waits for.
 _POLL_S = 0.001
-# What a file system, the list of frames and other programs need.
-_SPARE_BYTES = 64_000_000
 
 
 class Recorder:
@@ -115,22 +111,6 @@ class Recorder:
     def n_bytes(self) -> int:
         """How many bytes have been written."""
         return 0 if self._crew is None else self._crew.n_bytes
-
-    def room_for(self, n_frames: int, size_px: tuple[int, int]) -> bool:
-        """Whether the disk has room for so many more frames, of width and height, however badly they compress.
-
-        Raises
-        ------
-        OutputError
-            The folder is not there.
-        """
-        (shape,) = self._format.plane_shapes(size_px[1], size_px[0])
-        frame_bytes = np.dtype(self._format.dtype).itemsize * int(np.prod(shape))
-        try:
-            free = shutil.disk_usage(self._path.absolute().parent).free
-        except OSError as error:
-            raise OutputError(f"cannot record to {self._path}: {explain(error)}") from error
-        return free >= _LARGEST * n_frames * frame_bytes + _SPARE_BYTES
 
     def add(self, frame: npt.NDArray[Any]) -> None:
         """Hand over a frame, which is copied; waits where the disk falls behind.

@@ -1,20 +1,19 @@
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from byte_script import scripted
 from emulators.dg645 import DG645Emulator
+from pulse_generators import TRAIN, impatient, little_noise, run, wait
 
 from hardware.errors import RigError, TriggerError
 from hardware.link import Link
 from hardware.protocols import Identity, Trigger, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
-from hardware.trigger import _dialogue
 from hardware.trigger.dg645 import DG645, TERMINATOR
 
+__all__ = ["little_noise"]
 pytestmark = pytest.mark.timeout(30)
 
-TRAIN = PulseTrain(0.005, 6, Pulse(0.0, 0.0001), Pulse(0.001, 0.00025))
 OPENED = [
     (b"*IDN?\n", b"Stanford Research Systems,DG645,s/n003458,ver1.16.116\r\n"),
     (b"*CLS\n", b""),
@@ -140,12 +139,6 @@ def test_what_is_impossible_is_refused_before_anything_is_sent(train):
 # What follows speaks to the emulator.
 
 
-@pytest.fixture(autouse=True)
-def little_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing here comes with pauses in it that are longer."""
-    monkeypatch.setattr(_dialogue, "QUIET_S", 0.03)
-
-
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> Iterator[DG645Emulator]:
     with DG645Emulator(network=getattr(request, "param", False)) as device:
@@ -160,24 +153,6 @@ def generator(device: DG645Emulator) -> Iterator[Trigger]:
 
 
 over_tcp_too = pytest.mark.parametrize("device", [False, True], ids=["serial", "tcp"], indirect=True)
-
-
-def impatient(generator: Trigger) -> None:
-    """Let silence be found soon."""
-    generator._dialogue.link.timeout_s = 0.1
-
-
-def wait(condition: Callable[[], bool]) -> None:
-    while not condition():
-        time.sleep(0.005)
-
-
-def run(generator: Trigger) -> TriggerStatus:
-    """Fire and wait for the end."""
-    generator.arm()
-    generator.fire()
-    wait(lambda: not generator.status().running)
-    return generator.status()
 
 
 @over_tcp_too

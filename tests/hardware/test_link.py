@@ -43,16 +43,21 @@ def link(parrot: Parrot) -> Iterator[Link]:
     link.close()
 
 
+def ask(link: Link, text: str) -> str | None:
+    link.send(text)
+    return link.receive()
+
+
 @over_tcp_too
 def test_lines_come_back_without_their_ends(link):
-    assert link.ask("A 1") == "A 1"
-    assert link.ask("") == ""
+    assert ask(link, "A 1") == "A 1"
+    assert ask(link, "") == ""
     assert link.receive(0) is None
 
 
 @over_tcp_too
 def test_part_of_a_line_waits_for_its_rest(link, parrot):
-    link.ask("x")  # the network's other side is there
+    ask(link, "x")  # the network's other side is there
     parrot.say(b"OK 12")
     assert link.receive(0.1) is None
     parrot.say(b"34\r\nOK")
@@ -65,14 +70,14 @@ def test_part_of_a_line_waits_for_its_rest(link, parrot):
 
 @pytest.mark.parametrize("noise", [b"\xffOK\n", b"O\x00K\n", b"x" * 5 * LONGEST_LINE + b"\n", b"\x1b[2J\n"])
 def test_damaged_lines_are_dropped_and_counted(link, parrot, noise):
-    link.ask("x")
+    ask(link, "x")
     parrot.say(noise + b"OK\n")
     assert link.receive() == "OK"
     assert link.damaged == 1
 
 
 def test_a_line_as_long_as_allowed_is_whole(link):
-    assert link.ask("x" * LONGEST_LINE) == "x" * LONGEST_LINE
+    assert ask(link, "x" * LONGEST_LINE) == "x" * LONGEST_LINE
     assert link.damaged == 0
 
 
@@ -83,29 +88,23 @@ def test_settling_throws_away_what_came_and_what_still_comes(link, parrot):
     parrot.say(b"half a line")
     link.settle(quiet_s=0.2)
     assert link.receive(0.1) is None
-    assert link.ask("third") == "third"
+    assert ask(link, "third") == "third"
 
 
 @over_tcp_too
 def test_what_never_stops_sending_is_an_error_and_no_trap(link, parrot):
-    link.ask("x")
+    ask(link, "x")
     parrot.babbling = True
     assert link.receive(0.1) is None
     with pytest.raises(TriggerError, match=r"sends without a pause: .*baud"):
         link.settle()
 
 
-def test_silence_is_told_with_the_question(link, parrot):
-    parrot.silent = True
-    with pytest.raises(TriggerError, match=r"does not answer '\*IDN\?' within 0.3 s: is the instrument on"):
-        link.ask("*IDN?")
-
-
 @over_tcp_too
 def test_every_use_of_an_unplugged_port_is_one_error(link, parrot):
-    link.ask("x")
+    ask(link, "x")
     parrot.unplug()
-    for use in (link.receive, link.settle, lambda: link.ask("x")):
+    for use in (link.receive, link.settle, lambda: ask(link, "x")):
         with pytest.raises(TriggerError, match=r"is gone: the cable is out"):
             use()
     link.close()
@@ -175,7 +174,7 @@ def test_a_port_is_taken_by_one_program_and_free_again_after(parrot):
         Link(parrot.url)
     first.close()
     second = Link(parrot.url, timeout_s=0.3)
-    assert second.ask("x") == "x"
+    assert ask(second, "x") == "x"
     second.close()
 
 
@@ -197,9 +196,8 @@ def test_boards_are_not_restarted(monkeypatch):
 
 def test_other_ends_and_errors():
     link = Link("loop://", terminator=b")", timeout_s=0.1, error=ProjectorError)
-    assert link.ask("(PWR1") == "(PWR1"
-    with pytest.raises(ProjectorError, match=r"loop:// does not answer"):
-        link.ask("\x00")
+    assert ask(link, "(PWR1") == "(PWR1"
+    assert ask(link, "\x00") is None
     link.close()
 
 

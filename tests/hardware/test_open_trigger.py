@@ -114,6 +114,7 @@ def test_the_other_instrument_is_named_and_let_go(driver, emulator, name):
         ({"driver": "box", "port": "x", "projector_output": "A"}, r"trigger.projector_output: .* box are fixed"),
         ({"driver": "dg645", "port": "x", "strobe": True}, r"dg645 counts neither strobe nor vsync"),
         ({"driver": "software", "port": "x"}, r"software is no instrument with a port"),
+        ({"driver": "simulated"}, r"use `colorphase capture --rig simulated`"),
     ],
 )
 def test_settings_that_contradict_themselves(settings, message):

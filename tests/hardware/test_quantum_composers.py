@@ -1,22 +1,21 @@
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 from byte_script import scripted
 from emulators.quantum_composers import QuantumComposersEmulator
+from pulse_generators import TRAIN, impatient, little_noise, run, wait
 
 from hardware.errors import RigError, TriggerError
 from hardware.link import Link
 from hardware.protocols import Identity, Trigger, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
-from hardware.trigger import _dialogue
 from hardware.trigger.quantum_composers import TERMINATOR, QuantumComposers
 
+__all__ = ["little_noise"]
 pytestmark = pytest.mark.timeout(30)
 
 NAME = (b"*IDN?\r\n", b"QC,9528,06312,2.4.3-2.0.11\r\n")
 STOP = (b":PULS0:STATE 0\r\n", b"ok\r\n")
-TRAIN = PulseTrain(0.005, 6, Pulse(0.0, 0.0001), Pulse(0.001, 0.00025))
 
 
 def settings(*pairs: tuple[str, str], kept: bool = False) -> list[tuple[bytes, bytes]]:
@@ -183,12 +182,6 @@ def test_its_relatives_are_taken(name):
 # What follows speaks to the emulator.
 
 
-@pytest.fixture(autouse=True)
-def little_noise(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing here comes with pauses in it that are longer."""
-    monkeypatch.setattr(_dialogue, "QUIET_S", 0.03)
-
-
 @pytest.fixture
 def device(request: pytest.FixtureRequest) -> Iterator[QuantumComposersEmulator]:
     with QuantumComposersEmulator(echo=getattr(request, "param", False)) as device:
@@ -203,24 +196,6 @@ def generator(device: QuantumComposersEmulator) -> Iterator[Trigger]:
     generator = QuantumComposers(Link(device.url, terminator=TERMINATOR))
     yield generator
     generator.close()
-
-
-def impatient(generator: Trigger) -> None:
-    """Let silence be found soon."""
-    generator._dialogue.link.timeout_s = 0.1
-
-
-def wait(condition: Callable[[], bool]) -> None:
-    while not condition():
-        time.sleep(0.005)
-
-
-def run(generator: Trigger) -> TriggerStatus:
-    """Fire and wait for the end."""
-    generator.arm()
-    generator.fire()
-    wait(lambda: not generator.status().running)
-    return generator.status()
 
 
 @with_echo_too
@@ -266,7 +241,8 @@ def test_closing_stops_it(generator, device):
 def test_an_external_trigger_left_on_does_not_hold_the_burst_back():
     with QuantumComposersEmulator(trigger_keyword="EXT") as device:
         link = Link(device.url, terminator=TERMINATOR)
-        assert link.ask(":PULSE0:EXTERNAL:MODE TRIG") == "ok"
+        link.send(":PULSE0:EXTERNAL:MODE TRIG")
+        assert link.receive() == "ok"
         generator = QuantumComposers(link)
         generator.configure(TRAIN)
         run(generator)

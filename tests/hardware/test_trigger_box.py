@@ -106,6 +106,17 @@ def test_a_burst_byte_by_byte():
         assert not link._port.is_open
 
 
+def test_later_firmware_may_say_more():
+    more = "OK boot=7 cause=2 " + TICKS + " phase=0"
+    with conversation(*OPENING, SETTING[0], (SET, more), ("ARM", more)) as link:
+        ready(link)
+
+
+def test_a_box_that_restarts_while_it_is_read_out():
+    with conversation(*OPENING, *SETTING, *ARMING, status(), ("LOG 0", "OK strobes=0 from=0")) as link:
+        assert ready(link).strobes() == ()
+
+
 def test_what_is_impossible_is_not_even_asked():
     with conversation(*OPENING) as link:
         box = TriggerBox(link)

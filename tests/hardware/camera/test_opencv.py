@@ -216,5 +216,5 @@ def test_listing_takes_seconds_at_most(monkeypatch):
 
 
 def test_simulated_cameras_are_made_elsewhere():
-    with pytest.raises(RigError, match='driver = "simulated" for the trigger, too'):
+    with pytest.raises(RigError, match="use `colorphase capture --rig simulated`"):
         open_camera(CameraSettings(driver="simulated", exposure_s=1e-3))

@@ -115,11 +115,19 @@ static avr_cycle_count_t noise_edge(avr_t *mcu, avr_cycle_count_t when, void *un
     return --noise_left > 0 ? when + noise_period : 0;
 }
 
+// Pins of port B that libsimavr 1.6 has raised at the timer's overflow: it does that where a match is to clear them.
+static uint8_t raised;
+
 static void output_changed(avr_irq_t *irq, uint32_t value, void *name)
 {
     char pin = *(const char *)name;
     bool high = value & 0xff; // above are flags
     bool rises = high && !level[(int)pin];
+    uint8_t mode = avr->data[0x80]; // TCCR1A
+    if (rises && (pin == 'P' ? (mode & 0xC0) == 0x80 : (mode & 0x30) == 0x20)) {
+        raised |= pin == 'P' ? 2 : 4;
+        return;
+    }
     record(pin, high);
     if (pin != 'C' || !rises || !strobe_width)
         return;
@@ -144,6 +152,9 @@ static int step(void)
     int state = avr_run(avr);
     if (avr->cycle == matched_at)
         avr->cycle++;
+    for (int bit = 1; raised; raised &= ~(1 << bit++)) // before the program sees it
+        if (raised & 1 << bit)
+            avr_raise_irq(avr_io_getirq(avr, AVR_IOCTL_IOPORT_GETIRQ('B'), bit), AVR_IOPORT_OUTPUT);
     return state;
 }
 

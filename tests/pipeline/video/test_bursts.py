@@ -2,13 +2,11 @@
 
 import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
-from collections import namedtuple
 from contextlib import contextmanager
 
 import av
@@ -298,19 +296,6 @@ def test_other_programs_read_it(tmp_path):
         frame = next(container.decode(stream))
         assert frame.pts == 145
         np.testing.assert_array_equal(frame.to_ndarray(format="rgb24"), frame_of(29))
-
-
-def test_room(tmp_path, monkeypatch):
-    usage = namedtuple("usage", "total used free")
-    recorder = Recorder(tmp_path / "a.mkv", RGB12)
-    monkeypatch.setattr(shutil, "disk_usage", lambda path: usage(2e9, 1e9, 1e9))
-    n_frames = int(0.9e9 / (640 * 480 * 6) / 1.5)
-    assert recorder.room_for(n_frames, (640, 480))
-    assert not recorder.room_for(n_frames + n_frames // 5, (640, 480))
-    assert Recorder(tmp_path / "b.mkv", BAYER8).room_for(5 * n_frames, (640, 480))
-    monkeypatch.undo()
-    with pytest.raises(OutputError, match="its folder does not exist"):
-        Recorder(tmp_path / "absent" / "a.mkv", RGB8).room_for(1, (640, 480))
 
 
 @both
