@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hardware.protocols import CameraFrame, Levels, Strobe, TriggerStatus
 from hardware.pulses import PulseTrain
@@ -20,6 +21,8 @@ _TOLERANCE = 0.05
 _MOST_TOLERANCE = 0.45
 # Where only the times of arrival are known, which are late by whatever the computer was doing.
 _ARRIVAL_TOLERANCE = 0.5
+# Misses so close to each other, and so many, are those of a camera that is still busy; of a cable that is out, all are.
+_REGULAR_MISSES, _CLOSEST_MISSES = 3, 2
 # What to look at, the likeliest first.
 _TRIGGER = "check the camera's trigger cable"
 _NOISE = "check the shields of the camera's cables"
@@ -48,7 +51,9 @@ class Evidence:
     count: int  # pulses it has
     exposure_s: float
     jitter_s: float  # of the pulses
-    fired_at_s: float  # time.monotonic() before the burst was started: no pulse came before that
+    fired_at_s: float  # time.monotonic() before the burst was started, as far as clocks keep pace: no pulse came before
+    clock: float  # how far the clocks of trigger source and this machine may be off each other, as a fraction
+    latencies_s: Sequence[float] | None  # of a burst just before that was counted up; None: so is this one
     frames: Sequence[CameraFrame]  # in the order of arrival
     previous: CameraFrame | None  # the frame of the pulse before the first
     armed: TriggerStatus  # before the burst
@@ -90,7 +95,7 @@ def _trigger_faults(seen: Evidence) -> list[Fault]:
     # It says why; that pulses are missing is what comes of it.
     found += [Fault(f"the trigger source says: {complaint}") for complaint in seen.ended.complaints]
     if not restarted and seen.train.count is not None and seen.ended.pulses not in (None, seen.train.count):
-        found.append(Fault(f"the trigger source made only {seen.ended.pulses} pulses", seen.ended.pulses))
+        found.append(Fault(f"the trigger source made {seen.ended.pulses} pulses instead of {seen.train.count}"))
     # While pulses run on, the projector may not have answered the last one yet.
     n, vsyncs, running = seen.ended.pulses, seen.ended.vsyncs, seen.train.count is None
     if seen.picture_a_pulse and n is not None and vsyncs is not None and not n - running <= vsyncs <= n + running:
@@ -137,30 +142,53 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
     if n >= seen.count:
         if without or n > seen.count:
             return [Fault(f"{n} exposures, and not one to every one of {seen.count} pulses: {_NOISE}", *without[:1])]
-        return []
+        return _strobe_time_faults(seen)
+    gaps = set(np.diff(without).tolist())
     if n == 0 and not seen.frames:
         reason = f"no exposure was seen, and no frame came: {_TRIGGER}, and that its trigger line is the one in use"
-    elif len(seen.frames) == seen.count and all(
-        step is not None and step < 1 + seen.tolerance for step in _steps(seen)
-    ):
+    elif len(seen.frames) == seen.count and not _time_faults(seen):
         reason = f"{n} exposures were counted for {seen.count} frames: check the strobe cable, and camera.strobe_line"
-    elif len(without) > 2 and len(set(np.diff(without))) == 1:
+    elif len(without) >= _REGULAR_MISSES and len(gaps) == 1 and gaps.pop() >= _CLOSEST_MISSES:
         reason = f"the camera misses pulses regularly ({n} exposures to {seen.count}): make the period longer"
     else:
         reason = f"{n} exposures to {seen.count} pulses: {_TRIGGER}"
     return [Fault(reason, without[0])]
 
 
+def _strobe_time_faults(seen: Evidence) -> list[Fault]:
+    """Return which exposure did not follow its pulse as the others did theirs: something else made it."""
+    delays_s = np.array([strobe.time_s - strobe.pulse * seen.train.period_s for strobe in seen.strobes or ()])
+    off = np.abs(delays_s - np.median(delays_s)) / seen.train.period_s
+    for strobe, periods in zip(seen.strobes or (), off, strict=True):
+        if periods > seen.tolerance:
+            return [Fault(f"its exposure is off by {periods:.2f} periods: {_NOISE}", strobe.pulse)]
+    return []
+
+
 def _first_gap(seen: Evidence) -> int | None:
-    """Return the pulse at which the camera's own clock first misses a frame; None: it has none."""
+    """Return the pulse whose frame is the first that is missing; None: nothing tells."""
     steps = _steps(seen)
     for i, step in enumerate(steps):
         if step is None:
             return None
         if step > 1 + seen.tolerance:
             return seen.first_pulse + i
-    # None is missing between them. Of the first and the last, the last is more often late for good.
-    return seen.first_pulse + len(seen.frames)
+    # None is missing between them: the first or the last. Where one came so soon that it cannot have been exposed a
+    # period later, the first is there.
+    if seen.previous is not None or _late_s(seen).min() < _exposed_s(seen) + seen.train.period_s:
+        return seen.first_pulse + len(seen.frames)
+    return None
+
+
+def _late_s(seen: Evidence) -> npt.NDArray[np.float64]:
+    """Return how long after its pulse was due each frame came."""
+    pulses = seen.first_pulse + np.arange(len(seen.frames))
+    return np.array([frame.host_time_s for frame in seen.frames]) - seen.fired_at_s - pulses * seen.train.period_s
+
+
+def _exposed_s(seen: Evidence) -> float:
+    """Return how long after its pulse a frame's exposure ends at the earliest."""
+    return seen.train.camera.delay_s + seen.exposure_s
 
 
 def _steps(seen: Evidence) -> list[float | None]:
@@ -208,19 +236,52 @@ def _time_faults(seen: Evidence) -> list[Fault]:
         if step is not None and abs(step - 1) > seen.tolerance:
             likely = _SOFTWARE if seen.by_software else _TRIGGER if step > 1 else _NOISE
             return [Fault(f"its frame is {step:.2f} periods after the one before: {likely}", pulse)]
-    pulses = seen.first_pulse + np.arange(len(steps))
-    late_s = np.array([frame.host_time_s for frame in seen.frames]) - seen.fired_at_s - pulses * seen.train.period_s
-    # Clocks drift apart by up to a thousandth, and timestamps are taken some time after the fact.
-    least_s = seen.train.camera.delay_s + seen.exposure_s - 1e-3 * pulses * seen.train.period_s - 1e-3
+    late_s = _late_s(seen)
+    # Timestamps are taken some time after the fact.
+    least_s = _exposed_s(seen) - 1e-3 - seen.clock * np.arange(1, len(steps) + 1) * seen.train.period_s
     early = np.flatnonzero(late_s < least_s)
     if len(early):
-        return [Fault(f"its frame came before it can have been exposed: {_NOISE}", int(pulses[early[0]]))]
-    if None in steps:
+        reason = f"its frame came before it can have been exposed: {_NOISE}"
+        return [Fault(reason, seen.first_pulse + int(early[0]))]
+    # Where exposures are counted, a burst that has ended has as many frames as exposures.
+    ongoing = seen.train.count is None
+    if None in steps and (ongoing or not seen.strobe_wired):
         # What is merely slow catches up again; what was lost does not.
         since = np.minimum.accumulate(late_s[::-1])[::-1][1:]
         until = np.minimum.accumulate(late_s)[:-1]
         lost = np.flatnonzero(since - until > _ARRIVAL_TOLERANCE * seen.train.period_s)
         if len(lost):
-            likely = _SOFTWARE if seen.by_software else _TRIGGER
-            return [Fault(f"from here on frames are late by a period: {likely}", int(pulses[lost[0] + 1]))]
+            reason = f"from here on frames are late by a period: {_likely(seen)}"
+            return [Fault(reason, seen.first_pulse + int(lost[0]) + 1)]
+    # Pulses that run on are never counted up against frames: only that the first frame came in its time shows that it
+    # was the first. By the camera's clock the others follow it.
+    if seen.latencies_s is not None and seen.frames and (seen.previous is None or None in steps):
+        latencies = latencies_s(seen.frames, seen.first_pulse, seen.train.period_s, seen.fired_at_s)
+        pairs = zip(latencies, seen.latencies_s, strict=False)
+        # The line may have been busy, or the camera's clock have been set to zero: never does it move both by a period.
+        late = min(((now_s - before_s) / seen.train.period_s for now_s, before_s in pairs), key=abs)
+        if abs(late) > _ARRIVAL_TOLERANCE:
+            reason = f"frames come {abs(late):.1f} periods {'later' if late > 0 else 'sooner'} than before"
+            return [Fault(f"{reason}: {_likely(seen)}", seen.first_pulse)]
     return []
+
+
+def latencies_s(frames: Sequence[CameraFrame], first_pulse: int, period_s: float, fired_at_s: float) -> list[float]:
+    """Return the shortest time from a pulse to its frame: to its arrival; and by the camera's clock, if it has one.
+
+    The camera's clock has an origin of its own: of two bursts, only the difference means something.
+    """
+    since_s = [fired_at_s + pulse * period_s for pulse in range(first_pulse, first_pulse + len(frames))]
+    found = [min(frame.host_time_s - pulse_s for frame, pulse_s in zip(frames, since_s, strict=True))]
+    timed = [(frame.device_time_s, pulse_s) for frame, pulse_s in zip(frames, since_s, strict=True)]
+    by_camera = [time_s - pulse_s for time_s, pulse_s in timed if time_s is not None]
+    if len(by_camera) == len(frames):
+        found.append(min(by_camera))
+    return found
+
+
+def _likely(seen: Evidence) -> str:
+    """Return what has lost frames of which none is missing between the others."""
+    if seen.by_software:
+        return _SOFTWARE
+    return _DATA if seen.strobes is not None else _TRIGGER

@@ -2,7 +2,8 @@
 
 A projector that misses a pulse goes on showing the old picture, and nothing but the frame tells. So the rig has it show
 the same pattern bright and dim in turns: the whole frame's brightness then steps at every pulse, wherever the object is
-and however it moves, and dividing by brightness, as decoding does, leaves the phase as it is.
+and however it moves, and dividing by brightness, as decoding does, leaves the phase as it is. Steps are ratios (their
+logarithms): an object that comes nearer between two bursts makes both pictures brighter.
 """
 
 from collections.abc import Sequence
@@ -16,8 +17,10 @@ from hardware.protocols import CameraFrame, Levels
 # A step counts as one from this fraction of the usual step on: a moving object's own changes are a few per cent of the
 # light within a period, and a lost pulse leaves no step at all.
 _LEAST_STEP = 0.5
-# Below this fraction of the brightness a step could be the flicker of lamps.
+# Below this ratio's logarithm a step could be the flicker of lamps.
 _LEAST_VISIBLE = 0.02
+# Levels: a black frame has no logarithm.
+_DARKEST = 1e-3
 # How fast the usual step follows the scene.
 _MEMORY = 0.9
 
@@ -26,7 +29,7 @@ class Alternation:
     """Follow the two pictures from burst to burst."""
 
     def __init__(self) -> None:
-        self._step = 0.0  # how much brighter the bright picture is, levels
+        self._step = 0.0  # how much brighter the bright picture is, the ratio's logarithm
         self._last: int | None = None  # the picture that the last frame showed: 0 the bright one; None: not known
 
     @property
@@ -40,10 +43,9 @@ class Alternation:
 
     def start(self, frames: Sequence[CameraFrame]) -> list[Fault]:
         """Learn from some frames how the pictures differ, and which is shown; return what speaks against it."""
-        levels = [brightness(frame.image) for frame in frames if frame.image is not None]
-        steps = np.diff(levels)
+        steps = _steps(frames)
         self._step = float(np.abs(steps).max())
-        if self._step < _LEAST_VISIBLE * float(np.mean(levels)):
+        if self._step < _LEAST_VISIBLE:
             return [
                 Fault(
                     "the frames show no two pictures in turns: check the projector's trigger cable, and that one of "
@@ -54,9 +56,7 @@ class Alternation:
 
     def check(self, frames: Sequence[CameraFrame], first_pulse: int) -> list[Fault]:
         """Return where frames do not show the pictures in turns, beginning with the one that is due."""
-        levels = [brightness(frame.image) for frame in frames if frame.image is not None]
-        steps = np.diff(levels)
-        return self._follow(steps, None if self._last is None else 1 - self._last, first_pulse)
+        return self._follow(_steps(frames), None if self._last is None else 1 - self._last, first_pulse)
 
     def _follow(self, steps: npt.NDArray[np.float64], due: int | None, first_pulse: int) -> list[Fault]:
         self._last = None
@@ -74,6 +74,12 @@ class Alternation:
             self._step = _MEMORY * self._step + (1 - _MEMORY) * float(np.median(np.abs(steps)))
             self._last = shown
         return []
+
+
+def _steps(frames: Sequence[CameraFrame]) -> npt.NDArray[np.float64]:
+    """Return how much brighter each frame is than the one before, the ratios' logarithms."""
+    levels = [brightness(frame.image) for frame in frames if frame.image is not None]
+    return np.diff(np.log(np.maximum(levels, _DARKEST)))
 
 
 def _lost(pulse: int) -> Fault:

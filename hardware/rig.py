@@ -8,7 +8,7 @@ import numpy as np
 
 from hardware.colour_cycle import check_exposure
 from hardware.errors import BurstError, CameraError, RigError, TriggerError
-from hardware.pairing import Evidence, Fault, find_faults
+from hardware.pairing import Evidence, Fault, find_faults, latencies_s
 from hardware.pictures import Alternation
 from hardware.protocols import Camera, CameraFrame, Levels, Strobe, Trigger, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
@@ -18,11 +18,11 @@ from hardware.settings import RigSettings
 TRIES = 3
 # How long a frame may take to us after its readout: USB and Ethernet repeat lost packets for a while.
 _TRANSPORT_S = 0.5
-# How far the trigger source's clock may be off ours.
-_CLOCK = 1e-3
+# How far the trigger source's clock may be off ours: a resonator, as on an Arduino Uno, by half of it.
+_CLOCK = 1e-2
 # How often the trigger source is asked while pulses run; the box stops by itself after seconds without a question.
 _POLL_S = 0.25
-# How often it is asked for the end of a burst, or for an exposure that is not in its log yet.
+# How often it is asked for the end of a burst.
 _SHORT_POLL_S = 0.01
 # From so far behind on, lost frames are laid to this machine, and not to a cable.
 _BEHIND_S = 0.1
@@ -30,7 +30,7 @@ _BEHIND_S = 0.1
 _REOPEN_S = 5.0
 # Frames from which on two clocks are compared.
 _LEAST_FOR_CLOCK = 5
-# Frames by which the rig learns which of two pictures the projector shows.
+# Frames by which the rig learns which of two pictures the projector shows, and how long a frame takes to us.
 _SYNC_FRAMES = 4
 
 
@@ -80,11 +80,22 @@ class _Run:
 
     train: PulseTrain
     armed: TriggerStatus  # before the first
-    fired_at_s: tuple[float, float]  # time.monotonic() before and after the command
+    fired_at_s: tuple[float, float]  # time.monotonic() before and after the command, as far as clocks keep pace
+    latencies_s: Sequence[float] | None  # of the burst before; None: it does not matter
     next_pulse: int = 0
     strobes: list[Strobe] = field(default_factory=list)  # that were told, of pulses that are to be taken
     n_strobes: int = 0  # that were told in all
     previous: CameraFrame | None = None  # the frame of the pulse before
+
+    def take(self, frames: Sequence[CameraFrame]) -> None:
+        """Go on behind frames that were whole, by a start that keeps pace with this machine's clock."""
+        if self.latencies_s is not None:
+            most_s = _CLOCK * len(frames) * self.train.period_s
+            latency_s, *_ = latencies_s(frames, self.next_pulse, self.train.period_s, self.fired_at_s[0])
+            drift_s = min(max(latency_s - self.latencies_s[0], -most_s), most_s)
+            self.fired_at_s = self.fired_at_s[0] + drift_s, self.fired_at_s[1] + drift_s
+        self.next_pulse += len(frames)
+        self.previous = frames[-1]
 
 
 class Rig:
@@ -256,21 +267,27 @@ class Rig:
         if not self._is_open:
             self._reopen()
         train = train_of(self.settings)
-        if self._alternation is not None and not self._alternation.known:
-            frames = self._whole(self._start(replace(train, count=_SYNC_FRAMES)), _SYNC_FRAMES).frames
-            found = self._alternation.start([paired.frame for paired in frames])
+        if not endless and (self._alternation is None or self._alternation.known):
+            return self._start(train)
+        sync = self._start(replace(train, count=_SYNC_FRAMES))
+        frames = [paired.frame for paired in self._whole(sync, _SYNC_FRAMES).frames]
+        if self._alternation is not None:
+            found = self._alternation.start(frames)
             if found:
                 raise _Refused(found)
-        return self._start(replace(train, count=None) if endless else train)
+        if not endless:
+            return self._start(train)
+        latencies = latencies_s(frames, 0, sync.train.period_s, sync.fired_at_s[0])
+        return self._start(replace(train, count=None), latencies)
 
-    def _start(self, asked: PulseTrain) -> _Run:
+    def _start(self, asked: PulseTrain, latencies: Sequence[float] | None = None) -> _Run:
         train = self._configure(asked)
         self.camera.arm(train.count)
         self.trigger.arm()
         armed = self.trigger.status()
         before_s = time.monotonic()
         self.trigger.fire()
-        return _Run(train, armed, (before_s, time.monotonic()))
+        return _Run(train, armed, (before_s, time.monotonic()), latencies)
 
     def _take(self, run: _Run, number: int) -> Burst:
         """Return the next frames of a run once they are whole."""
@@ -288,9 +305,7 @@ class Rig:
         frames, n_repeated = self._collect(run, count)
         status = self._settled(run, first + count)
         if train.count is not None:
-            surplus = self.camera.frame(self.camera.limits.min_period_s + _SHORT_POLL_S)
-            if surplus is not None and not _repeats(surplus, frames[-1] if frames else run.previous):
-                frames.append(surplus)
+            n_repeated += self._surplus(run, frames)
         strobes = self._exposures(run, first + count, status) if self.settings.trigger.strobe else None
         found = find_faults(
             Evidence(
@@ -301,6 +316,8 @@ class Rig:
                 exposure_s=self.camera.exposure_s,
                 jitter_s=self.trigger.limits.jitter_s,
                 fired_at_s=run.fired_at_s[0],
+                clock=_CLOCK,
+                latencies_s=run.latencies_s,
                 frames=frames,
                 previous=run.previous,
                 armed=run.armed,
@@ -316,11 +333,10 @@ class Rig:
         if found:
             raise _Refused(found)
         self._has_clock = all(frame.device_time_s is not None for frame in frames)
-        run.next_pulse += count
-        run.previous = frames[-1]
+        started_s = sum(run.fired_at_s) / 2
+        run.take(frames)
         if train.count is not None:
             self.camera.disarm()
-        started_s = sum(run.fired_at_s) / 2
         by_pulse = {strobe.pulse: strobe.time_s for strobe in strobes or ()}
         paired = []
         for pulse, frame in enumerate(frames, first):
@@ -335,7 +351,7 @@ class Rig:
         """Wait for so many frames; fewer where they do not come in time. Second: how many came twice."""
         frames: list[CameraFrame] = []
         n_repeated = 0
-        pulses_s = (run.next_pulse + count) * run.train.period_s * (1 + _CLOCK)
+        pulses_s = (run.next_pulse + count * (1 + _CLOCK)) * run.train.period_s
         due_s = run.fired_at_s[1] + pulses_s + self.camera.exposure_s + self.camera.limits.min_period_s
         deadline = due_s + _TRANSPORT_S
         poll_s = min(time.monotonic() + _POLL_S, due_s)
@@ -354,6 +370,16 @@ class Rig:
             elif frame is not None:
                 frames.append(frame)
         return frames, n_repeated
+
+    def _surplus(self, run: _Run, frames: list[CameraFrame]) -> int:
+        """Add a frame that comes after the last one, if any does; return how many came twice."""
+        n_repeated = 0
+        while (frame := self.camera.frame(self.camera.limits.min_period_s + _SHORT_POLL_S)) is not None:
+            if not _repeats(frame, frames[-1] if frames else run.previous):
+                frames.append(frame)
+                break
+            n_repeated += 1
+        return n_repeated
 
     def _exposures(self, run: _Run, last: int, status: TriggerStatus) -> list[Strobe] | None:
         """Return the exposures of the pulses up to the last one; None: the trigger source has forgotten some."""

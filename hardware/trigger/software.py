@@ -2,6 +2,7 @@
 
 import threading
 import time
+from contextlib import suppress
 
 from hardware.errors import CameraError, TriggerError
 from hardware.protocols import Camera, Identity, Strobe, TriggerStatus
@@ -78,7 +79,8 @@ class SoftwareTrigger:
 
     def close(self) -> None:
         """Stop; see `Trigger`."""
-        self._stopped.set()
+        with suppress(TriggerError):
+            self._stop()  # and wait: the camera may be closed next
 
     def _stop(self) -> None:
         if self._thread is not None:

@@ -80,50 +80,51 @@ def capture(
         raise SettingsError(f"{settings} tells how --live decodes: add --live, or leave --settings away")
     stopping = Stopping()
     calibration: Calibration | None
-    with stopping.listening(), _status() as show:
-        wiring = SETTINGS if rig == _SIMULATED else read_rig(rig)
-        if wiring.trigger.driver == wiring.camera.driver == _SIMULATED:
-            opened, calibration = simulated_instruments(wiring, arch, show)
-        else:
-            calibration = None if wiring.calibration is None else Calibration.read(wiring.calibration)
-            opened = partial(open_instruments, wiring)
-            _check_projector(wiring, rig)
-        for note in _differences(wiring, calibration):
+    with stopping.listening():  # to the last line, which who asks twice is not to miss
+        with _status() as show:
+            wiring = SETTINGS if rig == _SIMULATED else read_rig(rig)
+            if wiring.trigger.driver == wiring.camera.driver == _SIMULATED:
+                opened, calibration = simulated_instruments(wiring, arch, show)
+            else:
+                calibration = None if wiring.calibration is None else Calibration.read(wiring.calibration)
+                opened = partial(open_instruments, wiring)
+                _check_projector(wiring, rig)
+            for note in _differences(wiring, calibration):
+                _say(f"note: {note}")
+            plan = Plan(
+                n_bursts=1 if bursts is None and not endless and keep_last is None else bursts,
+                endless=endless,
+                keep_last_s=keep_last,
+                suffix=f".{format}",
+                live=live,
+                arch=arch,
+            )
+            show("opening trigger source and camera")
+            summary = session.capture(
+                wiring,
+                opened,
+                out,
+                plan,
+                calibration=calibration,
+                decoding=DecodeSettings() if settings is None else DecodeSettings.read(settings),
+                stopping=stopping,
+                tell=lambda progress: show(_line(progress)),
+            )
+        for note in summary.notes:
             _say(f"note: {note}")
-        plan = Plan(
-            n_bursts=1 if bursts is None and not endless and keep_last is None else bursts,
-            endless=endless,
-            keep_last_s=keep_last,
-            suffix=f".{format}",
-            live=live,
-            arch=arch,
+        if not summary.n_frames:
+            _err.print("stopped before a burst was whole: nothing is kept", style="red")
+            sys.exit(_STOPPED)
+        if summary.n_rejected:
+            _say(f"{_times(summary.n_rejected)} a burst was thrown away; {out / LOG} says why")
+        what = f"recorded {_frames(summary)} in {summary.recording}"
+        _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
+        rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
+        _out.print(
+            f"colorphase decode {summary.recording} --out {out / 'decoded'}{rig_file}", highlight=False, soft_wrap=True
         )
-        show("opening trigger source and camera")
-        summary = session.capture(
-            wiring,
-            opened,
-            out,
-            plan,
-            calibration=calibration,
-            decoding=DecodeSettings() if settings is None else DecodeSettings.read(settings),
-            stopping=stopping,
-            tell=lambda progress: show(_line(progress)),
-        )
-    for note in summary.notes:
-        _say(f"note: {note}")
-    if not summary.n_frames:
-        _err.print("stopped before a burst was whole: nothing is kept", style="red")
-        sys.exit(_STOPPED)
-    if summary.n_rejected:
-        _say(f"{_times(summary.n_rejected)} a burst was thrown away; {out / LOG} says why")
-    what = f"recorded {_frames(summary)} in {summary.recording}"
-    _out.print(f"{what}; each frame's pulse is in {out / LOG}", highlight=False, soft_wrap=True)
-    rig_file = "" if calibration is None else f" --calibration {out / CALIBRATION}"
-    _out.print(
-        f"colorphase decode {summary.recording} --out {out / 'decoded'}{rig_file}", highlight=False, soft_wrap=True
-    )
-    if summary.stopped and bursts is not None:
-        sys.exit(_STOPPED)
+        if summary.stopped and bursts is not None:
+            sys.exit(_STOPPED)
 
 
 def _check_projector(wiring: RigSettings, rig: str) -> None:

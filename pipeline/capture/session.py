@@ -63,7 +63,7 @@ class Summary:
     n_frames: int
     n_rejected: int
     recording: Path
-    stopped: bool  # by its user
+    stopped: bool  # by its user, before all bursts were there
     notes: tuple[str, ...]  # what could not be seen or held, a sentence each
 
 
@@ -111,6 +111,7 @@ def capture(
         The folder is there already or cannot be written, or the disk is full.
     """
     stopped = False
+    n_taken = 0
     with (
         Rig(settings, open_instruments, lambda rejected: reject(rejected)) as rig,
         _Keeper(folder, rig, plan, calibration, decoding) as keeper,
@@ -126,10 +127,12 @@ def capture(
             for burst in islice(bursts, plan.n_bursts):
                 with stopping.shield():
                     keeper.keep(burst)
+                    n_taken += 1
                 tell(keeper.progress())
         except KeyboardInterrupt:
-            stopped = True
+            stopped = n_taken != plan.n_bursts
         finally:
+            stopping.ignore()
             bursts.close()
         notes = rig.notes + keeper.notes
     return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped, notes)
@@ -199,12 +202,13 @@ class _Keeper:
         try:
             if self._live is not None:
                 self._live.close()
-            if error is None or isinstance(error, KeyboardInterrupt):
-                while self._ring:
-                    self._write(self._ring.popleft())
+            while self._ring:
+                self._write(self._ring.popleft())
             self._recorder.close()
+        except BaseException as failure:
+            error = failure
+            raise
         finally:
-            self._recorder.stop()
             with suppress(OutputError):  # the disk may be full
                 self._log.say("end", frames=self.n_frames, error=None if error is None else str(error))
             self._log.close()

@@ -19,7 +19,10 @@ class Stopping:
     @contextmanager
     def listening(self) -> Iterator[None]:
         """Take the requests that come in here."""
-        names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]  # Windows lacks the last
+        names = ["SIGINT", "SIGTERM"]
+        # Windows has none; and nohup asks to go on when the terminal is closed.
+        if hasattr(signal, "SIGHUP") and signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
+            names.append("SIGHUP")
         before = {name: signal.signal(getattr(signal, name), self._take) for name in names}
         try:
             yield
@@ -36,6 +39,10 @@ class Stopping:
         finally:
             self._shielded = False
         self._raise()
+
+    def ignore(self) -> None:
+        """Ignore requests from now on: everything is being put away."""
+        self._raised = True
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         self.asked = True

@@ -10,6 +10,8 @@ from rigs import FRAMES, PERIOD_S, Bench, Faulty, settings
 
 from hardware import rig as rig_module
 from hardware.errors import BurstError, CameraError, RigError, TriggerError
+from hardware.pictures import Alternation
+from hardware.protocols import CameraFrame
 from hardware.rig import Burst, Rejected, Rig
 
 one = frozenset({2})
@@ -103,7 +105,7 @@ def test_every_fault_is_seen_and_the_burst_repeated(name, endless):
     "fault, n", [(Faulty(lost_picture=frozenset({1, 3})), 4), (Faulty(extra_picture=frozenset({1, 3})), 8)]
 )
 def test_pictures_that_are_reported_tell_of_a_lost_pulse(fault, n, endless):
-    bench = Bench(settings(alternating=False, vsync="per-pulse"), [fault])
+    bench = Bench(settings(alternating=False, vsync="per-pulse"), [*endless * [Faulty()], fault])
     with bench.rig() as rig:
         assert bench.mispaired(next(rig.bursts(endless=endless))) == []
     assert f"the projector reported {n}" in str(bench.rejected[0].faults[0])
@@ -112,7 +114,8 @@ def test_pictures_that_are_reported_tell_of_a_lost_pulse(fault, n, endless):
 @pytest.mark.parametrize("endless", [False, True])
 def test_exposures_too_many_to_be_remembered_are_counted(endless):
     """The trigger source forgets every other one; one that the camera did not make is noticed all the same."""
-    bench = Bench(settings(alternating=False), [Faulty(lost_trigger=frozenset({4}))])
+    plan = [*endless * [Faulty()], Faulty(lost_trigger=frozenset({4}))]
+    bench = Bench(settings(alternating=False), plan)
     with bench.rig() as rig:
         trigger = bench.devices.trigger
         remembered = trigger.strobes
@@ -367,3 +370,26 @@ def test_random_faults_neither_mispair_nor_cost_a_good_burst(strobe, n_bursts, m
         wrong, lost, n_faults = np.sum(list(tolls), axis=0)
     assert (wrong, lost) == (0, 0)
     assert n_faults > n_bursts / 4
+
+
+def pictures(levels: list[float]) -> list[CameraFrame]:
+    random = np.random.default_rng(2)
+    return [
+        CameraFrame(random.poisson(level, (64, 96, 3)).clip(0, 255).astype(np.uint8), 0.0, frame_id)
+        for frame_id, level in enumerate(levels)
+    ]
+
+
+@pytest.mark.parametrize("light", [0.3, 0.5, 2.0])
+def test_a_scene_that_changes_between_bursts_is_no_fault(light):
+    """The object went away, or came near: both pictures have so much of the light."""
+    alternation = Alternation()
+    assert alternation.start(pictures([100, 85, 100, 85])) == []
+    assert alternation.check(pictures([100 * light, 85 * light] * 3), 0) == []
+    (fault,) = alternation.check(pictures([85 * light, 100 * light] * 3), 0)
+    assert fault.pulse == 0 and "the picture before" in fault.reason
+
+
+def test_black_frames_show_no_pictures():
+    (fault,) = Alternation().start(pictures([0, 0, 0, 0]))
+    assert "show no two pictures" in fault.reason

@@ -83,7 +83,7 @@ def test_endless_pulses_are_numbered_on(tmp_path):
 
 
 def test_after_a_fault_endless_pulses_are_another_burst(tmp_path):
-    bench = Bench(settings(alternating=False), [Faulty(lost_trigger=frozenset({FRAMES + 1}))])
+    bench = Bench(settings(alternating=False), [Faulty(), Faulty(lost_trigger=frozenset({FRAMES + 1}))])
     captured(bench, tmp_path / "out", Plan(3, endless=True))
     frames = [line for line in check_folder(bench, tmp_path / "out", 3) if line["event"] == "frame"]
     assert [(line["burst"], line["pulse"]) for line in frames] == [
@@ -121,6 +121,11 @@ def test_ctrl_c_keeps_the_whole_bursts(tmp_path):
     assert summary.stopped and summary.n_bursts == 3
     check_folder(bench, tmp_path / "out", 3)
     assert bench.calls[-4:] == ["trigger.abort", "camera.disarm", "trigger.close", "camera.close"]
+
+
+def test_ctrl_c_in_the_last_burst_stops_nothing(tmp_path):
+    summary = captured(Bench(settings()), tmp_path / "out", Plan(3), stopping=Interrupted(3))
+    assert (summary.n_bursts, summary.stopped) == (3, False)
 
 
 @pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
@@ -209,6 +214,62 @@ def test_the_log_takes_back_a_burst_that_is_not_recorded(tmp_path, monkeypatch):
     with pytest.raises(OutputError):
         captured(bench, tmp_path / "out", Plan(3))
     check_folder(bench, tmp_path / "out", 1)
+
+
+@pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
+def test_the_last_seconds_are_kept_where_a_camera_is_unplugged(tmp_path, suffix):
+    fault = Faulty(unplugged_camera=1)
+    bench = Bench(settings(alternating=False), [Faulty(), Faulty(), Faulty(), fault, fault, fault])
+    burst_s = FRAMES * bench.settings.timing.period_s
+    with pytest.raises(CameraError):
+        captured(bench, tmp_path / "out", Plan(9, keep_last_s=1.5 * burst_s, suffix=suffix))
+    log = check_folder(bench, tmp_path / "out", 2, suffix)
+    assert log[-1] == {**log[-1], "event": "end", "frames": 2 * FRAMES, "error": "the cable is out"}
+
+
+def test_the_log_tells_what_went_wrong_in_the_end(tmp_path, monkeypatch):
+    bench = Bench(settings(alternating=False))
+    commit, n = Recorder.commit, 0
+
+    def second_fails(self):
+        nonlocal n
+        n += 1
+        if n == 2:
+            raise self._ended_by(OSError(28, "No space left on device"))
+        commit(self)
+
+    monkeypatch.setattr(Recorder, "commit", second_fails)
+    with pytest.raises(OutputError):
+        captured(bench, tmp_path / "out", Plan(3, keep_last_s=60.0))
+    log = check_folder(bench, tmp_path / "out", 1)
+    assert log[-1]["frames"] == FRAMES and "the disk is full" in log[-1]["error"]
+
+
+def test_ctrl_c_while_the_last_seconds_are_written_loses_none(tmp_path, monkeypatch):
+    """The bursts are all there, and Ctrl-C comes before they are on the disk."""
+    bench = Bench(settings(alternating=False))
+    add = Recorder.add
+
+    def pressed(self, frame):
+        signal.raise_signal(signal.SIGINT)
+        add(self, frame)
+
+    monkeypatch.setattr(Recorder, "add", pressed)
+    stopping = Stopping()
+    with stopping.listening():
+        summary = captured(bench, tmp_path / "out", Plan(2, keep_last_s=60.0), stopping=stopping)
+    assert (summary.n_bursts, summary.stopped) == (2, False)
+    check_folder(bench, tmp_path / "out", 2)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no such signal")
+def test_a_closed_terminal_is_nothing_to_nohup():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Stopping().listening():
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

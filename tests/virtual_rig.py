@@ -1,0 +1,249 @@
+"""A rig in virtual time, written without a look at the simulated one: thousands of bursts in seconds, any fault.
+
+Its frames carry the truth: the run of pulses and the pulse that exposed them; None: something else did.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hardware.protocols import Camera, CameraFrame, CameraLimits, FrameFormat, Identity, Strobe, Trigger, TriggerStatus
+from hardware.pulses import PulseTrain, TriggerLimits, fitted
+from hardware.rig import Burst
+from hardware.settings import RigSettings
+
+PERIOD_S, FRAMES = 0.02, 6
+EXPOSURE_S, READOUT_S, TRANSPORT_S = 5e-3, 3e-3, 1e-3
+
+
+@dataclass(frozen=True)
+class Faults:
+    """What goes wrong in one run of pulses."""
+
+    lost_trigger: tuple[int, ...] = ()
+    noise: tuple[tuple[int, float], ...] = ()  # a trigger so many periods after that pulse
+    lost_frame: tuple[int, ...] = ()
+    repeated_frame: tuple[int, ...] = ()
+    lost_strobe: tuple[int, ...] = ()
+    slow_line: tuple[tuple[int, float], ...] = ()  # from that pulse on, frames wait for so many seconds
+    stale_frame: bool = False  # the last run's last frame comes once more
+    cable_out: int | None = None  # the camera's trigger cable, from this pulse on
+    strobe_out: bool = False
+
+    @property
+    def harmless(self) -> bool:
+        """Whether every frame can still be had."""
+        return replace(self, repeated_frame=(), slow_line=()) == Faults()
+
+
+@dataclass(frozen=True)
+class TrueFrame(CameraFrame):
+    """A frame that knows what exposed it."""
+
+    truth: tuple[int, int | None] = (0, None)
+
+
+class VirtualRig:
+    """Trigger source and camera that live in a clock of their own, which is to stand in for `hardware.rig.time`."""
+
+    def __init__(
+        self,
+        next_faults: Callable[[], Faults] = Faults,
+        *,
+        strobe: bool = True,
+        clock: bool = True,
+        trigger_ppm: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self.settings = RigSettings.model_validate(
+            {
+                "trigger": {"driver": "simulated", "strobe": strobe},
+                "timing": {"period_s": PERIOD_S, "frames": FRAMES, "camera_delay_s": 1e-3},
+                "camera": {"driver": "simulated", "exposure_s": EXPOSURE_S},
+            }
+        )
+        self.now_s = 1000.0
+        self.run = -1
+        self.next_faults = next_faults
+        self.faults = Faults()
+        self.random = np.random.default_rng(seed)
+        self.clock = clock
+        self.slower = 1 + 1e-6 * trigger_ppm
+        self.train: PulseTrain | None = None
+        self.started_s: float | None = None  # None: no pulses run
+        self.pulses = self.strobes = 0
+        self.log: list[Strobe] = []
+        self.queue: list[TrueFrame] = []
+        self.last: TrueFrame | None = None
+        self.frame_id = 0
+        self.busy_until_s = self.arrived_s = 0.0
+
+    def monotonic(self) -> float:
+        """Return the time, which goes on a little."""
+        self.now_s += 2e-6
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        self.now_s += seconds
+
+    def open(self) -> tuple[Trigger, Camera]:
+        """Connect both."""
+        return VirtualTrigger(self), VirtualCamera(self)
+
+    def mispaired(self, burst: Burst) -> int:
+        """Return how many frames another pulse made than the one they are stored with."""
+        return sum(paired.frame.truth != (self.run, paired.pulse) for paired in burst.frames)  # type: ignore[attr-defined]
+
+    def next_event_s(self) -> float:
+        """Return when the next pulse exposes, or the burst ends."""
+        if self.started_s is None or self.train is None:
+            return np.inf
+        over = self.pulses == self.train.count
+        return self.started_s + self.pulses * PERIOD_S * self.slower + (0.0 if over else self.train.camera.delay_s)
+
+    def go_on(self) -> None:
+        """Do what is due by now."""
+        while (due_s := self.next_event_s()) <= self.now_s:
+            assert self.train is not None
+            if self.pulses == self.train.count:
+                self.started_s = None
+                return
+            pulse = self.pulses
+            self.pulses += 1
+            is_out = self.faults.cable_out is not None and pulse >= self.faults.cable_out
+            if pulse not in self.faults.lost_trigger and not is_out:
+                self.expose(due_s, pulse, pulse)
+            for after, periods in self.faults.noise:
+                if after == pulse:
+                    self.expose(due_s + periods * PERIOD_S, None, pulse)
+
+    def expose(self, time_s: float, cause: int | None, after: int) -> None:
+        """Do as the camera at a trigger."""
+        assert self.started_s is not None
+        if time_s < self.busy_until_s:
+            return
+        self.busy_until_s = time_s + EXPOSURE_S + READOUT_S
+        if after not in self.faults.lost_strobe and not self.faults.strobe_out:
+            self.strobes += 1
+            self.log.append(Strobe(after, (time_s - self.started_s) / self.slower))
+        arrives_s = self.busy_until_s + TRANSPORT_S + self.random.exponential(2e-4)
+        for first, wait_s in self.faults.slow_line:
+            if 0 <= arrives_s - self.started_s - first * PERIOD_S <= wait_s:
+                arrives_s = self.started_s + first * PERIOD_S + wait_s
+        self.arrived_s = arrives_s = max(arrives_s, self.arrived_s)
+        image = self.random.integers(90, 110, (8, 8, 3), dtype=np.uint8)
+        device_s = time_s if self.clock else None
+        self.last = TrueFrame(image, arrives_s, self.frame_id, device_s, truth=(self.run, cause))
+        self.frame_id += 1
+        if cause is None or after not in self.faults.lost_frame:
+            self.queue += [self.last] * (1 + (after in self.faults.repeated_frame))
+
+
+class VirtualTrigger:
+    """A `Trigger`."""
+
+    def __init__(self, rig: VirtualRig) -> None:
+        self._rig = rig
+        self.identity = Identity("virtual", "trigger")
+        self.limits = TriggerLimits(0.5e-6, 1e-4, 2000.0, 5e-5, 5e-5, 2**32 - 1, True, True)
+
+    def configure(self, train: PulseTrain) -> PulseTrain:
+        """See `Trigger`."""
+        self._rig.train = fitted(train, self.limits)
+        return self._rig.train
+
+    def arm(self) -> None:
+        """See `Trigger`."""
+        self._rig.started_s = None
+        self._rig.pulses = self._rig.strobes = 0
+        self._rig.log = []
+
+    def fire(self) -> None:
+        """See `Trigger`: a millisecond or so before and behind it."""
+        rig = self._rig
+        rig.run += 1
+        rig.faults = rig.next_faults()
+        rig.now_s += rig.random.uniform(5e-4, 2e-3)
+        rig.started_s = rig.now_s
+        rig.now_s += rig.random.uniform(5e-4, 2e-3)
+        if rig.faults.stale_frame and rig.last is not None:
+            rig.arrived_s = rig.now_s + EXPOSURE_S + READOUT_S
+            rig.queue.append(replace(rig.last, host_time_s=rig.arrived_s))
+
+    def status(self) -> TriggerStatus:
+        """See `Trigger`."""
+        self._rig.now_s += 1e-3
+        self._rig.go_on()
+        return TriggerStatus(self._rig.started_s is not None, self._rig.pulses, self._rig.strobes)
+
+    def strobes(self) -> tuple[Strobe, ...]:
+        """See `Trigger`."""
+        self._rig.go_on()
+        found, self._rig.log = tuple(self._rig.log), []
+        return found
+
+    def abort(self) -> None:
+        """See `Trigger`."""
+        self._rig.started_s = None
+
+    def close(self) -> None:
+        """See `Trigger`."""
+        self._rig.started_s = None
+
+
+class VirtualCamera:
+    """A `Camera`."""
+
+    def __init__(self, rig: VirtualRig) -> None:
+        self._rig = rig
+        self.identity = Identity("virtual", "camera")
+        self.exposure_s = EXPOSURE_S
+        self.unlocked: tuple[str, ...] = ()
+        self.limits = CameraLimits((8, 8), FrameFormat("rgb"), (1e-5, 1.0), EXPOSURE_S + READOUT_S, triggered=True)
+
+    def arm(self, count: int | None) -> None:
+        """See `Camera`."""
+        self._rig.queue = []
+        self._rig.busy_until_s = self._rig.arrived_s = 0.0
+        self._rig.now_s += 5e-3
+
+    def frame(self, timeout_s: float) -> CameraFrame | None:
+        """See `Camera`."""
+        rig = self._rig
+        end_s = rig.now_s + timeout_s
+        while True:
+            rig.go_on()
+            if rig.queue and rig.queue[0].host_time_s <= rig.now_s:
+                return replace(rig.queue.pop(0), host_time_s=rig.now_s)
+            if rig.now_s >= end_s:
+                return None
+            arrives_s = rig.queue[0].host_time_s if rig.queue else np.inf
+            rig.now_s = min(end_s, max(min(arrives_s, rig.next_event_s()), rig.now_s + 1e-6))
+
+    def trigger(self) -> None:
+        """See `Camera`."""
+        raise AssertionError("nobody triggers it by software")
+
+    def disarm(self) -> None:
+        """See `Camera`."""
+
+    def close(self) -> None:
+        """See `Camera`."""
+
+
+def random_faults(random: np.random.Generator) -> Faults:
+    """Return up to three faults, more often none."""
+    found: dict[str, Any] = {}
+    for _ in range(random.choice([0, 1, 2, 3], p=[0.4, 0.2, 0.2, 0.2])):
+        name, pulse = str(random.choice(list(Faults.__dataclass_fields__))), int(random.integers(FRAMES))
+        found[name] = {
+            "noise": ((pulse, random.uniform(0.1, 0.95)),),
+            "slow_line": ((pulse, random.uniform(0.02, 0.3)),),
+            "stale_frame": True,
+            "strobe_out": True,
+            "cable_out": pulse,
+        }.get(name, (pulse,))
+    return Faults(**found)
