@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import reference
-from conftest import every_second, on_device, read_only
+from arrays import every_second, on_device, read_only
 
 import tikernels
 from tikernels.demosaicing import demosaic
