@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -161,8 +162,8 @@ def _frames(counted: Progress | Summary) -> str:
 
 
 def _positive(value: float | None) -> None:
-    if value is not None and not value > 0:  # nor NaN
-        raise ValueError("must be above 0")
+    if value is not None and not 0 < value < inf:  # nor NaN
+        raise ValueError("must be above 0, and a number")
 
 
 def _line(progress: Progress) -> str:

@@ -1,5 +1,6 @@
 """One capture: fire, record, log, and decode the newest frame meanwhile."""
 
+import os
 import shutil
 import time
 from collections import deque
@@ -11,13 +12,15 @@ from importlib.metadata import version
 from itertools import islice
 from pathlib import Path
 
+import numpy as np
+
 from hardware.protocols import Camera, Trigger
 from hardware.rig import Burst, Rejected, Rig
 from hardware.settings import RigSettings
 from pipeline.calibration import Calibration
 from pipeline.capture.log import CaptureLog
 from pipeline.capture.stopping import Stopping
-from pipeline.errors import CalibrationError, OutputError
+from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.files import explain
 from pipeline.live import LiveDecoder
 from pipeline.settings import DecodeSettings
@@ -107,6 +110,8 @@ def capture(
         See `Rig`.
     CalibrationError
         The calibration is for frames of another size.
+    SettingsError
+        So many frames do not fit into memory.
     OutputError
         The folder is there already or cannot be written, or the disk is full.
     """
@@ -138,6 +143,19 @@ def capture(
     return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped, notes)
 
 
+def _check_memory(n_bytes: int) -> None:
+    """Refuse what would be killed for its size, where the system tells how much there is."""
+    try:
+        there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, ValueError):
+        return
+    if n_bytes > there / 2:
+        raise SettingsError(
+            f"the frames that are kept in memory take {n_bytes / 1e9:.1f} GB, and this machine has {there / 1e9:.1f}: "
+            "make timing.frames or --keep-last smaller"
+        )
+
+
 class _Keeper:
     """A capture's folder: whole bursts go in, with their log."""
 
@@ -162,6 +180,9 @@ class _Keeper:
                 f"the camera's frames are {here} but the calibration is for {there}: set camera.size_px, calibrate "
                 "anew, or leave calibration away"
             )
+        (shape,) = format.plane_shapes(*limits.size_px[::-1])
+        n_kept = max(self._frames_a_burst, round((plan.keep_last_s or 0.0) / self._period_s))
+        _check_memory(n_kept * int(np.prod(shape)) * np.dtype(format.dtype).itemsize)
         try:
             folder.mkdir(parents=True)
         except FileExistsError:
@@ -185,7 +206,7 @@ class _Keeper:
             )
             # A camera that takes frames when told to encodes them as it likes.
             transfer = "linear" if limits.triggered else None
-            rate_hz = min(Fraction(1 / rig.train.period_s).limit_denominator(1000), Fraction(MOST_FRAMES_A_SECOND))
+            rate_hz = min(Fraction(1 / rig.train.period_s).limit_denominator(10**6), Fraction(MOST_FRAMES_A_SECOND))
             self._recorder = Recorder(self.recording, format, transfer=transfer, rate_hz=rate_hz)
             self._live = None
             if plan.live:

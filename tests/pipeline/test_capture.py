@@ -12,7 +12,7 @@ from hardware.errors import BurstError, CameraError, RigError
 from pipeline.calibration import Calibration
 from pipeline.capture.session import Plan, capture
 from pipeline.capture.stopping import Stopping
-from pipeline.errors import CalibrationError, OutputError
+from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.settings import DecodeSettings
 from pipeline.simulate import simulated_rig
 from pipeline.video.recording import Recorder
@@ -99,6 +99,14 @@ def test_only_the_last_seconds_are_recorded(tmp_path):
     assert summary.n_bursts == 2
     frames = [line for line in check_folder(bench, tmp_path / "out", 2) if line["event"] == "frame"]
     assert [line["pulse"] for line in frames] == list(range(5 * FRAMES, 7 * FRAMES))
+
+
+def test_more_than_fits_into_memory_is_refused(tmp_path):
+    bench = Bench(settings(alternating=False))
+    with pytest.raises(SettingsError, match=r"take [0-9]+\.[0-9] GB, and this machine has .*: make timing.frames or"):
+        captured(bench, tmp_path / "out", Plan(None, endless=True, keep_last_s=1e9))
+    assert not (tmp_path / "out").exists()
+    assert bench.calls[-2:] == ["trigger.close", "camera.close"]
 
 
 class Interrupted(Stopping):
