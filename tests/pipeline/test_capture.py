@@ -207,23 +207,6 @@ def test_impossible_timing_leaves_nothing(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_the_log_takes_back_a_burst_that_is_not_recorded(tmp_path, monkeypatch):
-    bench = Bench(settings(alternating=False))
-    commit, n = Recorder.commit, 0
-
-    def second_fails(self):
-        nonlocal n
-        n += 1
-        if n == 2:
-            raise self._ended_by(OSError(5, "Input/output error"))
-        commit(self)
-
-    monkeypatch.setattr(Recorder, "commit", second_fails)
-    with pytest.raises(OutputError):
-        captured(bench, tmp_path / "out", Plan(3))
-    check_folder(bench, tmp_path / "out", 1)
-
-
 @pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
 def test_the_last_seconds_are_kept_where_a_camera_is_unplugged(tmp_path, suffix):
     fault = Faulty(unplugged_camera=1)
@@ -235,7 +218,8 @@ def test_the_last_seconds_are_kept_where_a_camera_is_unplugged(tmp_path, suffix)
     assert log[-1] == {**log[-1], "event": "end", "frames": 2 * FRAMES, "error": "the cable is out"}
 
 
-def test_the_log_tells_what_went_wrong_in_the_end(tmp_path, monkeypatch):
+@pytest.mark.parametrize("keep_last_s", [None, 60.0])
+def test_the_log_takes_back_a_burst_that_is_not_recorded_and_tells_why(tmp_path, monkeypatch, keep_last_s):
     bench = Bench(settings(alternating=False))
     commit, n = Recorder.commit, 0
 
@@ -248,7 +232,7 @@ def test_the_log_tells_what_went_wrong_in_the_end(tmp_path, monkeypatch):
 
     monkeypatch.setattr(Recorder, "commit", second_fails)
     with pytest.raises(OutputError):
-        captured(bench, tmp_path / "out", Plan(3, keep_last_s=60.0))
+        captured(bench, tmp_path / "out", Plan(3, keep_last_s=keep_last_s))
     log = check_folder(bench, tmp_path / "out", 1)
     assert log[-1]["frames"] == FRAMES and "the disk is full" in log[-1]["error"]
 
