@@ -115,6 +115,8 @@ def capture(
     OutputError
         The folder is there already or cannot be written, or the disk is full.
     """
+    if folder.exists():
+        raise _taken(folder)  # before any instrument is opened
     stopped = False
     n_taken = 0
     with (
@@ -141,6 +143,10 @@ def capture(
             bursts.close()
         notes = rig.notes + keeper.notes
     return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped, notes)
+
+
+def _taken(folder: Path) -> OutputError:
+    return OutputError(f"{folder} exists: choose another folder")
 
 
 def _check_memory(n_bytes: int) -> None:
@@ -186,7 +192,7 @@ class _Keeper:
         try:
             folder.mkdir(parents=True)
         except FileExistsError:
-            raise OutputError(f"{folder} exists: choose another folder") from None
+            raise _taken(folder) from None
         except OSError as error:
             raise OutputError(f"cannot write {folder}: {explain(error)}") from None
         try:
@@ -258,8 +264,13 @@ class _Keeper:
     @property
     def notes(self) -> tuple[str, ...]:
         """What went wrong beside the bursts, a sentence each."""
-        ended = None if self._live is None else self._live.ended
-        return () if ended is None else (ended,)
+        if self._live is None:
+            return ()
+        if self._live.ended is not None:
+            return (self._live.ended,)
+        if self._live.latest() is None:
+            return ("the capture was over before live decoding was ready, which takes some seconds",)
+        return ()
 
     def progress(self) -> Progress:
         """Return how it stands."""

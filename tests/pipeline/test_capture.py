@@ -181,6 +181,7 @@ def test_a_folder_that_exists_is_left_alone(tmp_path):
         bench = Bench(settings())
         with pytest.raises(OutputError, match="exists: choose another folder"):
             captured(bench, out, Plan(1))
+        assert bench.n_opened == 0
     assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
 
 
