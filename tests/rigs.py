@@ -85,7 +85,7 @@ class Bench:
         trigger, camera = devices.trigger, devices.camera
         trigger.projector, trigger.camera = self._projector_wire, self._camera_wire
         self._strobe_wire, camera.strobe = camera.strobe, self._strobe
-        self._deliver, camera.deliver = camera.deliver, self._transport  # type: ignore[method-assign]
+        self._deliver, camera.deliver = camera.deliver, self._transport
         for device, names in (
             (trigger, ("configure", "arm", "fire", "status", "strobes", "abort", "close")),
             (camera, ("arm", "frame", "disarm", "close")),

@@ -95,7 +95,7 @@ class VirtualRig:
 
     def mispaired(self, burst: Burst) -> int:
         """Return how many frames another pulse made than the one they are stored with."""
-        return sum(paired.frame.truth != (self.run, paired.pulse) for paired in burst.frames)  # type: ignore[attr-defined]
+        return sum(paired.frame.truth != (self.run, paired.pulse) for paired in burst.frames)
 
     def next_event_s(self) -> float:
         """Return when the next pulse exposes, or the burst ends."""

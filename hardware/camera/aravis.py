@@ -214,7 +214,8 @@ class _AravisFeatures:
         value = getattr(self._aravis, f"arv_device_get_{kind}_feature_value")(self._device, name.encode())
         if kind == "boolean":
             return bool(value)
-        return value.decode() if kind == "string" else value  # type: ignore[no-any-return]
+        read: Value = value.decode() if kind == "string" else value
+        return read
 
     def set(self, name: str, value: Value) -> None:
         kind = self._kind(name)

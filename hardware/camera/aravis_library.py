@@ -105,9 +105,10 @@ class Aravis:
 
     def _typed(self, name: str, result: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         # A symbol of a library that it is linked to is found through it, too.
-        function = getattr(self._library, name)
+        function: Any = getattr(self._library, name)
         function.restype, function.argtypes = result, arguments
-        return function  # type: ignore[no-any-return]
+        typed: Callable[..., Any] = function
+        return typed
 
     def _fallible(self, name: str, result: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
         function = self._typed(name, result, (*arguments, _Object))

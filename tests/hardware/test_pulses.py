@@ -12,7 +12,7 @@ TICKS_S = [10e-9, 0.5e-6, 62.5e-9, 1 / 12e6, 5e-9, 1e-3]
 
 def limits(tick_s: float, **other: float) -> TriggerLimits:
     times = {"min_period_s": 10 * tick_s, "max_period_s": 1e9 * tick_s, "min_width_s": tick_s, "min_gap_s": 2 * tick_s}
-    return TriggerLimits(tick_s=tick_s, **{**times, **other}, max_count=1000, counts_strobes=False, counts_vsyncs=False)  # type: ignore[arg-type]
+    return TriggerLimits(tick_s=tick_s, **{**times, **other}, max_count=1000, counts_strobes=False, counts_vsyncs=False)
 
 
 def train(period_s: float, delay_s: float, width_s: float, count: int | None = 3) -> PulseTrain:

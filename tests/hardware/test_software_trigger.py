@@ -26,7 +26,7 @@ class SlowCamera:
 def test_a_camera_is_not_spoken_to_once_its_trigger_is_closed():
     """It is closed next, and a camera that is being triggered meanwhile may crash in its maker's library."""
     camera = SlowCamera()
-    trigger = SoftwareTrigger(camera)  # type: ignore[arg-type]
+    trigger = SoftwareTrigger(camera)
     trigger.configure(PulseTrain(0.2, 3, Pulse(0, 1e-4), Pulse(0, 1e-4)))
     trigger.arm()
     trigger.fire()

@@ -137,7 +137,7 @@ class DG645Emulator(Emulator):
     ) -> str | None:
         default, low, high = kind
         if query:
-            value = store[key]  # type: ignore[index]
+            value = store[key]
             return str(value) if isinstance(default, int) else f"{value:.12f}"
         if len(arguments) != 1:
             self._fail(EXTRA if arguments else MISSING)
@@ -150,7 +150,7 @@ class DG645Emulator(Emulator):
         if not low <= value <= high:
             self._fail(ILLEGAL_VALUE)
             return None
-        store[key] = value  # type: ignore[index]
+        store[key] = value
         if name == "TSRC" and value == 0:
             self._bursting = False
             self.bursts.append(Burst(self.now, 1 / self._settings["TRAT"], float("inf"), self._pulses()))

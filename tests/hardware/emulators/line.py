@@ -7,6 +7,7 @@ import termios
 import threading
 import time
 import tty
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Self
@@ -31,7 +32,7 @@ class Burst:
         return 0 if until < 0 else int(min(until // self.period_s + 1, self.count))
 
 
-class Emulator:
+class Emulator(ABC):
     """An instrument that answers lines. Subclasses give `answer`, `restart` and, where they have one, `TERMINATORS`.
 
     Parameters
@@ -99,13 +100,13 @@ class Emulator:
         self._thread = threading.Thread(target=self._serve, name=type(self).__name__, daemon=True)
         self._thread.start()
 
+    @abstractmethod
     def answer(self, line: str) -> list[str]:
         """Obey a command; return the lines that are said to it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def restart(self) -> None:
         """Switch off and on again: what it knows is back to what it is then."""
-        raise NotImplementedError
 
     @property
     def now(self) -> float:
