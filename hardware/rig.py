@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hardware.alternating_pictures import Alternation
 from hardware.colour_cycle import check_exposure
 from hardware.errors import BurstError, CameraError, RigError, TriggerError
 from hardware.pairing import Evidence, Fault, find_faults, latencies_s
-from hardware.pictures import Alternation
 from hardware.protocols import Camera, CameraFrame, Levels, Strobe, Trigger, TriggerStatus
 from hardware.pulses import Pulse, PulseTrain
 from hardware.settings import RigSettings

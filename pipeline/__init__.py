@@ -2,8 +2,8 @@
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
+from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import DecodeWarning
-from pipeline.results import DecodedFrame
 from pipeline.settings import DecodeSettings
 
 __all__ = ["Calibration", "DecodeSettings", "DecodeWarning", "DecodedFrame", "Decoder"]

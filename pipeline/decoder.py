@@ -8,23 +8,23 @@ from typing import Any
 import numpy as np
 
 from pipeline.calibration import Calibration, Geometry
-from pipeline.calibration.board_free import LightEstimate, estimate_light
+from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.light_path import LightPath
+from pipeline.decoding.self_calibration import LightEstimate, estimate_light
+from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
-from pipeline.light_path import LightPath
-from pipeline.region_orders import OrderFinder
-from pipeline.results import DecodedFrame
+from pipeline.orders.order_finder import OrderFinder
 from pipeline.settings import DecodeSettings
-from pipeline.workspace import Workspace
 from tikernels import runtime
-from tikernels.channel_model import ChannelModel
+from tikernels.depth.triangulation import triangulate_kernel
 from tikernels.errors import ShapeError
-from tikernels.filtering import measure_rates_kernel, smooth_phase_kernel
-from tikernels.linearization import WHITE_LEVELS, linearize
-from tikernels.phase_recovery import CLIPPED, count_bare_phases, recover_phase_kernel
-from tikernels.registration import align_channels
-from tikernels.statistics import FrameStatistics, count_out_of_range, measure_frame
+from tikernels.phase.channel_model import ChannelModel
+from tikernels.phase.frame_statistics import FrameStatistics, count_out_of_range, measure_frame
+from tikernels.phase.phase_fit import CLIPPED, count_bare_phases, recover_phase_kernel
+from tikernels.phase.smoothing import measure_rates_kernel, smooth_phase_kernel
+from tikernels.raw.lateral_color import align_channels
+from tikernels.raw.linearization import WHITE_LEVELS, linearize
 from tikernels.transposing import transpose
-from tikernels.triangulation import triangulate_kernel
 
 # Smaller pictures hold no surface.
 _MIN_SIZE_PX = 16

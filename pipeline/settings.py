@@ -9,9 +9,9 @@ from pydantic import AfterValidator, Field, model_validator
 from pipeline.calibration.model import Capture, Matrix3
 from pipeline.errors import SettingsError
 from pipeline.models import Model, build, read_file
-from tikernels.balance import MIN_PERIOD_PX
-from tikernels.crosstalk import invert_crosstalk
 from tikernels.errors import ShapeError
+from tikernels.phase.color_balance import MIN_PERIOD_PX
+from tikernels.phase.crosstalk import invert_crosstalk
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]

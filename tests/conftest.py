@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from missing import skip_but_fail_in_ci
+from support.missing import skip_but_fail_in_ci
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # Taichi's own, once, while it is imported
-    from arrays import every_second, on_device, read_only
+    from support.arrays import every_second, on_device, read_only
 
     import tikernels
 

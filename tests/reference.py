@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import ProjectorGeometry
-from tikernels.pixel_format import PixelFormat
+from tikernels.raw.pixel_format import PixelFormat
 
 Array = npt.NDArray[Any]
 

@@ -12,8 +12,8 @@ import reference
 
 import tikernels
 from pipeline import Decoder, DecodeSettings
-from pipeline.simulate import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
-from tikernels.projection import SCENES
+from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
+from tikernels.scene.scene_rendering import SCENES
 
 restoration = pytest.importorskip("skimage.restoration")
 

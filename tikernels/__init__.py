@@ -1,19 +1,19 @@
 """Taichi kernels and their host functions: arrays in, arrays out."""
 
-from tikernels.balance import balance_color
-from tikernels.crosstalk import correct_crosstalk
-from tikernels.development import develop
-from tikernels.equalization import equalize_phase
+from tikernels.depth.meshing import triangulate_mesh
+from tikernels.depth.triangulation import ProjectorGeometry, triangulate
 from tikernels.errors import DeviceNotReady, ShapeError
-from tikernels.filtering import smooth_along_stripes
-from tikernels.fringe_order import correct_fringe_order
-from tikernels.linearization import linearize
-from tikernels.meshing import triangulate_mesh
-from tikernels.pixel_format import PixelFormat
+from tikernels.phase.color_balance import balance_color
+from tikernels.phase.crosstalk import correct_crosstalk
+from tikernels.phase.equalization import equalize_phase
+from tikernels.phase.smoothing import smooth_along_stripes
+from tikernels.phase.wrapped_phase import compute_wrapped_phase
+from tikernels.raw.development import develop
+from tikernels.raw.linearization import linearize
+from tikernels.raw.pixel_format import PixelFormat
 from tikernels.runtime import init, supported_archs
-from tikernels.triangulation import ProjectorGeometry, triangulate
-from tikernels.unwrapping import unwrap_phase
-from tikernels.wrapped_phase import compute_wrapped_phase
+from tikernels.unwrapping.order_filter import correct_fringe_order
+from tikernels.unwrapping.unwrapper import unwrap_phase
 
 __all__ = [
     "DeviceNotReady",

@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
+from pipeline.footage.image_file import read_picture
 from pipeline.models import Model
-from pipeline.picture import read_picture
-from tikernels.linearization import WHITE_LEVELS
+from tikernels.raw.linearization import WHITE_LEVELS
 
 Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 

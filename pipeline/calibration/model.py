@@ -14,7 +14,7 @@ from pydantic import Field, model_validator
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import write_atomically
 from pipeline.models import ArrayOf, FloatArray, Model, read_file
-from tikernels.triangulation import ProjectorGeometry
+from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
 Vector3 = Annotated[FloatArray, ArrayOf((3,))]

@@ -18,7 +18,7 @@ from pipeline.calibration.captures import Picture, Sequence, full_scale
 from pipeline.calibration.model import MAX_CONDITION, Calibration, Capture, Uncertainty
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
-from tikernels.linearization import TRANSFERS, Transfer, linear_values
+from tikernels.raw.linearization import TRANSFERS, Transfer, linear_values
 
 #: Codes of the ramps, 0..255. Sixteen steps follow any smooth response to a thousandth.
 RAMP_CODES = (*range(16, 256, 16), 255)

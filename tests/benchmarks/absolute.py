@@ -11,9 +11,10 @@ import numpy as np
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
-from pipeline.report import measure_against_truth
-from pipeline.simulate import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import projection, runtime
+from pipeline.output.report import measure_against_truth
+from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
+from tikernels.scene import scene_rendering as projection
 
 #: What the frames differ by: surface and response, and blur (px) of the projector and of the camera.
 SURFACES = (("skin, gamma 2", 2.0, SKIN), ("white, gamma 1", 1.0, WHITE))

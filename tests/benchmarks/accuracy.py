@@ -6,9 +6,10 @@ python tests/benchmarks/accuracy.py [--arch cpu]
 import argparse
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.report import measure_against_truth
-from pipeline.simulate import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import projection, runtime
+from pipeline.output.report import measure_against_truth
+from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
+from tikernels.scene import scene_rendering as projection
 
 
 def main() -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.simulate import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
+from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
 
 SIZES = ((480, 640), (1440, 1920), (2160, 3840))  # height, width

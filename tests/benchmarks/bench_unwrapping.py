@@ -14,7 +14,7 @@ from skimage.restoration import unwrap_phase
 
 import tikernels
 from pipeline import Decoder, DecodeSettings
-from pipeline.simulate import TYPICAL_CROSSTALK
+from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels import runtime
 
 SIZES = ((480, 640), (1440, 1920))  # height, width

@@ -10,8 +10,8 @@ import numpy as np
 from numcodecs import Blosc, Zstd, blosc
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.simulate import SimulationSettings, simulate_frame, simulated_rig
-from pipeline.store import FIELDS, _rounded
+from pipeline.output.store import FIELDS, _rounded
+from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
 CODECS = {
     "lz4, bits shuffled": Blosc("lz4", 5, Blosc.BITSHUFFLE),

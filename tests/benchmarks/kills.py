@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from footage import command, contents, kill_again_and_again, record
+from support.recorded_footage import command, contents, kill_again_and_again, record
 
 
 def main() -> None:

@@ -18,14 +18,14 @@ from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from footage import record
+from support.recorded_footage import record
 
 from pipeline import DecodeSettings
-from pipeline.store import chosen_fields
-from pipeline.video.job import Job
-from pipeline.video.run import decode_footage
-from pipeline.video.stored import StoredAs
-from pipeline.video.worker import _WRITERS
+from pipeline.batch.job import Job
+from pipeline.batch.run import decode_footage
+from pipeline.batch.worker import _WRITERS
+from pipeline.footage.source import StoredAs
+from pipeline.output.store import chosen_fields
 from tikernels import runtime
 
 _STARTING = 8  # frames
@@ -122,7 +122,7 @@ def two_workers(job: Job, n_frames: int) -> None:
     """Compare one and two workers of one thread, each bound to one core."""
     from distributed import Client
 
-    from pipeline.video.cluster import local_cluster
+    from pipeline.batch.cluster import local_cluster
 
     os.environ["TI_CPU_MAX_NUM_THREADS"] = "1"
     rates = {}

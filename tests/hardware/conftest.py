@@ -7,9 +7,9 @@ from contextlib import ExitStack
 from importlib.util import find_spec
 
 import pytest
-from aravis_twin import AravisTwin, Render, gige_port, until_it_listens
-from missing import skip_but_fail_in_ci
-from simavr import simavr_board, simavr_build
+from support.aravis_twin import AravisTwin, Render, gige_port, until_it_listens
+from support.missing import skip_but_fail_in_ci
+from support.simavr import simavr_board, simavr_build
 
 from hardware.camera.aravis_library import load_aravis
 from hardware.errors import CameraError

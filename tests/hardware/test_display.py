@@ -12,7 +12,7 @@ import types
 import cv2
 import numpy as np
 import pytest
-from xvfb import screen
+from support.virtual_screen import screen
 
 from hardware import display
 from hardware.display import Display, DisplayInfo, list_displays
@@ -162,7 +162,7 @@ def test_the_command_until_ctrl_c(tmp_path):
     picture = noise((320, 240))
     cv2.imwrite(str(tmp_path / "p.png"), picture[..., ::-1])
     with screen(tmp_path) as server:
-        code = "import sys; from pipeline.cli import main; sys.argv[0] = 'colorphase'; main()"
+        code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'colorphase'; main()"
         with subprocess.Popen(
             [sys.executable, "-c", code, "project", "p.png"],
             cwd=tmp_path,

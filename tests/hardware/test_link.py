@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import serial
-from emulators.line import Emulator
+from support.emulators.emulated_line import Emulator
 
 from hardware.errors import ProjectorError, TriggerError
 from hardware.link import LONGEST_LINE, Link

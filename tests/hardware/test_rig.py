@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rigs import FRAMES, PERIOD_S, Bench, Faulty, settings
+from support.faulty_rigs import FRAMES, PERIOD_S, Bench, Faulty, settings
 
 from hardware import rig as rig_module
+from hardware.alternating_pictures import Alternation
 from hardware.errors import BurstError, CameraError, RigError, TriggerError
-from hardware.pictures import Alternation
 from hardware.protocols import CameraFrame
 from hardware.rig import Burst, Rejected, Rig
 

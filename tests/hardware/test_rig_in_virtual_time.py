@@ -4,7 +4,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from virtual_rig import FRAMES, Faults, VirtualRig, random_faults
+from support.virtual_rig import FRAMES, Faults, VirtualRig, random_faults
 
 from hardware import rig as rig_module
 from hardware.rig import Rejected, Rig

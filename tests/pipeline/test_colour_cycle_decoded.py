@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from benchmarks.colour_cycle import KINDS, moved, simulate_exposure
+from benchmarks.colour_cycle_motion import KINDS, moved, simulate_exposure
 
 from hardware.colour_cycle import TOLERANCE, phase_error_limit
 from pipeline import Decoder, DecodeSettings
-from pipeline.simulate import SimulationSettings
+from pipeline.simulation import SimulationSettings
 from tikernels import runtime
 
 

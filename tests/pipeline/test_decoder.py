@@ -9,10 +9,10 @@ import tikernels
 from pipeline import Calibration, Decoder, DecodeSettings, DecodeWarning
 from pipeline.calibration import ColorShift
 from pipeline.errors import CalibrationError, FootageError, SettingsError
-from pipeline.report import measure_against_truth
-from pipeline.simulate import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import projection
+from pipeline.output.report import measure_against_truth
+from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import DeviceNotReady, ShapeError
+from tikernels.scene import scene_rendering as projection
 
 SIZE = (320, 240)  # half the usual picture; at twice the pattern's period its fringes are as fine
 

@@ -9,9 +9,9 @@ import reference
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Pattern
 from pipeline.errors import SettingsError
-from pipeline.pattern import make_pattern, write_pattern
-from pipeline.picture import read_picture
-from pipeline.simulate import SimulationSettings, simulate_frame, simulated_rig
+from pipeline.footage.image_file import read_picture
+from pipeline.pattern.fringes import make_pattern, write_pattern
+from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
 BRIGHTNESS = 0.85
 CODES = np.linspace(0, 1, 256)

@@ -1,0 +1,226 @@
+"""What is to be decoded and how: all that a process needs in order to do some of it, the same everywhere."""
+
+import hashlib
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration import Calibration
+from pipeline.decoder import Decoder
+from pipeline.decoding.self_calibration import LightEstimate
+from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
+from pipeline.footage.source import StoredAs, StoredFrame
+from pipeline.footage.sources import Source, open_source
+from pipeline.output.store import ResultStore, result_attributes
+from pipeline.settings import DecodeSettings
+from tikernels.raw.development import develop
+from tikernels.raw.pixel_format import PixelFormat
+
+#: So many frames lean on each other, the first of them on none: what is missing of them is decoded from there.
+CHAIN_FRAMES = 64
+# So many frames, evenly spaced, are asked for the light before nothing is taken to be known of it.
+_MOST_ASKED = 64
+
+
+@dataclass(frozen=True)
+class Region:
+    """The part of every frame that is decoded, px."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+
+    def of(self, planes: tuple[npt.NDArray[Any], ...], format: PixelFormat) -> tuple[npt.NDArray[Any], ...]:
+        """Return this part of a frame's planes, as views."""
+        cut = []
+        for plane, chroma in zip(planes, (False, True, True), strict=False):
+            # Three planes of RGB have one size; two of chroma have fewer pixels, or both in turn.
+            across, down = format.subsampling if chroma and format.layout == "yuv" else (1, 1)
+            pairs = 2 if chroma and format.interleaved else 1
+            rows = slice(self.y // down, -(-(self.y + self.height) // down))
+            columns = slice(pairs * (self.x // across), pairs * -(-(self.x + self.width) // across))
+            cut.append(plane[rows, columns])
+        return tuple(cut)
+
+    def check(self, size_px: tuple[int, int], format: PixelFormat) -> None:
+        """Refuse a part that is not one.
+
+        Raises
+        ------
+        SettingsError
+            It sticks out of the frame, or begins between the samples of a color.
+        """
+        width, height = size_px
+        if min(self.x, self.y) < 0 or self.x + self.width > width or self.y + self.height > height:
+            raise SettingsError(f"the region of interest sticks out of the {width}x{height} frame: make it smaller")
+        across, down = (2, 2) if format.layout == "bayer" else format.subsampling
+        if self.x % across or self.y % down:
+            raise SettingsError(
+                f"the region of interest begins at {self.x},{self.y}, between this footage's colour samples: "
+                f"begin at a multiple of {across},{down}"
+            )
+
+
+@dataclass(frozen=True)
+class Job:
+    """Footage, and how its frames are decoded.
+
+    A frame's result depends on this and on its number alone, not on what was decoded before or where.
+    """
+
+    footage: str
+    says: StoredAs
+    settings: DecodeSettings
+    calibration: Calibration | None  # of the whole frame
+    region: Region | None
+    step: int  # every so many frames ...
+    first: int  # ... from this one on, below the step
+    fields: tuple[str, ...]
+    store: str
+    arch: str
+
+    def open(self) -> Source:
+        """Open the footage.
+
+        Raises
+        ------
+        FootageError, CalibrationError, SettingsError
+            It cannot be read, or the calibration or the region of interest does not fit it.
+        """
+        source = open_source(self.footage, **vars(self.says))
+        if self.calibration is not None and self.calibration.camera is not None:
+            expected = self.calibration.camera.size_px
+            if expected != source.size_px:
+                here, there = ("x".join(map(str, size)) for size in (source.size_px, expected))
+                raise CalibrationError(f"{source.name} is {here} but the calibration is for {there}: recalibrate")
+        if self.region is not None:
+            self.region.check(source.size_px, source.format)
+        return source
+
+    def size_px(self, source: Source) -> tuple[int, int]:
+        """Return width and height of what is decoded of a frame."""
+        return source.size_px if self.region is None else (self.region.width, self.region.height)
+
+    def with_transfer_of(self, source: Source) -> "Job":
+        """Return the same with the light as the container says that it is encoded, where nobody knows better."""
+        capture = None if self.calibration is None else self.calibration.capture
+        measured = capture is not None and capture.transfer is not None
+        if "transfer" in self.settings.model_fields_set or measured or source.transfer is None:
+            return self
+        return replace(self, settings=self.settings.model_copy(update={"transfer": source.transfer}))
+
+    def identity(self, source: Source) -> dict[str, Any]:
+        """Return all that a frame's result depends on, but for its number, as JSON."""
+        return {
+            **result_attributes(self.settings, self.calibration),
+            "footage": {
+                "name": Path(self.footage).name,
+                "frames": len(source),
+                "size_px": list(source.size_px),
+                "stored_as": asdict(source.format),
+                "first_frame_sha256": _fingerprint(source),
+            },
+            "region_of_interest": None if self.region is None else asdict(self.region),
+            "step": self.step,
+            "first": self.first,
+            "chain_frames": CHAIN_FRAMES,
+        }
+
+    def open_store(self, source: Source, light: LightEstimate | None) -> ResultStore:
+        """Open the store, or make it, with what has been learnt of the light.
+
+        Raises
+        ------
+        OutputError
+            It holds something else, or cannot be written.
+        """
+        also = {"light": None if light is None else light.as_json()}
+        return ResultStore(self.store, self.identity(source), len(source), self.size_px(source), self.fields, also)
+
+    def decoder(self) -> Decoder:
+        """Return a decoder of such frames."""
+        calibration = self.calibration
+        if calibration is not None and self.region is not None:
+            size_px = (self.region.width, self.region.height)
+            calibration = calibration.cropped(self.region.x, self.region.y, size_px)
+        return Decoder(self.settings, calibration, arch=self.arch)
+
+    def develop(self, stored: StoredFrame, out: Any | None) -> Any:
+        """Return what is decoded of a frame, as RGB, in a buffer that can be handed in as `out` again."""
+        planes = stored.planes if self.region is None else self.region.of(stored.planes, stored.format)
+        return develop(planes, stored.format, stripes=self.settings.stripes, out=out)
+
+    def learn_light(self, source: Source) -> tuple[LightEstimate | None, tuple[str, ...]]:
+        """Ask the footage for its light, where neither settings nor calibration say anything of it.
+
+        The first frame that tells it does, of 64 evenly spaced ones.
+
+        Returns
+        -------
+        LightEstimate or None
+            What it told.
+        tuple of str
+            What the user should know.
+        """
+        every = -(-len(source) // _MOST_ASKED)
+        for number in range(0, len(source), every):
+            stored = next(iter(source.frames(number, number + 1)))
+            if not isinstance(stored, StoredFrame):
+                continue
+            decoder = self.decoder()
+            known = not decoder.asks_for_light
+            try:
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", DecodeWarning)  # its frame is decoded again, and then says it
+                    frame = decoder.decode(self.develop(stored, None))
+            except FootageError:
+                continue
+            if frame.period_px is not None and (known or (decoder.light is not None and decoder.light.reliable)):
+                return decoder.light, frame.warnings
+        return None, ()
+
+
+def chains(wanted: range, missing: set[int]) -> Iterator[tuple[range, frozenset[int]]]:
+    """Yield what is to be decoded for the missing ones of some frames: ranges, and which of them are missing.
+
+    A range begins where its chain does and ends with the last missing frame.
+    """
+    step, first = wanted.step, wanted.start % wanted.step
+    length = CHAIN_FRAMES * step
+    lacking: dict[int, list[int]] = {}
+    for number in wanted:
+        if number in missing:
+            lacking.setdefault((number - first) // length, []).append(number)
+    for chain, numbers in lacking.items():
+        yield range(first + chain * length, numbers[-1] + 1, step), frozenset(numbers)
+
+
+def runs(ranges: Sequence[range]) -> Iterator[range]:
+    """Join ranges that follow on each other, so that footage is read in one go."""
+    joined: range | None = None
+    for following in ranges:
+        if joined is not None and following.start == joined[-1] + joined.step:
+            joined = range(joined.start, following.stop, joined.step)
+            continue
+        if joined is not None:
+            yield joined
+        joined = following
+    if joined is not None:
+        yield joined
+
+
+def _fingerprint(source: Source) -> str | None:
+    """Return a SHA-256 of the first good frame's values."""
+    for stored in source.frames():
+        if isinstance(stored, StoredFrame):
+            digest = hashlib.sha256()
+            for plane in stored.planes:
+                digest.update(np.ascontiguousarray(plane).tobytes())
+            return digest.hexdigest()
+    return None

@@ -1,0 +1,122 @@
+"""Decode footage into a store: what is missing of it, here or on a cluster."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from pipeline.batch.job import Job, chains
+from pipeline.batch.worker import Chain, Report, Worker
+from pipeline.errors import FootageError, SettingsError
+from pipeline.footage.source import BadFrame
+from pipeline.output.store import read_attributes
+from tikernels import runtime
+
+
+@dataclass
+class Summary:
+    """What a run has done."""
+
+    n_frames: int  # asked for
+    n_before: int  # of them were done already
+    bad: list[BadFrame] = field(default_factory=list)
+    warned: dict[int, tuple[str, ...]] = field(default_factory=dict)  # by number
+    notes: tuple[str, ...] = ()  # of the footage as a whole
+
+
+class Stopped(KeyboardInterrupt):
+    """The user has stopped the run; the message says how to go on."""
+
+
+def decode_footage(
+    job: Job,
+    start: int = 0,
+    stop: int | None = None,
+    *,
+    strict: bool = False,
+    workers: int = 0,
+    cluster: str | None = None,
+    tell: Callable[[int, int], None] = lambda done, of: None,
+) -> Summary:
+    """Decode what is missing in the store.
+
+    Parameters
+    ----------
+    job : Job
+        What to decode, how, and where to.
+    start, stop : int
+        Which frames: from `start` on, in steps of `job.step`, below `stop`.
+    strict : bool
+        Whether a bad frame ends the run, instead of being left out.
+    workers : int
+        So many processes here, each with a decoder of its own; 0: this process.
+    cluster : str, optional
+        Address of a Dask scheduler, ``tcp://...``, whose workers see footage and store under the same names.
+    tell : callable
+        Told how many frames are done, and of how many.
+
+    Returns
+    -------
+    Summary
+        Which frames are bad, and which come with a warning.
+
+    Raises
+    ------
+    Stopped
+        The user has pressed Ctrl-C; what is done stays.
+    FootageError
+        The footage cannot be read, or `strict` and a frame is bad.
+    OutputError
+        The store holds frames that were made otherwise, or cannot be written.
+    ClusterError
+        There is no cluster, or its workers die.
+    """
+    source = job.open()
+    job = job.with_transfer_of(source)
+    wanted = range(len(source))[start : stop : job.step]
+    if not wanted:
+        raise SettingsError(
+            f"{source.name} has {len(source)} frames, none of which is asked for: look at --start, --stop"
+        )
+    notes, light = source.notes, None
+    if read_attributes(job.store) is None:
+        runtime.init(job.arch)
+        light, doubts = job.learn_light(source)
+        notes += doubts
+    store = job.open_store(source, light)
+    store.remove_leftovers()
+    missing = set(wanted) - store.done()
+    summary = Summary(len(wanted), len(wanted) - len(missing), notes=notes)
+    done = summary.n_before
+
+    def note(report: Report) -> None:
+        nonlocal done
+        if isinstance(report, BadFrame):
+            if strict:
+                raise FootageError(f"frame {report.number} of {source.name}: {report.reason}")
+            summary.bad.append(report)
+        elif report.warnings:
+            summary.warned[report.number] = report.warnings
+        done += 1
+        tell(done, summary.n_frames)
+
+    tell(done, summary.n_frames)
+    todo: list[Chain] = list(chains(wanted, missing))
+    try:
+        if not todo:
+            pass
+        elif workers or cluster:
+            from pipeline.batch.cluster import decode_on_cluster
+
+            decode_on_cluster(job, todo, workers if cluster is None else cluster, note)
+        else:
+            Worker(job).decode(todo, note)
+    except KeyboardInterrupt:
+        store.remove_leftovers()
+        n_done = len(set(wanted) & store.done())
+        raise Stopped(
+            f"stopped: {n_done} of {len(wanted)} frames are done; the same command goes on from there"
+        ) from None
+    finally:
+        source.close()
+    store.remove_leftovers()  # of workers that died
+    summary.bad.sort(key=lambda frame: frame.number)
+    return summary

@@ -1,0 +1,178 @@
+"""One process's share of the work: reading, decoding and writing overlap, and memory stays flat."""
+
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from queue import Empty, Queue
+from threading import Event, Thread
+from typing import Any
+
+from pipeline.batch.job import Job, runs
+from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.self_calibration import LightEstimate
+from pipeline.errors import DecodeWarning, FootageError, OutputError
+from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.footage.sources import Source
+from pipeline.output.store import read_attributes
+from tikernels import runtime
+
+# Frames read ahead, and results in hand: being decoded, the one before, and one for each thread that writes. Those
+# mostly wait for the interpreter, which kernels keep to themselves while they run: with four of them storing all fields
+# was 5 % faster than with two.
+_AHEAD = 4
+_WRITERS = 4
+_RESULTS = 2 + _WRITERS
+
+
+@dataclass(frozen=True)
+class GoodFrame:
+    """A frame that is stored and marked."""
+
+    number: int
+    warnings: tuple[str, ...]
+
+
+Report = GoodFrame | BadFrame
+Chain = tuple[range, frozenset[int]]
+
+
+class Worker:
+    """Decode frames of a job into its store, which must be there; all kernels run in the thread that calls.
+
+    Parameters
+    ----------
+    job : Job
+        What to decode and how.
+
+    Raises
+    ------
+    DeviceNotReady, FootageError, OutputError
+        The device, the footage or the store is not there.
+    """
+
+    def __init__(self, job: Job) -> None:
+        if read_attributes(job.store) is None:
+            raise OutputError(f"{job.store} is not there: every worker must see it under this name")
+        self._job = job
+        self._source = job.open()
+        self._store = job.open_store(self._source, None)
+        self._decoder = job.decoder()
+        light = self._store.attributes["light"]
+        self._decoder.use_light(None if light is None else LightEstimate.from_json(light))
+        width, height = job.size_px(self._source)
+        self._image = runtime.empty((height, width, 3), self._source.format.rgb_dtype)
+        self._results = [_Result() for _ in range(_RESULTS)]
+
+    def decode(self, todo: Sequence[Chain], tell: Callable[[Report], None]) -> None:
+        """Decode ranges of frames, each by itself, and store those that are missing.
+
+        Parameters
+        ----------
+        todo : sequence of (range, frozenset)
+            Which frames lean on each other, and which of them are to be stored; see `chains`.
+        tell : callable
+            Told of every stored and every bad frame, of a bad one sooner than of those that are still being written.
+
+        Raises
+        ------
+        OutputError
+            The store cannot be written; what has been told of stays.
+        """
+        starts = {numbers.start for numbers, _ in todo}
+        missing = frozenset().union(*(lacking for _, lacking in todo))
+        previous: DecodedFrame | None = None
+        turn = 0
+        with (
+            _read_ahead(self._source, list(runs([numbers for numbers, _ in todo]))) as frames,
+            ThreadPoolExecutor(_WRITERS, "write") as writers,
+            warnings.catch_warnings(),
+        ):
+            warnings.simplefilter("ignore", DecodeWarning)  # they are stored, and told
+            try:
+                for stored in frames:
+                    if stored.number in starts:
+                        previous = None
+                    result = self._results[turn % _RESULTS]
+                    result.finish(tell)
+                    try:
+                        frame = self._decode(stored, previous, result.frame)
+                    except FootageError as error:
+                        if stored.number in missing:
+                            tell(BadFrame(stored.number, str(error)))
+                        continue
+                    previous = result.frame = frame
+                    turn += 1
+                    if stored.number in missing:
+                        frame.fetch(self._job.fields)
+                        result.number = stored.number
+                        result.written = writers.submit(self._store.write, stored.number, frame)
+                for k in range(_RESULTS):
+                    self._results[(turn + k) % _RESULTS].finish(tell)
+            finally:
+                # What has been decoded is stored, whatever has happened to the rest.
+                wait([result.written for result in self._results if result.written is not None])
+                for result in self._results:
+                    result.written = None
+
+    def _decode(
+        self, stored: StoredFrame | BadFrame, previous: DecodedFrame | None, out: DecodedFrame | None
+    ) -> DecodedFrame:
+        if isinstance(stored, BadFrame):
+            raise FootageError(stored.reason)
+        image = self._job.develop(stored, self._image)
+        return self._decoder.decode(image, previous, out)
+
+
+@dataclass(eq=False)
+class _Result:
+    """A frame's buffers, which are used again once what they hold is written."""
+
+    frame: DecodedFrame | None = None
+    number: int = 0
+    written: "Future[None] | None" = None
+
+    def finish(self, tell: Callable[[Report], None]) -> None:
+        if self.written is not None and self.frame is not None:
+            self.written.result()
+            self.written = None
+            tell(GoodFrame(self.number, self.frame.warnings))
+
+
+@contextmanager
+def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[StoredFrame | BadFrame]]:
+    """Read frames in a thread of their own, a few ahead."""
+    read: Queue[Any] = Queue(_AHEAD)
+    stopped = Event()
+
+    def run() -> None:
+        try:
+            for numbers in ranges:
+                with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
+                    for frame in frames:
+                        read.put(frame)
+                        if stopped.is_set():
+                            return
+            read.put(None)
+        except BaseException as error:
+            read.put(error)  # raised where the frames are waited for
+
+    def come() -> Iterator[StoredFrame | BadFrame]:
+        while (item := read.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+
+    thread = Thread(target=run, name="read", daemon=True)
+    thread.start()
+    try:
+        yield come()
+    finally:
+        stopped.set()
+        while thread.is_alive():
+            try:
+                read.get(timeout=0.02)  # it may be waiting for room
+            except Empty:
+                pass
+        thread.join()

@@ -1,0 +1,152 @@
+"""The way of the light from the pattern's codes to the camera's levels, as far as settings and calibration tell it."""
+
+import warnings
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration import Calibration, Capture
+from pipeline.decoding.self_calibration import LightEstimate
+from pipeline.errors import DecodeWarning, SettingsError
+from pipeline.models import FloatArray
+from pipeline.settings import DecodeSettings
+from tikernels.phase.channel_model import flat_template, known_template
+from tikernels.phase.crosstalk import invert_crosstalk
+from tikernels.phase.equalization import correction_table, pattern_light, prefers_response, response_table
+from tikernels.phase.wrapped_phase import phase_weights
+from tikernels.raw.linearization import Transfer
+
+# Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
+# one.
+_HARMONICS_A_PIXEL = 0.8
+_NO_CORRECTION = np.zeros(2, np.float32)
+# Crosstalk of which nothing is known turns the phase about grey; leaks of up to a fifth do it by some 0.05 rad.
+_UNKNOWN_CONSTANT = 0.05
+
+
+class LightPath:
+    """What decoding undoes of it.
+
+    Attributes
+    ----------
+    transfer : Transfer
+        How the camera encodes light.
+    camera_shift_px : (3, 2) float64 or None
+        The camera's lateral colour.
+    lag : (3,) float64 or None
+        How far the projector's lateral colour makes the fringe of each colour lag behind its place, rad.
+    balance_first : bool
+        Whether the reflectance acts on the camera's channels, after the crosstalk.
+    matrix, inverse : (3, 3) float32
+        The crosstalk, and what undoes it.
+    weights : (3, 3) float32
+        Of the balanced channels; see `phase_weights`.
+    noise_gain : float
+        The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
+    constant_known : bool
+        Whether the phase is known, not only but for a constant.
+    constant_sigma : float
+        Standard deviation of that constant as far as settings, calibration or a frame's light tell it, rad.
+    unknown : bool
+        Whether nothing is known of the light, so that a frame is to tell it.
+    """
+
+    def __init__(self, settings: DecodeSettings, calibration: Calibration | None) -> None:
+        self.transfer: Transfer = settings.transfer
+        self.camera_shift_px: FloatArray | None = None
+        self.lag: FloatArray | None = None
+        self.balance_first = settings.reflectance_bands == "broad"
+        self._equalize = settings.equalize
+        self._response: FloatArray | None = None  # of a pattern in which it has not been undone, or may not have been
+        self._compensated: bool | None = None
+        self._learned: npt.NDArray[np.float32] | None = None
+        matrix, light = settings.crosstalk_matrix, np.ones(3)
+        if calibration is not None:
+            if calibration.pattern is not None:
+                if calibration.pattern.stripes != settings.stripes:
+                    raise SettingsError(
+                        f"settings say {settings.stripes} stripes but the calibration's pattern has "
+                        f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
+                    )
+                self._compensated = calibration.pattern.compensated
+            self.transfer = _transfer(settings, calibration)
+            matrix = calibration.crosstalk_matrix if matrix is None else matrix
+            if calibration.response is not None and self._compensated is not True:
+                self._response = calibration.response
+                if self._compensated is False:
+                    light = pattern_light(calibration.response)
+            if calibration.color_shift_px is not None:
+                self.camera_shift_px = calibration.color_shift_px.camera
+                self.lag = calibration.projector_lag_rad()
+        # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
+        # channels are to each other, which matters where the crosstalk is undone before the balance.
+        self.unknown = matrix is None and self.balance_first
+        self.constant_known = matrix is not None
+        self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
+        self._use(np.eye(3) if matrix is None else matrix @ np.diag(light))
+
+    def learn(self, light: LightEstimate) -> None:
+        """Take what a frame told."""
+        self._use(light.crosstalk_matrix)
+        self._learned = light.correction
+        self.constant_known = light.constant_known
+        self.constant_sigma = light.constant_sigma if light.constant_known else _UNKNOWN_CONSTANT
+
+    def template(self) -> npt.NDArray[np.float32]:
+        """Return one cycle of each balanced channel as far as it is known; see `ChannelModel.fit`."""
+        response = self._response if self._compensated is False else None
+        if self._compensated:
+            response = np.array([[0.0, 1.0]] * 3)
+        if response is None:
+            return flat_template()
+        return known_template(self.matrix if self.balance_first else np.eye(3), response, self.lag)
+
+    def correction(self, histogram: FloatArray, period_px: float) -> npt.NDArray[np.float32]:
+        """Return what undoes the projector's response, rad to add to the arctangent, as a table over the cycle.
+
+        What is known of the response is better than the assumption that a surface shows every phase equally often,
+        which the histogram of the phases stands for.
+        """
+        if self._learned is not None:
+            return self._learned
+        if self._compensated:
+            return _NO_CORRECTION
+        if self._response is None:
+            if not self._equalize:
+                return _NO_CORRECTION
+            return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
+        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self.lag):
+            return response_table(self._response, self.lag)
+        return _NO_CORRECTION
+
+    @property
+    def response_is_full(self) -> bool:
+        """Whether the correction is that of the full modulation, not what the pattern's mean modulation shows."""
+        return self._learned is None and self._response is not None
+
+    def _use(self, matrix: FloatArray) -> None:
+        # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
+        inverse = invert_crosstalk(matrix, normalize_rows=self.balance_first)
+        self.inverse, self.matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
+        self.weights = phase_weights(inverse if self.balance_first else np.eye(3), self.lag).astype(np.float32)
+        self.noise_gain = float(np.sqrt((phase_weights(inverse)[:2] ** 2).sum() / 2))
+
+
+def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
+    """Return how the camera encodes light, and warn where it stands otherwise than at calibration."""
+    before, now = calibration.capture or Capture(), settings.capture or Capture()
+    chosen: Transfer = settings.transfer
+    if before.transfer is not None and "transfer" not in settings.model_fields_set:
+        chosen = before.transfer
+    differ = [
+        (name, getattr(before, name), getattr(now, name))
+        for name in ("exposure_s", "gain", "white_balance")
+        if getattr(before, name) is not None and getattr(now, name) is not None
+        if not np.allclose(getattr(before, name), getattr(now, name), rtol=1e-3)
+    ]
+    if before.transfer is not None and not np.array_equal(chosen, before.transfer):
+        differ.append(("transfer", before.transfer, chosen))
+    for name, was, is_now in differ:
+        message = f"{name} is {is_now} but was {was} at calibration: set the camera as it was, or calibrate again"
+        warnings.warn(message, DecodeWarning, stacklevel=4)
+    return chosen

@@ -1,0 +1,216 @@
+"""Spectra of a colour frame's channels against its own fringe phase, tile by tile, and the ripple they make."""
+
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.models import FloatArray
+from pipeline.pattern.fringes import CHANNEL_PHASES
+
+_Bools = npt.NDArray[np.bool_]
+_Complexes = npt.NDArray[np.complex128]
+
+PHASES = np.array(CHANNEL_PHASES)
+#: Where the ripples of a three-channel arctangent are.
+HARMONICS = (1, 2, 3, 6)
+# Enough to tell harmonics from a slowly changing mean, few enough to follow a surface.
+_TILE_CYCLES = 3
+#: Tiles start every half a tile, so only one in four is news.
+OVERLAP = 2
+# Six slopes that the mean and the fundamental may have in a tile: 1, u, v, uv, u**2, v**2.
+_SLOPES = 6
+
+
+class Tiles(NamedTuple):
+    """Spectra of T tiles against the phase."""
+
+    mean: Any  # (T, 3) of full scale
+    spectrum: Any  # (T, 3, K) harmonics 1..K over the mean, their common phase taken out
+    noise: Any  # (T,) residual, of full scale
+    frequency: Any  # (T,) rad a px
+    place: Any  # (T, 2) row, column of the tile
+    across: Any  # (T,) distance from the picture's centre across the stripes, in half diagonals
+    weight: Any  # (T,) inverse variance of the contrasts
+
+
+class Fit(NamedTuple):
+    """What `robust_fit` finds, (N, ...) for N shapes."""
+
+    value: Any
+    error: Any
+    squares: float  # sum of the squared residuals, outliers cut
+
+
+def smooth_phase(unwrapped_phase: npt.NDArray[np.float32], mask: _Bools) -> tuple[FloatArray, _Bools, float]:
+    """Return a phase without ripple (H, W), where it holds (H, W), and the period in px.
+
+    A ripple repeats every cycle or faster: a Gaussian of 0.75 cycles leaves 2e-5 of it. What smoothing does to the
+    surface is slow and common to the channels, so it cancels from their ratios.
+    """
+    valid = np.asarray(mask, bool) & np.isfinite(unwrapped_phase)
+    filled = np.where(valid, unwrapped_phase, 0.0).astype(np.float64)
+    down = np.median(np.diff(filled, axis=0)[valid[1:] & valid[:-1]])
+    right = np.median(np.diff(filled, axis=1)[valid[:, 1:] & valid[:, :-1]])
+    period = float(2 * np.pi / max(np.hypot(down, right), 1e-3))
+    rows, columns = np.indices(filled.shape)
+    plane = down * rows + right * columns
+    for _ in range(2):  # the second time without the steps that the first has shown
+        weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), 0.75 * period)
+        rest = np.where(valid, filled - plane, 0.0).astype(np.float32)
+        smooth = plane + cv2.GaussianBlur(rest, (0, 0), 0.75 * period) / np.maximum(weight, 1e-9)
+        # No ripple worth asking about reaches a radian: what does is a step, or a wrong order.
+        step = valid & (abs(filled - smooth) > 1.0)
+        valid &= cv2.dilate(np.uint8(step), np.ones((3, 3))) == 0
+    # Beside a straight edge, where the smoothing is one-sided, the weight is half; 0.6 cycles further in it is 0.8.
+    return smooth, valid & (weight > 0.8), period
+
+
+def tile_side(period: float) -> int:
+    """Return the side of a tile in px; tiles start every half a side, `place` counts those steps."""
+    return max(16, round(_TILE_CYCLES * period))
+
+
+def fit_tiles(light: FloatArray, phase: FloatArray, usable: _Bools, period: float, keep: _Bools | None = None) -> Tiles:
+    """Regress every channel on the phase in tiles: mean and fundamental may change quadratically over a tile.
+
+    light (H, W, 3) and phase (H, W) where usable (H, W), channel by channel only where keep (H, W, 3).
+    """
+    side = tile_side(period)
+    orders = np.arange(2, int(np.clip(period / 2 - 1, 2, 6)) + 1)  # short of half a cycle a pixel
+    v, u = (np.indices((side, side)).reshape(2, -1) + 0.5) / side * 2 - 1
+    slopes = np.stack([np.ones_like(u), u, v, u * v, u * u - 1 / 3, v * v - 1 / 3], axis=1)
+    shape = np.array(usable.shape)
+    results = []
+    for corner in np.ndindex(*np.maximum(1 + (shape - side) // (side // OVERLAP), 0)):
+        top, left = np.array(corner) * (side // OVERLAP)
+        tile = np.s_[top : top + side, left : left + side]
+        inside = usable[tile].ravel()
+        if inside.mean() < 0.75:
+            continue
+        wave = np.exp(1j * phase[tile].ravel())[:, None]
+        basis = np.hstack([slopes, slopes * wave.real, slopes * wave.imag, (wave**orders).real, (wave**orders).imag])
+        values = light[tile].reshape(-1, 3)
+        if keep is None or keep[tile].all():
+            mean, spectrum, square, variance = _fit_channels(basis[inside], values[inside])
+        else:
+            kept = [inside & keep[tile][..., j].ravel() for j in range(3)]
+            if min(chosen.mean() for chosen in kept) < 0.3:
+                continue
+            fits = [_fit_channels(basis[chosen], values[chosen, j, None]) for j, chosen in enumerate(kept)]
+            mean, spectrum, square, variance = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+        if mean.min() <= 0:
+            continue
+        common = np.angle(np.sum(spectrum[:, 0] * np.exp(-1j * PHASES)))
+        spectrum = spectrum * np.exp(-1j * common * np.arange(1, len(orders) + 2))
+        changes: Any = np.gradient(phase[tile])
+        slope = np.array([np.median(change[usable[tile]]) for change in changes])
+        frequency = float(np.hypot(slope[0], slope[1]))
+        centre = np.array([top, left]) + side / 2 - shape / 2
+        across = 2 * slope @ centre / frequency / np.hypot(*shape)
+        weight = 1 / max(variance.sum(), 1e-12)
+        results.append((mean, spectrum, np.sqrt(square.mean()), frequency, corner, across, weight))
+    if not results:
+        return Tiles(np.empty((0, 3)), np.empty((0, 3, 2), complex), *np.empty((5, 0)))
+    tiles = Tiles(*(np.array(values) for values in zip(*results, strict=True)))
+    # What fits much worse than its fellows holds an edge or fine detail; what is much less certain is of no use.
+    good = (tiles.noise <= 2 * np.median(tiles.noise)) & (tiles.weight >= 0.1 * np.median(tiles.weight))
+    return Tiles(*(values[good] for values in tiles))
+
+
+def _fit_channels(basis: FloatArray, values: FloatArray) -> tuple[Any, Any, Any, Any]:
+    """Return by channel (C) mean, spectrum over the mean (C, K), residual's and the relative fundamental's variance.
+
+    Of values (N, C), by a basis (N, B).
+    """
+    inverse = np.linalg.inv(basis.T @ basis + 1e-9 * len(basis) * np.eye(basis.shape[1]))
+    solution = inverse @ (basis.T @ values)
+    square = np.mean((values - basis @ solution) ** 2, axis=0)
+    mean, c, s = solution[0], _SLOPES, 2 * _SLOPES
+    higher = solution[3 * _SLOPES :].reshape(2, -1, values.shape[1])
+    spectrum = np.vstack([solution[c] - 1j * solution[s], higher[0] - 1j * higher[1]]) / mean
+    variance = square * (inverse[c, c] + inverse[s, s]) / mean**2
+    return mean, spectrum.T, square, variance
+
+
+def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None) -> Fit:
+    """Fit values (T, ...), real or complex, by shapes (T, N), None: a constant; outliers are weighed down.
+
+    The scatter of the tiles, not the noise of the pixels, gives the errors: it holds what no model knows.
+    """
+    if np.iscomplexobj(values):
+        real, imaginary = robust_fit(values.real, weight, shapes), robust_fit(values.imag, weight, shapes)
+        return Fit(
+            real.value + 1j * imaginary.value, np.hypot(real.error, imaginary.error), real.squares + imaginary.squares
+        )
+    shapes = np.ones((len(values), 1)) if shapes is None else shapes
+    weight = weight / weight.mean()
+    fitted, errors, squares = [], [], 0.0
+    for column in values.reshape(len(values), -1).T:
+        trust = weight
+        for _ in range(8):
+            covariance = np.linalg.inv((shapes.T * trust) @ shapes)
+            fitted_column = covariance @ (shapes.T * trust) @ column
+            residual = abs(column - shapes @ fitted_column) * np.sqrt(weight)
+            scale = 1.4826 * np.median(residual) + 1e-12
+            trust = weight / np.maximum(1.0, residual / (2 * scale))
+        fitted.append(fitted_column)
+        errors.append(OVERLAP * scale * np.sqrt(np.diag(covariance)))
+        squares += np.sum(np.minimum(residual, 3 * scale) ** 2)
+    to = (-1, *values.shape[1:])
+    return Fit(np.array(fitted).T.reshape(to), np.array(errors).T.reshape(to), float(squares))
+
+
+def mean_spectrum(tiles: Tiles) -> _Complexes:
+    """Return the (3, K) spectrum of the picture."""
+    return np.asarray(robust_fit(tiles.spectrum, tiles.weight).value[0])
+
+
+def neighbours_median(values: FloatArray, place: FloatArray) -> FloatArray:
+    """Return the (T, ...) medians over every tile and those around it."""
+    near = np.abs(place[:, None] - place[None]).max(axis=-1) <= 1
+    return np.array([np.median(values[row], axis=0) for row in near])
+
+
+def waves_of(spectrum: _Complexes) -> FloatArray:
+    """Return (3, 256) one cycle of the channels, their means one."""
+    turns = np.outer(np.arange(1, spectrum.shape[1] + 1), np.arange(256) * 2 * np.pi / 256)
+    return np.asarray(1 + (spectrum @ np.exp(1j * turns)).real)
+
+
+def ripple(waves: FloatArray, matrix: FloatArray) -> dict[int, float]:
+    """Return the phase error's amplitude by harmonic that a plain arctangent makes of balanced channels, rad."""
+    phase = np.arange(waves.shape[1]) * 2 * np.pi / waves.shape[1]
+    vector = np.exp(-1j * PHASES) @ np.linalg.solve(matrix, waves)  # proportional to exp(i phase)
+    error = np.fft.rfft(np.angle(vector * np.exp(-1j * phase))) / len(phase)
+    return {k: float(2 * abs(error[k])) for k in HARMONICS}
+
+
+def clipping_ripple(
+    too_bright: _Bools, too_dark: _Bools, usable: _Bools, period: float, spectrum: _Complexes, matrix: FloatArray
+) -> dict[int, float]:
+    """Return the ripple by harmonic from cutting the waves where so many pixels are clipped, in the worst twentieth."""
+    size = (2 * round(period),) * 2
+    weight = np.maximum(cv2.blur(np.float64(usable), size), 1e-9)[..., None]
+    bright, dark = (
+        (cv2.blur(np.float64(cut & usable[..., None]), size) / weight)[:: round(period), :: round(period)]
+        for cut in (too_bright, too_dark)
+    )
+    waves = waves_of(spectrum)
+    clean = ripple(waves, matrix)
+    ripples = []
+    for place in np.argwhere(usable[:: round(period), :: round(period)]):
+        shares = list(zip(waves, dark[tuple(place)], bright[tuple(place)], strict=True))
+        cut = np.stack(
+            [np.clip(wave, np.quantile(wave, low), np.quantile(wave, 1 - high)) for wave, low, high in shares]
+        )
+        cut_ripple = ripple(cut / cut.mean(axis=1, keepdims=True), matrix)
+        ripples.append([abs(cut_ripple[k] - clean[k]) for k in HARMONICS])
+    return dict(zip(HARMONICS, np.quantile(ripples, 0.95, axis=0).tolist(), strict=True))
+
+
+def seen_ripple(unwrapped_phase: npt.NDArray[np.float32], phase: FloatArray, usable: _Bools) -> dict[int, float]:
+    """Return the ripple's amplitude by harmonic in the phase that was handed in, rad."""
+    rest, wave = (unwrapped_phase - phase)[usable], np.exp(-1j * phase[usable])
+    return {k: float(2 * abs(np.mean((rest - rest.mean()) * wave**k))) for k in HARMONICS}

@@ -1,0 +1,143 @@
+"""Frames from pictures: a folder of them in their natural order, or a single one."""
+
+import os
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy.typing as npt
+
+from pipeline.errors import FootageError
+from pipeline.footage.ffmpeg_messages import caught_messages
+from pipeline.footage.ffmpeg_planes import stored_planes
+from pipeline.footage.image_file import check_whole, decode_levels, read_bytes
+from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from tikernels.errors import ShapeError
+from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
+
+_JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
+#: Names of files that are pictures.
+PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".webp", *_JPEG_SUFFIXES)
+_DIGITS = re.compile(r"(\d+)")
+
+
+def natural_key(name: str) -> tuple[Any, ...]:
+    """Return what sorts names as people do: frame2 before frame10."""
+    # Digits stand at every odd place, so numbers never meet letters; the name itself settles 1 and 01.
+    parts = [int(part) if i % 2 else part.casefold() for i, part in enumerate(_DIGITS.split(name))]
+    return (parts, name)
+
+
+class Pictures:
+    """Pictures of one folder, each read when its turn comes; a `Source`.
+
+    Parameters
+    ----------
+    name : str
+        What the user gave.
+    folder : Path
+        Where they are.
+    names : sequence of str
+        Which files, in order.
+    says : StoredAs
+        What the user says of the pixels.
+
+    Raises
+    ------
+    FootageError
+        None of them can be read.
+    """
+
+    transfer: str | None = None  # pictures do not say
+
+    def __init__(self, name: str, folder: Path, names: Sequence[str], says: StoredAs) -> None:
+        self.name = name
+        self._folder = folder
+        self.names = names
+        self._says = says
+        self._jpeg_decoder: Any = None
+        self.notes: tuple[str, ...] = ()
+        reason = ""
+        for number in range(len(names)):
+            try:
+                planes, self.format = self._read(number)
+            except FootageError as error:
+                reason = reason or str(error)
+                continue
+            self.size_px = (planes[0].shape[1], planes[0].shape[0])
+            return
+        what = "" if len(names) == 1 else f"none of its {len(names)} pictures can be; the first: "
+        raise FootageError(f"cannot read {name}: {what}{reason}")
+
+    @classmethod
+    def in_folder(cls, folder: Path, says: StoredAs) -> "Pictures":
+        """Take every picture of a folder, in the natural order of their names.
+
+        Raises
+        ------
+        FootageError
+            There is none, or none can be read.
+        """
+        # Names alone: asking the file system about each of 100,000 files takes longer than reading the list.
+        names = [name for name in os.listdir(folder) if name.lower().endswith(PICTURE_SUFFIXES) and name[0] != "."]
+        if not names:
+            raise FootageError(f"{folder} holds no pictures: give a folder of PNG, TIFF or JPEG files, or a video")
+        return cls(str(folder), folder, sorted(names, key=natural_key), says)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
+        """Yield frames by number; see `Source`."""
+        for number in range(len(self))[start:stop:step]:
+            try:
+                planes, format = self._read(number)
+            except FootageError as error:
+                yield BadFrame(number, str(error))
+                continue
+            size_px = (planes[0].shape[1], planes[0].shape[0])
+            reason = other_than_first(format, size_px, self)
+            if reason is not None:
+                yield BadFrame(number, f"{self.names[number]}: {reason}")
+            else:
+                yield StoredFrame(number, planes, format)
+
+    def close(self) -> None:
+        """Do nothing: no file is open between two frames."""
+
+    def _read(self, number: int) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat]:
+        path = self._folder / self.names[number]
+        data = read_bytes(path)
+        check_whole(path, data)
+        try:
+            if data.startswith(b"\xff\xd8\xff"):
+                return self._read_jpeg(data)
+            image = decode_levels(path, data)
+            bits = {"uint8": 8, "uint16": 16}.get(image.dtype.name, FLOAT_BITS)
+            if image.ndim == 2:
+                if self._says.bayer is None:
+                    raise FootageError(GREY)
+                return (image,), self._says.applied_to(PixelFormat("bayer", bits))
+            image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
+            return (image,), self._says.applied_to(PixelFormat("rgb", bits))
+        except (FootageError, ShapeError) as error:
+            text = str(error)
+            raise FootageError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+
+    def _read_jpeg(self, data: bytes) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat]:
+        """Read a JPEG's planes: libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)."""
+        import av  # slow to import, and only needed here
+
+        if self._jpeg_decoder is None:
+            self._jpeg_decoder = av.CodecContext.create("mjpeg", "r")
+        frames = []
+        with caught_messages() as said, suppress(av.error.FFmpegError):
+            frames = self._jpeg_decoder.decode(av.Packet(data))
+        if said or not frames:
+            self._jpeg_decoder = None  # what it made of this one may stay in its state
+            raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
+        planes, format, _ = stored_planes(frames[0], "mjpeg", self._says)
+        return planes, format

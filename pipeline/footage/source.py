@@ -1,0 +1,111 @@
+"""Frames in the form in which they were stored, and what every source of them can do."""
+
+from collections.abc import Generator
+from dataclasses import dataclass, replace
+from typing import Any, Protocol
+
+import numpy.typing as npt
+
+from pipeline.errors import FootageError
+from tikernels.raw.pixel_format import Bayer, Matrix, PixelFormat, Siting
+
+#: Why grey footage cannot be decoded.
+GREY = "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which: --bayer rggb"
+
+
+@dataclass(frozen=True)
+class StoredFrame:
+    """One frame as it was stored."""
+
+    number: int  # in its source, from 0
+    planes: tuple[npt.NDArray[Any], ...]  # see PixelFormat; views that keep what they look at alive; do not write
+    format: PixelFormat
+
+
+@dataclass(frozen=True)
+class BadFrame:
+    """A frame that is damaged, or is not like the others."""
+
+    number: int  # in its source, from 0
+    reason: str  # one line, without the number
+
+
+#: Frames by number; closing them lets go of the file at once.
+Frames = Generator[StoredFrame | BadFrame, None, None]
+
+
+class Source(Protocol):
+    """Frames in their order, as often as asked for; not to be shared between threads."""
+
+    @property
+    def name(self) -> str:
+        """What the user gave."""
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of every frame."""
+
+    @property
+    def format(self) -> PixelFormat:
+        """How the first good frame is stored; others differ only if their frame says so."""
+
+    @property
+    def transfer(self) -> str | None:
+        """How light is encoded ("linear", "srgb", "bt709"), where the container says so; None where it does not."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed because the container does not say it, a sentence each; for the user."""
+
+    def __len__(self) -> int:
+        """Return how many frames there are, damaged ones included."""
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
+        """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one."""
+
+    def close(self) -> None:
+        """Let go of files; harmless twice."""
+
+
+@dataclass(frozen=True)
+class StoredAs:
+    """What the user says of the pixels, see `PixelFormat`; None: what the footage says of itself."""
+
+    bayer: Bayer | None = None
+    """Which mosaic grey footage is."""
+    bits: int | None = None
+    """How many bits of its values are used."""
+    siting: Siting | None = None
+    """Where chroma samples sit."""
+    matrix: Matrix | None = None
+    """How luma was made."""
+    full_range: bool | None = None
+    """Whether luma uses every level."""
+
+    def applied_to(self, format: PixelFormat) -> PixelFormat:
+        """Return a format as the user says it is.
+
+        Raises
+        ------
+        FootageError
+            The bits do not fit the values.
+        """
+        said = replace(format, **{name: value for name, value in vars(self).items() if value is not None})
+        # Where bits are shifted up their number is known, and another one would need another shift.
+        if said.dtype != format.dtype or (format.shift and said.bits != format.bits):
+            raise FootageError(f"bits is {said.bits}, but its values have {format.bits}")
+        return said
+
+
+def other_than_first(format: PixelFormat, size_px: tuple[int, int], source: "Source") -> str | None:
+    """Say how a frame differs from its source's first in what the decoder cannot take in its stride."""
+    for here, first in zip(_kind(format, size_px), _kind(source.format, source.size_px), strict=True):
+        if here != first:
+            return f"it is {here}, the first is {first}"
+    return None
+
+
+def _kind(format: PixelFormat, size_px: tuple[int, int]) -> tuple[str, ...]:
+    # Grey levels of one store are on one scale, and a region of interest begins at a sample of chroma.
+    across, down = format.subsampling
+    return f"{size_px[0]}x{size_px[1]} {format.layout}", f"of {format.bits} bits", f"subsampled by {across}x{down}"

@@ -1,0 +1,62 @@
+"""Where frames come from: one protocol for image folders, video files and our own recordings.
+
+A frame leaves its source in the form in which it was stored; `tikernels.develop` turns that into RGB.
+"""
+
+from pathlib import Path
+
+from pipeline.errors import FootageError
+from pipeline.footage.image_folder import PICTURE_SUFFIXES, Pictures
+from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
+from pipeline.footage.video_file import VideoFile
+from pipeline.footage.zarr_recording import ZarrRecording
+from tikernels.errors import ShapeError
+from tikernels.raw.pixel_format import Bayer, Matrix, PixelFormat, Siting
+
+__all__ = ["BadFrame", "PixelFormat", "Source", "StoredFrame", "open_source"]
+
+
+def open_source(
+    path: str | Path,
+    *,
+    bayer: Bayer | None = None,
+    bits: int | None = None,
+    siting: Siting | None = None,
+    matrix: Matrix | None = None,
+    full_range: bool | None = None,
+) -> Source:
+    """Open footage: a folder of pictures, a single picture, a video file, or a recording of ours.
+
+    Parameters
+    ----------
+    path : str or Path
+        Which.
+    bayer, bits, siting, matrix, full_range
+        How the pixels are stored, see `PixelFormat`; each wins over what the footage says of itself. Grey footage
+        needs `bayer`.
+
+    Raises
+    ------
+    FootageError
+        There is no such footage, or it cannot be read.
+    """
+    says = StoredAs(bayer, bits, siting, matrix, full_range)
+    path = Path(path)
+    try:
+        if path.is_dir():
+            # Both kinds of Zarr group; what is not ours is refused there, by name.
+            if path.suffix == ".zarr" or (path / "zarr.json").exists() or (path / ".zgroup").exists():
+                return ZarrRecording(path, says)
+            return Pictures.in_folder(path, says)
+        if not path.is_file():
+            what = "it is neither a file nor a folder" if path.exists() else "there is no such file"
+            raise FootageError(f"cannot read {path}: {what}")
+        if path.suffix.lower() in PICTURE_SUFFIXES:
+            return Pictures(str(path), path.parent, [path.name], says)
+        return VideoFile(path, says)
+    except (FootageError, ShapeError) as error:
+        if str(path) in str(error):
+            raise
+        raise FootageError(f"cannot read {path}: {error}") from None
+    except OSError as error:
+        raise FootageError(f"cannot read {path}: {error.strerror or error}") from None

@@ -1,0 +1,337 @@
+"""Frames from a video file, in the planes that its codec stored, by numbers that do not depend on its clock."""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Literal
+
+from pipeline.errors import FootageError
+from pipeline.footage.ffmpeg_messages import caught_messages
+from pipeline.footage.ffmpeg_planes import stored_planes, transfer_of
+from pipeline.footage.recording_tags import RecordingTags
+from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from tikernels.raw.pixel_format import PixelFormat
+
+# So many frames at the beginning may be damaged before a file counts as unreadable.
+_MOST_DAMAGED = 300
+_MISSING = "it is missing from the file, or cannot be decoded"
+# An AVI file's index names the head of a coded frame, its reader what comes behind.
+_AVI_HEAD_BYTES = 8
+_END: tuple[int, Any] = (-1, None)
+
+
+@dataclass(frozen=True)
+class _Index:
+    """Every coded frame of a file: its position is its place in the file, its number that in time."""
+
+    stamps: Sequence[int]  # by position, in the stream's time base; empty where stamps do not tell frames apart
+    marks: Sequence[int]  # by position: what tells which packet is which
+    mark: Literal["pts", "pos"]  # what that is: a packet's time stamp, or where it begins in the file
+    numbers: Sequence[int]  # by position; -1: decoded, because others need it, but not shown
+    keys: Sequence[int]  # positions at which decoding can begin, ascending
+
+    @property
+    def intra_only(self) -> bool:
+        """Whether every frame can be decoded by itself: without stamps only those before it tell which one it is."""
+        return bool(self.stamps) and len(self.keys) == len(self.numbers)
+
+    def position_before(self, number: int) -> int:
+        """Return the position to decode from, so that a frame comes out whole."""
+        if not self.stamps:
+            return 0
+        if self.intra_only and isinstance(self.numbers, range):
+            return number
+        before = (key for key in self.keys if self.numbers[key] <= number)
+        return max(before, key=lambda key: (self.numbers[key], key), default=0)
+
+    def first_needed(self, position: int) -> int:
+        """Return the first position that a frame may have been predicted from."""
+        k = bisect_right(self.keys, position) - 1
+        # What comes before a key frame in time but after it in the file may be predicted from both sides of it.
+        if k > 0 and self.numbers[position] < self.numbers[self.keys[k]]:
+            k -= 1
+        return self.keys[k] if k >= 0 else 0
+
+
+class VideoFile:
+    """A video file, by FFmpeg through PyAV; a `Source`.
+
+    Frames are numbered by their order in time, whatever their time stamps are worth.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    says : StoredAs
+        What the user says of the pixels.
+
+    Raises
+    ------
+    FootageError
+        It is no video, it is empty or cut off where nothing can be found any more, its pixels are stored in a way that
+        no kernel reads, or none of its frames can be decoded.
+    """
+
+    def __init__(self, path: Path, says: StoredAs) -> None:
+        self.name = str(path)
+        self._url = f"file:{path.absolute()}"
+        self._says = says
+        self.transfer: str | None = None
+        self.notes: tuple[str, ...] = ()
+        self.size_px = (0, 0)
+        self.format = PixelFormat("rgb")
+        if path.stat().st_size == 0:
+            raise FootageError(f"{path} is empty: copy it again")
+        with self._opened() as (container, stream):
+            recording = RecordingTags.read(container.metadata)
+            if recording is not None:
+                self._says = recording.completing(says)
+                self.transfer = recording.transfer
+            self._index = _index_of(container, stream, recording)
+            self._n_frames = 1 + max(self._index.numbers, default=-1)
+            self._note_missing_end(container, stream)
+        self._positions = {mark: position for position, mark in enumerate(self._index.marks)}
+        reason = "it holds no frames"
+        for frame in islice(self.frames(), _MOST_DAMAGED):
+            if isinstance(frame, StoredFrame):
+                return
+            reason = frame.reason if frame.number == 0 else reason
+        raise FootageError(f"cannot read {path}: {reason}")
+
+    def __len__(self) -> int:
+        return self._n_frames
+
+    @property
+    def stamps(self) -> list[int]:
+        """When each frame is to be shown, in the order of their numbers; empty where nothing tells."""
+        shown = zip(self._index.numbers, self._index.stamps, strict=False)
+        return [stamp for number, stamp in sorted(shown) if number >= 0]
+
+    def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
+        """Yield frames by number; see `Source`."""
+        wanted = range(len(self))[start:stop:step]
+        reasons: dict[int, str] = {}
+        due = 0  # of those wanted
+        while due < len(wanted):
+            n_damaged = len(reasons)
+            with self._opened() as (container, stream):
+                for number, frame in self._decoded(container, stream, wanted[due:], reasons):
+                    while due < len(wanted) and wanted[due] < number:
+                        yield BadFrame(wanted[due], reasons.get(wanted[due], _MISSING))
+                        due += 1
+                    if due < len(wanted) and wanted[due] == number:
+                        yield self._stored(number, frame, stream.codec_context.name, reasons.get(number))
+                        due += 1
+                    if due == len(wanted):
+                        return
+            # Where every frame stands alone, decoding ends at a damaged one and begins anew behind it: what a decoder
+            # makes of a damaged frame can stay in its state and spoil all later ones.
+            last = max(reasons) if self._index.intra_only and len(reasons) > n_damaged else len(self)
+            while due < len(wanted) and wanted[due] <= last:
+                yield BadFrame(wanted[due], reasons.get(wanted[due], _MISSING))
+                due += 1
+
+    def close(self) -> None:
+        """Do nothing: each iteration opens and closes the file."""
+
+    @contextmanager
+    def _opened(self) -> Iterator[tuple[Any, Any]]:
+        import av  # slow to import, and only needed here
+
+        with caught_messages():
+            try:
+                # A file may not make FFmpeg open anything but files.
+                container = av.open(self._url, options={"protocol_whitelist": "file"}, metadata_errors="replace")
+            except av.error.FFmpegError as error:
+                raise FootageError(
+                    f"{self.name} is not a video that can be read ({error.strerror}): it may be cut off or damaged"
+                ) from None
+        with container:
+            cover = av.stream.Disposition.attached_pic
+            stream = next((stream for stream in container.streams.video if not stream.disposition & cover), None)
+            if stream is None:
+                raise FootageError(f"{self.name} holds no video: give the file with the pictures")
+            if stream.codec_context is None:
+                raise FootageError(f"{self.name} has a codec that is not known: convert it with ffmpeg -c:v ffv1")
+            yield container, stream
+
+    def _decoded(
+        self, container: Any, stream: Any, wanted: range, reasons: dict[int, str]
+    ) -> Iterator[tuple[int, Any]]:
+        """Yield decoded frames with their numbers, and note why others do not come or should not be trusted."""
+        import av
+
+        index, context = self._index, stream.codec_context
+        if context.name == "ffv1":
+            context.thread_type = "SLICE"
+        else:
+            context.thread_count = 1  # messages from other threads could not be told whose they are
+        begin = index.position_before(wanted[0])
+        packets = self._packets(container, stream, begin)
+        damaged: list[int] = []  # positions
+        at_once = context.codec.intra_only or context.name == "ffv1"  # whether each packet gives its frame
+        n_came = 0
+        while True:
+            with caught_messages() as said:
+                frames, failure = [], None
+                try:
+                    position, packet = next(packets, _END)
+                except av.error.FFmpegError:
+                    position, packet = _END
+                if packet is not None:
+                    number = index.numbers[position]
+                    if index.intra_only and number > wanted[-1]:
+                        packet = None
+                    elif index.intra_only and number not in wanted:
+                        continue
+                    else:
+                        packet.pts = packet.dts = position  # comes out with the frame
+                try:
+                    frames = context.decode(packet)
+                except av.error.FFmpegError as error:
+                    failure = error.strerror
+            if at_once and not frames:
+                failure = failure or "nothing can be decoded"
+            if packet is not None and (failure or said) and number >= index.numbers[begin]:
+                reasons[number] = f"it is damaged: {said[0] if said else failure}"
+                damaged.append(position)
+                n_came += failure is not None
+            for frame in frames:
+                if frame.pts is None:
+                    continue  # nothing tells which one it is
+                position_out = int(frame.pts)
+                number = index.numbers[position_out] if index.stamps else n_came
+                n_came += 1
+                if frame.is_corrupt and number not in reasons:
+                    reasons[number] = "it is damaged"
+                    damaged.insert(bisect_left(damaged, position_out), position_out)
+                before = bisect_left(damaged, position_out) - 1
+                if before >= 0 and damaged[before] >= index.first_needed(position_out):
+                    spoilt = index.numbers[damaged[before]]
+                    reasons.setdefault(number, f"it is predicted from frame {spoilt}, which is damaged")
+                yield number, frame
+            if packet is None or (damaged and index.intra_only):
+                return
+
+    def _packets(self, container: Any, stream: Any, begin: int) -> Iterator[tuple[int, Any]]:
+        """Yield packets with their positions, from one position on where the file can be entered there."""
+        import av
+
+        if begin > 0:
+            with suppress(av.error.FFmpegError):  # then the file is read from its beginning
+                container.seek(self._index.stamps[begin], stream=stream)
+            packets = self._placed(container, stream)
+            entered = next((found for found in packets if found[0] >= begin), None)
+            if entered is not None and entered[0] == begin:
+                yield entered
+                yield from packets
+                return
+            container.seek(self._index.stamps[0], stream=stream)
+        yield from self._placed(container, stream)
+
+    def _placed(self, container: Any, stream: Any) -> Iterator[tuple[int, Any]]:
+        n_packets = 0
+        for packet in container.demux(stream):
+            if packet.size == 0:
+                continue  # a repeated frame of an AVI file, or the end
+            position = n_packets
+            n_packets += 1
+            if self._index.stamps:
+                mark = getattr(packet, self._index.mark)
+                position = self._positions.get(mark, -1)
+                if position < 0 and self._index.mark == "pos":
+                    position = self._positions.get(mark - _AVI_HEAD_BYTES, -1)
+            if 0 <= position < len(self._index.numbers):
+                yield position, packet
+
+    def _stored(self, number: int, frame: Any, codec: str, reason: str | None) -> StoredFrame | BadFrame:
+        if reason is not None:
+            return BadFrame(number, reason)
+        try:
+            planes, format, assumed = stored_planes(frame, codec, self._says)
+        except FootageError as error:
+            return BadFrame(number, str(error))
+        size_px = (frame.width, frame.height)
+        if self.size_px == (0, 0):
+            self.size_px, self.format = size_px, format
+            self._learn(frame, assumed)
+        other = other_than_first(format, size_px, self)
+        return StoredFrame(number, planes, format) if other is None else BadFrame(number, other)
+
+    def _learn(self, frame: Any, assumed: tuple[str, ...]) -> None:
+        """Note what the first good frame says of all."""
+        transfer, not_undone = transfer_of(frame)
+        if self.transfer is None:
+            self.transfer = transfer
+        notes = []
+        if assumed:
+            notes.append(f"the file does not say it, so this is assumed: {', '.join(assumed)}")
+        if not_undone is not None:
+            notes.append(f"its light is encoded as {not_undone}, which is not undone: record with another transfer")
+        if frame.interlaced_frame:
+            notes.append("it is interlaced: the two fields of a frame show different moments")
+        if frame.rotation:
+            notes.append(f"players turn it by {frame.rotation} degrees; here it stays as the camera stored it")
+        self.notes += tuple(notes)
+
+    def _note_missing_end(self, container: Any, stream: Any) -> None:
+        index = self._index
+        if stream.frames > len(index.numbers):
+            self.notes += (
+                f"{stream.frames - len(index.numbers)} of its {stream.frames} frames are missing: it may be cut off",
+            )
+            return
+        if len(container.streams) > 1 or not container.duration or not index.stamps or len(self) < 2:
+            return
+        first, last = min(index.stamps), max(index.stamps)
+        rest_s = container.duration / 1e6 - float((last - first) * stream.time_base)
+        frame_s = float((last - first) * stream.time_base) / (len(self) - 1)
+        if rest_s > 3 * frame_s:
+            self.notes += (f"it ends {rest_s:.1f} s before it says: it may be cut off",)
+
+
+def _index_of(container: Any, stream: Any, recording: RecordingTags | None) -> _Index:
+    if recording is not None:
+        n_frames = recording.n_frames(container.duration or 0)
+        if n_frames > container.size:  # each takes some bytes
+            raise FootageError(f"its head says that it holds {n_frames} frames, but it is too short: copy it again")
+        stamps = [recording.stamp(number) for number in range(n_frames)]
+        return _Index(stamps, stamps, "pts", range(n_frames), range(n_frames))
+    entries = list(stream.index_entries)
+    stamps = [entry.timestamp for entry in entries]
+    everything = len(entries) == stream.frames > 0 and len(set(stamps)) == len(stamps)
+    if everything and all(entry.is_keyframe and not entry.is_discard for entry in entries):
+        # AVI counts its packets for time stamps: where one is lost only the place in the file still tells.
+        return _Index(stamps, [entry.pos for entry in entries], "pos", range(len(stamps)), range(len(stamps)))
+    return _index_by_reading(container, stream)
+
+
+def _index_by_reading(container: Any, stream: Any) -> _Index:
+    """Look at every packet: where the container lists no frames, or frames are predicted from later ones."""
+    import av
+
+    stamps: list[Any] = []
+    keys: list[int] = []
+    hidden = set()
+    with caught_messages():
+        try:
+            for packet in container.demux(stream):
+                if packet.size == 0:
+                    continue
+                if packet.is_keyframe:
+                    keys.append(len(stamps))
+                if packet.is_discard:
+                    hidden.add(len(stamps))
+                stamps.append(packet.pts)
+        except av.error.FFmpegError:
+            pass  # frames end where the file cannot be read any further
+    if None in stamps or len(set(stamps)) < len(stamps):
+        return _Index((), (), "pts", range(len(stamps)), keys)
+    numbers = [-1] * len(stamps)
+    shown = (position for position in range(len(stamps)) if position not in hidden)
+    for number, position in enumerate(sorted(shown, key=stamps.__getitem__)):
+        numbers[position] = number
+    return _Index(stamps, stamps, "pts", numbers, keys)

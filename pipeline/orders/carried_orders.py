@@ -1,0 +1,159 @@
+"""Keep the orders of the frame before, region by region: an object keeps its depth while it moves."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels.order_evidence.contrast_reading import CANDIDATES, join_parts_kernel
+from tikernels.order_evidence.order_votes import BEFORE, CYCLES, PATCH, REST, SOUND
+from tikernels.unwrapping.unwrapper import PatchGraph
+
+# A region needs so many votes, and this share of them, to keep its order: fewer, and most of it is newly seen.
+_MIN_VOTES, _MIN_SHARE = 6, 0.6
+# Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close: such a vote is void.
+_MAX_CHANGE = 0.35
+# A surface's phase changes by so many cycles from frame to frame, and e-fold more seldom by as many more.
+_USUAL_CHANGE = 0.06
+# What goes on moves alike: of a region where all changes, in fractions of a cycle, are as frequent the coherence is 0,
+# where they spread over a half it is 0.64.
+_MIN_COHERENCE = 0.5
+# Where the votes' coherence is less on average, 0 where regions do not go on, the frame shows another scene: objects
+# that turn by 3 degrees a frame reach 0.9, two scenes that happen to look alike in places 0.7.
+_SAME_SCENE = 0.75
+# A lead of so many votes halves the probability that the order is wrong: neighbouring pixels err together.
+_HALVING_LEAD = 4.0
+# How probably votes are for another surface that was there before, where only edges vote.
+_EDGE_DOUBT = 0.5
+# A region is torn where a second offset has so many votes; its parts must each prefer their own by so many, and by this
+# share of their votes.
+_MIN_TORN_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
+#: An order that was absolute stays so where it is wrong with a smaller probability than this.
+MAX_ERROR_PROBABILITY = 1e-2
+
+
+@dataclass(frozen=True)
+class CarriedOrders:
+    """Whole cycles that regions lack to agree with the frame before."""
+
+    same_scene: bool  # False: a cut, or so much motion that nothing can be carried on
+    roots: npt.NDArray[np.int64]  # (n,) of the regions whose orders are carried on
+    offsets: npt.NDArray[np.int64]  # (n,) to be added to their orders
+    before: npt.NDArray[np.int64]  # (n,) the region of the frame before that they come from
+    error_probability: npt.NDArray[np.float64]  # (n,) that they do not go on from there with these orders
+
+
+def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> CarriedOrders:
+    """Count `vote_orders_kernel`'s votes: the sound ones, and the others of regions that have too few.
+
+    Parameters
+    ----------
+    votes : (N, 5) int32
+        Patch, cycles, rest, region before, soundness.
+    roots : (P,) int32
+        The patch that stands for the region of each patch.
+    """
+    votes = votes[votes[:, PATCH] >= 0]
+    root = roots[votes[:, PATCH]].astype(np.int64)
+    sound = np.bincount(root, votes[:, SOUND], len(roots)) >= _MIN_VOTES
+    counting = (votes[:, SOUND] == 1) | ~sound[root]
+    clear = np.abs(votes[:, REST]) < 64 * _MAX_CHANGE
+    void = np.bincount(root[counting & ~clear], minlength=len(roots))
+    coherence = _coherence(root[counting], votes[counting, REST], len(roots))
+    everyone = int(counting.sum())
+    votes, root = votes[counting & clear], root[counting & clear]
+    if len(votes) == 0:
+        none = np.zeros(0, np.int64)
+        return CarriedOrders(False, none, none, none, none.astype(float))
+    # A ballot is a region and an offset; those who cast it may come from several regions of the frame before.
+    low, before_span = int(votes[:, CYCLES].min()), int(votes[:, BEFORE].max()) + 1
+    cycles_span = int(votes[:, CYCLES].max()) - low + 1
+    keys = (root * cycles_span + votes[:, CYCLES] - low) * before_span + votes[:, BEFORE]
+    origins, member, voters = np.unique(keys, return_inverse=True, return_counts=True)
+    rest = np.bincount(member, np.abs(votes[:, REST]) / 64)
+    ballots, starts = np.unique(origins // before_span, return_index=True)
+    counts, change = np.add.reduceat(voters, starts), np.add.reduceat(rest, starts)
+    commonest = np.lexsort((-voters, origins // before_span))[starts]
+    # The two ballots with the most votes of every region; ties go to the smaller offset.
+    order = np.lexsort((ballots, -counts, ballots // cycles_span))
+    regions, starts, several = np.unique(ballots[order] // cycles_span, return_index=True, return_counts=True)
+    best, total = order[starts], np.add.reduceat(counts[order], starts) + void[regions]
+    second = np.where(several > 1, counts[order[np.minimum(starts + 1, len(order) - 1)]], 0)
+    lead = counts[best] - np.maximum(second, void[regions])
+    usual = change[best] / counts[best]
+    kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (coherence[regions] >= _MIN_COHERENCE)
+    if (coherence[regions] * total)[kept].sum() < _SAME_SCENE * everyone:
+        return count_votes(votes[:0], roots)
+    doubt = 0.5 ** (lead / _HALVING_LEAD) + np.exp((2 * usual - 1) / _USUAL_CHANGE)
+    doubt = np.where(sound[regions], np.minimum(doubt, 1), _EDGE_DOUBT)
+    best = best[kept]
+    offsets, before = ballots[best] % cycles_span + low, origins[commonest[best]] % before_span
+    return CarriedOrders(True, regions[kept], offsets, before, doubt[kept])
+
+
+def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
+    """(count,) float: how alike a region's phase changes, 1 where by the same everywhere, 0 where nobody votes."""
+    turn = np.exp(2j * np.pi / 64 * rest)
+    sums = [np.bincount(root, part, count) for part in (turn.real, turn.imag)]
+    return np.asarray(np.hypot(*sums) / np.maximum(np.bincount(root, minlength=count), 1))
+
+
+def split_by_votes(
+    votes: npt.NDArray[np.int32], graph: PatchGraph, known_before: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.int32]:
+    """Split regions that have joined surfaces which the frame before saw whole cycles apart.
+
+    A step of whole cycles leaves no trace in one frame's phase; the frame before knows what lies on either side. Only
+    sound votes count: what comes into view beside a moving edge votes for what was there before. A surface whose order
+    was known and one whose was not stay apart, too: what looks like a joint between them may be such a step.
+
+    Parameters
+    ----------
+    votes : (N, 5) int32
+        `vote_orders_kernel`'s.
+    graph : PatchGraph
+        The frame's patches.
+    known_before : (regions + 1,) bool
+        Whether the orders of the regions before were absolute.
+
+    Returns
+    -------
+    (P,) int32
+        The patch that stands for the part of each patch.
+    """
+    votes = votes[(votes[:, PATCH] >= 0) & (votes[:, SOUND] == 1)]
+    if len(votes) == 0:
+        return graph.root
+    # The offsets in use, known ones and others, the commonest first: hardly any frame has more than a few.
+    offsets, place, counts = np.unique(
+        2 * votes[:, CYCLES] + known_before[votes[:, BEFORE]], return_inverse=True, return_counts=True
+    )
+    rank = np.empty(len(offsets), np.int64)
+    rank[np.argsort(-counts, kind="stable")] = np.arange(len(offsets))
+    candidate = rank[place]
+    used = candidate < CANDIDATES
+    patch, candidate = votes[used, PATCH], candidate[used]
+    regions = np.bincount(
+        graph.root[patch].astype(np.int64) * CANDIDATES + candidate, minlength=len(graph.root) * CANDIDATES
+    )
+    second = np.partition(regions.reshape(-1, CANDIDATES), -2, axis=1)[:, -2]
+    torn = second >= _MIN_TORN_VOTES
+    if not torn.any():
+        return graph.root
+    # Fewer votes against an offset are better: what a part departs from each by is the votes that it gets less.
+    evidence = np.zeros((len(graph.root), CANDIDATES + 1), np.float32)
+    np.subtract.at(evidence, (patch, candidate), 1)
+    evidence[:, CANDIDATES] = -evidence[:, :CANDIDATES].sum(axis=1)
+    inside = torn[graph.root[graph.ends[0]]]
+    ends, weight = graph.ends[:, inside], graph.votes[inside]
+    best = np.where(evidence[:, CANDIDATES] > 0, np.argmin(evidence[:, :CANDIDATES], axis=1), -1)
+    # Contacts between patches that vote alike come first: then the parts are whole before they are asked to join.
+    differ = (best[ends[0]] != best[ends[1]]) & (np.minimum(best[ends[0]], best[ends[1]]) >= 0)
+    order = np.lexsort((np.arange(len(weight)), -weight, differ))
+    everywhere = np.tile(np.array([0, 1], np.int32), (len(graph.root), 1))
+    parents = np.zeros(len(graph.root), np.int32)
+    if len(order):
+        pairs = np.ascontiguousarray(ends[:, order], np.int32)
+        join_parts_kernel(pairs, 0, _MIN_MARGIN, _MIN_MARGIN_SHARE, everywhere, evidence, parents)
+        return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
+    return graph.root

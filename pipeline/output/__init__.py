@@ -1,0 +1,7 @@
+"""Where results go: stores, meshes, reports, pictures and films."""
+
+from pipeline.output.mesh_files import Mesh, read_mesh, write_mesh
+from pipeline.output.stored_result import StoredResult
+from pipeline.output.surface_mesh import frame_mesh
+
+__all__ = ["Mesh", "StoredResult", "frame_mesh", "read_mesh", "write_mesh"]

@@ -1,0 +1,113 @@
+"""What a result is worth, in numbers: ``report.json``, and how far a simulated frame's result is from its truth."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration import Calibration
+from pipeline.decoding.frame import DecodedFrame
+from pipeline.output.store import result_attributes
+from pipeline.settings import DecodeSettings
+from pipeline.simulation import SimulatedFrame
+from tikernels import runtime
+from tikernels.depth.triangulation import triangulate
+
+# "Lit" for measuring: brighter than this (8-bit levels), and so far inside the lit area's rim.
+_LIT_LEVELS = 20.0
+_RIM_PX = 4
+# Two neighbouring points further apart lie on different surfaces.
+_SURFACE_STEP_MM = 4.0
+_MIN_SURFACE_PX = 500
+
+
+def frame_report(
+    frame: DecodedFrame, settings: DecodeSettings, calibration: Calibration | None, source: str
+) -> dict[str, Any]:
+    """Return what ``report.json`` holds of one decoded frame."""
+    sizes = np.bincount(frame.region.ravel())[1:]
+    values = frame.range_image[frame.mask]
+    values = values[np.isfinite(values)]
+    return {
+        "source": source,
+        **result_attributes(settings, calibration),
+        "arch": runtime.started(),
+        "kernel_language": runtime.kernel_language(),
+        "image_px": list(frame.mask.shape[::-1]),
+        "camera_period_px": frame.period_px,
+        "noise_levels": frame.noise_levels,
+        "valid_fraction": float(frame.mask.mean()),
+        "regions_px": sizes.tolist(),
+        "orders_are_absolute": bool(frame.absolute[frame.mask].all()) if frame.mask.any() else False,
+        "range_unit": "mm" if frame.calibrated else "rad",
+        "range_percentiles_1_50_99": np.percentile(values, (1, 50, 99)).tolist() if len(values) else None,
+        "phase_constant_known": frame.constant_known,
+        "phase_constant_sigma_rad": float(frame.constant_sigma) if np.isfinite(frame.constant_sigma) else None,
+        "warnings": list(frame.warnings),
+    }
+
+
+def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[str, float | int]:
+    """Return how far a result is from the truth it was simulated from.
+
+    Parameters
+    ----------
+    frame : DecodedFrame
+        The result; with a calibration its depth is measured too.
+    truth : SimulatedFrame
+        The frame and its truth.
+
+    Returns
+    -------
+    dict
+        ``phase_rms_rad`` over the lit pixels (brighter than 20 levels, 4 px inside the lit area), one constant, given
+        as ``phase_constant_rad``, removed; ``coverage``, the share of those pixels that have a result;
+        ``wrong_orders``, pixels whose order is not their surface's commonest; and with a calibration ``depth_rms_mm``,
+        each surface's commonest order, which nothing in one frame tells, taken as known.
+    """
+    brightness = truth.image.mean(axis=2) * (255.0 / truth.white_level)
+    square = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
+    inside = cv2.erode(truth.mask.astype(np.uint8), square, borderType=cv2.BORDER_CONSTANT, borderValue=0)
+    lit = (inside != 0) & (brightness > _LIT_LEVELS)
+    valid = lit & frame.mask
+    measured: dict[str, float | int] = {"coverage": float(valid.sum() / max(lit.sum(), 1))}
+    if not valid.any():
+        return measured
+    error = np.where(valid, frame.unwrapped_phase - truth.phase, 0.0)
+    constant = float(np.angle(np.exp(1j * error[valid]).mean()))
+    wrapped = np.angle(np.exp(1j * (error[valid] - constant)))
+    measured["phase_rms_rad"] = float(np.sqrt(np.mean(wrapped**2)))
+    measured["phase_constant_rad"] = constant
+    cycles = np.rint((error - constant) / (2 * np.pi)).astype(int)
+    surface = np.where(valid, _surfaces(truth), 0)
+    wrong, commonest = 0, np.full(valid.shape, np.nan)  # NaN: on no surface large enough to tell
+    for number in np.flatnonzero(np.bincount(surface.ravel()) >= _MIN_SURFACE_PX):
+        if number > 0:
+            here = surface == number
+            values, counts = np.unique(cycles[here], return_counts=True)
+            commonest[here] = values[np.argmax(counts)]
+            wrong += int(here.sum() - counts.max())
+    measured["wrong_orders"] = wrong
+    if frame.calibrated:
+        geometry = truth.rig.geometry()
+        placed = (frame.unwrapped_phase - 2 * np.pi * commonest).astype(np.float32)
+        points = triangulate(placed, geometry.camera.rays(), geometry.for_triangulation())
+        depth_error = (points - truth.points)[valid][:, 2]
+        measured["depth_rms_mm"] = float(np.sqrt(np.nanmean(depth_error.astype(np.float64) ** 2)))
+    return measured
+
+
+def _surfaces(truth: SimulatedFrame) -> npt.NDArray[np.int32]:
+    """(H, W) int32: number of the connected true surface of each lit pixel; 0 elsewhere."""
+    height, width = truth.mask.shape
+    # On a grid twice as fine the places between two pixels say whether they are joined.
+    grid = np.zeros((2 * height - 1, 2 * width - 1), np.uint8)
+    grid[::2, ::2] = truth.mask
+    with np.errstate(invalid="ignore"):
+        gap_down = np.linalg.norm(np.diff(truth.points, axis=0), axis=-1) < _SURFACE_STEP_MM
+        gap_right = np.linalg.norm(np.diff(truth.points, axis=1), axis=-1) < _SURFACE_STEP_MM
+    grid[1::2, ::2] = gap_down & truth.mask[1:] & truth.mask[:-1]
+    grid[::2, 1::2] = gap_right & truth.mask[:, 1:] & truth.mask[:, :-1]
+    labels: npt.NDArray[np.int32] = cv2.connectedComponents(grid, connectivity=4)[1][::2, ::2]
+    return labels

@@ -1,0 +1,165 @@
+"""Frames of a ``result.zarr``, read one at a time."""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.errors import FootageError, OutputError
+from pipeline.files import explain
+from pipeline.output.mesh_files import Mesh, write_mesh
+from pipeline.output.store import DONE, done_frames
+from pipeline.output.surface_mesh import surface_mesh
+
+MeshKind = Literal["ply", "glb"]
+
+# Vertex properties of a mesh, and the fields that they are.
+_PROPERTIES = {
+    "modulation": "modulation",
+    "sigma_rad": "phase_sigma",
+    "order_error_probability": "order_error_probability",
+    "sigma_mm": "point_sigma",
+}
+
+
+def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
+    """Return the fields that a mesh is made of."""
+    return "mask", "points" if in_mm else "range_image"
+
+
+class StoredResult:
+    """What `colorphase decode` has stored.
+
+    Parameters
+    ----------
+    location : str or Path
+        The ``result.zarr``: a folder, or an fsspec URL.
+
+    Attributes
+    ----------
+    attributes : dict
+        What the store says of how its frames were decoded.
+    fields : frozenset of str
+        What is stored of each frame.
+    done : tuple of int
+        The numbers of the frames that are whole.
+
+    Raises
+    ------
+    FootageError
+        It is no such store.
+    """
+
+    def __init__(self, location: str | Path) -> None:
+        import zarr  # slow to import, and only needed here
+
+        self.name = str(location)
+        try:
+            # Arrays of an older format may name codecs that run what they hold.
+            self._group: Any = zarr.open_group(self.name, mode="r", zarr_format=3)
+            self.attributes: dict[str, Any] = self._group.attrs.asdict()
+            arrays = frozenset(self._group.array_keys())
+            self.done = tuple(sorted(done_frames(location))) if DONE in arrays else ()
+        except Exception as error:  # each file system has errors of its own
+            raise FootageError(f"{self.name} is not a result.zarr that can be read: decode first") from error
+        self.fields = arrays - {DONE}
+        if "settings" not in self.attributes or DONE not in arrays or not self.fields:
+            raise FootageError(f"{self.name} is not a result of colorphase decode")
+
+    @property
+    def in_mm(self) -> bool:
+        """Whether ranges are in mm, and a mesh therefore needs points."""
+        return bool(self.attributes.get("range_unit") == "mm")
+
+    @property
+    def wanted(self) -> range:
+        """The numbers that the run was to decode, from its first to its last one that is done."""
+        if not self.done:
+            return range(0)
+        return range(self.done[0], self.done[-1] + 1, int(self.attributes.get("step", 1)))
+
+    def read(self, name: str, number: int) -> npt.NDArray[Any]:
+        """Return a field of a frame.
+
+        Raises
+        ------
+        FootageError
+            The field was not stored, or its chunk is damaged.
+        """
+        if name not in self.fields:
+            raise FootageError(f"{self.name} holds no {name}: decode with that field")
+        try:
+            return np.asarray(self._group[name][number])
+        except Exception as error:  # each codec has errors of its own
+            raise FootageError(f"{self.name}: {name} of frame {number} is damaged: decode again") from error
+
+    def mesh(self, number: int, fields: Collection[str] | None = None) -> Mesh:
+        """Return a frame as a mesh, with what is known of its vertices: if it is stored, and among `fields`.
+
+        Raises
+        ------
+        FootageError
+            What it is made of was not stored, or is damaged.
+        """
+        points = self.read("points", number) if self.in_mm else None
+        values = self.read("range_image", number) if points is None else points[..., 2]
+        mask = self.read("mask", number) & np.isfinite(values)
+        properties = {
+            name: self.read(field, number)[mask]
+            for name, field in _PROPERTIES.items()
+            if field in (self.fields if fields is None else self.fields & set(fields))
+        }
+        return surface_mesh(values, mask, points, properties)
+
+
+def export_frames(
+    location: str | Path,
+    folder: str | Path,
+    kind: MeshKind,
+    tell: Callable[[int, int], None] = lambda done, of: None,
+) -> tuple[int, tuple[int, ...]]:
+    """Write every frame of a store that is done as a mesh, ``frame_000012.ply`` and so on.
+
+    Parameters
+    ----------
+    location : str or Path
+        The ``result.zarr``.
+    folder : str or Path
+        Where to; made if it does not exist. Files of the same names are replaced.
+    kind : {"ply", "glb"}
+        The format: PLY keeps the standard deviations, too.
+    tell : callable
+        Is told how many of how many frames have been looked at.
+
+    Returns
+    -------
+    int
+        How many were written.
+    tuple of int
+        The numbers of those without any surface, of which there is no mesh.
+
+    Raises
+    ------
+    FootageError
+        There is no such store, or it lacks what a mesh is made of.
+    OutputError
+        The folder cannot be written.
+    """
+    result, folder = StoredResult(location), Path(folder)
+    if not result.done:
+        raise FootageError(f"{result.name} holds no frame that is done: decode first")
+    empty = []
+    for i, number in enumerate(result.done):
+        mesh = result.mesh(number)
+        if len(mesh.faces):
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise OutputError(f"cannot write {folder}: {explain(error)}") from error
+            write_mesh(mesh, folder / f"frame_{number:06d}.{kind}")
+        else:
+            empty.append(number)
+        tell(i + 1, len(result.done))
+    return len(result.done) - len(empty), tuple(empty)

@@ -1,0 +1,231 @@
+"""FFV1 in Matroska, so written that what was committed can be read whatever happens later.
+
+FFmpeg's own muxer keeps a file's length to itself until the end. Here the head, which tells it, is always of one size,
+and a commit writes it anew in place: that needs no room, and what comes behind the length it tells is not in the file.
+
+References
+----------
+Matroska: RFC 9559. EBML: RFC 8794. FFV1: RFC 9043.
+"""
+
+import os
+import struct
+from array import array
+from collections.abc import Iterable
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.footage.recording_tags import RecordingTags
+from tikernels.errors import ShapeError
+from tikernels.raw.pixel_format import PixelFormat
+
+_EBML = bytes.fromhex("1A45DFA3")
+_SEGMENT = bytes.fromhex("18538067")
+_VOID = bytes.fromhex("EC")
+_SEEK_HEAD, _SEEK, _SEEK_ID, _SEEK_POSITION = (bytes.fromhex(id) for id in ("114D9B74", "4DBB", "53AB", "53AC"))
+_INFO, _TIMESTAMP_SCALE, _DURATION = (bytes.fromhex(id) for id in ("1549A966", "2AD7B1", "4489"))
+_MUXING_APP, _WRITING_APP = (bytes.fromhex(id) for id in ("4D80", "5741"))
+_TRACKS, _TRACK_ENTRY = (bytes.fromhex(id) for id in ("1654AE6B", "AE"))
+_TRACK_NUMBER, _TRACK_UID, _TRACK_TYPE = (bytes.fromhex(id) for id in ("D7", "73C5", "83"))
+_LACING, _DEFAULT_DURATION, _CODEC_ID, _CODEC_PRIVATE = (bytes.fromhex(id) for id in ("9C", "23E383", "86", "63A2"))
+_VIDEO, _WIDTH, _HEIGHT, _INTERLACED = (bytes.fromhex(id) for id in ("E0", "B0", "BA", "9A"))
+_TAGS, _TAG, _TARGETS, _SIMPLE_TAG = (bytes.fromhex(id) for id in ("1254C367", "7373", "63C0", "67C8"))
+_TAG_NAME, _TAG_STRING = (bytes.fromhex(id) for id in ("45A3", "4487"))
+_CLUSTER, _TIMESTAMP, _SIMPLE_BLOCK = (bytes.fromhex(id) for id in ("1F43B675", "E7", "A3"))
+_CUES, _CUE_POINT, _CUE_TIME = (bytes.fromhex(id) for id in ("1C53BB6B", "BB", "B3"))
+_CUE_PLACE, _CUE_TRACK, _CUE_CLUSTER = (bytes.fromhex(id) for id in ("B7", "F7", "F1"))
+
+_VIDEO_TYPE, _PROGRESSIVE = 1, 2
+_NS_A_MS = 1_000_000
+# Track 1, at its cluster's time, a key frame.
+_BLOCK_HEAD = bytes.fromhex("81000080")
+
+
+class MatroskaWriter:
+    """Encode frames and append them to a file.
+
+    Parameters
+    ----------
+    path : Path
+        The file, which must not exist.
+    size_px : (int, int)
+        Width and height of every frame.
+    format, tags
+        How they are stored, and what the file says of itself.
+
+    Raises
+    ------
+    OSError
+        The file cannot be written.
+    ShapeError
+        FFV1 does not hold such values.
+    """
+
+    #: How many threads may call `write`: the encoder has several of its own.
+    most_threads = 1
+
+    def __init__(self, path: Path, size_px: tuple[int, int], format: PixelFormat, tags: RecordingTags) -> None:
+        import av  # slow to import, and only needed here
+
+        if format.dtype == np.float32:
+            raise ShapeError("Matroska recordings hold 8 to 16 bits: record floats to .zarr")
+        deep = format.dtype == np.uint16
+        if format.layout == "bayer":
+            self._pixels = "gray16le" if deep else "gray"
+        else:
+            self._pixels = "gbrp16le" if deep else "bgr0"
+        self._tags = tags
+        self._encoder: Any = av.CodecContext.create("ffv1", "w")
+        self._encoder.width, self._encoder.height = size_px
+        self._encoder.pix_fmt = self._pixels
+        self._encoder.time_base, self._encoder.framerate = Fraction(1, 1000), tags.rate_hz
+        self._encoder.thread_type = "SLICE"  # so that each frame comes out when it goes in
+        # Every frame by itself, in slices that are coded in parallel, each with a checksum.
+        self._encoder.options = {"g": "1", "level": "3", "slicecrc": "1", "slices": "16"}
+        self._encoder.open()
+        self._clusters = array("Q")  # where each frame begins in the segment
+        self.n_frames = 0  # of those committed
+        self._n_bytes = 0  # of what was written
+        self._end = 0  # of what was committed
+        self._head, self._segment = self._head_of(0, 0, None)
+        self._file = path.open("xb", buffering=0)
+        try:
+            self._append(self._head)
+            self.commit(0)
+        except OSError:
+            self._file.close()
+            path.unlink()
+            raise
+
+    def write(self, number: int, frame: npt.NDArray[Any]) -> int:
+        """Append a frame, one after another, and return how many bytes that took."""
+        import av
+
+        coded = av.VideoFrame(frame.shape[1], frame.shape[0], self._pixels)
+        if self._pixels == "bgr0":
+            _plane(coded, 0, (*frame.shape[:2], 4), np.uint8)[..., :3] = frame[..., ::-1]
+        elif self._pixels == "gbrp16le":
+            for i, color in enumerate((1, 2, 0)):
+                _plane(coded, i, frame.shape[:2], np.uint16)[...] = frame[..., color]
+        else:
+            _plane(coded, 0, frame.shape, frame.dtype)[...] = frame
+        coded.time_base, coded.pts = Fraction(1, 1000), self._tags.stamp(number)
+        (packet,) = self._encoder.encode(coded)
+        self._clusters.append(self._n_bytes - self._segment)
+        block = _element(_SIMPLE_BLOCK, _BLOCK_HEAD + bytes(packet))
+        cluster = _element(_CLUSTER, [_element(_TIMESTAMP, self._tags.stamp(number)), block])
+        self._append(cluster)
+        return len(cluster)
+
+    def commit(self, n_frames: int) -> None:
+        """Make the file end with what has been written."""
+        head, _ = self._head_of(n_frames, self._n_bytes, None)
+        _write(self._file, 0, head)
+        self.n_frames, self._end = n_frames, self._n_bytes
+
+    def close(self) -> None:
+        """Cut off what was not committed, and list where frames are, for players; harmless twice."""
+        if self._file.closed:
+            return
+        try:
+            os.truncate(self._file.fileno(), self._end)
+            del self._clusters[self.n_frames :]
+            cues = _element(_CUES, map(self._cue, range(self.n_frames)))
+            try:
+                _write(self._file, self._end, cues)
+                head, _ = self._head_of(self.n_frames, self._end + len(cues), self._end - self._segment)
+                _write(self._file, 0, head)
+            except OSError:  # no room; it reads as well without
+                os.truncate(self._file.fileno(), self._end)
+        finally:
+            self._file.close()
+
+    def _cue(self, number: int) -> bytes:
+        place = [_element(_CUE_TRACK, 1), _element(_CUE_CLUSTER, self._clusters[number])]
+        return _element(_CUE_POINT, [_element(_CUE_TIME, self._tags.stamp(number)), _element(_CUE_PLACE, place)])
+
+    def _append(self, data: bytes) -> None:
+        _write(self._file, self._n_bytes, data)
+        self._n_bytes += len(data)
+
+    def _head_of(self, n_frames: int, end: int, cues: int | None) -> tuple[bytes, int]:
+        """Return the head of a file that ends there, and where its segment's content begins; always of one size."""
+        tags = [
+            _element(_SIMPLE_TAG, [_element(_TAG_NAME, name.encode()), _element(_TAG_STRING, value.encode())])
+            for name, value in self._tags.write().items()
+        ]
+        seek = _element(_SEEK_HEAD, [_element(_SEEK, [_element(_SEEK_ID, _CUES), _element(_SEEK_POSITION, cues or 0)])])
+        if cues is None:
+            seek = _element(_VOID, bytes(len(seek) - len(_VOID) - 8))
+        info = [
+            _element(_TIMESTAMP_SCALE, _NS_A_MS),
+            _element(_DURATION, struct.pack(">d", self._tags.stamp(n_frames))),
+            _element(_MUXING_APP, b"colorphase"),
+            _element(_WRITING_APP, b"colorphase"),
+        ]
+        video = [
+            _element(_WIDTH, self._encoder.width),
+            _element(_HEIGHT, self._encoder.height),
+            _element(_INTERLACED, _PROGRESSIVE),
+        ]
+        track = [
+            _element(_TRACK_NUMBER, 1),
+            _element(_TRACK_UID, 1),
+            _element(_TRACK_TYPE, _VIDEO_TYPE),
+            _element(_LACING, 0),
+            _element(_DEFAULT_DURATION, round(1000 * _NS_A_MS / self._tags.rate_hz)),
+            _element(_CODEC_ID, b"V_FFV1"),
+            _element(_CODEC_PRIVATE, bytes(self._encoder.extradata)),
+            _element(_VIDEO, video),
+        ]
+        content = b"".join(
+            [
+                seek,
+                _element(_INFO, info),
+                _element(_TRACKS, [_element(_TRACK_ENTRY, track)]),
+                _element(_TAGS, [_element(_TAG, [_element(_TARGETS, []), *tags])]),
+            ]
+        )
+        begin = _EBML_HEAD + _SEGMENT
+        segment = len(begin) + 8
+        return begin + _size(max(end - segment, len(content))) + content, segment
+
+
+def _size(n_bytes: int) -> bytes:
+    """Return an element's length, in the eight bytes that any length has room in."""
+    return (1 << 56 | n_bytes).to_bytes(8, "big")
+
+
+def _element(id: bytes, content: int | bytes | Iterable[bytes]) -> bytes:
+    """Return an element; numbers take eight bytes, so that none changes the length."""
+    if isinstance(content, int):
+        content = content.to_bytes(8, "big")
+    elif not isinstance(content, bytes):
+        content = b"".join(content)
+    return id + _size(len(content)) + content
+
+
+# Of the fourth version of Matroska, to be read by whoever knows the second.
+_EBML_FIELDS: dict[str, int | bytes] = {
+    "4286": 1, "42F7": 1, "42F2": 4, "42F3": 8, "4282": b"matroska", "4287": 4, "4285": 2,
+}  # fmt: skip
+_EBML_HEAD = _element(_EBML, [_element(bytes.fromhex(id), value) for id, value in _EBML_FIELDS.items()])
+
+
+def _write(file: Any, position: int, data: bytes) -> None:
+    """Write all of it to an unbuffered file."""
+    rest = memoryview(data)
+    file.seek(position)
+    while rest:
+        rest = rest[file.write(rest) :]
+
+
+def _plane(frame: Any, plane: int, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    """Return a plane of a frame of FFmpeg to write into."""
+    size = np.dtype(dtype).itemsize
+    strides = (frame.planes[plane].line_size, size * (shape[2] if len(shape) == 3 else 1), size)
+    return np.ndarray(shape, dtype, frame.planes[plane], 0, strides[: len(shape)])

@@ -1,0 +1,225 @@
+"""Simulated frames with exact truth: a rig, a scene, and everything that goes wrong between projector and camera."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from pydantic import Field
+
+from pipeline.calibration import Calibration, Lens, Pattern
+from pipeline.calibration.model import Matrix3, Shift
+from pipeline.models import Model
+from pipeline.pattern.fringes import make_pattern
+from tikernels import runtime
+from tikernels.scene import scene_rendering as projection
+
+# A 640 px wide image at this focal length sees 12 px a cycle at the working distance below.
+_FOCAL_FRACTION = 1232 / 640
+_PROJECTOR_FOCAL_PX = 1792.0
+_BASELINE_MM = 180.0
+_DISTANCE_MM = 900.0
+
+#: Crosstalk of a single-chip projector with a colour camera; camera = matrix @ projector in linear light.
+TYPICAL_CROSSTALK = ((0.92, 0.10, 0.02), (0.12, 0.85, 0.16), (0.02, 0.20, 0.90))
+SKIN = (0.75, 0.52, 0.42)
+WHITE = (0.8, 0.8, 0.8)
+
+Triple = tuple[float, float, float]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class SimulationSettings(Model):
+    """What happens between the pattern and the frame; the defaults are an ordinary, imperfect rig."""
+
+    scene: Literal["bust", "plane", "waves", "objects", "ball"] = "bust"
+    gamma: Annotated[float, Field(gt=0)] = 2.0  # the projector's response: light = code ** gamma
+    crosstalk_matrix: Matrix3 = np.array(TYPICAL_CROSSTALK)
+    reflectance: Triple = SKIN
+    texture: Annotated[float, Field(ge=0, lt=1)] = 0.1  # how far the reflectance varies, as a fraction
+    reflectance_bands: Literal["broad", "narrow"] = "broad"  # acts on camera channels, or on projector primaries
+    ambient: NonNegative = 0.05  # relative to the projector's white
+    exposure: Annotated[float, Field(gt=0)] | None = None  # None: the brightest half per cent reaches 0.9 of full scale
+    noise_levels: NonNegative = 1.5  # standard deviation, in 1/255 of full scale
+    bits: Literal[8, 10, 12, 16] = 8
+    transfer: Literal["linear", "srgb"] = "linear"
+    projector_blur_px: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)  # sigma for R, G, B
+    camera_blur_px: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
+    projector_shift_px: Shift = np.zeros((3, 2))  # lateral colour: x, y of R, G, B
+    camera_shift_px: Shift = np.zeros((3, 2))
+    object_motion_mm: Triple = (0.0, 0.0, 0.0)  # where the objects, but not the wall behind them, have moved to
+    object_turn_deg: float = 0.0  # and turned, about an upright axis through them
+    field_motion_mm: Triple = (0.0, 0.0, 0.0)  # objects' motion between sequential colour fields
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class SimulatedFrame:
+    """One frame and its truth, at the pixel centres; NaN where the camera sees nothing."""
+
+    rig: Calibration  # what it was taken with
+    image: npt.NDArray[np.uint8] | npt.NDArray[np.uint16]  # (H, W, 3) RGB
+    white_level: int  # full scale of the image
+    phase: npt.NDArray[np.float64]  # (H, W) rad, absolute
+    mask: npt.NDArray[np.bool_]  # (H, W) lit by the projector
+    points: npt.NDArray[np.float32]  # (H, W, 3) mm, camera frame
+    reflectance: npt.NDArray[np.float32]  # (H, W, 3)
+
+    @property
+    def fringe_order(self) -> npt.NDArray[np.int32]:
+        """(H, W) int32: phase = wrapped phase + 2 pi order; 0 outside the mask."""
+        return np.rint(np.where(self.mask, self.phase, 0.0) / (2 * np.pi)).astype(np.int32)
+
+
+def simulated_rig(
+    size_px: tuple[int, int] = (640, 480),
+    *,
+    period_px: float = 768 / 44,
+    stripes: Literal["horizontal", "vertical"] = "horizontal",
+    tilt_deg: float = 0.0,
+    camera_distortion: tuple[float, ...] = (0.0,) * 5,
+    projector_distortion: tuple[float, ...] = (0.0,) * 5,
+    code: Literal["contrast"] | None = None,
+) -> Calibration:
+    """Return a rig of a camera and a 1024x768 projector, 180 mm apart, both turned to a point 900 mm away.
+
+    Parameters
+    ----------
+    size_px : (width, height)
+        The camera's; its field of view stays, so a 640 px wide image sees some 12 px a cycle.
+    period_px : float
+        The pattern's period in projector px.
+    stripes : {"horizontal", "vertical"}
+        The baseline stands across them.
+    tilt_deg : float
+        How far the projector is turned about its own axis, and with it the stripes.
+    camera_distortion, projector_distortion : 5 floats
+        OpenCV's k1, k2, p1, p2, k3.
+    code : {"contrast"}, optional
+        The pattern's code.
+    """
+    width, height = size_px
+    focal = _FOCAL_FRACTION * width
+    camera = Lens(
+        size_px=size_px,
+        matrix=np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]]),
+        distortion=np.array(camera_distortion),
+    )
+    projector = Lens(
+        size_px=(1024, 768),
+        matrix=np.array([[_PROJECTOR_FOCAL_PX, 0, 511.5], [0, _PROJECTOR_FOCAL_PX, 383.5], [0, 0, 1]]),
+        distortion=np.array(projector_distortion),
+    )
+    centre = np.array([0.0, -_BASELINE_MM, 0.0] if stripes == "horizontal" else [-_BASELINE_MM, 0.0, 0.0])
+    forward = np.array([0.0, 0.0, _DISTANCE_MM]) - centre
+    forward /= np.linalg.norm(forward)
+    if stripes == "horizontal":
+        right = np.array([1.0, 0.0, 0.0])
+        down = np.cross(forward, right)
+    else:
+        down = np.array([0.0, 1.0, 0.0])
+        right = np.cross(down, forward)
+    c, s = np.cos(np.radians(tilt_deg)), np.sin(np.radians(tilt_deg))
+    rotation = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ np.stack([right, down, forward])
+    return Calibration(
+        camera=camera,
+        projector=projector,
+        rotation=rotation,
+        translation_mm=-rotation @ centre,
+        pattern=Pattern(period_px=period_px, stripes=stripes, code=code),
+    )
+
+
+def simulate_frame(
+    rig: Calibration,
+    settings: SimulationSettings | None = None,
+    codes: npt.NDArray[np.float32] | None = None,
+) -> SimulatedFrame:
+    """Photograph a scene under the rig's pattern.
+
+    Parameters
+    ----------
+    rig : Calibration
+        Lenses, geometry and pattern.
+    settings : SimulationSettings, optional
+        What goes wrong on the way.
+    codes : (Hp, Wp, 3) float32, optional
+        Projector codes, 0..1, to show instead of the rig's pattern.
+
+    Returns
+    -------
+    SimulatedFrame
+        The picture, and the truth it was made from.
+
+    Raises
+    ------
+    DeviceNotReady
+        No device has been started.
+    """
+    settings = settings or SimulationSettings()
+    runtime.started()
+    geometry = rig.geometry()
+    if codes is None:
+        codes = make_pattern(geometry.projector.size_px, geometry.pattern)
+    light = _blur(cv2.pow(codes, settings.gamma), settings.projector_blur_px)
+    rendered = projection.render_scene(
+        settings.scene,
+        np.stack([geometry.camera.rays(shift) for shift in _distinct(settings.camera_shift_px)]),
+        light,
+        crosstalk_matrix=settings.crosstalk_matrix,
+        rotation=geometry.rotation,
+        translation_mm=geometry.translation_mm,
+        projector_matrix=geometry.projector.matrix,
+        projector_distortion=geometry.projector.distortion,
+        projector_shift_px=settings.projector_shift_px,
+        color=settings.reflectance,
+        texture=settings.texture,
+        ambient=settings.ambient,
+        falloff_mm=float(np.hypot(_DISTANCE_MM, _BASELINE_MM)),
+        object_motion_mm=settings.object_motion_mm,
+        object_turn_deg=settings.object_turn_deg,
+        field_motion_mm=settings.field_motion_mm,
+        narrow_band=settings.reflectance_bands == "narrow",
+    )
+    image, white_level = _expose(_blur(rendered.light, settings.camera_blur_px), settings)
+    across = rendered.projector_px[..., geometry.phase_axis].astype(np.float64)
+    return SimulatedFrame(
+        rig=rig,
+        image=image,
+        white_level=white_level,
+        phase=2 * np.pi / geometry.pattern.period_px * across,
+        mask=rendered.lit != 0,
+        points=rendered.points,
+        reflectance=rendered.reflectance,
+    )
+
+
+def _distinct(shift_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return one shift for each of the camera's channels, or a single one where they all agree."""
+    return shift_px if np.any(shift_px != shift_px[0]) else shift_px[:1]
+
+
+def _blur(image: npt.NDArray[np.float32], sigma_px: Triple) -> npt.NDArray[np.float32]:
+    if not any(sigma_px):
+        return image
+    channels = [
+        cv2.GaussianBlur(np.ascontiguousarray(image[..., i]), (0, 0), sigma) if sigma > 0 else image[..., i]
+        for i, sigma in enumerate(sigma_px)
+    ]
+    return np.ascontiguousarray(np.stack(channels, axis=-1), dtype=np.float32)
+
+
+def _expose(
+    light: npt.NDArray[np.float32], settings: SimulationSettings
+) -> tuple[npt.NDArray[np.uint8] | npt.NDArray[np.uint16], int]:
+    exposure = settings.exposure
+    if exposure is None:
+        exposure = 0.9 / max(float(np.quantile(light, 0.995)), 1e-6)
+    noise = np.random.default_rng(settings.seed).standard_normal(light.shape, dtype=np.float32)
+    signal = np.clip(exposure * light + settings.noise_levels / 255 * noise, 0, 1)
+    if settings.transfer == "srgb":
+        signal = np.where(signal <= 0.0031308, 12.92 * signal, 1.055 * signal ** (1 / 2.4) - 0.055)
+    white_level = 2**settings.bits - 1
+    levels = np.rint(signal * white_level)
+    return (levels.astype(np.uint8) if settings.bits == 8 else levels.astype(np.uint16)), white_level

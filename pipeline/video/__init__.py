@@ -1,1 +1,0 @@
-"""Many frames: where they come from."""

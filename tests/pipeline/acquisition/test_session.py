@@ -1,0 +1,290 @@
+import json
+import signal
+import subprocess
+import time
+from itertools import pairwise
+
+import pytest
+from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
+from support.recorded_footage import command
+
+from hardware.errors import BurstError, CameraError, RigError
+from pipeline.acquisition.session import Plan, capture
+from pipeline.acquisition.stopping import Stopping
+from pipeline.calibration import Calibration
+from pipeline.errors import CalibrationError, OutputError, SettingsError
+from pipeline.footage.sources import open_source
+from pipeline.recording.recorder import Recorder
+from pipeline.settings import DecodeSettings
+from pipeline.simulation import simulated_rig
+
+one = frozenset({2})
+
+
+def captured(bench, folder, plan, **kwargs):
+    arguments = {"calibration": None, "decoding": DecodeSettings(), "stopping": Stopping(), **kwargs}
+    return capture(bench.settings, bench.open, folder, plan, **arguments)
+
+
+def log_of(folder):
+    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+
+
+def check_folder(bench, folder, n_bursts, suffix=".zarr"):
+    """Every recorded frame is logged with the pulse that made it, burst by burst, and nothing else is there."""
+    source = open_source(folder / f"recording{suffix}")
+    frames = list(source.frames())
+    logged = [line for line in log_of(folder) if line["event"] == "frame"]
+    bursts = [line for line in log_of(folder) if line["event"] == "burst"]
+    assert len(frames) == len(logged) == n_bursts * FRAMES
+    assert [line["frame"] for line in logged] == list(range(len(frames)))
+    assert [(line["first_frame"], line["frames"]) for line in bursts] == [(i * FRAMES, FRAMES) for i in range(n_bursts)]
+    for frame, line in zip(frames, logged, strict=True):
+        image = frame.planes[0] if suffix == ".zarr" else frame.planes[0][..., 2::-1]
+        assert bench.truth[number_in(image)][1] == line["pulse"]
+    assert not list(folder.glob(".*"))
+    return log_of(folder)
+
+
+@pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
+def test_bursts_are_recorded_with_their_pulses(tmp_path, suffix):
+    bench = Bench(settings(), [Faulty(), Faulty(lost_trigger=one)])
+    calibration = simulated_rig((96, 64))
+    summary = captured(bench, tmp_path / "out", Plan(3, suffix=suffix), calibration=calibration)
+    assert (summary.n_bursts, summary.n_frames, summary.n_rejected, summary.stopped) == (3, 3 * FRAMES, 1, False)
+    log = check_folder(bench, tmp_path / "out", 3, suffix)
+    assert sorted(entry.name for entry in (tmp_path / "out").iterdir()) == [
+        "calibration.json",
+        "log.jsonl",
+        f"recording{suffix}",
+    ]
+    start, end = log[0], log[-1]
+    assert start["calibration_sha256"] == calibration.digest()
+    assert Calibration.read(tmp_path / "out" / "calibration.json").digest() == calibration.digest()
+    assert start["pulses"]["period_s"] == bench.settings.timing.period_s
+    assert start["rig"]["timing"]["frames"] == FRAMES
+    assert "password" not in start["rig"]["projector"]
+    assert end["event"] == "end" and end["frames"] == 3 * FRAMES and end["error"] is None
+    (rejected,) = [line for line in log if line["event"] == "rejected"]
+    assert rejected["faults"][0] == "pulse 2: 5 exposures to 6 pulses: check the camera's trigger cable"
+    frames = [line for line in log if line["event"] == "frame"]
+    assert all(line["strobe_s"] == pytest.approx(line["pulse_s"]) for line in frames)
+    assert all(abs(line["time"] - time.time()) < 60 and line["arrived"] > line["time"] - 0.1 for line in frames)
+
+
+def test_endless_pulses_are_numbered_on(tmp_path):
+    bench = Bench(settings())
+    captured(bench, tmp_path / "out", Plan(4, endless=True))
+    log = check_folder(bench, tmp_path / "out", 4)
+    frames = [line for line in log if line["event"] == "frame"]
+    assert [line["pulse"] for line in frames] == list(range(4 * FRAMES))
+    assert {line["burst"] for line in frames} == {0}
+    assert all(after["frame_id"] == before["frame_id"] + 1 for before, after in pairwise(frames))
+
+
+def test_after_a_fault_endless_pulses_are_another_burst(tmp_path):
+    bench = Bench(settings(alternating=False), [Faulty(), Faulty(lost_trigger=frozenset({FRAMES + 1}))])
+    captured(bench, tmp_path / "out", Plan(3, endless=True))
+    frames = [line for line in check_folder(bench, tmp_path / "out", 3) if line["event"] == "frame"]
+    assert [(line["burst"], line["pulse"]) for line in frames] == [
+        *((0, pulse) for pulse in range(FRAMES)),
+        *((1, pulse) for pulse in range(2 * FRAMES)),
+    ]
+
+
+def test_only_the_last_seconds_are_recorded(tmp_path):
+    bench = Bench(settings(alternating=False))
+    burst_s = FRAMES * bench.settings.timing.period_s
+    summary = captured(bench, tmp_path / "out", Plan(7, endless=True, keep_last_s=1.5 * burst_s))
+    assert summary.n_bursts == 2
+    frames = [line for line in check_folder(bench, tmp_path / "out", 2) if line["event"] == "frame"]
+    assert [line["pulse"] for line in frames] == list(range(5 * FRAMES, 7 * FRAMES))
+
+
+def test_more_than_fits_into_memory_is_refused(tmp_path):
+    bench = Bench(settings(alternating=False))
+    with pytest.raises(SettingsError, match=r"take [0-9]+\.[0-9] GB, and this machine has .*: make timing.frames or"):
+        captured(bench, tmp_path / "out", Plan(None, endless=True, keep_last_s=1e9))
+    assert not (tmp_path / "out").exists()
+    assert bench.calls[-2:] == ["trigger.close", "camera.close"]
+
+
+class Interrupted(Stopping):
+    """Asks to stop after some bursts."""
+
+    def __init__(self, after):
+        super().__init__()
+        self.after = after
+
+    def shield(self):
+        """Do as if Ctrl-C had come in here."""
+        self.after -= 1
+        self.asked = self.after <= 0
+        return super().shield()
+
+
+def test_ctrl_c_keeps_the_whole_bursts(tmp_path):
+    bench = Bench(settings())
+    summary = captured(bench, tmp_path / "out", Plan(None), stopping=Interrupted(3))
+    assert summary.stopped and summary.n_bursts == 3
+    check_folder(bench, tmp_path / "out", 3)
+    assert bench.calls[-4:] == ["trigger.abort", "camera.disarm", "trigger.close", "camera.close"]
+
+
+def test_ctrl_c_in_the_last_burst_stops_nothing(tmp_path):
+    summary = captured(Bench(settings()), tmp_path / "out", Plan(3), stopping=Interrupted(3))
+    assert (summary.n_bursts, summary.stopped) == (3, False)
+
+
+@pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
+def test_a_full_disk_keeps_the_whole_bursts(tmp_path, monkeypatch, suffix):
+    """The disk fills up in the middle of the third burst."""
+    bench = Bench(settings())
+    add, n_added = Recorder.add, 0
+
+    def fills_up(self, frame):
+        nonlocal n_added
+        n_added += 1
+        if n_added == 2 * FRAMES + 3:
+            raise self._ended_by(OSError(28, "No space left on device"))
+        add(self, frame)
+
+    monkeypatch.setattr(Recorder, "add", fills_up)
+    with pytest.raises(OutputError, match="the disk is full: free some space"):
+        captured(bench, tmp_path / "out", Plan(5, suffix=suffix))
+    log = check_folder(bench, tmp_path / "out", 2, suffix)
+    assert "the disk is full" in log[-1]["error"]
+    assert bench.calls[-2:] == ["trigger.close", "camera.close"]
+
+
+@pytest.mark.parametrize("error", [BurstError, CameraError])
+def test_a_rig_that_fails_keeps_the_whole_bursts(tmp_path, error):
+    fault = Faulty(lost_trigger=one) if error is BurstError else Faulty(unplugged_camera=1)
+    bench = Bench(settings(alternating=False), [Faulty(), Faulty(), fault, fault, fault])
+    with pytest.raises(error):
+        captured(bench, tmp_path / "out", Plan(5))
+    log = check_folder(bench, tmp_path / "out", 2)
+    assert [line["attempt"] for line in log if line["event"] == "rejected"] == [1, 2, 3]
+    assert log[-1]["event"] == "end" and log[-1]["error"]
+
+
+def test_what_was_never_whole_leaves_nothing(tmp_path):
+    bench = Bench(settings(alternating=False), 3 * [Faulty(lost_trigger=one)])
+    with pytest.raises(BurstError):
+        captured(bench, tmp_path / "out", Plan(1))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_exists_is_left_alone(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    for out in (tmp_path, tmp_path / "mine"):
+        bench = Bench(settings())
+        with pytest.raises(OutputError, match="exists: choose another folder"):
+            captured(bench, out, Plan(1))
+        assert bench.n_opened == 0
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
+
+
+def test_a_calibration_of_another_size_is_refused_before_anything_is_fired(tmp_path):
+    bench = Bench(settings())
+    with pytest.raises(CalibrationError, match=r"frames are 96x64 but the calibration is for 64x48: set camera"):
+        captured(bench, tmp_path / "out", Plan(1), calibration=simulated_rig((64, 48)))
+    assert not (tmp_path / "out").exists()
+    assert "trigger.fire" not in bench.calls
+    assert bench.calls[-2:] == ["trigger.close", "camera.close"]
+
+
+def test_how_it_stands_is_told_from_the_start_and_after_every_burst(tmp_path):
+    bench = Bench(settings(alternating=False), [Faulty(lost_trigger=one)])
+    told = []
+    captured(bench, tmp_path / "out", Plan(2), tell=told.append)
+    assert [(progress.n_bursts, progress.n_rejected) for progress in told] == [(0, 0), (0, 1), (1, 1), (2, 1)]
+
+
+def test_impossible_timing_leaves_nothing(tmp_path):
+    bench = Bench(settings(period_s=1e-3))
+    with pytest.raises(RigError, match="make the period that long"):
+        captured(bench, tmp_path / "out", Plan(1))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
+def test_the_last_seconds_are_kept_where_a_camera_is_unplugged(tmp_path, suffix):
+    fault = Faulty(unplugged_camera=1)
+    bench = Bench(settings(alternating=False), [Faulty(), Faulty(), Faulty(), fault, fault, fault])
+    burst_s = FRAMES * bench.settings.timing.period_s
+    with pytest.raises(CameraError):
+        captured(bench, tmp_path / "out", Plan(9, keep_last_s=1.5 * burst_s, suffix=suffix))
+    log = check_folder(bench, tmp_path / "out", 2, suffix)
+    assert log[-1] == {**log[-1], "event": "end", "frames": 2 * FRAMES, "error": "the cable is out"}
+
+
+@pytest.mark.parametrize("keep_last_s", [None, 60.0])
+def test_the_log_takes_back_a_burst_that_is_not_recorded_and_tells_why(tmp_path, monkeypatch, keep_last_s):
+    bench = Bench(settings(alternating=False))
+    commit, n = Recorder.commit, 0
+
+    def second_fails(self):
+        nonlocal n
+        n += 1
+        if n == 2:
+            raise self._ended_by(OSError(28, "No space left on device"))
+        commit(self)
+
+    monkeypatch.setattr(Recorder, "commit", second_fails)
+    with pytest.raises(OutputError):
+        captured(bench, tmp_path / "out", Plan(3, keep_last_s=keep_last_s))
+    log = check_folder(bench, tmp_path / "out", 1)
+    assert log[-1]["frames"] == FRAMES and "the disk is full" in log[-1]["error"]
+
+
+def test_ctrl_c_while_the_last_seconds_are_written_loses_none(tmp_path, monkeypatch):
+    """The bursts are all there, and Ctrl-C comes before they are on the disk."""
+    bench = Bench(settings(alternating=False))
+    add = Recorder.add
+
+    def pressed(self, frame):
+        signal.raise_signal(signal.SIGINT)
+        add(self, frame)
+
+    monkeypatch.setattr(Recorder, "add", pressed)
+    stopping = Stopping()
+    with stopping.listening():
+        summary = captured(bench, tmp_path / "out", Plan(2, keep_last_s=60.0), stopping=stopping)
+    assert (summary.n_bursts, summary.stopped) == (2, False)
+    check_folder(bench, tmp_path / "out", 2)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="Windows has no such signal")
+def test_a_closed_terminal_is_nothing_to_nohup():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with Stopping().listening():
+            signal.raise_signal(signal.SIGHUP)
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_stops_when_told_to(tmp_path, number):
+    """Whatever moment it comes at, and however often: exit code, folder and pulses fit together."""
+    out = tmp_path / "out"
+    arguments = command("capture", "--rig", "simulated", "--out", out, "--endless", "--arch", "cpu")
+    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        end = time.monotonic() + 120
+        while not ((out / "log.jsonl").exists() and '"event": "burst"' in (out / "log.jsonl").read_text()):
+            assert process.poll() is None, process.stderr.read()
+            assert time.monotonic() < end, "no burst ever came"
+            time.sleep(0.02)
+        for _ in range(3):
+            process.send_signal(number)
+            time.sleep(0.01)
+        stdout, stderr = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    assert process.returncode == 0, stderr
+    assert "frames of" in stdout and "Traceback" not in stderr
+    n_frames = sum(line["event"] == "frame" for line in log_of(out))
+    assert n_frames == len(open_source(out / "recording.zarr")) > 0
+    assert log_of(out)[-1]["event"] == "end"

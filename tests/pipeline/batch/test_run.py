@@ -1,0 +1,528 @@
+"""Runs over footage: each frame once, the same bytes whatever happens on the way, one line where it cannot go on."""
+
+import errno
+import json
+import os
+import shutil
+import signal
+import subprocess
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import zarr
+from support.recorded_footage import command, contents, kill_again_and_again, record
+
+from pipeline import Decoder, DecodeSettings
+from pipeline.batch import job as jobs
+from pipeline.batch.job import Job, Region, chains, runs
+from pipeline.batch.run import Stopped, decode_footage
+from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
+from pipeline.footage.source import StoredAs
+from pipeline.output.store import FIELDS, chosen_fields
+from pipeline.recording.recorder import Recorder
+from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
+from tikernels.raw.development import develop
+from tikernels.raw.pixel_format import PixelFormat
+
+N_FRAMES = 14
+CHAIN = 4
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("footage")
+
+
+@pytest.fixture(scope="module")
+def rig(folder):
+    """Return the calibration of the rig that has recorded the footage."""
+    return record(folder / "film.zarr", N_FRAMES)
+
+
+@pytest.fixture(autouse=True)
+def short_chains(monkeypatch):
+    monkeypatch.setattr(jobs, "CHAIN_FRAMES", CHAIN)
+
+
+@pytest.fixture
+def job(folder, rig, tmp_path):
+    """Return a job without a calibration: the light is learnt."""
+    return Job(
+        footage=str(folder / "film.zarr"),
+        says=StoredAs(),
+        settings=DecodeSettings(),
+        calibration=None,
+        region=None,
+        step=1,
+        first=0,
+        fields=chosen_fields(None, in_mm=False),
+        store=str(tmp_path / "result.zarr"),
+        arch="cpu",
+    )
+
+
+@pytest.fixture(scope="module")
+def undisturbed(folder, rig):
+    """Return what an undisturbed run stores."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jobs, "CHAIN_FRAMES", CHAIN)
+        store = folder / "undisturbed.zarr"
+        fields = chosen_fields(None, in_mm=False)
+        film = str(folder / "film.zarr")
+        decode_footage(Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu"))
+        return contents(store)
+
+
+def marked(store):
+    return {int(path.name.split(".")[1]) for path in (Path(store) / "done").glob("c.*")}
+
+
+def test_a_run_stores_what_the_decoder_gives(job, folder):
+    """Chains start afresh at every fourth frame, and each frame leans on the one before in its chain."""
+    told = []
+    summary = decode_footage(job, tell=lambda *progress: told.append(progress))
+    assert (summary.n_frames, summary.n_before, summary.bad) == (N_FRAMES, 0, [])
+    assert told == [(n, N_FRAMES) for n in range(N_FRAMES + 1)]
+    group = zarr.open_group(job.store, mode="r")
+    frames = zarr.open_group(folder / "film.zarr", mode="r")["frames"]
+    decoder, previous = Decoder(arch="cpu"), None
+    light = decoder.decode(frames[0]) and decoder.light
+    assert light is not None and light.reliable
+    for number in range(N_FRAMES):
+        previous = decoder.decode(frames[number], previous if number % CHAIN else None)
+        for name in group.attrs["fields"]:
+            stored, values = group[name][number], getattr(previous, name)
+            np.testing.assert_array_equal(np.isnan(stored), np.isnan(values), err_msg=name)
+            lost = np.nanmax(np.abs(np.subtract(stored, values, dtype=np.float64)))
+            if name in ("wrapped_phase", "unwrapped_phase", "range_image"):
+                assert lost <= 0.1 * np.nanmin(previous.phase_sigma)
+            elif name == "modulation":
+                assert lost <= 0.1 * previous.noise_levels
+            elif name == "phase_sigma":
+                np.testing.assert_allclose(stored, values, rtol=0.004)
+            else:
+                np.testing.assert_array_equal(stored, values, err_msg=name)
+        assert np.nanmax(np.abs(group["wrapped_phase"][number])) <= np.pi
+        record = json.loads(bytes(group["done"][number]))
+        assert record["noise_levels"] == previous.noise_levels
+        assert record["constant_known"] == previous.constant_known
+
+
+def test_the_store_is_plain_zarr(job):
+    decode_footage(job, stop=3)
+    group = zarr.open_group(job.store, mode="r")
+    assert group.metadata.zarr_format == 3
+    assert set(group.array_keys()) == {*job.fields, "done"}
+    for name in job.fields:
+        size = () if name == "constant_sigma" else (96, 128)
+        assert group[name].shape == (N_FRAMES, *size)
+        assert group[name].chunks == (1, *size)
+        assert group[name].dtype == FIELDS[name]
+    assert bytes(group["done"][5]).strip() == b""
+    assert np.isnan(group["range_image"][5]).all() and not group["mask"][5].any()
+
+
+def test_a_second_run_does_nothing(job, undisturbed):
+    decode_footage(job)
+    times = {path: path.stat().st_mtime_ns for path in Path(job.store).rglob("*")}
+    summary = decode_footage(job)
+    assert summary.n_before == N_FRAMES
+    assert {path: path.stat().st_mtime_ns for path in Path(job.store).rglob("*")} == times
+    assert contents(Path(job.store)) == undisturbed
+
+
+@pytest.mark.parametrize("parts", [((0, 6), (6, None)), ((7, 9), (3, 8), (0, None)), ((11, 12), (0, None))])
+def test_parts_in_any_order_give_the_same_bytes(job, undisturbed, parts):
+    for start, stop in parts:
+        decode_footage(job, start, stop)
+    assert contents(Path(job.store)) == undisturbed
+
+
+def test_steps(job, tmp_path):
+    """Every third frame from the second on; the chains are of those frames, wherever the run begins."""
+    job = replace(job, step=3, first=1)
+    decode_footage(job, start=1)
+    assert marked(job.store) == {1, 4, 7, 10, 13}
+    part = replace(job, store=str(tmp_path / "part.zarr"))
+    decode_footage(part, start=7, stop=11)
+    assert marked(part.store) == {7, 10}
+    for name in job.fields:
+        for number in (7, 10):
+            key = f"{name}/c.{number}" if name == "constant_sigma" else f"{name}/c.{number}.0.0"
+            assert (Path(part.store) / key).read_bytes() == (Path(job.store) / key).read_bytes(), key
+
+
+def test_no_frames_are_asked_for(job):
+    with pytest.raises(SettingsError, match="has 14 frames, none of which is asked for"):
+        decode_footage(job, start=20)
+    assert not Path(job.store).exists()
+
+
+def test_which_frames_are_decoded_for_which():
+    assert list(chains(range(0, 14), {5, 6, 12})) == [(range(4, 7), {5, 6}), (range(12, 13), {12})]
+    assert list(chains(range(9, 40, 3), {15})) == [(range(12, 16, 3), {15})]
+    assert list(chains(range(0, 14), set())) == []
+    assert list(runs([range(0, 4), range(4, 8), range(12, 13)])) == [range(0, 8), range(12, 13)]
+    assert list(runs([])) == []
+
+
+def test_killed_again_and_again(folder, rig, tmp_path, monkeypatch):
+    """The command's own chains, and its own process; `tests/benchmarks/kills.py` does it twenty times."""
+    monkeypatch.undo()
+    film = folder / "long.mkv"
+    record(film, 80)
+    whole, job_options = tmp_path / "whole", ("--fields", "mask", "range_image", "phase_sigma")
+    fields = chosen_fields(job_options[1:], in_mm=False)
+    decode_footage(
+        Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, f"{whole}/result.zarr", "cpu")
+    )
+    killed = kill_again_and_again(film, tmp_path / "killed", 3, 5, *job_options)
+    assert killed >= 2
+    decode_footage(
+        Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, f"{tmp_path}/killed/result.zarr", "cpu")
+    )
+    assert contents(tmp_path / "killed") == contents(whole)
+
+
+def test_leftovers_and_marks_cut_off(job, undisturbed):
+    decode_footage(job, stop=5)
+    store = Path(job.store)
+    (store / "done" / "c.3.0").write_bytes(b"")
+    (store / "mask" / ".0123.part").write_bytes(b"half")
+    (store / "zarr.0123.partial").write_bytes(b"half")
+    decode_footage(job)
+    assert contents(store) == undisturbed
+
+
+def test_a_store_half_made_is_completed(job, undisturbed):
+    decode_footage(job, stop=1)
+    store = Path(job.store)
+    for name in ("range_image", "done"):
+        shutil.rmtree(store / name)
+    decode_footage(job)
+    assert contents(store) == undisturbed
+
+
+@pytest.mark.parametrize(
+    "change, key",
+    [
+        ({"settings": DecodeSettings(smoothing_px=3)}, "settings.smoothing_px is 5 there, 3 here"),
+        ({"fields": ("mask",)}, "fields"),
+        ({"step": 2}, "step is 1 there, 2 here"),
+        ({"region": Region(0, 0, 64, 64)}, "region_of_interest"),
+    ],
+)
+def test_a_run_with_other_settings_does_not_mix(job, change, key):
+    decode_footage(job, stop=2)
+    before = contents(Path(job.store))
+    with pytest.raises(OutputError, match=key) as caught:
+        decode_footage(replace(job, **change))
+    assert "\n" not in str(caught.value)
+    assert contents(Path(job.store)) == before
+
+
+def test_a_run_without_the_region_of_interest_does_not_mix(job):
+    decode_footage(replace(job, region=Region(0, 0, 64, 64)), stop=2)
+    before = contents(Path(job.store))
+    with pytest.raises(OutputError, match=r"region_of_interest\.x is 0 there, null here"):
+        decode_footage(job)
+    assert contents(Path(job.store)) == before
+
+
+def test_other_footage_and_other_rigs_do_not_mix(job, rig, tmp_path):
+    decode_footage(job, stop=1)
+    with pytest.raises(OutputError, match="calibration_sha256"):
+        decode_footage(replace(job, calibration=rig))
+    record(tmp_path / "other" / "film.zarr", 3)
+    with pytest.raises(OutputError, match=r"footage\.frames is 14 there, 3 here"):
+        decode_footage(replace(job, footage=str(tmp_path / "other" / "film.zarr")))
+
+
+def test_something_else_in_its_place(job):
+    for make in (lambda path: path.write_text("mine"), lambda path: (path / "mine").mkdir(parents=True)):
+        make(Path(job.store))
+        with pytest.raises(OutputError, match="not a result of ours"):
+            decode_footage(job)
+        shutil.rmtree(job.store, ignore_errors=True) or Path(job.store).unlink(missing_ok=True)
+    zarr.open_group(job.store, mode="w")
+    with pytest.raises(OutputError, match="not a result of ours"):
+        decode_footage(job)
+
+
+def test_bad_frames_are_left_out(job, folder, tmp_path, undisturbed):
+    film = tmp_path / "film.zarr"
+    shutil.copytree(folder / "film.zarr", film)
+    for number in (6, 13):
+        (film / "frames" / f"c.{number}.0.0.0").unlink()
+    job = replace(job, footage=str(film))
+    summary = decode_footage(job)
+    assert [bad.number for bad in summary.bad] == [6, 13]
+    assert all("missing" in bad.reason for bad in summary.bad)
+    assert marked(job.store) == set(range(N_FRAMES)) - {6, 13}
+    # Up to the bad frame, and from the next chain on, nothing is changed.
+    stored = contents(Path(job.store))
+    for number in (4, 5, 8, 12):
+        assert stored[f"unwrapped_phase/c.{number}.0.0"] == undisturbed[f"unwrapped_phase/c.{number}.0.0"]
+    again = decode_footage(job)
+    assert [bad.number for bad in again.bad] == [6, 13] and again.n_before == N_FRAMES - 2
+    assert contents(Path(job.store)) == stored
+
+
+def test_strict_stops_at_a_bad_frame(job, folder, tmp_path):
+    film = tmp_path / "film.zarr"
+    shutil.copytree(folder / "film.zarr", film)
+    (film / "frames" / "c.6.0.0.0").unlink()
+    with pytest.raises(FootageError, match=r"frame 6 of .*film.zarr: it is missing"):
+        decode_footage(replace(job, footage=str(film)), strict=True)
+    assert {0, 1} <= marked(job.store) <= {0, 1, 2, 3, 4, 5}
+
+
+def test_frames_that_cannot_be_decoded_are_bad(tmp_path, folder, job):
+    """NaN in float frames is found while decoding."""
+    images = np.asarray(zarr.open_group(folder / "film.zarr", mode="r")["frames"][:3]) / np.float32(255)
+    images[1, 5, 5] = np.nan
+    with Recorder(tmp_path / "film.zarr", PixelFormat("rgb", 32)) as recorder:
+        for image in images:
+            recorder.add(image)
+    summary = decode_footage(replace(job, footage=str(tmp_path / "film.zarr")))
+    assert [bad.number for bad in summary.bad] == [1] and "NaN" in summary.bad[0].reason
+    assert marked(job.store) == {0, 2}
+
+
+def test_frames_without_fringes_come_with_a_warning(tmp_path, folder, job, undisturbed):
+    images = np.asarray(zarr.open_group(folder / "film.zarr", mode="r")["frames"][:3])
+    with Recorder(tmp_path / "film.zarr", PixelFormat("rgb")) as recorder:
+        for image in (np.zeros_like(images[0]), *images):
+            recorder.add(image)
+    summary = decode_footage(replace(job, footage=str(tmp_path / "film.zarr")))
+    assert list(summary.warned) == [0, 1] and "no fringe" in summary.warned[0][0]
+    assert "nothing of the frame before" in summary.warned[1][0]
+    group = zarr.open_group(job.store, mode="r")
+    assert "no fringe" in json.loads(bytes(group["done"][0]))["warnings"][0]
+    # The light is learnt from the first frame that shows any.
+    assert group.attrs["light"]["reliable"]
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_dark_frames_leave_nothing_in_the_buffers(tmp_path, folder, rig, job, calibrated, monkeypatch):
+    """Results are written into buffers that are used again, and a dark frame writes little."""
+    images = np.asarray(zarr.open_group(folder / "film.zarr", mode="r")["frames"])
+    with Recorder(tmp_path / "film.zarr", PixelFormat("rgb")) as recorder:
+        for number in range(12):
+            recorder.add(images[number] if number not in (5, 9) else np.zeros_like(images[0]))
+    monkeypatch.setattr(jobs, "CHAIN_FRAMES", 100)
+    job = replace(job, footage=str(tmp_path / "film.zarr"), calibration=rig if calibrated else None)
+    job = replace(job, fields=chosen_fields(None, in_mm=calibrated))
+    decode_footage(job)
+    monkeypatch.setattr("pipeline.batch.worker._RESULTS", 9)
+    more = replace(job, store=str(tmp_path / "more.zarr"))
+    decode_footage(more)
+    assert contents(Path(more.store)) == contents(Path(job.store))
+    group = zarr.open_group(job.store, mode="r")
+    assert not group["mask"][5].any() and np.isnan(group["phase_sigma"][5]).all()
+
+
+def test_ctrl_c_keeps_what_is_done(job, undisturbed):
+    def stop(done, of):
+        if done == 6:
+            raise KeyboardInterrupt
+
+    with pytest.raises(Stopped, match=r"stopped: \d+ of 14 frames are done; the same command goes on"):
+        decode_footage(job, tell=stop)
+    assert 6 <= len(marked(job.store)) < N_FRAMES
+    assert not list(Path(job.store).rglob("*.part*"))
+    decode_footage(job)
+    assert contents(Path(job.store)) == undisturbed
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
+def test_ctrl_c_at_the_terminal(tmp_path):
+    """Exit code 130, and one line that says how to go on."""
+    record(tmp_path / "film.mkv", 300)
+    arguments = command("decode", tmp_path / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu")
+    # What a shell starts in the background ignores Ctrl-C, and so does what that starts, but not where it is handled.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    signal.signal(signal.SIGINT, before)
+    with process:
+        while len(marked(tmp_path / "out" / "result.zarr")) < 5:
+            assert process.poll() is None
+            time.sleep(0.005)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "stopped: " in said and "of 300 frames are done; the same command goes on from there" in said
+    assert "Traceback" not in said
+    assert not list((tmp_path / "out").rglob("*.part*"))
+
+
+def test_a_full_disk(job, undisturbed, monkeypatch):
+    n_calls = 0
+
+    def full(file):
+        nonlocal n_calls
+        n_calls += 1
+        if n_calls > 100:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OutputError, match=r"cannot write .*: the disk is full: free some space"):
+            decode_footage(job)
+    n_done = len(marked(job.store))
+    assert 1 < n_done < N_FRAMES
+    assert decode_footage(job).n_before == n_done
+    assert contents(Path(job.store)) == undisturbed
+
+
+def test_a_vanished_store(job):
+    def remove(done, of):
+        if done == 5:
+            shutil.rmtree(job.store, ignore_errors=True)
+
+    with pytest.raises(OutputError, match="has vanished"):
+        decode_footage(job, tell=remove)
+
+
+def test_a_store_behind_a_url(job, undisturbed):
+    fsspec = pytest.importorskip("fsspec")
+    url = "memory://bucket/result.zarr"
+    decode_footage(replace(job, store=url), stop=7)
+    assert decode_footage(replace(job, store=url)).n_before == 7
+    memory = fsspec.filesystem("memory")
+    decode_footage(job)
+    for path in Path(job.store).rglob("*"):
+        if path.is_file():
+            assert memory.cat_file(f"/bucket/result.zarr/{path.relative_to(job.store)}") == path.read_bytes()
+    with pytest.raises(OutputError, match=r"settings\.smoothing_px"):
+        decode_footage(replace(job, store=url, settings=DecodeSettings(smoothing_px=0)))
+    with pytest.raises(OutputError, match="cannot write to nothing://"):
+        decode_footage(replace(job, store="nothing://bucket/result.zarr"))
+
+
+def test_a_region_of_interest_has_the_same_points(job, rig, folder):
+    """The crop's pixels look where they looked in the whole frame."""
+    region = Region(24, 12, 80, 64)
+    cut = np.s_[12 : 12 + 64, 24 : 24 + 80]
+    whole = rig.camera.rays()[cut]
+    np.testing.assert_allclose(rig.cropped(24, 12, (80, 64)).camera.rays(), whole, atol=1e-6)
+    fields = ("mask", "points", "point_sigma")
+    job = replace(job, calibration=rig, region=region, fields=fields)
+    decode_footage(job, stop=1)
+    group = zarr.open_group(job.store, mode="r")
+    image = zarr.open_group(folder / "film.zarr", mode="r")["frames"][0]
+    frame = Decoder(calibration=rig, arch="cpu").decode(image)
+    both = frame.mask[cut] & group["mask"][0]
+    assert both.mean() > 0.5
+    apart = np.linalg.norm(group["points"][0] - frame.points[cut], axis=-1)[both]
+    assert np.median(apart / frame.point_sigma[cut][both]) < 1
+    assert group.attrs["region_of_interest"] == {"x": 24, "y": 12, "width": 80, "height": 64}
+
+
+def test_regions_of_interest_that_are_none(job, rig):
+    with pytest.raises(SettingsError, match="sticks out of the 128x96 frame"):
+        decode_footage(replace(job, region=Region(100, 0, 64, 64)))
+    with pytest.raises(CalibrationError, match="is 128x96 but the calibration is for 640x480"):
+        decode_footage(replace(job, calibration=simulated_rig((640, 480))))
+
+
+@pytest.mark.parametrize(
+    "format",
+    [
+        PixelFormat("yuv", subsampling=(2, 2)),
+        PixelFormat("yuv", subsampling=(2, 1), interleaved=True),
+        PixelFormat("bayer", bayer="grbg"),
+        PixelFormat("rgb", channels="bgr0"),
+    ],
+)
+def test_a_region_is_cut_out_of_the_planes(format):
+    """What develops of it is what develops of the whole frame there, but for its rim, where neighbours are missing."""
+    runtime.init("cpu")
+    rng = np.random.default_rng(3)
+    planes = tuple(rng.integers(0, 256, shape).astype(np.uint8) for shape in format.plane_shapes(48, 64))
+    region, rim = Region(8, 4, 41, 31), 12
+    region.check((64, 48), format)
+    part = runtime.to_host(develop(region.of(planes, format), format))
+    whole = runtime.to_host(develop(planes, format))[4 : 4 + 31, 8 : 8 + 41]
+    inside = np.s_[rim:-rim, rim:-rim]
+    np.testing.assert_array_equal(part[inside], whole[inside])
+    if format.layout != "rgb":
+        with pytest.raises(SettingsError, match="between this footage's colour samples"):
+            Region(7, 4, 41, 31).check((64, 48), format)
+
+
+@pytest.mark.filterwarnings("ignore:the colours' fringes differ")
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
+    """Another thread writes them while the device decodes the next frame."""
+    rig = simulated_rig((128, 96), period_px=2 * 768 / 44, stripes=stripes)
+    image = simulate_frame(rig, SimulationSettings()).image
+    decoder = Decoder(DecodeSettings(stripes=stripes, crosstalk_matrix=np.eye(3)), rig, arch=arch)
+    expected, fetched = decoder.decode(image), decoder.decode(image)
+    values = {name: np.array(getattr(expected, name)) for name in FIELDS}
+    for name in FIELDS:
+        frame = decoder.decode(image, out=fetched)
+        frame.fetch([name])
+        with monkeypatch.context() as patch:
+            patch.setattr("pipeline.decoding.frame.runtime", SimpleNamespace())
+            patch.setattr("pipeline.decoding.frame.transpose", None)
+            for kernel in ("compare_rows", "phase_sigma", "point_sigma"):
+                patch.setattr(f"pipeline.decoding.frame.{kernel}_kernel", None)
+            np.testing.assert_array_equal(getattr(frame, name), values[name], err_msg=name)
+
+
+def test_the_light_survives_being_stored(folder, rig):
+    decoder = Decoder(arch="cpu")
+    decoder.decode(zarr.open_group(folder / "film.zarr", mode="r")["frames"][0])
+    light = decoder.light
+    again = type(light).from_json(json.loads(json.dumps(light.as_json(), allow_nan=False)))
+    for name, value in vars(light).items():
+        np.testing.assert_array_equal(getattr(again, name), value)
+        assert np.asarray(getattr(again, name)).dtype == np.asarray(value).dtype
+    vague = replace(light, constant_sigma=float("inf"))
+    assert np.isnan(type(light).from_json(json.loads(json.dumps(vague.as_json(), allow_nan=False))).constant_sigma)
+
+
+def test_fields_that_are_none():
+    with pytest.raises(SettingsError, match="no field is called 'depth': choose of wrapped_phase"):
+        chosen_fields(("depth",), in_mm=False)
+    with pytest.raises(SettingsError, match="points needs a calibration"):
+        chosen_fields(("points",), in_mm=False)
+    assert chosen_fields(("range_image", "mask"), in_mm=False) == ("mask", "range_image")
+
+
+def test_a_picture_does_not_replace_footage(job, tmp_path):
+    from pipeline.output.folder import output_folder
+
+    decode_footage(job, stop=1)
+    with pytest.raises(OutputError, match="holds the frames of footage"):
+        with output_folder(tmp_path, force=True):
+            pass
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
+def test_memory_stays_flat(folder, rig, tmp_path):
+    """From the time that all buffers are there, less than 20 MB; `tests/benchmarks/throughput.py` does 2,000 frames."""
+    film = tmp_path / "film.zarr"
+    record(film, 150)
+    sizes = {}
+
+    def note(done, of):
+        sizes[done] = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+    fields = chosen_fields(None, in_mm=False)
+    decode_footage(
+        Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r"), "cpu"), tell=note
+    )
+    assert sizes[150] - sizes[50] < 20
+
+
+def test_a_store_says_nothing_of_times_or_hosts(job, tmp_path):
+    decode_footage(job, stop=1)
+    text = (Path(job.store) / "zarr.json").read_text()
+    assert str(tmp_path) not in text and os.uname().nodename not in text

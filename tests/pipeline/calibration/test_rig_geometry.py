@@ -1,0 +1,309 @@
+"""A board in several poses in, both lenses and where they stand out: against the truth of a rendered rig."""
+
+import subprocess
+import sys
+
+import cv2
+import numpy as np
+import pytest
+from support.board_rig import BoardCaptures, board_turns
+
+from pipeline import Calibration
+from pipeline.calibration import ColorShift
+from pipeline.calibration.board import Board
+from pipeline.calibration.model import Pattern
+from pipeline.calibration.multishot import BLACK, WHITE, decode_multishot, multishot_codes, multishot_sequence
+from pipeline.calibration.rig_geometry import BoardPose, measure_pose, solve_geometry
+from pipeline.errors import CalibrationError, OutputError, SettingsError
+from pipeline.models import build
+from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
+
+CAMERA_PX, PROJECTOR_PX = RIG_PX = (640, 480), (1024, 768)
+SEQUENCE = multishot_sequence(PROJECTOR_PX)
+CHESSBOARD = Board(kind="chessboard", squares=(10, 7), square_mm=26.0)
+CHARUCO = Board(kind="charuco", squares=(9, 6), square_mm=30.0)
+PATTERN = Pattern(period_px=768 / 44)
+
+
+def rig():
+    return simulated_rig(
+        CAMERA_PX,
+        camera_distortion=(-0.12, 0.08, 0.001, -0.0008, 0),
+        projector_distortion=(-0.06, 0.05, -0.001, 0.0005, 0),
+    )
+
+
+def codes(name):
+    return multishot_codes(name, PROJECTOR_PX)
+
+
+def captured(board, turn=(0.3, -0.3, 0.1), place=(0.0, 0.0, 900.0), **options):
+    options = {"samples": 2, "noise": 1.5, **options}
+    return BoardCaptures(rig(), board, turn, place, SEQUENCE.names, codes, **options)
+
+
+def exact_poses(count=10, noise_px=0.03, board=CHESSBOARD, seed=3, turns=None, places=None, geometry=None):
+    """Return poses whose corners are projected, not looked for: what the solver makes of noise alone."""
+    rng = np.random.default_rng(seed)
+    geometry = geometry or rig().geometry()
+    turns, places = (turns, places) if turns is not None else board_turns(count, seed)
+    poses = []
+    for k, (turn, place) in enumerate(zip(turns, places, strict=True)):
+        rotation = cv2.Rodrigues(turn)[0]
+        corners = board.corners_mm() @ rotation.T + place - rotation @ (board.corners_mm().mean(axis=0))
+        views = []
+        for lens, r, t in (
+            (geometry.camera, np.eye(3), np.zeros(3)),
+            (geometry.projector, geometry.rotation, geometry.translation_mm),
+        ):
+            pixels, _ = cv2.projectPoints(corners, cv2.Rodrigues(r)[0], t, lens.matrix, lens.distortion)
+            views.append(pixels.reshape(-1, 2) + noise_px * rng.standard_normal((len(corners), 2)))
+        shift = np.zeros((3, 2))
+        poses.append(BoardPose(f"pose_{k:02d}", board.corners_mm(), *views, shift, shift, np.eye(2)))
+    return poses
+
+
+def lens_values(lens):
+    return np.array([lens.matrix[0, 0], lens.matrix[1, 1], *lens.matrix[:2, 2], *lens.distortion])
+
+
+@pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
+def test_corners_of_one_pose(board):
+    """In camera and projector to 0.15 px; a chessboard may be numbered from either end."""
+    captures = captured(board)
+    pose = measure_pose("pose", captures, board, PROJECTOR_PX)
+    geometry = rig().geometry()
+    truth = captures.corners_camera
+    camera, _ = cv2.projectPoints(truth, np.zeros(3), np.zeros(3), geometry.camera.matrix, geometry.camera.distortion)
+    projector, _ = cv2.projectPoints(
+        truth, cv2.Rodrigues(geometry.rotation)[0], geometry.translation_mm, geometry.projector.matrix,
+        geometry.projector.distortion,
+    )  # fmt: skip
+    nearest = np.linalg.norm(pose.camera_px[:, None] - camera.reshape(-1, 2), axis=-1).argmin(axis=1)
+    assert len(set(nearest)) == len(pose.corners_mm) >= 0.9 * len(truth)
+    for found, true in ((pose.camera_px, camera), (pose.projector_px, projector)):
+        off = np.linalg.norm(found - true.reshape(-1, 2)[nearest], axis=1)
+        assert np.sqrt((off**2).mean()) < 0.15
+    if board.kind == "charuco":
+        np.testing.assert_array_equal(board.corners_mm()[nearest], pose.corners_mm)
+
+
+def test_the_solver_on_noise_alone():
+    """Within three of its own standard deviations; focal lengths to 0.2 %, the baseline to 0.2 mm of 180."""
+    found = solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN)
+    truth, calibration = rig(), found.calibration
+    assert found.camera_rms_px < 0.15 and found.projector_rms_px < 0.15
+    for name in ("camera", "projector"):
+        off = lens_values(getattr(calibration, name)) - lens_values(getattr(truth, name))
+        assert np.all(np.abs(off) < 3.5 * getattr(calibration.uncertainty, name)), name
+        assert np.all(np.abs(off[:2]) < 0.002 * lens_values(getattr(truth, name))[:2])
+    off = calibration.translation_mm - truth.translation_mm
+    assert np.all(np.abs(off) < 3.5 * calibration.uncertainty.translation_mm)
+    assert abs(np.linalg.norm(calibration.translation_mm) - 180) < 0.2
+    assert 0 < calibration.uncertainty.depth_bias_mm < 1.0
+
+
+def test_standard_deviations_are_honest():
+    """Over six noisy rigs the errors, in their own deviations, have a spread of about one."""
+    pulls = []
+    for seed in range(6):
+        found = solve_geometry(exact_poses(8, seed=seed), CAMERA_PX, PROJECTOR_PX, PATTERN).calibration
+        for name in ("camera", "projector"):
+            off = lens_values(getattr(found, name)) - lens_values(getattr(rig(), name))
+            pulls.append((off / getattr(found.uncertainty, name))[:4])
+        pulls.append((found.translation_mm - rig().translation_mm) / found.uncertainty.translation_mm)
+    assert 0.6 < np.sqrt(np.mean(np.concatenate(pulls) ** 2)) < 1.4
+
+
+def test_poses_that_are_left_out():
+    """One that was moved between its pictures, and one that repeats another, by name."""
+    poses = exact_poses(11)
+    moved = poses[4]
+    poses[4] = BoardPose(**{**moved.__dict__, "projector_px": moved.projector_px + np.array([3.0, -2.0])})
+    poses.append(BoardPose(**{**poses[0].__dict__, "name": "again"}))
+    found = solve_geometry(poses, CAMERA_PX, PROJECTOR_PX, PATTERN)
+    assert dict(found.left_out).keys() == {"pose_04", "again"}
+    assert "repeats pose_00" in dict(found.left_out)["again"]
+    assert len(found.poses) == 10
+
+
+def test_refused_sets_of_poses():
+    with pytest.raises(CalibrationError, match="7 usable poses, at least 8"):
+        solve_geometry(exact_poses(7), CAMERA_PX, PROJECTOR_PX, PATTERN)
+    with pytest.raises(CalibrationError, match=r"1 usable poses.*repeats pose_00"):
+        solve_geometry([exact_poses(1)[0]] * 9, CAMERA_PX, PROJECTOR_PX, PATTERN)
+    with pytest.raises(CalibrationError, match=r"baseline comes out as 180.* squares are then 0\.5"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN, baseline_mm=90.0)
+    with pytest.raises(CalibrationError, match="baseline is given as 0 mm"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN, baseline_mm=0.0)
+    with pytest.raises(CalibrationError, match="camera and projector are swapped"):
+        solve_geometry(exact_poses(), PROJECTOR_PX, CAMERA_PX, PATTERN)
+    with pytest.raises(CalibrationError, match=r"period of 900 px does not fit"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, Pattern(period_px=900))
+    with pytest.raises(CalibrationError, match=r"another camera, of 320x240"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN, simulated_rig((320, 240)))
+    with pytest.raises(CalibrationError, match=r"vertical stripes run along .* calibrate for horizontal ones"):
+        solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, Pattern(period_px=16, stripes="vertical"))
+
+
+def test_poses_that_are_all_parallel():
+    """They tell no focal length, however the board is tilted."""
+    places = np.random.default_rng(1).uniform((-60, -40, 800), (60, 40, 1000), (10, 3))
+    with pytest.raises(CalibrationError, match="too much alike"):
+        solve_geometry(exact_poses(turns=[np.array([0.4, 0.1, 0.05])] * 10, places=places), *RIG_PX, PATTERN)
+
+
+def test_an_earlier_lateral_colour_is_not_kept():
+    shift = ColorShift(camera=np.zeros((3, 2)), projector=np.full((3, 2), 0.5))
+    base = Calibration(crosstalk_matrix=np.eye(3), color_shift_px=shift)
+    assert solve_geometry(exact_poses(), *RIG_PX, PATTERN, base).calibration.color_shift_px is None
+    poses = [BoardPose(**{**pose.__dict__, "camera_shift_px": np.full((3, 2), np.nan)}) for pose in exact_poses()]
+    assert solve_geometry(poses, *RIG_PX, PATTERN, base).calibration.color_shift_px is None
+
+
+def test_a_projector_upside_down():
+    """Half a turn about the camera's axis: rotation vectors flip their sign there."""
+    half = np.diag([-1.0, -1.0, 1.0])
+    hanging = rig().model_copy(
+        update={"rotation": half @ rig().rotation, "translation_mm": half @ rig().translation_mm}
+    )
+    found = solve_geometry(exact_poses(geometry=hanging.geometry()), *RIG_PX, PATTERN).calibration
+    np.testing.assert_allclose(found.rotation, hanging.rotation, atol=0.003)
+    assert abs(np.linalg.norm(found.translation_mm) - 180) < 0.2
+
+
+def test_boards_that_cannot_be():
+    with pytest.raises(SettingsError, match=r"DICT_4X4_50 has 50 markers, the board needs 300"):
+        build(Board, {"squares": (30, 20), "dictionary": "DICT_4X4_50"}, SettingsError, "board")
+    assert CHARUCO.spans(np.array([0, 1, 8, 9]))
+    assert not CHARUCO.spans(np.arange(8)) and not CHARUCO.spans(np.array([0, 1, 2, 8]))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"mirror": True}, "mirrored"),
+        ({"place": (400.0, 0.0, 900.0)}, "no 9x6 charuco is seen|hardly a pixel|hardly brighter"),
+        ({"hide": (slice(None), slice(100, None))}, "corners are seen|no 9x6 charuco is seen"),
+        ({"blur_px": 9.0}, "washed out"),
+    ],
+)
+def test_refused_captures(options, message):
+    with pytest.raises(CalibrationError, match=message) as raised:
+        measure_pose("pose_07", captured(CHARUCO, **options), CHARUCO, PROJECTOR_PX)
+    assert "pose_07" in str(raised.value) and "\n" not in str(raised.value)
+
+
+def test_a_board_that_is_partly_hidden():
+    """A ChArUco board still serves."""
+    pose = measure_pose("p", captured(CHARUCO, hide=(slice(None), slice(0, 160))), CHARUCO, PROJECTOR_PX)
+    assert 12 <= len(pose.corners_mm) < 40
+
+
+def test_captures_in_the_wrong_order():
+    captures = dict(captured(CHARUCO))
+    names = [name for name in SEQUENCE.names if "column-fine" in name]
+    for a, b in ((WHITE, BLACK), (names[0], "05-column-coarse-3"), (names[0], names[2]), (BLACK, names[1])):
+        swapped = {**captures, a: captures[b], b: captures[a]}
+        with pytest.raises(CalibrationError, match=r"order|contradict"):
+            decode_multishot(swapped, PROJECTOR_PX)
+    # Steps turned round in a circle are fringes, too, of another place: the coarser ones contradict them.
+    turned = {a: captures[b] for a, b in zip(names, names[3:] + names[:3], strict=True)}
+    with pytest.raises(CalibrationError, match="contradict"):
+        decode_multishot({**captures, **turned}, PROJECTOR_PX)
+
+
+def test_a_projector_of_another_size():
+    captures = dict(captured(CHARUCO))
+    with pytest.raises(CalibrationError, match="800x600 is not the projector's size"):
+        decode_multishot(captures, (800, 600))
+    with pytest.raises(CalibrationError, match=r"640x480 is .* but the camera's: camera and projector are swapped"):
+        decode_multishot(captures, CAMERA_PX)
+
+
+def test_sixteen_bit_files_of_a_twelve_bit_camera():
+    captures = {name: 16 * picture.astype(np.uint16) for name, picture in captured(CHARUCO).items()}
+    known = decode_multishot(captures, PROJECTOR_PX, white_level=4095)
+    assert np.isfinite(known.position_px).all(axis=-1).mean() > 0.2
+    captures[WHITE][:2] = 4095
+    with pytest.raises(CalibrationError, match="end at 4095"):
+        decode_multishot(captures, PROJECTOR_PX)
+    with pytest.raises(CalibrationError, match="white_level is -1"):
+        decode_multishot(captures, PROJECTOR_PX, white_level=-1)
+
+
+def test_lateral_colour_is_found():
+    """To 0.05 px, though the camera's channels see each other's light."""
+    camera = np.array([[-0.3, -0.4], [0.0, 0.0], [0.2, 0.5]])
+    projector = np.array([[0.2, 0.3], [0.0, 0.0], [-0.1, -0.5]])
+    options = {"camera_shift": camera, "projector_shift": projector, "crosstalk": TYPICAL_CROSSTALK}
+    poses = exact_poses(9)
+    turns, places = board_turns(10, 3)
+    for k in (0, 4):
+        captures = captured(CHESSBOARD, turns[k], places[k], seed=k, **options)
+        poses[k] = measure_pose(poses[k].name, captures, CHESSBOARD, PROJECTOR_PX)
+    seen = [poses[0], poses[4]]
+    shifts = {"camera_shift_px": seen[0].camera_shift_px, "projector_shift_px": seen[0].projector_shift_px}
+    poses = [
+        pose if pose in seen else BoardPose(**{**pose.__dict__, **shifts, "jacobian": seen[0].jacobian})
+        for pose in poses
+    ]
+    base = Calibration(crosstalk_matrix=np.array(TYPICAL_CROSSTALK))
+    found = solve_geometry(poses, CAMERA_PX, PROJECTOR_PX, PATTERN, base).calibration
+    np.testing.assert_allclose(found.color_shift_px.camera, camera - camera.mean(axis=0), atol=0.05)
+    np.testing.assert_allclose(found.color_shift_px.projector, projector - projector.mean(axis=0), atol=0.05)
+
+
+def test_a_printed_board(tmp_path):
+    for name in ("board.pdf", "board.svg", "board.png"):
+        CHARUCO.write(tmp_path / name)
+    picture = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
+    # 11 x 8 squares of 30 mm with the margin, at 300 dots an inch.
+    assert abs(picture.shape[1] - 11 * 30 / 25.4 * 300) < 3 and abs(picture.shape[0] - 8 * 30 / 25.4 * 300) < 3
+    numbers, places = CHARUCO.find(picture / 255.0)
+    assert len(numbers) == 40
+    np.testing.assert_allclose(places, (CHARUCO.corners_mm()[numbers, :2] + 30) / 25.4 * 300, atol=3)
+    with pytest.raises(OutputError, match="PDF, SVG or PNG"):
+        CHARUCO.write(tmp_path / "board.jpg")
+
+
+def test_the_command(tmp_path):
+    """Eight folders of captures in, a calibration out; never over an existing one."""
+    small = (320, 240)
+    names = multishot_sequence(small).names
+    camera = simulated_rig((320, 240))
+    # A projector of 320x240 with the field of view of the larger one.
+    lens = camera.geometry().projector
+    matrix = lens.matrix * np.array([[0.3125] * 3, [0.3125] * 3, [1.0] * 3])
+    own = camera.model_copy(update={"projector": lens.model_copy(update={"size_px": small, "matrix": matrix})})
+    board = Board(kind="chessboard", squares=(8, 6), square_mm=32.0)
+    turns, places = board_turns(8, 5)
+    for k in range(8):
+        folder = tmp_path / "poses" / f"pose_{k}"
+        folder.mkdir(parents=True)
+        captures = BoardCaptures(
+            own, board, turns[k], places[k], names, lambda name: multishot_codes(name, small), samples=2, seed=k
+        )
+        for name in names:
+            cv2.imwrite(str(folder / f"{name}.png"), captures[name][..., ::-1])
+
+    def run(*arguments):
+        code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'colorphase'; main()"
+        return subprocess.run(
+            [sys.executable, "-c", code, "calibrate", "geometry", *arguments],
+            cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False,
+        )  # fmt: skip
+
+    arguments = ("poses", "--out", "c.json", "--size", "320x240", "--period", "8", "--square-mm", "32")
+    done = run(*arguments, "--board", "chessboard", "--squares", "8x6")
+    assert done.returncode == 0, done.stderr
+    found = Calibration.read(tmp_path / "c.json")
+    assert found.pattern.period_px == 8
+    assert abs(np.linalg.norm(found.translation_mm) - 180) < 2
+    done = run(*arguments, "--board", "chessboard", "--squares", "8x6")
+    assert done.returncode == 1 and "exists already" in done.stderr
+    (tmp_path / "poses" / "pose_3" / f"{names[7]}.png").unlink()
+    done = run(*arguments, "--board", "chessboard", "--squares", "8x6", "--force")
+    assert done.returncode == 1 and names[7] in done.stderr and "pose_3" in done.stderr
+    done = run("--make", "pictures", "--size", "64x48")
+    assert done.returncode == 0 and len(list((tmp_path / "pictures").iterdir())) == len(names) + 1

@@ -1,0 +1,115 @@
+"""Does a calibration still hold? Planes, balls and epipolar lines of rigs that stand as they did, and that do not."""
+
+import cv2
+import numpy as np
+import pytest
+from support.board_rig import BoardCaptures
+
+from pipeline import Decoder, DecodeSettings
+from pipeline.calibration import Uncertainty
+from pipeline.calibration.board import Board
+from pipeline.calibration.multishot import multishot_codes, multishot_sequence
+from pipeline.diagnosis.surface_check import check_epipolar, check_surface
+from pipeline.errors import CalibrationError
+from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
+
+# Frames of rigs that are not what they are taken for.
+pytestmark = pytest.mark.filterwarnings("ignore:the colours' fringes differ")
+
+KNOWN = {
+    "crosstalk_matrix": np.array(TYPICAL_CROSSTALK),
+    "uncertainty": Uncertainty(depth_bias_mm=0.3, reprojection_px=(0.05, 0.08)),
+}
+
+
+def checked(scene, shape, radius_mm=None, **moved):
+    """Check a capture of a rig with a calibration that says something else of it."""
+    runtime.init("cpu")
+    rig = simulated_rig().model_copy(update=KNOWN)
+    truth = simulate_frame(rig, SimulationSettings(scene=scene))
+    calibration = rig.model_copy(update=moved)
+    frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(truth.image)
+    return check_surface(frame, calibration, shape, radius_mm)
+
+
+def turned(degrees):
+    return cv2.Rodrigues(np.radians(degrees))[0] @ simulated_rig().rotation
+
+
+def test_a_rig_that_stands_as_it_did():
+    plane = checked("plane", "plane")
+    assert plane.fine
+    assert [measure.name for measure in plane.measures] == ["point precision", "flatness"]
+    precision = plane.measures[0]
+    assert 0.5 < precision.measured / precision.predicted < 1.5
+    ball = checked("ball", "ball", 85.0)
+    assert ball.fine
+    assert abs(ball.radius_mm - 85) < 0.1
+    np.testing.assert_allclose(ball.position_mm, (0, 0, 880), atol=0.2)
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        {"rotation": turned([0.0, 0.4, 0.3])},
+        {"projector": simulated_rig(projector_distortion=(0.08, 0, 0, 0, 0)).projector},
+    ],
+    ids=["turned", "lens"],
+)
+def test_a_plane_that_is_not_flat_any_more(moved):
+    assert not checked("plane", "plane", **moved).fine
+
+
+def test_a_ball_of_another_size():
+    assert not checked("ball", "ball", 86.0).fine
+
+
+def test_what_a_plane_cannot_show():
+    """A projector turned about the stripes leaves a plane flat: the verdict says so, and a ball's radius shows it."""
+    plane = checked("plane", "plane", rotation=turned([0.3, 0.0, 0.0]))
+    assert plane.fine and "stripes' direction" in plane.blind_spot
+    assert not checked("ball", "ball", 85.0, rotation=turned([0.3, 0.0, 0.0])).fine
+    assert "unknown radius" in checked("ball", "ball").blind_spot
+    assert checked("ball", "ball", 85.0).blind_spot == ""
+
+
+def test_another_shape():
+    with pytest.raises(CalibrationError, match="mm from the nearest plane"):
+        checked("bust", "plane")
+    with pytest.raises(CalibrationError, match="radius is given as 0 mm"):
+        checked("ball", "ball", 0.0)
+
+
+def test_nothing_to_check():
+    runtime.init("cpu")
+    rig = simulated_rig().model_copy(update=KNOWN)
+    frame = Decoder(DecodeSettings(crosstalk_matrix=np.eye(3)), arch="cpu").decode(simulate_frame(rig).image)
+    with pytest.raises(CalibrationError, match="without this calibration"):
+        check_surface(frame, rig, "plane")
+
+
+@pytest.mark.parametrize(("degrees", "fine"), [((0.0, 0.0, 0.0), True), ((0.1, 0.2, 0.0), False)])
+def test_epipolar_lines(degrees, fine):
+    """A tenth of a degree is 3 px in the projector."""
+    names = multishot_sequence((1024, 768)).names
+    rig = simulated_rig((320, 240)).model_copy(update=KNOWN)
+    captures = BoardCaptures(
+        rig, Board(squares=(9, 6), square_mm=40.0), (0.2, 0.2, 0), (0, 0, 900), names,
+        lambda name: multishot_codes(name, (1024, 768)), samples=2,
+    )  # fmt: skip
+    found = check_epipolar(captures, rig.model_copy(update={"rotation": turned(degrees)}))
+    assert found.fine == fine and "baseline" in found.blind_spot
+    if fine:
+        back = rig.rotation.T
+        swapped = {
+            "camera": rig.projector,
+            "projector": rig.camera,
+            "rotation": back,
+            "translation_mm": -back @ rig.translation_mm,
+        }
+        with pytest.raises(CalibrationError, match="is for a camera of 1024x768"):
+            check_epipolar(captures, rig.model_copy(update={"camera": rig.projector}))
+        narrow = rig.model_copy(update=swapped)
+        with pytest.raises(CalibrationError, match="camera and projector are swapped"):
+            check_epipolar(captures, narrow)

@@ -1,0 +1,236 @@
+"""Orders that are carried from frame to frame."""
+
+import numpy as np
+import pytest
+
+from pipeline import Decoder, DecodeSettings, DecodeWarning
+from pipeline.errors import SettingsError
+from pipeline.orders.carried_orders import MAX_ERROR_PROBABILITY, count_votes, split_by_votes
+from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
+from tikernels.errors import ShapeError
+from tikernels.unwrapping.unwrapper import PatchGraph
+
+SIZE = (320, 240)
+
+
+def votes_of(*rows: tuple[int, int, int, int, int], sound: int = 1) -> np.ndarray:
+    """Rows of how many, patch, cycles, rest, region before."""
+    return np.concatenate([np.tile(np.array([*row[1:], sound], np.int32), (row[0], 1)) for row in rows])
+
+
+def test_the_majority_of_a_region_decides():
+    roots = np.array([0, 0, 2], np.int32)
+    votes = votes_of((40, 0, 2, 3, 1), (30, 1, 2, -3, 1), (20, 1, 5, 0, 2), (50, 2, 0, 1, 3), (9, -1, 7, 0, 0))
+    carried = count_votes(votes, roots)
+    assert carried.same_scene
+    np.testing.assert_array_equal(carried.roots, [0, 2])
+    np.testing.assert_array_equal(carried.offsets, [2, 0])
+    np.testing.assert_array_equal(carried.before, [1, 3])
+    assert (carried.error_probability < 0.02).all()
+
+
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [(5, 0, 1, 0, 1)],  # too few
+        [(30, 0, 1, 0, 1), (28, 0, 2, 0, 1)],  # no majority to speak of
+        [(50, 0, 1, 29, 1)],  # 0.45 cycles away: the next order is nearly as near
+        [(30, 0, 1, 0, 1), (25, 0, 1, 29, 1)],  # so it is for nearly half of the region
+        [(10, 0, 1, rest, 1) for rest in range(-20, 21, 4)],  # it changes by anything: another surface
+    ],
+)
+def test_a_doubtful_vote_carries_nothing(rows):
+    carried = count_votes(votes_of(*rows), np.zeros(1, np.int32))
+    assert len(carried.roots) == 0
+
+
+def test_only_sound_votes_count_where_there_are_enough():
+    """Beside a moving edge pixels vote for what was there before, however many of them there are."""
+    votes = np.concatenate([votes_of((20, 0, 3, 0, 1)), votes_of((90, 0, 2, 0, 2), sound=0)])
+    carried = count_votes(votes, np.zeros(1, np.int32))
+    assert (carried.offsets[0], carried.before[0]) == (3, 1)
+    assert carried.error_probability[0] < 0.05
+    carried = count_votes(votes[20:], np.zeros(1, np.int32))
+    assert carried.offsets[0] == 2
+    assert carried.error_probability[0] > 0.1  # too much for an order to stay absolute
+
+
+@pytest.mark.parametrize(("rest", "least", "most"), [(0, 0, 1e-6), (10, 1e-6, 1e-4), (21, 1e-3, 1e-2)])
+def test_the_faster_a_surface_the_larger_the_doubt(rest, least, most):
+    """Up to a third of a cycle a frame: the next order is then twice as far, and not much less likely."""
+    carried = count_votes(votes_of((500, 0, 1, rest, 1)), np.zeros(1, np.int32))
+    assert least <= carried.error_probability[0] <= most
+
+
+def test_a_cut_is_noticed():
+    rows = [(10, patch, int(k), 0, 1) for patch in range(4) for k in range(5)]
+    assert not count_votes(votes_of(*rows), np.arange(4, dtype=np.int32)).same_scene
+    assert not count_votes(np.zeros((0, 5), np.int32), np.zeros(1, np.int32)).same_scene
+
+
+def test_surfaces_that_lay_apart_are_split():
+    """Four patches in a row, joined to one region; the frame before saw the last two a cycle behind."""
+    graph = PatchGraph(
+        root=np.zeros(4, np.int32),
+        offset=np.zeros(4, np.int32),
+        pixels=np.full(4, 128, np.int32),
+        first=np.arange(4, dtype=np.int32),
+        ends=np.array([[0, 1, 2], [1, 2, 3]]),
+        votes=np.array([16, 16, 16], np.int32),
+    )
+    runtime.init("cpu")
+    torn = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)))
+    np.testing.assert_array_equal(split_by_votes(torn, graph, np.zeros(3, bool)), [0, 0, 2, 2])
+    coming_into_view = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)), sound=0)
+    np.testing.assert_array_equal(split_by_votes(coming_into_view, graph, np.zeros(3, bool)), graph.root)
+    alike = votes_of(*((8, patch, 0, 0, 1 + patch // 2) for patch in range(4)))
+    np.testing.assert_array_equal(split_by_votes(alike, graph, np.zeros(3, bool)), graph.root)
+    np.testing.assert_array_equal(split_by_votes(alike, graph, np.array([False, True, False])), [0, 0, 2, 2])
+    whole = votes_of(*((8, patch, 0, 0, 1) for patch in range(4)))
+    np.testing.assert_array_equal(split_by_votes(whole, graph, np.zeros(3, bool)), graph.root)
+
+
+def moved(rig, scene: str, frame: int, **settings):
+    """Return one frame of objects that swing and turn."""
+    angle = 2 * np.pi * frame / 40
+    return simulate_frame(
+        rig,
+        SimulationSettings(
+            scene=scene,
+            object_motion_mm=(30 * np.sin(angle), 5 * np.sin(2 * angle), -40 * np.sin(angle) ** 2),
+            object_turn_deg=20 * np.sin(angle),
+            seed=frame,
+            **settings,
+        ),
+    )
+
+
+@pytest.mark.parametrize("scene", ["ball", "objects"])
+def test_moving_objects_keep_their_orders(arch, scene):
+    rig = simulated_rig(SIZE, period_px=1.5 * 768 / 44)
+    decoder = Decoder(DecodeSettings(), rig, arch=arch)
+    runtime.init(arch)
+    frame = offset = surface = None
+    for number in range(8):
+        truth = moved(rig, scene, number, gamma=1.0)
+        frame = decoder.decode(truth.image, previous=frame)
+        seen = frame.mask & truth.mask
+        now = np.where(seen, np.rint((frame.unwrapped_phase - truth.phase) / (2 * np.pi)), 0)
+        if offset is not None:
+            same = seen & surface[0] & (np.abs(truth.points[..., 2] - surface[1]) < 8)
+            # What a region of 20 px could be is slivers along a step, where pixels see two surfaces.
+            assert np.mean(now[same] != offset[same]) < 0.003
+        offset, surface = now, (seen, truth.points[..., 2])
+    assert not frame.absolute.any()  # nothing has told the absolute order
+
+
+def test_absolute_orders_are_carried_where_the_code_is_not_seen(arch):
+    """The second frame shows the plain pattern: without the first its orders would be relative."""
+    coded = simulated_rig((640, 480), code="contrast")
+    plain = simulated_rig((640, 480))
+    first = Decoder(DecodeSettings(), coded, arch=arch).decode(moved(coded, "ball", 0).image)
+    assert first.absolute[first.mask].mean() > 0.99
+    truth = moved(plain, "ball", 1)
+    decoder = Decoder(DecodeSettings(), plain, arch=arch)
+    alone = decoder.decode(truth.image)
+    assert not alone.absolute.any()
+    assert (alone.order_error_probability[alone.mask] == 1).all()
+    frame = decoder.decode(truth.image, previous=first)
+    known = frame.absolute & truth.mask
+    assert known.sum() > 0.95 * frame.mask.sum()
+    # Slivers of the ball's rim join the wall over a step of a whole cycle, which the plain pattern does not show.
+    assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 4e-3
+    assert frame.order_error_probability[known].max() < 0.1
+
+
+def test_doubt_grows_until_the_code_is_seen_again():
+    """A ball that swings by 0.3 cycles a frame stops being absolute before the next order may pass for its own."""
+    rigs = [simulated_rig(code=code) for code in ("contrast", None)]
+    decoders = [Decoder(DecodeSettings(), rig, arch="cpu") for rig in rigs]
+    ball, wall = (240, 320), (20, 20)
+    frame, doubts = None, []
+    for number in range(13):
+        plain = 0 < number < 12
+        settings = SimulationSettings(scene="ball", object_motion_mm=(0.0, 0.0, -11.0 * (number % 2)), seed=number)
+        truth = simulate_frame(rigs[plain], settings)
+        frame = decoders[plain].decode(truth.image, previous=frame)
+        doubts.append([frame.order_error_probability[place] for place in (ball, wall)])
+        assert frame.absolute[wall]
+        assert frame.absolute[ball] == (doubts[-1][0] < MAX_ERROR_PROBABILITY)
+        known = frame.absolute & truth.mask
+        assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 1e-3
+    of_ball, of_wall = np.array(doubts).T
+    assert (np.diff(of_ball[:12]) > 0).all()
+    assert of_ball[11] > MAX_ERROR_PROBABILITY > 100 * of_wall.max()
+    assert of_ball[12] < 1e-3
+
+
+@pytest.mark.parametrize("scenes", ["objects bust", "bust plane", "plane objects", "waves ball", "ball waves"])
+def test_a_cut_starts_afresh(scenes):
+    """What the frame before saw is elsewhere: nothing that was known of it may be left."""
+    rig = simulated_rig(SIZE, period_px=1.5 * 768 / 44)
+    decoder = Decoder(DecodeSettings(), rig, arch="cpu")
+    before, after = scenes.split()
+    previous = decoder.decode(simulate_frame(rig, SimulationSettings(scene=before)).image)
+    regions = len(previous.order_is_known)
+    previous._placed = np.ones(regions, bool), np.zeros(regions, np.float32)
+    image = simulate_frame(rig, SimulationSettings(scene=after, gamma=1.0)).image
+    with pytest.warns(DecodeWarning, match="nothing of the frame before is seen again"):
+        frame = decoder.decode(image, previous=previous)
+    alone = decoder.decode(image)
+    assert frame.mask.any()
+    assert not frame.absolute.any()
+    assert (frame.order_error_probability[frame.mask] == 1).all()
+    both = frame.mask & alone.mask
+    assert np.abs(frame.unwrapped_phase - alone.unwrapped_phase)[both].max() < 1  # rad: the response is averaged
+
+
+def test_another_period_before_is_a_cut():
+    rigs = [simulated_rig(SIZE, period_px=factor * 768 / 44) for factor in (1.5, 2.0)]
+    decoders = [Decoder(DecodeSettings(), rig, arch="cpu") for rig in rigs]
+    images = [simulate_frame(rig, SimulationSettings(scene="ball")).image for rig in rigs]
+    with pytest.warns(DecodeWarning, match="nothing of the frame before is seen again"):
+        decoders[1].decode(images[1], previous=decoders[0].decode(images[0]))
+
+
+def test_after_a_frame_without_fringes_orders_start_afresh():
+    rig = simulated_rig(SIZE, period_px=1.5 * 768 / 44)
+    decoder = Decoder(DecodeSettings(), rig, arch="cpu")
+    image = simulate_frame(rig, SimulationSettings(scene="ball")).image
+    with pytest.warns(DecodeWarning, match="no fringe"):
+        dark = decoder.decode(np.full_like(image, 9))
+    with pytest.warns(DecodeWarning, match="start afresh"):
+        frame = decoder.decode(image, previous=dark)
+    alone = decoder.decode(image)
+    assert np.abs(frame.unwrapped_phase - alone.unwrapped_phase)[frame.mask & alone.mask].max() < 1  # rad
+
+
+def test_previous_must_fit():
+    rig = simulated_rig(SIZE)
+    decoder = Decoder(DecodeSettings(), arch="cpu")
+    before = decoder.decode(simulate_frame(rig).image)
+    with pytest.raises(ShapeError, match="frame is 120x160 but the one before is 240x320"):
+        decoder.decode(simulate_frame(simulated_rig((160, 120), period_px=768 / 22)).image, previous=before)
+    upright = simulated_rig(SIZE, stripes="vertical")
+    other = Decoder(DecodeSettings(stripes="vertical"), arch="cpu")
+    with pytest.raises(SettingsError, match="stripes are vertical"):
+        other.decode(simulate_frame(upright).image, previous=before)
+    seen = other.decode(simulate_frame(upright).image)
+    with pytest.raises(ShapeError, match="frame is 120x160 but the one before is 240x320"):
+        small = simulated_rig((160, 120), period_px=768 / 22, stripes="vertical")
+        other.decode(simulate_frame(small).image, previous=seen)
+
+
+def test_the_frame_before_may_give_its_arrays():
+    """`out=previous` comes to the same as fresh arrays, whatever the response has been averaged over."""
+    rig = simulated_rig(SIZE, period_px=1.5 * 768 / 44)
+    images = [moved(rig, "ball", number).image for number in range(4)]
+    results = []
+    for again in (False, True):
+        decoder, frame = Decoder(DecodeSettings(), rig, arch="cpu"), None
+        for image in images:
+            frame = decoder.decode(image, previous=frame, out=frame if again else None)
+        results.append(frame)
+    np.testing.assert_array_equal(results[0].unwrapped_phase, results[1].unwrapped_phase)
+    np.testing.assert_array_equal(results[0].region, results[1].region)

@@ -1,0 +1,264 @@
+"""Absolute orders from one frame of a coded pattern, and frames that do not show the code."""
+
+import numpy as np
+import pytest
+import reference
+from benchmarks.order_probability import judged_regions, uncertain_frame
+
+import tikernels
+from pipeline import Decoder, DecodeSettings, DecodeWarning
+from pipeline.pattern.contrast_code import LEVELS, cycle_modulations
+from pipeline.pattern.fringes import CHANNEL_PHASES
+from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
+from tikernels.scene import scene_rendering as projection
+
+SIZE = (480, 360)  # three quarters of the usual picture, its fringes as fine
+FULL = (640, 480)  # objects that show eight cycles or more
+
+
+def simulated(scene="bust", code="contrast", stripes="horizontal", tilt_deg=0.0, size=SIZE, **settings):
+    """Return a frame with its truth, and the calibration of its rig."""
+    rig = simulated_rig(size, period_px=640 / size[0] * 768 / 44, code=code, stripes=stripes, tilt_deg=tilt_deg)
+    settings = SimulationSettings(scene=scene, **settings)
+    frame = simulate_frame(rig, settings)
+    return frame, rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix})
+
+
+def said(rig, code):
+    """Return a calibration whose pattern is said to have another code."""
+    return rig.model_copy(update={"pattern": rig.pattern.model_copy(update={"code": code})})
+
+
+def shares(frame, truth):
+    """Return which shares of the lit pixels are absolute and right, and absolute and wrong."""
+    lit = reference.eroded(truth.mask, 4) & (truth.image.mean(axis=2) > 20)
+    known = lit & frame.absolute
+    wrong = known & (np.abs(np.nan_to_num(frame.unwrapped_phase) - truth.phase) > np.pi)
+    return (known & ~wrong).sum() / lit.sum(), wrong.sum() / lit.sum()
+
+
+@pytest.mark.parametrize("scene", projection.SCENES)
+@pytest.mark.parametrize(("gamma", "reflectance"), [(2.0, SKIN), (1.0, WHITE)])
+def test_every_scene(arch, scene, gamma, reflectance):
+    size = FULL if scene == "objects" else SIZE
+    truth, calibration = simulated(scene, gamma=gamma, reflectance=reflectance, size=size)
+    frame = Decoder(DecodeSettings(), calibration, arch=arch).decode(truth.image)
+    right, wrong = shares(frame, truth)
+    assert right > 0.985
+    assert wrong < 0.002
+    assert frame.warnings == ()
+    assert np.nanmax(frame.order_error_probability[frame.absolute]) < 1e-3
+    np.testing.assert_array_equal(np.isnan(frame.order_error_probability), ~frame.mask)
+    known = frame.absolute
+    error = np.abs(frame.points[known] - truth.points[known])[:, 2]
+    assert np.median(error) < 0.3  # mm
+
+
+@pytest.mark.parametrize(("stripes", "tilt_deg"), [("vertical", 0), ("horizontal", 15)])
+def test_other_stripes(stripes, tilt_deg):
+    truth, calibration = simulated("ball", stripes=stripes, tilt_deg=tilt_deg)
+    frame = Decoder(DecodeSettings(stripes=stripes), calibration, arch="cpu").decode(truth.image)
+    right, wrong = shares(frame, truth)
+    assert right > 0.97
+    assert wrong < 0.003
+
+
+def test_without_a_calibration():
+    truth, _ = simulated("objects", size=FULL)
+    frame = Decoder(DecodeSettings(code="contrast"), arch="cpu").decode(truth.image)
+    right, wrong = shares(frame, truth)
+    assert right > 0.98
+    assert wrong < 0.002
+    assert frame.warnings == ()
+
+
+@pytest.mark.parametrize(("scene", "gamma", "reflectance"), [("plane", 2.0, SKIN), ("waves", 1.0, WHITE)])
+@pytest.mark.parametrize("blur_px", [0.0, 2.0])
+def test_the_phase_stays_as_good(scene, gamma, reflectance, blur_px):
+    """With the code the phase's error is at most 1.25 times that without it, blur or not."""
+    errors = {}
+    for code in (None, "contrast"):
+        truth, calibration = simulated(
+            scene, code, gamma=gamma, reflectance=reflectance, projector_blur_px=(blur_px,) * 3
+        )
+        frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(truth.image)
+        error = np.angle(np.exp(1j * (frame.wrapped_phase - truth.phase)[frame.mask & truth.mask]))
+        errors[code] = np.std(error)
+    assert errors["contrast"] < 1.25 * errors[None]
+
+
+def test_a_reused_frame_forgets():
+    coded, calibration = simulated("plane")
+    decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
+    frame = decoder.decode(coded.image)
+    assert frame.absolute.any()
+    with pytest.warns(DecodeWarning, match="no fringe"):
+        decoder.decode(np.zeros_like(coded.image), out=frame)
+    assert not frame.absolute.any()
+    assert np.isnan(frame.order_error_probability).all()
+
+
+def test_a_frame_without_the_code():
+    truth, calibration = simulated("bust", None)
+    with pytest.warns(DecodeWarning, match=r"does not show the contrast code|too little of the code"):
+        frame = Decoder(DecodeSettings(), said(calibration, "contrast"), arch="cpu").decode(truth.image)
+    assert not frame.absolute.any()
+    assert frame.order_error_probability[frame.mask].min() > 1e-3
+
+
+@pytest.mark.parametrize("wrong", ["reversed", "inverted", "permuted"])
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_a_sequence_that_is_not_the_codes(wrong, calibrated):
+    """Whatever fits by chance is not believed."""
+    truth, calibration = simulated("plane")
+    levels = {
+        "reversed": cycle_modulations()[::-1],
+        "inverted": LEVELS[0] + LEVELS[-1] - cycle_modulations(),
+        "permuted": np.random.default_rng(1).permutation(cycle_modulations()),
+    }[wrong]
+    image = simulate_frame(truth.rig, SimulationSettings(scene="plane"), coded_by(truth.rig, levels)).image
+    settings = DecodeSettings(code="contrast", crosstalk_matrix=calibration.crosstalk_matrix)
+    with pytest.warns(DecodeWarning, match="contrast code|of the code"):
+        frame = Decoder(settings, calibration if calibrated else None, arch="cpu").decode(image)
+    assert not frame.absolute.any()
+    assert frame.order_error_probability[frame.mask].min() > 0.01
+
+
+def test_motion_during_the_exposure_is_flagged():
+    """Head and shoulders move by 20 mm: they are flagged, not placed with the wall; what is wrong is their rim."""
+    _, calibration = simulated("bust", size=FULL)
+    frames = [
+        simulated("bust", size=FULL, object_motion_mm=(0.7 * s, s, 0.0), exposure=1.0, noise_levels=0.0)[0]
+        for s in np.linspace(-10, 10, 7)
+    ]
+    mean = np.mean([frame.image for frame in frames], axis=0)
+    image = np.clip(mean + np.random.default_rng(0).normal(0, 1.5, mean.shape), 0, 255).astype(np.uint8)
+    with pytest.warns(DecodeWarning, match="of the code"):
+        frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
+    right, wrong = shares(frame, frames[3])
+    assert right > 0.6
+    assert wrong < 0.04
+
+
+def test_the_error_probability_is_what_it_says():
+    """Of uncertain regions about as many are wrong as their probabilities promise; more frames are a benchmark's."""
+    tikernels.init("cpu")
+    regions = np.array([region for seed in range(900, 916) for region in judged_regions(*uncertain_frame(seed))])
+    uncertain = regions[:, 0] > 0.1
+    expected, observed = regions[uncertain].sum(axis=0)
+    assert expected > 20
+    assert expected / 2 < observed < 2 * expected
+    assert regions[regions[:, 0] < 1e-3, 1].sum() == 0
+    assert (regions[:, 0] < 1e-3).sum() > 20
+
+
+def test_a_code_that_nobody_told_of_in_unknown_light():
+    """The frame is decoded twice, to learn the light; what the first run said of the code is not lost."""
+    truth, _ = simulated("bust")
+    with pytest.warns(DecodeWarning, match=r'shows a contrast code: set code = "contrast"'):
+        Decoder(DecodeSettings(), arch="cpu").decode(truth.image)
+
+
+def test_a_code_that_nobody_told_of():
+    truth, calibration = simulated("bust")
+    decoder = Decoder(DecodeSettings(), said(calibration, None), arch="cpu")
+    with pytest.warns(DecodeWarning, match=r'shows a contrast code: set code = "contrast"'):
+        frame = decoder.decode(truth.image)
+    assert not frame.absolute.any()
+    assert decoder.decode(truth.image).warnings == ()  # once is enough
+
+
+@pytest.mark.parametrize("rows", [26, 44, 60])
+def test_too_few_cycles_are_flagged(rows):
+    """Two to five cycles do not name their place."""
+    truth, calibration = simulated("plane")
+    settings = DecodeSettings(code="contrast", crosstalk_matrix=calibration.crosstalk_matrix)
+    with pytest.warns(DecodeWarning, match="of the code"):
+        frame = Decoder(settings, arch="cpu").decode(truth.image[150 : 150 + rows])
+    assert not frame.absolute.any()
+
+
+def test_two_objects_too_small_for_the_code():
+    truth, calibration = simulated("plane")
+    image = truth.image.copy()
+    image[:, :] = 0
+    for top, left in ((60, 50), (200, 300)):
+        image[top : top + 40, left : left + 60] = truth.image[top : top + 40, left : left + 60]
+    with pytest.warns(DecodeWarning, match="of the code"):
+        frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
+    assert frame.mask.any()
+    assert shares(frame, truth)[1] == 0
+
+
+def test_half_in_shadow():
+    truth, calibration = simulated("bust")
+    image = truth.image.copy()
+    image[:, : SIZE[0] // 2] = image[:, : SIZE[0] // 2] // 25
+    frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
+    right, wrong = shares(frame, truth)
+    assert right > 0.4
+    assert wrong < 0.002
+
+
+def test_a_texture_with_the_fringes_period():
+    truth, calibration = simulated("bust")
+    rows = np.arange(SIZE[1])[:, None, None]
+    image = (truth.image * (0.75 + 0.25 * np.cos(2 * np.pi * rows / 12.3))).astype(np.uint8)
+    frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
+    right, wrong = shares(frame, truth)
+    assert right > 0.95
+    assert wrong < 0.002
+
+
+def test_a_hidden_step_of_whole_cycles_splits_a_region(arch):
+    """Half of the plane lies one whole cycle away, which leaves no trace in the wrapped phase."""
+    truth, calibration = simulated("plane", texture=0.0)
+    rig = truth.rig
+    moved = simulate_frame(
+        rig,
+        SimulationSettings(scene="plane", texture=0.0),
+        shifted_codes(rig, cycles=1),
+    )
+    image = truth.image.copy()
+    image[:, SIZE[0] // 2 :] = moved.image[:, SIZE[0] // 2 :]
+    frame = Decoder(DecodeSettings(), calibration, arch=arch).decode(image)
+    cycles = (frame.unwrapped_phase - truth.phase) / (2 * np.pi)
+    known = frame.absolute & truth.mask
+    expected = np.where(np.arange(SIZE[0]) >= SIZE[0] // 2, 1, 0)
+    wrong = known & (np.rint(np.nan_to_num(cycles)) != expected)
+    assert known.mean() > 0.95
+    assert wrong.mean() < 0.01
+
+
+def shifted_codes(rig, cycles):
+    """Return the rig's pattern with the code moved by whole cycles, the phase staying."""
+    return coded_by(rig, np.roll(cycle_modulations(), -cycles))
+
+
+def coded_by(rig, modulations):
+    """Return the rig's pattern with other modulations of its cycles."""
+    width, height = rig.projector.size_px
+    cycles = np.arange(height) / rig.pattern.period_px
+    modulation = np.interp(cycles, np.arange(len(modulations)), modulations)[:, None]
+    codes = 0.5 + modulation * np.cos(2 * np.pi * cycles[:, None] + np.array(CHANNEL_PHASES))
+    return np.ascontiguousarray(np.broadcast_to(codes[:, None].astype(np.float32), (height, width, 3)))
+
+
+def test_a_depth_range_narrows_the_offsets():
+    """Seven cycles that alone do not place themselves do within a range of 60 mm, and not outside of it."""
+    truth, calibration = simulated("plane")
+    rows = slice(150, 150 + 70)
+    image = np.zeros_like(truth.image)
+    image[rows] = truth.image[rows]
+    probability = []
+    for depth_range in ((700.0, 1200.0), (870.0, 930.0)):
+        told = calibration.model_copy(update={"depth_range_mm": depth_range})
+        decoder = Decoder(DecodeSettings(), told, arch="cpu")
+        frame = decoder.decode(image)
+        assert shares(frame, truth)[1] == 0
+        probability.append(float(np.nanmedian(frame.order_error_probability)))
+    assert probability[1] <= probability[0]
+    elsewhere = calibration.model_copy(update={"depth_range_mm": (300.0, 350.0)})
+    with pytest.warns(DecodeWarning, match="of the code"):
+        frame = Decoder(DecodeSettings(), elsewhere, arch="cpu").decode(image)
+    assert not frame.absolute.any()

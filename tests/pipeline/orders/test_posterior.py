@@ -1,0 +1,76 @@
+"""What a depth range leaves possible of a region's orders."""
+
+import numpy as np
+import pytest
+
+from pipeline import Decoder, DecodeSettings
+from pipeline.orders.posterior import NOTHING_KNOWN, OrderRange, PartRange, Posterior
+from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
+
+
+def test_an_error_far_below_rounding_is_kept():
+    posterior = Posterior(-3, np.array([1e-30, 1.0, 0.0]))
+    assert posterior.best == -2
+    assert posterior.error(-2) == pytest.approx(1e-30)
+    assert posterior.error(-3) == 1.0
+    assert posterior.error(7) == posterior.error(-9) == 1.0
+    assert NOTHING_KNOWN.error(0) == 1.0
+
+
+@pytest.mark.parametrize(("width", "least", "most"), [(0.3, 0.0, 1e-3), (1.0, 1e-3, 0.1), (5.0, 0.5, 0.9)])
+def test_a_range_of_more_cycles_leaves_more_open(width, least, most):
+    posterior = PartRange(4 - width / 2, 4 + width / 2, True).alone()
+    assert posterior.best == 4
+    assert least <= posterior.error(4) <= most
+    assert posterior.probability.sum() == pytest.approx(1)
+
+
+def test_a_surface_that_fits_nowhere_is_not_known():
+    """A relief of two cycles more than the range."""
+    assert PartRange(5.0, 3.0, True).alone() is NOTHING_KNOWN
+    assert PartRange(3.4, 3.2, True).alone() is not NOTHING_KNOWN
+
+
+def test_a_code_that_contradicts_the_range_is_not_believed():
+    sure = Posterior(0, np.array([0.0, 0.0, 1.0]))
+    assert PartRange(1.5, 2.5, False).narrow(sure).error(2) < 1e-6
+    assert PartRange(-9.0, 0.5, False).narrow(sure) is NOTHING_KNOWN
+
+
+def test_relief_narrows_and_a_few_pixels_do_not_matter():
+    """Patches that lie deep and high leave fewer offsets together than each alone; a tenth may lie anywhere."""
+    height = np.linspace(0, 1.7, 100)  # cycles
+    least, most = -height, 2 - height
+    least[:8], most[:8] = 40, 42
+    roots, pixels = np.zeros(100, np.int32), np.full(100, 128)
+    (part,) = OrderRange(least, most, True).by_part(roots, np.array([0]), pixels)
+    assert part.least == pytest.approx(0, abs=0.2)
+    assert part.most == pytest.approx(0.3, abs=0.25)
+    posterior = part.alone()
+    assert posterior.best == 0
+    assert posterior.error(0) < 0.05
+
+
+def decoded(scene, depth_range, **rig):
+    """Return a plain frame decoded with a depth range, and its truth."""
+    runtime.init("cpu")
+    calibration = simulated_rig((320, 240), period_px=2 * 768 / 44, **rig)
+    settings = SimulationSettings(scene=scene)
+    truth = simulate_frame(calibration, settings)
+    told = {"depth_range_mm": depth_range, "crosstalk_matrix": settings.crosstalk_matrix}
+    return Decoder(DecodeSettings(), calibration.model_copy(update=told), arch="cpu").decode(truth.image), truth
+
+
+def test_a_plain_pattern_is_absolute_where_one_order_fits():
+    frame, truth = decoded("waves", (870.0, 920.0))
+    right = np.abs(frame.unwrapped_phase - truth.phase)[frame.mask & truth.mask] < np.pi
+    assert right.all()
+    assert frame.absolute[frame.mask].all()
+    assert frame.order_error_probability[frame.mask].max() < 1e-3
+
+
+def test_a_wide_range_leaves_a_plain_pattern_open():
+    frame, _ = decoded("waves", (600.0, 1200.0))
+    assert not frame.absolute.any()
+    assert 0.1 < frame.order_error_probability[frame.mask].min() < 1

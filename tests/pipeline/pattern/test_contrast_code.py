@@ -1,0 +1,59 @@
+"""The code and the pattern that carries it."""
+
+import json
+
+import numpy as np
+import pytest
+
+from pipeline.calibration import Pattern
+from pipeline.errors import SettingsError
+from pipeline.pattern.contrast_code import CYCLES, LEVELS, cycle_modulations, modulation_at
+from pipeline.pattern.fringes import make_pattern, write_pattern
+
+
+def distances(length: int) -> np.ndarray:
+    """Return the squared distance of every two stretches of so many cycles, in levels, by their steps alone."""
+    symbols = np.searchsorted(LEVELS, cycle_modulations())
+    steps = np.lib.stride_tricks.sliding_window_view(np.diff(symbols), length - 1)
+    apart = ((steps[:, None] - steps[None]) ** 2).sum(axis=-1)
+    return apart[np.triu_indices(len(steps), 1)]
+
+
+@pytest.mark.parametrize(("length", "least"), [(5, 1), (6, 1), (7, 2), (8, 2), (10, 3), (12, 5)])
+def test_no_two_stretches_change_alike(length, least):
+    """Six cycles and more name their place, whatever gain the contrast has."""
+    assert distances(length).min() >= least
+
+
+def test_a_pattern_holds_a_sinusoid_of_constant_mean():
+    pattern = Pattern(period_px=768 / 44, code="contrast")
+    codes = make_pattern((4, 768), pattern)[:, 0].astype(np.float64)
+    cycles = np.arange(768) / pattern.period_px
+    np.testing.assert_allclose(codes.mean(axis=1), 0.5, atol=1e-6)
+    vector = codes @ np.exp(-1j * np.array([-1, 0, 1]) * 2 * np.pi / 3) * 2 / 3
+    np.testing.assert_allclose(np.abs(vector), modulation_at(cycles), atol=1e-6)
+    np.testing.assert_allclose(np.angle(vector * np.exp(-2j * np.pi * cycles)), 0, atol=1e-5)
+    assert codes.min() >= 0 and codes.max() <= 1
+
+
+def test_the_code_hardly_leaks_into_the_mean_of_a_channel():
+    """A Gaussian of 0.85 cycles, the balance's, sees each channel's mean to 0.4 %: 0.003 rad."""
+    period = 16
+    codes = make_pattern((1, 100 * period), Pattern(period_px=period, code="contrast"))[:, 0].astype(np.float64)
+    reach = np.arange(-6 * period, 6 * period + 1)
+    taps = np.exp(-0.5 * (reach / (0.85 * period)) ** 2)
+    means = np.stack([np.convolve(channel, taps / taps.sum(), "valid") for channel in codes.T])
+    assert np.abs(means / means.mean(axis=0) - 1).max() < 0.012
+    assert np.sqrt(np.mean((means / means.mean(axis=0) - 1) ** 2)) < 0.004
+
+
+def test_more_cycles_than_the_code_tells_apart():
+    assert make_pattern((1, CYCLES * 4), Pattern(period_px=4, code="contrast")).shape == (CYCLES * 4, 1, 3)
+    with pytest.raises(SettingsError, match=r"tells 136 cycles apart.*take a period of 8 px or more"):
+        make_pattern((4, 8 * CYCLES), Pattern(period_px=4, code="contrast"))
+
+
+def test_a_written_pattern_names_its_code(tmp_path):
+    write_pattern(tmp_path / "p.png", (64, 64), Pattern(period_px=16, stripes="vertical", code="contrast"))
+    described = json.loads((tmp_path / "p.json").read_text())
+    assert Pattern(**described) == Pattern(period_px=16, stripes="vertical", code="contrast")

@@ -1,0 +1,314 @@
+"""Recordings of bursts: each is there whole or not at all, whatever happens to the disk, the user or the program."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+
+import av
+import numpy as np
+import pytest
+import zarr
+from zarr.codecs import BloscCodec, Crc32cCodec
+
+from pipeline.errors import OutputError
+from pipeline.footage.sources import open_source
+from pipeline.recording import recorder as recording
+from pipeline.recording.recorder import Recorder
+from tikernels.raw.pixel_format import PixelFormat
+
+RGB8, RGB12, BAYER8 = PixelFormat("rgb"), PixelFormat("rgb", 12), PixelFormat("bayer", bayer="gbrg")
+BURST = 5
+
+both = pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
+
+
+def frame_of(number, format=RGB8):
+    """Return a frame that tells its number, and does not compress."""
+    (shape,) = format.plane_shapes(22, 34)
+    return np.random.default_rng(number).integers(0, 2**format.bits, shape).astype(format.dtype)
+
+
+def add(recorder, n_frames):
+    for _ in range(n_frames):
+        recorder.add(frame_of(recorder.n_frames))
+
+
+def held(path):
+    """Return how many frames a recording holds, having compared each with what was recorded."""
+    source = open_source(path)
+    assert source.notes == ()
+    frames = list(source.frames())
+    assert [frame.number for frame in frames] == list(range(len(source)))
+    for frame in frames:
+        levels = frame.planes[0][..., 2::-1] if frame.format.channels == "bgr0" else frame.planes[0]
+        np.testing.assert_array_equal(levels, frame_of(frame.number))
+    return len(frames)
+
+
+def parts(path):
+    """Return everything that is in a recording, sorted: what is behind its end would be a name, or bytes, more."""
+    return sorted(path.iterdir()) if path.is_dir() else path.stat().st_size
+
+
+@contextmanager
+def file_size_limit(n_bytes):
+    """Let no file grow beyond that: what a full disk does, with another number."""
+    resource = pytest.importorskip("resource", reason="Windows has no such limits")
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (n_bytes, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+
+
+@both
+@pytest.mark.parametrize("n_more", [0, 1, 3])
+def test_an_error_keeps_what_was_committed(tmp_path, suffix, n_more):
+    path = tmp_path / f"a{suffix}"
+    with pytest.raises(KeyboardInterrupt), Recorder(path, RGB8) as recorder:
+        for _ in range(2):
+            add(recorder, BURST)
+            recorder.commit()
+            assert not path.exists()
+        assert recorder.n_frames == 2 * BURST
+        add(recorder, n_more)
+        assert recorder.n_frames == 2 * BURST + n_more
+        raise KeyboardInterrupt
+    assert recorder.n_frames == 2 * BURST
+    assert [left.name for left in tmp_path.iterdir()] == [path.name]
+    assert held(path) == 2 * BURST
+    with Recorder(tmp_path / f"b{suffix}", RGB8) as recorder:
+        add(recorder, 2 * BURST)
+    ours, undisturbed = parts(path), parts(tmp_path / f"b{suffix}")
+    assert ours == undisturbed if suffix == ".mkv" else len(ours) == len(undisturbed)
+
+
+@both
+def test_the_disk_is_full_in_mid_burst(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    with pytest.raises(OutputError, match=r"cannot record to .*: File too large; its first 5 frames are kept"):
+        with Recorder(path, RGB8) as recorder:
+            add(recorder, BURST)
+            recorder.commit()
+            # Of Matroska two frames of the next burst find room; of Zarr half a frame each.
+            with file_size_limit(recorder.n_bytes * 7 // 5 if suffix == ".mkv" else frame_of(0).nbytes // 2):
+                add(recorder, BURST)
+                recorder.commit()
+    assert [left.name for left in tmp_path.iterdir()] == [path.name]
+    assert recorder.n_frames == held(path) == BURST
+    with pytest.raises(OutputError, match="the recording has ended"):
+        add(recorder, 1)
+    with pytest.raises(OutputError, match="the recording has ended"):
+        recorder.commit()
+    recorder.close()
+
+
+@both
+def test_the_disk_is_full_when_the_list_of_frames_is_written(tmp_path, suffix):
+    """A file system may have no room for a single byte more: what was committed needs none."""
+    with file_size_limit(10), pytest.raises(OutputError, match="File too large"):
+        Recorder(tmp_path / f"a{suffix}", RGB8).add(frame_of(0))
+    assert list(tmp_path.iterdir()) == []
+    recorder = Recorder(tmp_path / f"a{suffix}", RGB8)
+    add(recorder, BURST)
+    recorder.commit()
+    with file_size_limit(10):
+        recorder.stop()
+    assert held(tmp_path / f"a{suffix}") == BURST
+
+
+class TimeIsUp(KeyboardInterrupt):
+    """What the user's Ctrl-C raises, at a moment that the test chooses."""
+
+
+@both
+def test_ctrl_c_at_any_moment(tmp_path, suffix):
+    if not hasattr(signal, "setitimer"):
+        pytest.skip("Windows has no such timers")
+
+    def press(signum, stack):
+        if recording_now:
+            raise TimeIsUp
+
+    before = signal.signal(signal.SIGALRM, press)
+    rng, kept, stopped = random.Random(3), [], 0
+    committed, recording_now = 0, False
+    try:
+        begin = time.monotonic()
+        with Recorder(tmp_path / f"first{suffix}", RGB8) as recorder:
+            for _ in range(3):
+                add(recorder, BURST)
+                recorder.commit()
+        takes_s = time.monotonic() - begin
+        for k in range(40):
+            path = tmp_path / f"{k}{suffix}"
+            recorder = Recorder(path, RGB8)
+            committed, recording_now = 0, True
+            try:
+                with recorder:
+                    signal.setitimer(signal.ITIMER_REAL, rng.uniform(1e-4, 1.2 * takes_s))
+                    for _ in range(3):
+                        add(recorder, BURST)
+                        recorder.commit()
+                        committed += BURST
+                recording_now = False
+            except TimeIsUp:
+                stopped += 1
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            recorder.stop()  # between a block and the first line of __exit__ Python itself leaves a gap
+            left = [name for name in os.listdir(tmp_path) if name.startswith(".")]
+            assert left == []
+            n_frames = held(path) if path.exists() else 0
+            # Stopped in a commit, that one may be kept, or not.
+            assert n_frames == recorder.n_frames
+            assert n_frames in (committed, committed + BURST)
+            kept.append(n_frames)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    assert stopped >= 10
+    assert len(set(kept)) > 1
+
+
+RECORD_FOR_EVER = """
+import sys
+sys.path[:0] = sys.argv[2:]
+from test_bursts import BURST, RGB8, Recorder, add
+recorder = Recorder(sys.argv[1], RGB8)
+while True:
+    add(recorder, BURST)
+    recorder.commit()
+    print(recorder.n_frames, flush=True)
+"""
+
+
+@both
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_killed_program_leaves_what_it_had_committed(tmp_path, suffix, seed):
+    """Under its temporary name, which the user may change; nothing of it needs repair."""
+    arguments = [sys.executable, "-c", RECORD_FOR_EVER, tmp_path / f"a{suffix}", *sys.path]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        time.sleep(random.Random(seed).uniform(0.01, 0.2))
+        process.kill()
+        said = process.stdout.read().split()
+    (left,) = tmp_path.iterdir()
+    assert left.name.endswith(f".part{suffix}")
+    os.rename(left, tmp_path / f"a{suffix}")
+    n_frames = held(tmp_path / f"a{suffix}")
+    assert n_frames % BURST == 0
+    assert n_frames >= int(said[-1]) if said else BURST
+
+
+@both
+def test_frames_may_be_used_again(tmp_path, suffix):
+    """And come out in order, though several threads write them."""
+    with Recorder(tmp_path / f"a{suffix}", RGB8) as recorder:
+        buffer = np.empty_like(frame_of(0))
+        for number in range(100):
+            buffer[...] = frame_of(number)
+            recorder.add(buffer)
+    assert held(tmp_path / f"a{suffix}") == 100
+
+
+def test_nothing_is_kept_in_memory(tmp_path):
+    """However slow the disk, no more frames are in hand than there are buffers for."""
+    recorder = Recorder(tmp_path / "a.zarr", RGB8)
+    add(recorder, 1)
+    recorder.commit()
+    may_go, write = threading.Event(), recorder._crew._writer.write
+
+    def slowly(number, frame):
+        may_go.wait(20)
+        return write(number, frame)
+
+    recorder._crew._writer.write = slowly
+    adding = threading.Thread(target=add, args=(recorder, 100))
+    adding.start()
+    time.sleep(0.3)
+    assert adding.is_alive()
+    assert recorder.n_frames <= 1 + recording._MOST_IN_HAND
+    may_go.set()
+    adding.join()
+    recorder.close()
+    assert held(tmp_path / "a.zarr") == 101
+
+
+@both
+def test_a_disk_that_never_answers(tmp_path, suffix, monkeypatch):
+    """The program goes on, and what was committed can be read where it is."""
+    monkeypatch.setattr(recording, "_PATIENCE_S", 0.1)
+    monkeypatch.setattr(recording, "_END_S", 0.1)
+    recorder = Recorder(tmp_path / f"a{suffix}", RGB8)
+    add(recorder, BURST)
+    recorder.commit()
+    may_go = threading.Event()
+    monkeypatch.setattr(recorder._crew._writer, "write", lambda number, frame: may_go.wait(20))
+    with pytest.raises(OutputError, match=r"cannot finish .*a\.\w+, see .*\.part\.\w+: the disk does not answer"):
+        add(recorder, 2 * recording._MOST_IN_HAND)
+    (left,) = tmp_path.iterdir()
+    assert held(left) == BURST
+    recorder.close()
+    may_go.set()
+    while recorder._crew._running:
+        time.sleep(0.01)
+
+
+def test_chunks_are_those_of_zarr(tmp_path):
+    for format in (RGB8, RGB12):
+        path = tmp_path / f"{format.bits}.zarr"
+        with Recorder(path, format) as recorder:
+            for number in range(3):
+                recorder.add(frame_of(number, format))
+        array = zarr.create_array(
+            tmp_path / f"{format.bits} by zarr",
+            data=np.array([frame_of(number, format) for number in range(3)]),
+            chunks=(1, 22, 34, 3),
+            compressors=[BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle"), Crc32cCodec()],
+            chunk_key_encoding={"name": "default", "separator": "."},
+        )
+        ours = zarr.open_group(path, mode="r")["frames"]
+        assert ours.metadata == array.metadata
+        for number in range(3):
+            chunks = [folder / f"c.{number}.0.0.0" for folder in (path / "frames", tmp_path / f"{format.bits} by zarr")]
+            assert chunks[0].read_bytes() == chunks[1].read_bytes()
+
+
+def test_other_programs_read_it(tmp_path):
+    """By FFmpeg, which finds the length, the list of frames and each frame's time."""
+    with Recorder(tmp_path / "a.mkv", RGB8, rate_hz=200, transfer="srgb") as recorder:
+        add(recorder, 50)
+    with av.open(str(tmp_path / "a.mkv")) as container:
+        (stream,) = container.streams
+        assert container.duration == 250_000
+        assert stream.average_rate == 200
+        assert stream.codec_context.name == "ffv1"
+        assert container.metadata["COLORPHASE_TRANSFER"] == "srgb"
+        container.seek(145, stream=stream)
+        assert [entry.timestamp for entry in stream.index_entries] == list(range(0, 250, 5))
+        frame = next(container.decode(stream))
+        assert frame.pts == 145
+        np.testing.assert_array_equal(frame.to_ndarray(format="rgb24"), frame_of(29))
+
+
+@both
+def test_what_it_says_of_itself(tmp_path, suffix):
+    recorder = Recorder(tmp_path / f"a{suffix}", RGB8)
+    assert (recorder.n_frames, recorder.n_bytes) == (0, 0)
+    recorder.commit()
+    with recorder:
+        add(recorder, 7)
+    assert recorder.n_frames == 7
+    path = tmp_path / f"a{suffix}"
+    n_bytes = sum(part.stat().st_size for part in ((path / "frames").glob("c.*") if path.is_dir() else (path,)))
+    assert recorder.n_bytes <= n_bytes <= recorder.n_bytes + 3000  # of Matroska with its head and its list
+    recorder.close()
+    recorder.stop()
+    assert held(tmp_path / f"a{suffix}") == 7

@@ -1,0 +1,157 @@
+"""The fit of every pixel's phase by the channels' model: against its twin, and against the information limit."""
+
+import numpy as np
+import pytest
+import reference
+
+from tikernels import runtime
+from tikernels.phase.channel_model import HARMONICS, ChannelModel, flat_template, known_template
+from tikernels.phase.color_balance import Gains
+from tikernels.phase.crosstalk import invert_crosstalk
+from tikernels.phase.equalization import SLOTS, correction_table, count_phases_kernel
+from tikernels.phase.phase_fit import CLIPPED, recover_phase_kernel
+from tikernels.phase.wrapped_phase import phase_weights
+
+MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
+COLOR = np.array([0.75, 0.52, 0.42])
+PERIOD_PX = 12.3
+NOISE = 1.5
+DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
+
+
+def clean_light(phase: np.ndarray, gamma: float, ambient: float) -> np.ndarray:
+    """Return (H, W, 3) levels of a coloured plane whose brightness falls off to the right, in ambient light."""
+    light = (0.5 + 0.5 * np.cos(phase[..., None] + DELAYS)) ** gamma
+    x = np.arange(phase.shape[1]) / phase.shape[1]
+    return 150 * COLOR * ((1 - 0.6 * x)[:, None] * (light @ MATRIX.T) + ambient)
+
+
+def noisy_frame(gamma: float, ambient: float, shape=(120, 160)) -> tuple[np.ndarray, np.ndarray]:
+    phase = reference.ramp(*shape, PERIOD_PX, tilt=0.02)
+    noise = NOISE * np.random.default_rng(5).standard_normal((*shape, 3))
+    return (clean_light(phase, gamma, ambient) + noise).astype(np.float32), phase
+
+
+def recover(image: np.ndarray, *, balance_first=True, doubt=0.02, gain=0.0, fitted=True):
+    """Run the stages from levels to phase; return phase, modulation, precision and the model."""
+    height, width = image.shape[:2]
+    inverse = invert_crosstalk(MATRIX, normalize_rows=balance_first).astype(np.float32)
+    matrix = np.linalg.inv(inverse).astype(np.float32)
+    weights = phase_weights(inverse if balance_first else np.eye(3)).astype(np.float32)
+    gains = Gains(height, width, PERIOD_PX)
+    model = ChannelModel(gains)
+    gains.measure(image, inverse, matrix, 5.0, 5.0, balance_first=balance_first)
+    model.recover_samples(weights, 5.0, 255 * CLIPPED)
+    histogram = np.zeros((SLOTS, 256), np.int32)
+    count_phases_kernel(model.phases, 1, histogram)
+    correction = correction_table(histogram.sum(axis=0), 9)
+    model.fit(correction, flat_template())
+    if not fitted:
+        model.template[:, 1:] *= 0
+    out = [runtime.empty((height, width), np.float32) for _ in range(3)]
+    light = (image, 255.0, inverse, matrix, weights, correction, model.template, model.nodes)
+    recover_phase_kernel(balance_first, gains.cell)(*light, 5.0, 5.0, NOISE, gain, doubt, *out)
+    return *(runtime.to_host(o) for o in out), model, correction
+
+
+def limit(phase: np.ndarray, gamma: float, ambient: float) -> np.ndarray:
+    step = 1e-4
+    slope = (clean_light(phase + step, gamma, ambient) - clean_light(phase - step, gamma, ambient)) / (2 * step)
+    return NOISE / np.sqrt((slope**2).sum(axis=-1))
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize(("gamma", "ambient"), [(1.0, 0.0), (1.0, 0.1), (2.0, 0.05)])
+def test_near_the_information_limit(arch, gamma, ambient):
+    """Of the limit that knows everything but the phase: 1.18 at most, where brightness has to be found, too."""
+    image, truth = noisy_frame(gamma, ambient)
+    phase = recover(image)[0]
+    error = reference.wrapped_difference(phase, truth)
+    assert rms(error - error.mean()) < 1.25 * rms(limit(truth, gamma, ambient))
+    assert abs(error.mean()) < 0.005
+
+
+def test_the_precision_is_that_of_the_errors(arch):
+    image, truth = noisy_frame(2.0, 0.05)
+    phase, _, precision, _, _ = recover(image)
+    error = reference.wrapped_difference(phase, truth)
+    z = (error - error.mean()) * np.sqrt(precision)
+    assert 0.62 < np.mean(np.abs(z) < 1) < 0.72
+    assert 0.92 < np.mean(np.abs(z) < 2) < 0.97
+
+
+def test_modulation_in_levels(arch):
+    image, truth = noisy_frame(1.0, 0.1)
+    modulation = recover(image)[1]
+    x = np.arange(truth.shape[1]) / truth.shape[1]
+    # Of the balanced channels, whose mean stays.
+    expected = 150 * 0.5 * (COLOR * MATRIX.sum(axis=1)).mean() * (1 - 0.6 * x)
+    middle = modulation[30:90].mean(axis=0)
+    assert np.abs(middle / expected - 1)[20:140].max() < 0.1
+
+
+@pytest.mark.parametrize(("balance_first", "gain"), [(True, 0.0), (False, 0.0), (True, 0.05)])
+def test_as_the_twin(arch, balance_first, gain):
+    image, _ = noisy_frame(2.0, 0.05, (36, 48))
+    image[20, 30] += 0.6 * (image[14:27, 30].mean(axis=0) - image[20, 30])  # no such contrast in the model
+    phase, _, precision, model, correction = recover(image, balance_first=balance_first, gain=gain)
+    start = recover(image, balance_first=balance_first, gain=gain, fitted=False)[
+        0
+    ]  # without a template there is no step
+    nodes = runtime.to_host(model.nodes).astype(np.float64)
+    cell = model._gains.cell
+    y, x = (np.clip((np.arange(n) + 0.5) / cell - 0.5, 0, m - 1) for n, m in ((36, len(nodes)), (48, nodes.shape[1])))
+    i, j = np.minimum(y.astype(int), nodes.shape[0] - 2), np.minimum(x.astype(int), nodes.shape[1] - 2)
+    fy, fx = (y - i)[:, None, None], (x - j)[None, :, None]
+    rows = nodes[i] * (1 - fy) + nodes[i + 1] * fy
+    at = rows[:, j] * (1 - fx) + rows[:, j + 1] * fx
+    mixing = None if balance_first else MATRIX
+    template = model.template.astype(np.float64)
+    expected, sharp = reference.fit_phase(
+        image.astype(float), start.astype(float), template, at[..., :3], at[..., 3:], (NOISE, gain), 0.02, mixing
+    )
+    close = np.abs(expected - start) < 0.29  # further off the step is cut
+    np.testing.assert_allclose(reference.wrapped_difference(phase, expected)[close], 0, atol=2e-3)
+    np.testing.assert_allclose(precision[close], sharp[close], rtol=0.02)
+    assert template.shape == (3, 1 + 2 * HARMONICS)
+    assert len(correction) == 257
+    assert precision[20, 30] < 0.3 * precision[20, 28:30].mean()
+
+
+def test_dark_and_clipped_pixels_have_no_phase(arch):
+    image, _ = noisy_frame(1.0, 0.0)
+    image[40:50, 60:70] = 0
+    image[80:85, 20:30] = 255
+    phase = recover(image)[0]
+    assert (phase[40:50, 60:70] > 50).all()
+    assert (phase[80:85, 20:30] > 50).all()
+    assert np.mean(phase > 50) < 0.02
+
+
+def test_hardly_any_sample_leaves_the_arctangent(arch):
+    """Three rows of lit pixels teach next to nothing: the template stays nearly flat, and the phase what it was."""
+    image, _ = noisy_frame(1.0, 0.0, (24, 24))
+    image[3:] = 0
+    phase, _, _, model, _ = recover(image)
+    assert np.isfinite(phase).all()
+    assert np.isfinite(model.template).all()
+    assert np.abs(model.template[:, 1:]).max() < 1.0
+
+
+def test_the_template_of_a_known_rig():
+    """Gamma 2 has a first harmonic of 4/3 and a second one of 1/3 of the mean; crosstalk mixes the channels."""
+    response = np.tile(np.linspace(0, 1, 4096) ** 2, (3, 1))
+    template = known_template(np.eye(3), response)
+    waves = template[:, 1 : 1 + HARMONICS] - 1j * template[:, 1 + HARMONICS :]
+    np.testing.assert_allclose(waves[:, 0], 4 / 3 * np.exp(1j * DELAYS), atol=1e-4)
+    np.testing.assert_allclose(waves[:, 1], 1 / 3 * np.exp(2j * DELAYS), atol=1e-4)
+    mixed = known_template(MATRIX, response)
+    expected = (MATRIX / MATRIX.sum(axis=1, keepdims=True)) @ waves
+    np.testing.assert_allclose(mixed[:, 1 : 1 + HARMONICS], expected.real, atol=1e-4)
+    lag = np.array([0.2, 0.0, -0.1])
+    lagging = known_template(np.eye(3), response, lag)
+    waves = lagging[:, 1] - 1j * lagging[:, 1 + HARMONICS]
+    np.testing.assert_allclose(np.angle(waves * np.exp(-1j * (DELAYS - lag))), 0, atol=1e-6)

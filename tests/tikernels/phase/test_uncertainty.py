@@ -1,0 +1,68 @@
+"""Standard deviations: as NumPy computes them, and as the errors really are."""
+
+import numpy as np
+import pytest
+import reference
+
+from pipeline.simulation import simulated_rig
+from tikernels import runtime, triangulate
+from tikernels.phase.uncertainty import OFF, PARTLY, WHOLE, compare_rows_kernel, phase_sigma_kernel, point_sigma_kernel
+
+SHAPE = (41, 67)
+AVERAGED = 0.2  # of the variance, after smoothing over five px
+
+
+def case(seed=1):
+    """Return a precision and what the smoothing of each pixel rests on."""
+    rng = np.random.default_rng(seed)
+    precision = (1e3 + 4e3 * rng.random(SHAPE)).astype(np.float32)
+    support = rng.choice(np.array([OFF, PARTLY, WHOLE], np.uint8), SHAPE, p=(0.1, 0.2, 0.7))
+    return precision, support
+
+
+def expected_sigma(precision, support, empty, scatter):
+    """Return the fit's sigma, of which smoothing averages all but the model's 3 %, and 0.025 rad beside nothing."""
+    variance = (np.where(support == WHOLE, AVERAGED, 1) + 0.03) / precision
+    return np.where(support == OFF, np.nan, np.sqrt(scatter**2 * variance + 0.025**2 * empty))
+
+
+def test_as_the_twin(arch):
+    precision, support = case()
+    empty = np.random.default_rng(2).random(SHAPE).astype(np.float32)
+    out = runtime.empty(SHAPE, np.float32)
+    phase_sigma_kernel(precision, support, empty, AVERAGED, 1.3, out)
+    expected = expected_sigma(precision, support, empty, 1.3)
+    np.testing.assert_allclose(runtime.to_host(out), expected, rtol=1e-5)
+
+
+def test_rows_that_differ_by_what_is_expected_have_a_ratio_of_one(arch):
+    """Of a bent surface with that noise; the median of a normal distribution's size is 0.6745 sigma."""
+    height, width = 400, 300
+    precision, support = np.full((height, width), 2500, np.float32), np.full((height, width), WHOLE, np.uint8)
+    support[:5, :7] = OFF
+    sigma = expected_sigma(precision, support, np.float32(0), 1)
+    rows = np.arange(height)[:, None]
+    noise = sigma * np.random.default_rng(3).standard_normal((height, width))
+    phase = (0.1 * rows + 1e-4 * rows**2 + noise).astype(np.float32)
+    step, every = 4, 3
+    ratio = np.empty((height - 3 * step, width // every), np.float32)
+    compare_rows_kernel(phase, precision, support, AVERAGED, step, every, ratio)
+    assert np.isnan(ratio[:5, :3]).all() and np.isfinite(ratio[:, 3:]).all()
+    assert np.median(ratio[:, 3:]) / 0.6745 == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+def test_the_sigma_of_points_is_how_far_a_sigma_of_phase_moves_them(arch, stripes):
+    made = simulated_rig(SHAPE[::-1], stripes=stripes, projector_distortion=(-0.1, 0.05, 0.001, -0.002, 0.01))
+    rays, projector = made.geometry().camera.rays(), made.geometry().for_triangulation()
+    points = np.concatenate([rays, np.ones((*SHAPE, 1))], axis=-1) * 900
+    phase = (2 * np.pi / projector.period_px * reference.projector_px(points, projector)).astype(np.float32)
+    phase[3, 4] = np.nan
+    sigma = np.full(SHAPE, 0.02, np.float32)
+    found = triangulate(phase, rays, projector)
+    out = runtime.empty(SHAPE, np.float32)
+    point_sigma_kernel(phase, sigma, found, rays, *projector.arguments(), out)
+    moved = reference.triangulate(phase + sigma, rays, projector) - reference.triangulate(phase, rays, projector)
+    # Two rounded depths of 900 mm, 0.06 um each, make a difference of some 0.14 mm.
+    np.testing.assert_allclose(runtime.to_host(out), np.linalg.norm(moved, axis=-1), rtol=0.02)
+    assert np.isnan(runtime.to_host(out)[3, 4])

@@ -1,0 +1,81 @@
+"""Compare a frame's orders with those of the frame before, where both see a surface.
+
+Between two frames of a video a surface moves by less than half a cycle of phase, so the whole cycles that a pixel's
+phase lacks to that of the frame before are those that its region lacks to be absolute, wherever the pixel still sees
+the same surface. Where it does not, it votes for anything: at the edges of what moves. A vote is sound where the frame
+before shows no edge within reach.
+"""
+
+from tikernels._taichi import F32Array2, I32Array2, i32, ti
+from tikernels.phase.phase_vector import PI
+from tikernels.unwrapping.patch_growing import (
+    CELL_HEIGHT,
+    CELL_WIDTH,
+    OFFSET,
+    ORDER_BITS,
+    ORDER_MASK,
+    ORDER_ZERO,
+    patch_number,
+)
+
+#: Pixels of a cell that vote: every fourth both ways.
+VOTES_A_CELL = (CELL_HEIGHT // 4) * (CELL_WIDTH // 4)
+#: Columns of the votes: patch (-1: none), cycles lacking, what is left over in 64ths of a cycle, region there before,
+#: and whether the vote is sound.
+PATCH, CYCLES, REST, BEFORE, SOUND = range(5)
+# An edge is looked for at these distances (px): what moves by less from frame to frame votes for its own surface.
+_REACH = (5, 10)
+# Where three pixels in a row bend by more (rad), another surface is so far away that its pixels would vote for another
+# order; a ball's rim or a nose bends by 1 to 2 in a coarse image.
+_MAX_BEND = 2.5
+
+
+@ti.func
+def smooth_around(phase: F32Array2, y: i32, x: i32) -> i32:
+    """Whether a surface goes on around a pixel; not where the image ends."""
+    height, width, far = phase.shape[0], phase.shape[1], ti.static(_REACH[-1])
+    smooth = 0
+    if ti.min(y, x) >= far and y < height - far and x < width - far:
+        smooth = 1
+        for reach in ti.static(_REACH):
+            for dy, dx in ti.static(((0, 1), (1, 0), (1, 1), (1, -1))):
+                one, other = phase[y - reach * dy, x - reach * dx], phase[y + reach * dy, x + reach * dx]
+                bend = one + other - 2.0 * phase[y, x]
+                if ti.math.isnan(bend) or ti.abs(bend) > _MAX_BEND:
+                    smooth = 0
+    return smooth
+
+
+@ti.kernel
+def vote_orders_kernel(
+    phase: F32Array2,  # (H, W) rad
+    labels: I32Array2,  # (H, W) patch and order in it
+    firsts: I32Array2,
+    draft_bits: i32,
+    patches: I32Array2,
+    before: F32Array2,  # (H, W) rad, unwrapped phase of the frame before; NaN outside its mask
+    region_before: I32Array2,  # (H, W)
+    out_votes: I32Array2,  # (cells * VOTES_A_CELL, 5)
+):
+    height, width = phase.shape[0], phase.shape[1]
+    columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
+    for vote in range(out_votes.shape[0]):
+        cell, place = vote // VOTES_A_CELL, vote % VOTES_A_CELL
+        y = (cell // columns) * CELL_HEIGHT + 4 * (place // (CELL_WIDTH // 4)) + 1
+        x = (cell % columns) * CELL_WIDTH + 4 * (place % (CELL_WIDTH // 4)) + 1
+        patch, cycles, rest, region, sound = -1, 0, 0, 0, 0
+        if y < height and x < width:
+            label = labels[y, x]
+            region = region_before[y, x]
+            if label >= 0 and region > 0:
+                patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
+                order = (label & ORDER_MASK) - ORDER_ZERO + patches[OFFSET, patch]
+                lacking = (before[y, x] - phase[y, x]) / (2.0 * PI) - ti.cast(order, ti.f32)
+                cycles = ti.cast(ti.round(lacking), i32)
+                rest = ti.cast(ti.round(64.0 * (lacking - ti.cast(cycles, ti.f32))), i32)
+                sound = smooth_around(before, y, x)
+        out_votes[vote, PATCH] = patch
+        out_votes[vote, CYCLES] = cycles
+        out_votes[vote, REST] = rest
+        out_votes[vote, BEFORE] = region
+        out_votes[vote, SOUND] = sound

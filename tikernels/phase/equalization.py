@@ -1,0 +1,271 @@
+"""Equalise the distribution of the phase, which undoes the projector's response without knowing it.
+
+Over many cycles a surface shows every phase equally often; a response that is not linear crowds them (section 3.2 of
+Je, Lee and Park 2004). The cumulative distribution, interpolated, is the map that spreads them again. Its free
+constant is set so that the mean correction is zero; otherwise the whole phase would shift with the branch cut.
+
+The assumption fails where few cycles are in view. But a response is the same everywhere, and what a surface shows too
+often is not: histograms of parts of the picture tell the two apart, harmonic by harmonic.
+"""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import _checks, runtime
+from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
+from tikernels.errors import ShapeError
+from tikernels.phase.phase_vector import PI, channel_waves, wrap
+from tikernels.phase.wrapped_phase import NO_PHASE, mark_no_phase_kernel
+
+#: Rows of a histogram that threads add to in parallel, so that they seldom wait for each other.
+SLOTS = 32
+# Fewer counts than this many a bin do not make a distribution.
+_MIN_COUNTS_A_BIN = 4
+
+
+def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) -> npt.NDArray[np.float32]:
+    """Return what to add to a phase, at the edges of the histogram's bins.
+
+    Parameters
+    ----------
+    histogram : (bins,) or (parts, bins) numbers
+        How often the wrapped phase fell into each part of [-pi, pi], in all or in parts of the picture. A harmonic in
+        which the parts differ counts less: by the variance of its mean over its square, as Wiener's filter has it.
+    harmonics : int, optional
+        Keep the correction's harmonics up to this one. A fringe of P pixels that runs along the pixel rows shows only P
+        phases, which the plain distribution mistakes for a distortion of harmonic P: keep it below P.
+
+    Returns
+    -------
+    (bins + 1,) float32
+        rad; zero where there are too few counts.
+    """
+    parts = np.atleast_2d(histogram).astype(np.float64)
+    counts = parts.sum(axis=0)
+    bins, total = len(counts), counts.sum()
+    if total < _MIN_COUNTS_A_BIN * bins:
+        return np.zeros(bins + 1, np.float32)
+    edges = np.linspace(-np.pi, np.pi, bins + 1)
+    correction = 2 * np.pi * np.concatenate([[0.0], np.cumsum(counts)]) / total - np.pi - edges
+    spectrum = np.fft.rfft(correction[:-1])
+    spectrum[1:] *= _certainty(parts)[1:]
+    if harmonics is not None:
+        spectrum[harmonics + 1 :] = 0
+    correction[:-1] = np.fft.irfft(spectrum, bins)
+    correction[-1] = correction[0]
+    mean = counts @ (correction[1:] + correction[:-1]) / (2 * total)
+    return (correction - mean).astype(np.float32)
+
+
+def _certainty(parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return by harmonic which share of it all (parts, bins) have in common; 1 where there is only one."""
+    totals = parts.sum(axis=1)
+    spectra, seen = np.fft.rfft(parts[totals > 0], axis=1), totals[totals > 0]
+    if len(seen) < 2:
+        return np.ones(spectra.shape[1])
+    mean = spectra.sum(axis=0) / seen.sum()
+    departures = np.abs(spectra - seen[:, None] * mean) ** 2
+    variance = departures.sum(axis=0) / seen.sum() ** 2 * len(seen) / (len(seen) - 1)
+    return np.asarray(np.maximum(1 - variance / np.maximum(np.abs(mean) ** 2, 1e-20), 0))
+
+
+def modulation_tables(table: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return what of a correction changes with the modulation.
+
+    What a response that is not linear adds to the phase, in the true phase's harmonics 3, 6 ..., is proportional to the
+    modulation, its square ...; what crosstalk and gains leave is not.
+
+    Parameters
+    ----------
+    table : (bins + 1,) float32
+        rad to add to a measured phase, for the usual modulation.
+
+    Returns
+    -------
+    (2, bins + 1) float32
+        The harmonics 3 and 6 of the correction over the corrected phase, rad.
+    """
+    bins = len(table) - 1
+    edges = np.linspace(-np.pi, np.pi, bins + 1)
+    corrected = edges + table
+    turns = 2 * np.pi * np.array([[-1], [0], [1]])
+    error = np.interp(edges, (corrected[:-1] + turns).ravel(), np.tile(table[:-1].astype(np.float64), 3))
+    spectrum = np.fft.rfft(error[:-1])
+    # Whatever is added to a phase moves it along the correction's slope.
+    stretch = 1 - np.gradient(error, edges[1] - edges[0])
+    tables = np.zeros((2, bins + 1))
+    for row, harmonic in enumerate((3, 6)):
+        if harmonic < len(spectrum):
+            alone = np.zeros_like(spectrum)
+            alone[harmonic] = spectrum[harmonic]
+            tables[row, :-1] = np.fft.irfft(alone, bins)
+    tables[:, -1] = tables[:, 0]
+    return (tables / np.maximum(stretch, 0.2)).astype(np.float32)
+
+
+def pattern_light(response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return the (3,) mean light of the sinusoids when their codes go through this response, (3, N)."""
+    codes = 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, 4096, endpoint=False))
+    return np.array([np.interp(codes, np.linspace(0, 1, response.shape[1]), row).mean() for row in response])
+
+
+def response_map(
+    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return phases all around the cycle, and what the arctangent makes of them with this response of the projector.
+
+    Parameters
+    ----------
+    response : (3, N)
+        Light of N evenly spaced codes of R, G, B.
+    lag : (3,), optional
+        How far the fringe of R, G, B lags behind its place, rad; see `channel_waves`.
+
+    Returns
+    -------
+    (4097,), (4097,) float64
+        rad; both rise by a whole cycle from the first to the last.
+    """
+    phase = np.linspace(-np.pi, np.pi, 4097)
+    delays = np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag)
+    codes = 0.5 + 0.5 * np.cos(phase[:, None] + delays)
+    light = np.stack([np.interp(codes[:, j], np.linspace(0, 1, response.shape[1]), response[j]) for j in range(3)], 1)
+    light /= light[:-1].mean(axis=0)  # the colours are balanced
+    vector = np.linalg.inv(channel_waves(lag))[1:] @ light.T
+    bare = np.unwrap(np.arctan2(vector[1], vector[0]))
+    return phase, bare - 2 * np.pi * np.round((bare - phase).mean() / (2 * np.pi))
+
+
+def response_table(
+    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, bins: int = 256
+) -> npt.NDArray[np.float32]:
+    """Return what to add to a phase, at the edges of so many bins, to undo a known response; see `response_map`.
+
+    Returns
+    -------
+    (bins + 1,) float32
+        rad.
+    """
+    phase, bare = response_map(response, lag)
+    edges = np.linspace(-np.pi, np.pi, bins + 1)
+    turns = 2 * np.pi * np.array([[-1], [0], [1]])
+    around = np.interp(edges, (bare[:-1] + turns).ravel(), (phase[:-1] + turns).ravel())
+    return np.asarray(around - edges, np.float32)
+
+
+def prefers_response(
+    histogram: npt.NDArray[Any],
+    response: npt.NDArray[np.float64],
+    lag: npt.NDArray[np.float64] | None = None,
+) -> bool:
+    """Whether the phases look as if the response bent them, rather than as if it had been compensated.
+
+    Surfaces show every phase equally often; with the response the density is the slope of `response_map`'s inverse. The
+    likelier of the two wins.
+    """
+    phase, bare = response_map(response, lag)
+    bins = len(histogram)
+    centres = -np.pi + (np.arange(bins) + 0.5) * 2 * np.pi / bins
+    turns = 2 * np.pi * np.array([[-1], [0], [1]])
+    slope = np.interp(centres, ((bare[1:] + bare[:-1]) / 2 + turns).ravel(), np.tile(np.diff(phase) / np.diff(bare), 3))
+    return bool(histogram @ np.log(np.maximum(slope, 1e-3)) > 0)
+
+
+@ti.func
+def equalized(phase: f32, table: F32Array1) -> f32:
+    """Add the interpolated correction to a phase in [-pi, pi]; the sum may lie a little beyond."""
+    bins = table.shape[0] - 1
+    place = (phase + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
+    low = ti.min(ti.max(ti.cast(place, ti.i32), 0), bins - 1)
+    fraction = place - low
+    return phase + table[low] + fraction * (table[low + 1] - table[low])
+
+
+@ti.kernel
+def count_phases_kernel(
+    phase: F32Array2,  # (H, W) rad; what lies beyond +-pi, or is NaN, does not count
+    step: i32,  # px between two samples along a row
+    out_histogram: I32Array2,  # (SLOTS, bins), to be added to
+):
+    height, width = phase.shape[0], phase.shape[1]
+    bins = out_histogram.shape[1]
+    columns = (width + step - 1) // step
+    for sample in range(height * columns):
+        y, x = sample // columns, (sample % columns) * step
+        value = phase[y, x]
+        if not ti.math.isnan(value) and ti.abs(value) < PI + 1e-3:
+            place = ti.cast((value + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI)), ti.i32)
+            out_histogram[y % out_histogram.shape[0], ti.min(ti.max(place, 0), bins - 1)] += 1
+
+
+@ti.kernel
+def equalize_phase_kernel(
+    wrapped_phase: F32Array2,  # (H, W) rad
+    marked: F32Array2,  # (H, W) rad; NO_PHASE where nothing is to be corrected
+    table: F32Array1,  # (bins + 1,) rad
+    out: F32Array2,  # (H, W) rad
+):
+    for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
+        y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
+        phase = wrapped_phase[y, x]
+        if marked[y, x] < 0.5 * NO_PHASE:
+            phase = wrap(equalized(wrap(phase), table))
+        out[y, x] = phase
+
+
+def equalize_phase(
+    wrapped_phase: Any, mask: Any, bins: int = 256, *, harmonics: int | None = None, out: Any | None = None
+) -> Any:
+    """Spread the phases of the masked pixels evenly over the cycle.
+
+    Parameters
+    ----------
+    wrapped_phase : (H, W) float32
+        rad in [-pi, pi].
+    mask : (H, W) bool or uint8
+        Pixels bright enough to count, and to correct.
+    bins : int
+        Bins of the histogram, of which the table is interpolated.
+    harmonics : int, optional
+        Keep only so many harmonics of the correction; see `correction_table`.
+    out : (H, W) float32, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (H, W) float32
+        rad in [-pi, pi]; unchanged outside the mask, where it is NaN, and everywhere if too few pixels count. The mean
+        correction over the counted pixels is zero.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, bins is not at least 8, or `out` cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np, tikernels
+    >>> _ = tikernels.init("cpu")
+    >>> true = np.linspace(-np.pi, np.pi, 9600, endpoint=False, dtype=np.float32).reshape(80, 120)
+    >>> bent = true + np.float32(0.2) * np.sin(3 * true)
+    >>> fixed = equalize_phase(bent, np.ones(bent.shape, bool))
+    >>> error = np.angle(np.exp(1j * (fixed - true)))  # modulo a cycle
+    >>> round(float(np.abs(bent - true).max()), 2), bool(np.abs(error).max() < 0.02)
+    (0.2, True)
+    """
+    wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
+    shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
+    mask = _checks.read_mask("mask", mask, shape)
+    if bins < 8:
+        raise ShapeError(f"bins is {bins}: take 8 or more")
+    out = _checks.out_array("out", out, shape, np.float32)
+    histogram = np.zeros((SLOTS, bins), np.int32)
+    # Some hundred thousand samples pin the table down to a milliradian; more only cost time.
+    step = max(1, shape[0] * shape[1] // 2**18)
+    marked = runtime.empty(shape, np.float32)
+    mark_no_phase_kernel(wrapped_phase, mask, marked)
+    count_phases_kernel(marked, step, histogram)
+    equalize_phase_kernel(wrapped_phase, marked, correction_table(histogram.sum(axis=0), harmonics), out)
+    return out

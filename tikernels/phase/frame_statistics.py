@@ -1,0 +1,175 @@
+"""What a frame says about itself before it is decoded: the fringe's period, the noise, how bright it is."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import _checks, runtime
+from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti, vec3
+from tikernels.phase.color_balance import MIN_PERIOD_PX
+from tikernels.phase.phase_vector import phase_vector
+from tikernels.raw.linearization import WHITE_LEVELS
+
+# Columns that are looked at: enough to meet every object that fills a twentieth of the picture.
+_COLUMNS = 16
+# A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
+# far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
+_MIN_SHARE = 0.15
+# What is darker than this share of the brightest is not lit.
+_LIT_SHARE = 0.3
+# Groups of pixels, equally bright within each, that tell how the noise grows with the light.
+_NOISE_GROUPS = 6
+# Groups that differ by less than this share of their brightness do not tell read noise from the light's.
+_MIN_SPREAD = 0.05
+# Mean of the middle fifth of a normal distribution's absolute values, in standard deviations.
+_MIDDLE = 0.6776
+
+
+@dataclass(frozen=True)
+class FrameStatistics:
+    """What `measure_frame` found; light in 0..1 of full scale."""
+
+    period_px: float | None  # camera px a cycle across the stripes; None: no fringe stands out
+    noise: tuple[float, float]  # read noise and gain: a channel's variance is read^2 + gain * light
+    brightness: float  # 95th percentile of the channels' mean
+
+
+@ti.kernel
+def probe_frame_kernel(
+    image: AnyArray3,  # (H, W, 3) levels
+    scale: f32,  # levels to 0..1
+    out_samples: F32Array3,  # (columns, H, 4) phase vector (2), noise (sum of second differences), mean
+):
+    columns, height, width = out_samples.shape[0], image.shape[0], image.shape[1]
+    for sample in range(columns * height):
+        column, y = sample // height, sample % height
+        x = ti.min(ti.max((2 * column + 1) * width // (2 * columns), 1), width - 2)
+        total, noise = vec3(0.0), 0.0
+        for k in ti.static(range(3)):
+            left = ti.cast(image[y, ti.max(x - 1, 0), k], ti.f32)
+            here = ti.cast(image[y, ti.max(x, 0), k], ti.f32)
+            right = ti.cast(image[y, ti.min(x + 1, width - 1), k], ti.f32)
+            total[k] = here * scale
+            noise += (left - 2.0 * here + right) * scale
+        vector, mean = phase_vector(total)
+        out_samples[column, y, 0] = vector.x
+        out_samples[column, y, 1] = vector.y
+        out_samples[column, y, 2] = noise
+        out_samples[column, y, 3] = mean
+
+
+def measure_frame(image: Any, white_level: float | None = None) -> FrameStatistics:
+    """Measure period, noise and brightness on a few columns.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, uint16 or float32
+        Linear light, stripes along the rows.
+    white_level : float, optional
+        Full scale; None: the type's.
+
+    Returns
+    -------
+    FrameStatistics
+        The period to a few per cent, the noise at any brightness to some 20 %.
+
+    Raises
+    ------
+    ShapeError
+        Shape or dtype is another one.
+    """
+    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    columns = min(_COLUMNS, int(image.shape[1]))
+    samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
+    probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), samples)
+    light = samples[..., 3]
+    bright = float(np.percentile(light, 95))
+    period = _period(samples[..., 0] + 1j * samples[..., 1])
+    return FrameStatistics(period, _noise(samples[..., 2], light, bright), bright)
+
+
+def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float) -> tuple[float, float]:
+    """Return read noise and gain, given second differences of the channels' sum and the channels' mean."""
+    # Devices round differently; which pixels are alike must not hang on that.
+    light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
+    # Dark pixels are clipped at zero and show half the noise.
+    lit = light >= max(float(np.median(light)), _LIT_SHARE * bright)
+    # Sorted by the pixel above, whose own noise is another one.
+    light, changes = np.roll(light, 1, axis=1)[lit], changes[lit]
+    order = np.argpartition(light, np.arange(1, _NOISE_GROUPS) * len(light) // _NOISE_GROUPS)
+    levels, variances = [], []
+    for group in np.array_split(order, _NOISE_GROUPS):
+        if len(group):
+            # The middle fifth instead of the median: that of whole levels is one or the next.
+            middle = np.sort(np.abs(changes[group]))[2 * len(group) // 5 : 3 * len(group) // 5 + 1].mean()
+            # The sum of three channels has second differences of 3 (1 + 4 + 1) times a channel's variance.
+            levels.append(light[group].mean())
+            variances.append((middle / _MIDDLE) ** 2 / 18)
+    x, y = np.array(levels, np.float64), np.array(variances, np.float64)
+    # A straight line, each variance as sure as it is small; neither end may be negative.
+    weights = 1 / np.maximum(y, 1e-12) ** 2
+    mean_x, mean_y = np.average(x, weights=weights), np.average(y, weights=weights)
+    spread = np.average((x - mean_x) ** 2, weights=weights)
+    gain = 0.0
+    if spread > (_MIN_SPREAD * mean_x) ** 2:
+        gain = np.average((x - mean_x) * (y - mean_y), weights=weights) / spread
+        gain = min(max(gain, 0.0), mean_y / mean_x)
+    return float(np.sqrt(max(mean_y - gain * mean_x, 0.0))), float(gain)
+
+
+def _period(signal: npt.NDArray[np.complex64]) -> float | None:
+    """Return the period of the turning part of (columns, H) phase vectors."""
+    height = signal.shape[1]
+    if height < 2 * MIN_PERIOD_PX:
+        return None
+    signal = signal - signal.mean(axis=1, keepdims=True)
+    power = (np.abs(np.fft.fft(signal, axis=1)) ** 2).sum(axis=0)
+    frequencies = np.arange(1, (height + 1) // 2)
+    turning = power[frequencies] - power[-frequencies]
+    # Between one cycle and a half in view and the shortest period that three colours resolve.
+    usable = (frequencies >= 1.5) & (frequencies * MIN_PERIOD_PX <= height)
+    if not usable.any() or power.sum() <= 0:
+        return None
+    smooth = np.abs(np.convolve(turning, [0.25, 0.5, 0.25], "same")) * usable
+    peak = int(frequencies[np.argmax(smooth)])
+    lobe = (frequencies > 0.7 * peak) & (frequencies < 1.4 * peak) & usable
+    weights = np.clip(turning[lobe] * np.sign(turning[lobe].sum()), 0, None)
+    if weights.sum() < _MIN_SHARE * power.sum():
+        return None
+    return float(height * weights.sum() / (weights @ frequencies[lobe]))
+
+
+@ti.kernel
+def count_out_of_range_kernel(
+    image: AnyArray3,  # (H, W, 3)
+    white_level: f32,
+    out_count: I32Array1,  # NaN; values below zero or above the white level
+):
+    height, width = image.shape[0], image.shape[1]
+    for pixel in range(height * width):
+        y, x = pixel // width, pixel % width
+        for k in ti.static(range(3)):
+            value = ti.cast(image[y, x, k], ti.f32)
+            if ti.math.isnan(value):
+                out_count[0] += 1
+            elif value < 0.0 or value > white_level:
+                out_count[1] += 1
+
+
+def count_out_of_range(image: Any, white_level: float) -> tuple[int, int]:
+    """Count the values that are NaN, and those outside 0..white_level.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, uint16 or float32
+        A frame.
+    white_level : float
+        Full scale.
+    """
+    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    counts = np.zeros(2, np.int32)
+    count_out_of_range_kernel(image, white_level, counts)
+    runtime.synchronize()
+    return int(counts[0]), int(counts[1])

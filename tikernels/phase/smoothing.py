@@ -1,0 +1,210 @@
+"""Smooth the phase along the stripes, where it changes least, without crossing a step.
+
+A pixel at a step sees both surfaces and has a phase between them that belongs to neither: such pixels are dropped.
+"""
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+
+from tikernels import _checks, runtime
+from tikernels._taichi import F32Array2, f32, ti, u1
+from tikernels.errors import ShapeError
+from tikernels.phase.phase_vector import PI, STRIP, wrap
+from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
+
+# A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends less
+# between them than noise makes it, four standard deviations, of which one of three pixels weighs twice; or than the
+# least, which round surfaces do within a few px. Beyond the most, some 4 mm on a rig with 0.14 rad a mm, it is a step.
+_BEND_SIGMAS = 4.0 * 6.0**0.5
+_LEAST_BEND, _MAX_BEND = 0.1, 0.6
+_MAX_CHANGE = 1.0
+# A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
+# 6 mm on that rig; noise of 0.2 rad a pixel passes.
+MAX_DEPARTURE = 0.8
+# Departures beyond this mean that there is no neighbour: no two phases differ by so much.
+NO_NEIGHBOUR = 0.5 * NO_PHASE
+# A pixel at a step that departs by less than this from one side belongs to that side.
+_SAME_SURFACE = 0.3
+# Every eighth pixel both ways tells the usual change.
+_SAMPLE = 8
+
+
+@cache
+def smooth_phase_kernel(pairs: int) -> Any:
+    """Return the kernel that averages over `pairs` neighbours on either side."""
+    reach = max(pairs, 1)
+    window = 2 * reach + STRIP
+    taps, lanes = ti.types.vector(window, ti.f32), ti.types.vector(STRIP, ti.f32)
+
+    @ti.func
+    def between_surfaces(one: f32, other: f32) -> u1:
+        """Whether a pixel that departs so far from its neighbours on either side belongs to neither's surface."""
+        low, high = ti.min(one, other), ti.max(one, other)
+        farthest = ti.select(high < NO_NEIGHBOUR, high, low)
+        return (farthest > MAX_DEPARTURE) & (farthest < NO_NEIGHBOUR) & (low > _SAME_SURFACE)
+
+    @ti.func
+    def departure(change: f32) -> f32:
+        """How far a difference of two phases, less its usual value, is from whole cycles."""
+        size = ti.abs(change)
+        return ti.min(size, ti.abs(size - 2.0 * PI))
+
+    @ti.kernel
+    def smooth_phase(
+        phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
+        precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
+        rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
+        out: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask, STEP_PHASE between two surfaces
+    ):
+        height, width = phase.shape[0], phase.shape[1]
+        last = rates.shape[0] - 1
+        strips = (width + STRIP - 1) // STRIP
+        for t in range(height * strips):
+            y, first = t // strips, (t % strips) * STRIP
+            above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
+            rate_along, rate_across = rates[last, 0], rates[last, 1]
+            values = taps(0.0)
+            upper, lower, bend, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            for k in range(window):
+                values[k] = NO_PHASE
+            for k in range(ti.max(0, reach - first), ti.min(window, width - first + reach)):
+                values[k] = phase[y, first - reach + k]
+            for k in range(ti.min(STRIP, width - first)):
+                upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
+                bend[k] = precision[y, first + k]
+            for k in range(STRIP):
+                centre = values[reach + k]
+                max_bend = ti.min(ti.max(_BEND_SIGMAS / ti.sqrt(bend[k] + 1e-6), _LEAST_BEND), _MAX_BEND)
+                # Without a neighbour the differences stay far beyond any phase.
+                left, right = wrap(values[reach + k - 1] - centre), wrap(values[reach + k + 1] - centre)
+                to_left, to_right = ti.abs(left + rate_along), ti.abs(right - rate_along)
+                to_upper = departure(centre - upper[k] - rate_across)
+                to_lower = departure(lower[k] - centre - rate_across)
+                to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
+                to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
+                total, count = 0.0, 1.0
+                for tap in ti.static(range(1, pairs + 1)):
+                    # Pairs, so that a steady slope along the stripe leaves no bias.
+                    if ti.static(tap > 1):
+                        left = wrap(values[reach + k - tap] - centre)
+                        right = wrap(values[reach + k + tap] - centre)
+                    near = ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE
+                    # Fading, so that rounding decides nothing.
+                    counts = ti.min(ti.max(2.5 - 2.0 * ti.abs(left + right) / max_bend, 0.0), 1.0)
+                    counts = ti.select(near, counts, 0.0)
+                    total += counts * ti.select(near, left + right, 0.0)
+                    count += 2.0 * counts
+                step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
+                value = ti.select(step, STEP_PHASE, centre + total / count)
+                result[k] = ti.select(centre < 0.5 * NO_PHASE, value, NO_PHASE)
+            for k in range(ti.min(STRIP, width - first)):
+                out[y, first + k] = result[k]
+
+    return smooth_phase
+
+
+def rates_buffer(height: int) -> Any:
+    """Allocate what `measure_rates_kernel` fills for frames of this height."""
+    return runtime.empty((-(-height // _SAMPLE) + 1, 5), np.float32)
+
+
+@ti.kernel
+def measure_rates_kernel(
+    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+    quality: F32Array2,  # (H, W)
+    out_rates: F32Array2,  # (H / 8 + 1, 5) sums a row; in the last row rate along, rate across (rad), mean quality
+):
+    height, width = phase.shape[0], phase.shape[1]
+    rows = out_rates.shape[0] - 1
+    for i in range(rows):
+        y = ti.min(i * _SAMPLE, ti.max(height - 2, 0))
+        along, across = ti.Vector([0.0, 0.0]), ti.Vector([0.0, 0.0])
+        total, count = 0.0, 0.0
+        for j in range((width + _SAMPLE - 1) // _SAMPLE):
+            x = ti.min(j * _SAMPLE, ti.max(width - 2, 0))
+            if phase[y, x] < 0.5 * NO_PHASE:
+                total += quality[y, x]
+                count += 1.0
+                if x + 1 < width:
+                    if phase[y, x + 1] < 0.5 * NO_PHASE:
+                        change = phase[y, x + 1] - phase[y, x]
+                        along += ti.Vector([ti.cos(change), ti.sin(change)])
+                if y + 1 < height:
+                    if phase[y + 1, x] < 0.5 * NO_PHASE:
+                        change = phase[y + 1, x] - phase[y, x]
+                        across += ti.Vector([ti.cos(change), ti.sin(change)])
+        out_rates[i, 0] = along.x
+        out_rates[i, 1] = along.y
+        out_rates[i, 2] = across.x
+        out_rates[i, 3] = across.y
+        out_rates[i, 4] = total / ti.max(count, 1.0)
+    # One thread adds the rows up in order, so that the sum is the same every time.
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        along, across = ti.Vector([1e-6, 0.0]), ti.Vector([1e-6, 0.0])
+        total, count = 0.0, 0.0
+        for i in range(rows):
+            along += ti.Vector([out_rates[i, 0], out_rates[i, 1]])
+            across += ti.Vector([out_rates[i, 2], out_rates[i, 3]])
+            if out_rates[i, 4] > 0.0:
+                total += out_rates[i, 4]
+                count += 1.0
+        out_rates[rows, 0] = ti.atan2(along.y, along.x)
+        out_rates[rows, 1] = ti.atan2(across.y, across.x)
+        out_rates[rows, 2] = ti.max(total / ti.max(count, 1.0), 1e-12)
+
+
+@ti.kernel
+def restore_kernel(
+    wrapped_phase: F32Array2,  # (H, W) rad
+    out: F32Array2,  # (H, W) rad; wrapped; what is NO_PHASE becomes the input's phase
+):
+    for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
+        y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
+        if out[y, x] > 0.5 * NO_PHASE:
+            out[y, x] = wrapped_phase[y, x]
+        else:
+            out[y, x] = wrap(out[y, x])
+
+
+def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *, out: Any | None = None) -> Any:
+    """Average the phase over a few pixels along the rows.
+
+    Parameters
+    ----------
+    wrapped_phase : (H, W) float32
+        rad in [-pi, pi], stripes running along the rows.
+    mask : (H, W) bool or uint8
+        Valid pixels.
+    smoothing_px : int
+        Odd length of the window, 1 to 33 px.
+    out : (H, W) float32, optional
+        Where the result goes; not the input.
+
+    Returns
+    -------
+    (H, W) float32
+        rad in [-pi, pi]; unchanged outside the mask and at steps. Neighbours count in pairs left and right, and only
+        while the surface goes on, so steps stay sharp and slopes unbiased.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, the window is even or too long, or `out` cannot be written.
+    """
+    wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
+    shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
+    mask = _checks.read_mask("mask", mask, shape)
+    if smoothing_px % 2 == 0 or not 1 <= smoothing_px <= 33:
+        raise ShapeError(f"smoothing_px is {smoothing_px}: take an odd number from 1 to 33")
+    out = _checks.out_array("out", out, shape, np.float32)
+    marked = np.empty(shape, np.float32)
+    mark_no_phase_kernel(wrapped_phase, mask, marked)
+    rates = rates_buffer(shape[0])
+    measure_rates_kernel(marked, marked, rates)
+    # Of the noise nothing is known.
+    smooth_phase_kernel(smoothing_px // 2)(marked, np.zeros(shape, np.float32), rates, out)
+    restore_kernel(wrapped_phase, out)
+    return out
