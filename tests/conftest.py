@@ -11,7 +11,7 @@ from support.missing import skip_but_fail_in_ci
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # Taichi's own, once, while it is imported
-    from support.arrays import every_second, on_device, read_only
+    from support.array_forms import every_second, on_device, read_only
 
     import tikernels
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import reference
-from support.arrays import every_second, on_device, read_only
+from support.array_forms import every_second, on_device, read_only
 
 import tikernels
 from tikernels.raw.demosaicing import demosaic
