@@ -11,9 +11,8 @@ from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import FloatArray
 from pipeline.settings import DecodeSettings
 from tikernels.phase.channel_model import flat_template, known_template
-from tikernels.phase.crosstalk import invert_crosstalk
+from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table, pattern_light, prefers_response, response_table
-from tikernels.phase.wrapped_phase import phase_weights
 from tikernels.raw.linearization import Transfer
 
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
@@ -35,14 +34,8 @@ class LightPath:
         The camera's lateral colour.
     lag : (3,) float64 or None
         How far the projector's lateral colour makes the fringe of each colour lag behind its place, rad.
-    balance_first : bool
-        Whether the reflectance acts on the camera's channels, after the crosstalk.
-    matrix, inverse : (3, 3) float32
-        The crosstalk, and what undoes it.
-    weights : (3, 3) float32
-        Of the balanced channels; see `phase_weights`.
-    noise_gain : float
-        The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
+    crosstalk : Crosstalk
+        How the projector's primaries mix in the camera's channels.
     constant_known : bool
         Whether the phase is known, not only but for a constant.
     constant_sigma : float
@@ -55,7 +48,7 @@ class LightPath:
         self.transfer: Transfer = settings.transfer
         self.camera_shift_px: FloatArray | None = None
         self.lag: FloatArray | None = None
-        self.balance_first = settings.reflectance_bands == "broad"
+        self._balance_first = settings.reflectance_bands == "broad"
         self._equalize = settings.equalize
         self._response: FloatArray | None = None  # of a pattern in which it has not been undone, or may not have been
         self._compensated: bool | None = None
@@ -80,13 +73,16 @@ class LightPath:
                 self.lag = calibration.projector_lag_rad()
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
-        self.unknown = matrix is None and self.balance_first
+        self.unknown = matrix is None and self._balance_first
         self.constant_known = matrix is not None
         self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
         self._use(np.eye(3) if matrix is None else matrix @ np.diag(light))
 
-    def learn(self, light: LightEstimate) -> None:
-        """Take what a frame told."""
+    def learn(self, light: LightEstimate | None) -> None:
+        """Take what a frame told, if it is better than nothing; None: it told nothing. No other one is asked."""
+        self.unknown = False
+        if light is None or not light.reliable:
+            return
         self._use(light.crosstalk_matrix)
         self._learned = light.correction
         self.constant_known = light.constant_known
@@ -99,7 +95,7 @@ class LightPath:
             response = np.array([[0.0, 1.0]] * 3)
         if response is None:
             return flat_template()
-        return known_template(self.matrix if self.balance_first else np.eye(3), response, self.lag)
+        return known_template(self.crosstalk.matrix if self._balance_first else np.eye(3), response, self.lag)
 
     def correction(self, histogram: FloatArray, period_px: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, rad to add to the arctangent, as a table over the cycle.
@@ -125,11 +121,7 @@ class LightPath:
         return self._learned is None and self._response is not None
 
     def _use(self, matrix: FloatArray) -> None:
-        # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
-        inverse = invert_crosstalk(matrix, normalize_rows=self.balance_first)
-        self.inverse, self.matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
-        self.weights = phase_weights(inverse if self.balance_first else np.eye(3), self.lag).astype(np.float32)
-        self.noise_gain = float(np.sqrt((phase_weights(inverse)[:2] ** 2).sum() / 2))
+        self.crosstalk = Crosstalk.of(matrix, balance_first=self._balance_first, lag=self.lag)
 
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:

@@ -29,7 +29,7 @@ _EDGE_DOUBT = 0.5
 # share of their votes.
 _MIN_TORN_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
 #: An order that was absolute stays so where it is wrong with a smaller probability than this.
-MAX_ERROR_PROBABILITY = 1e-2
+MAX_CARRIED_ERROR = 1e-2
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from pipeline.batch.job import Job, Region, chains, runs
 from pipeline.batch.run import Stopped, decode_footage
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.footage.source import StoredAs
-from pipeline.output.store import FIELDS, chosen_fields
+from pipeline.decoding.frame import FIELDS
+from pipeline.output.store import chosen_fields
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
@@ -122,7 +123,7 @@ def test_the_store_is_plain_zarr(job):
         size = () if name == "constant_sigma" else (96, 128)
         assert group[name].shape == (N_FRAMES, *size)
         assert group[name].chunks == (1, *size)
-        assert group[name].dtype == FIELDS[name]
+        assert group[name].dtype == FIELDS[name].dtype
     assert bytes(group["done"][5]).strip() == b""
     assert np.isnan(group["range_image"][5]).all() and not group["mask"][5].any()
 
