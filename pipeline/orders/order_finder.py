@@ -150,9 +150,10 @@ class OrderFinder:
     ) -> tuple[AbsoluteOrders, bool]:
         unwrapper, buffers = work.unwrapper, frame._buffers
         sums = runtime.empty((unwrapper.patch_count, SLOTS, 4), np.float32)
-        light = (image, self._path.inverse, work.gains.gains, work.gains.cell, buffers["phase"], buffers["modulation"])
+        crosstalk = self._path.crosstalk
+        light = (image, crosstalk.inverse, work.gains.gains, work.gains.cell, buffers["phase"], buffers["modulation"])
         patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits)
-        measure_contrast_kernel(self._path.balance_first)(*light, *patches, sums)
+        measure_contrast_kernel(crosstalk.balance_first)(*light, *patches, sums)
         width = int(image.shape[1])
         rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
         return find_absolute_orders(runtime.to_host(sums), graph, width, rising, order_range)
