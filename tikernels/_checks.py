@@ -62,6 +62,17 @@ def out_array(name: str, out: Any | None, shape: tuple[int, ...], dtype: npt.DTy
     return out
 
 
+def out_buffer(name: str, out: Any | None, shape: tuple[int, ...], dtype: npt.DTypeLike) -> Any:
+    """Return the caller's output buffer after checking it, or a fresh buffer of the device.
+
+    Raises
+    ------
+    ShapeError
+        The buffer has another shape or dtype, is not contiguous, or is read-only.
+    """
+    return runtime.empty(shape, dtype) if out is None else out_array(name, out, shape, dtype)
+
+
 def dtype_name(array: Any) -> str:
     """Return the NumPy name of an array's element type."""
     return array.dtype.name if isinstance(array, np.ndarray) else runtime.dtype_name(array)

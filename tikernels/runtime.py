@@ -4,6 +4,7 @@ import contextlib
 import ctypes
 import os
 import sys
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,9 @@ from tikernels.errors import DeviceNotReady
 
 #: Every arch by name, in the order in which "auto" prefers them.
 ARCHS = ("cuda", "metal", "vulkan", "cpu")
+
+#: Kernels are launched by one thread at a time: held while a frame is decoded, and while results are read.
+lock = threading.RLock()
 
 _started: str | None = None
 

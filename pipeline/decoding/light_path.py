@@ -32,10 +32,8 @@ class LightPath:
         How the camera encodes light.
     camera_shift_px : (3, 2) float64 or None
         The camera's lateral colour.
-    lag : (3,) float64 or None
-        How far the projector's lateral colour makes the fringe of each colour lag behind its place, rad.
     crosstalk : Crosstalk
-        How the projector's primaries mix in the camera's channels.
+        The crosstalk, where the surface's colour acts, and the projector's lateral colour.
     constant_known : bool
         Whether the phase is known, not only but for a constant.
     constant_sigma : float
@@ -47,7 +45,7 @@ class LightPath:
     def __init__(self, settings: DecodeSettings, calibration: Calibration | None) -> None:
         self.transfer: Transfer = settings.transfer
         self.camera_shift_px: FloatArray | None = None
-        self.lag: FloatArray | None = None
+        self._lag: FloatArray | None = None
         self._balance_first = settings.reflectance_bands == "broad"
         self._equalize = settings.equalize
         self._response: FloatArray | None = None  # of a pattern in which it has not been undone, or may not have been
@@ -70,7 +68,7 @@ class LightPath:
                     light = pattern_light(calibration.response)
             if calibration.color_shift_px is not None:
                 self.camera_shift_px = calibration.color_shift_px.camera
-                self.lag = calibration.projector_lag_rad()
+                self._lag = calibration.projector_lag_rad()
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
         self.unknown = matrix is None and self._balance_first
@@ -95,7 +93,7 @@ class LightPath:
             response = np.array([[0.0, 1.0]] * 3)
         if response is None:
             return flat_template()
-        return known_template(self.crosstalk.matrix if self._balance_first else np.eye(3), response, self.lag)
+        return known_template(self.crosstalk.matrix if self._balance_first else np.eye(3), response, self._lag)
 
     def correction(self, histogram: FloatArray, period_px: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, rad to add to the arctangent, as a table over the cycle.
@@ -111,8 +109,8 @@ class LightPath:
             if not self._equalize:
                 return _NO_CORRECTION
             return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
-        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self.lag):
-            return response_table(self._response, self.lag)
+        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self._lag):
+            return response_table(self._response, self._lag)
         return _NO_CORRECTION
 
     @property
@@ -121,7 +119,7 @@ class LightPath:
         return self._learned is None and self._response is not None
 
     def _use(self, matrix: FloatArray) -> None:
-        self.crosstalk = Crosstalk.of(matrix, balance_first=self._balance_first, lag=self.lag)
+        self.crosstalk = Crosstalk.of(matrix, balance_first=self._balance_first, lag=self._lag)
 
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
