@@ -8,34 +8,25 @@ import numpy.typing as npt
 
 from pipeline.calibration import Calibration, Geometry
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
+from pipeline.decoding.doubts import fringe_doubt, light_doubts
 from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, RegionOrders
-from pipeline.decoding.frame_reader import FrameReader, LinearFrame, size_text
+from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
-from pipeline.errors import CalibrationError, DecodeWarning, SettingsError
+from pipeline.errors import CalibrationError, DecodeWarning
 from pipeline.orders.order_finder import OrderFinder, SeenPhase
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.depth.triangulation import triangulate
-from tikernels.errors import ShapeError
-from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
-from tikernels.transposing import transpose
 
-# Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
-_MIN_CONTRAST = 0.12
-# A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
-_MAX_MISMATCH = 0.12
 # What the phases of the frames before still count when the response is equalised, from frame to frame.
 _FADING = 0.9
-# How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
-# a surface, but a code changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
-_CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,18 +83,15 @@ class Decoder:
         self._reference = None if reference is None else reference.unwrapped_phase
         self._path = LightPath(self.settings, calibration)
         self._geometry: Geometry | None = None
-        self._code, depth_range_mm = self.settings.code, None
-        if calibration is not None:
-            self._geometry = calibration.geometry() if calibration.has_geometry else None
-            self._code = self._code if calibration.pattern is None else calibration.pattern.code
-            depth_range_mm = calibration.depth_range_mm
-        size_px = None if self._geometry is None else self._geometry.camera.size_px
-        self._reader = FrameReader(self.settings, self._path, size_px)
-        self._orders = OrderFinder(self._code, self._path, self._geometry, depth_range_mm)
-        self._pool: BufferPool | None = None
+        if calibration is not None and calibration.has_geometry:
+            self._geometry = calibration.geometry()
+        depth_range_mm = None if calibration is None else calibration.depth_range_mm
+        self._reader = FrameReader(self.settings, self._path, self._geometry, self._reference)
+        self._orders = OrderFinder(self._path, self._geometry, depth_range_mm)
+        self._pool = BufferPool()
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)
-        self._rays = None if self._geometry is None else _camera_rays(self._geometry, self.settings.stripes)
+        self._rays = None if self._geometry is None else CameraRays.of(self._geometry, self.settings.stripes)
 
     def decode(
         self, image: LevelsImage, previous: DecodedFrame | None = None, out: DecodedFrame | None = None
@@ -140,13 +128,16 @@ class Decoder:
         """
         with runtime.lock:
             frame = self._reader.read(image)  # linear light, colours aligned, stripes along the rows
-            memory = None if previous is None else self._memory_of(previous, frame)
-            phases, surface = self._buffers(frame, out)
+            memory = None if previous is None else previous.memory.checked(frame.shape, self.settings.stripes)
+            if out is None:
+                phases, surface = self._pool.lend(frame.shape, points=self._rays is not None)
+            else:
+                phases, surface = out.buffers_for(frame.shape, self.settings.stripes, self._rays)
             statistics = measure_frame(frame.image, frame.white)
             levels = frame_levels(self.settings, statistics, frame.white, self._path.crosstalk)
             period_px = self.settings.camera_period_px or statistics.period_px
             if statistics.period_px is None or period_px is None:
-                found = _nothing_found(frame, self.settings.stripes, phases, surface)
+                found = self._measure_nothing(frame, phases, surface)
             else:
                 found = self._measure(frame, levels, period_px, memory, phases, surface)
                 if self._learn_light(frame, period_px, surface):
@@ -209,7 +200,7 @@ class Decoder:
         model.recover_samples(crosstalk, levels)
         model.fit(correction, path.template())
         fit = (work.raw_phase, phases.modulation, phases.precision)
-        fit_phase(image, gains, model, crosstalk, levels, correction, _CONTRAST_DOUBT[self._code], out=fit)
+        fit_phase(image, gains, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         smooth_phase(work.raw_phase, phases.precision, rates, self.settings.smoothing_px // 2, out=phases.phase)
@@ -228,8 +219,14 @@ class Decoder:
             constant_known=path.constant_known,
             constant_sigma=float(np.hypot(path.constant_sigma, model.mismatch)),
             order_doubt=placement.warning or lost,
-            light_doubts=_light_doubts(model, constant_known=path.constant_known),
+            light_doubts=light_doubts(model, constant_known=path.constant_known),
         )
+
+    def _measure_nothing(self, frame: LinearFrame, phases: PhaseBuffers, surface: SurfaceBuffers) -> _Measured:
+        """Say of a frame without fringes that nothing is known of it."""
+        clear_buffers(phases, surface)
+        doubt = fringe_doubt(frame, self.settings.stripes)
+        return _Measured(None, RegionOrders.of_no_region(), False, np.nan, doubt, ())
 
     def _learn_light(self, frame: LinearFrame, period_px: float, surface: SurfaceBuffers) -> bool:
         """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""
@@ -238,35 +235,13 @@ class Decoder:
         unwrapped, mask = runtime.to_host(surface.unwrapped), runtime.to_host(surface.mask) != 0  # synchronises
         try:
             image = runtime.to_host(frame.image)
-            self.light = estimate_light([image], frame.white, [unwrapped], [mask], self._work(frame, period_px).period_px)
+            self.light = estimate_light(
+                [image], frame.white, [unwrapped], [mask], self._work(frame, period_px).period_px
+            )
         except CalibrationError:
             pass
         self._path.learn(self.light)
         return self.light is not None and self.light.reliable
-
-    def _memory_of(self, previous: DecodedFrame, frame: LinearFrame) -> FrameMemory:
-        memory, stripes = previous.memory, self.settings.stripes
-        if memory.stripes != stripes:
-            raise SettingsError(f"stripes are {stripes}, those of the frame before were not: leave previous away")
-        before, here = memory.surface.mask.shape, frame.shape
-        if before != here:
-            turn = -1 if stripes == "vertical" else 1
-            raise ShapeError(f"frame is {size_text(here[::turn])} but the one before is {size_text(before[::turn])}")
-        return memory
-
-    def _buffers(self, frame: LinearFrame, out: DecodedFrame | None) -> tuple[PhaseBuffers, SurfaceBuffers]:
-        """Return the buffers of the result: those of `out`, or what nobody uses."""
-        shape, stripes = frame.shape, self.settings.stripes
-        upright = shape[::-1] if stripes == "vertical" else shape
-        if self._reference is not None and self._reference.shape != upright:
-            raise ShapeError(f"frame is {size_text(upright)} but the reference is {size_text(self._reference.shape)}")
-        if out is not None:
-            if (out.surface.mask.shape, out.stripes, out.calibrated) != (shape, stripes, self._rays is not None):
-                raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
-            return out.phases, out.surface
-        if self._pool is None or self._pool.shape != shape:
-            self._pool = BufferPool(*shape)
-        return self._pool.phases(), self._pool.surface(points=self._rays is not None)
 
     def _work(self, frame: LinearFrame, period_px: float) -> Workspace:
         """Return the buffers for a frame's size and period."""
@@ -275,36 +250,3 @@ class Decoder:
         if self._workspace is None or not self._workspace.fits(frame.shape, period_px):
             self._workspace = Workspace(*frame.shape, period_px, self.settings.unwrap_method)
         return self._workspace
-
-
-def _camera_rays(geometry: Geometry, stripes: str) -> CameraRays:
-    rays = geometry.camera.rays()
-    upright = np.ascontiguousarray(rays.transpose(1, 0, 2)) if stripes == "vertical" else rays
-    return CameraRays(runtime.to_device(upright), geometry.for_triangulation())
-
-
-def _nothing_found(frame: LinearFrame, stripes: str, phases: PhaseBuffers, surface: SurfaceBuffers) -> _Measured:
-    """Clear the buffers of a frame without fringes, and say why there are none."""
-    clear_buffers(phases, surface)
-    nowhere = RegionOrders(np.zeros(1, np.bool_), np.full(1, np.nan, np.float32))
-    doubt = "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
-    if measure_frame(transpose(frame.image), frame.white).period_px is not None:
-        other = "vertical" if stripes == "horizontal" else "horizontal"
-        doubt = f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r}"
-    return _Measured(None, nowhere, False, np.nan, doubt, ())
-
-
-def _light_doubts(model: ChannelModel, *, constant_known: bool) -> tuple[str, ...]:
-    """Say where the light is not as decoding assumes."""
-    doubts = []
-    if model.contrast < _MIN_CONTRAST:
-        doubts.append(
-            f"the fringe's contrast is only {model.contrast:.0%}: less motion blur, a sharper focus or less other "
-            "light would make it certain"
-        )
-    if constant_known and model.mismatch > _MAX_MISMATCH:
-        doubts.append(
-            f"the colours' fringes differ by {model.mismatch:.0%} from what the crosstalk matrix makes of them: "
-            "calibrate the light anew (colorphase calibrate check says what is wrong)"
-        )
-    return tuple(doubts)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels.arrays import F32, I32, U8, Array
+from tikernels.arrays import F32, I32, U8
 
 # Sets of buffers that wait in the pool: a frame and the one before, in video. More would only hold memory.
 _MOST_FREE = 2
@@ -40,6 +40,9 @@ class SurfaceBuffers:
     points: F32 | None  # (H, W, 3) mm; None without a calibration
 
 
+G = TypeVar("G", PhaseBuffers, SurfaceBuffers)
+
+
 def clear_buffers(phases: PhaseBuffers, surface: SurfaceBuffers) -> None:
     """Write what a frame holds in which nothing is measured."""
     for buffer in (phases.phase, phases.precision, surface.unwrapped, surface.points):
@@ -49,47 +52,52 @@ def clear_buffers(phases: PhaseBuffers, surface: SurfaceBuffers) -> None:
         zeros.fill(0)
 
 
-_DTYPES = {"mask": np.uint8, "region": np.int32}
-
-G = TypeVar("G", PhaseBuffers, SurfaceBuffers)
-
-
 class BufferPool:
-    """Results' buffers of one image size, used again when nothing refers to them any more.
+    """Results' buffers, used again when nothing refers to them any more."""
 
-    Parameters
-    ----------
-    height, width : int
-        Of the image with its stripes along the rows.
-    """
+    def __init__(self) -> None:
+        self._free: defaultdict[tuple[tuple[int, ...], str], deque[Any]] = defaultdict(lambda: deque(maxlen=_MOST_FREE))
 
-    def __init__(self, height: int, width: int) -> None:
-        self.shape = (height, width)
-        self._free: defaultdict[str, deque[Array[Any]]] = defaultdict(lambda: deque(maxlen=_MOST_FREE))
+    def lend(self, shape: tuple[int, int], *, points: bool) -> tuple[PhaseBuffers, SurfaceBuffers]:
+        """Return buffers that nobody else writes; their content is arbitrary.
 
-    def phases(self) -> PhaseBuffers:
-        """Return buffers that nobody else writes; their content is arbitrary."""
-        return self._lend(PhaseBuffers, {part.name: self.shape for part in fields(PhaseBuffers)})
+        Parameters
+        ----------
+        shape : (height, width)
+            Of the image with its stripes along the rows.
+        points : bool
+            Whether there is room for points.
+        """
+        if any(here[:2] != shape for here, _ in self._free):
+            self._free.clear()  # frames come in one size, so what is left of another one is not needed again
+        phases, surface = _Loan(self._free), _Loan(self._free)
+        floats = [phases.take(shape, np.float32) for _ in fields(PhaseBuffers)]
+        unwrapped, mask, region = (surface.take(shape, kind) for kind in (np.float32, np.uint8, np.int32))
+        place = surface.take((*shape, 3), np.float32) if points else None
+        return phases.held_by(PhaseBuffers(*floats)), surface.held_by(SurfaceBuffers(unwrapped, mask, region, place))
 
-    def surface(self, *, points: bool) -> SurfaceBuffers:
-        """Return buffers that nobody else writes; their content is arbitrary."""
-        shapes: dict[str, tuple[int, ...]] = {name: self.shape for name in ("unwrapped", "mask", "region")}
-        return self._lend(SurfaceBuffers, {**shapes, "points": (*self.shape, 3)} if points else shapes)
 
-    def _lend(self, kind: type[G], shapes: dict[str, tuple[int, ...]]) -> G:
-        memories, lent = {}, {}
-        for name, shape in shapes.items():
-            free = self._free[name]
-            memory = free.pop() if free else runtime.empty(shape, _DTYPES.get(name, np.float32))
-            memories[name] = lent[name] = memory
-            if isinstance(memory, np.ndarray):
-                lease = _Lease(memory)
-                lent[name] = np.asarray(lease)
-                _give_back_with(lease, memory, free)
-        group = kind(**{part.name: lent.get(part.name) for part in fields(kind)})
-        for name, memory in memories.items():
-            if not isinstance(memory, np.ndarray):
-                _give_back_with(group, memory, self._free[name])
+class _Loan:
+    """Memory on its way from the pool, and how it comes back."""
+
+    def __init__(self, free: dict[tuple[tuple[int, ...], str], deque[Any]]) -> None:
+        self._free = free
+        self._on_device: list[tuple[deque[Any], Any]] = []
+
+    def take(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> Any:
+        free = self._free[shape, np.dtype(dtype).name]
+        memory = free.pop() if free else runtime.empty(shape, dtype)
+        if not isinstance(memory, np.ndarray):
+            self._on_device.append((free, memory))
+            return memory
+        lease = _Lease(memory)
+        _give_back_with(lease, memory, free)
+        return np.asarray(lease)
+
+    def held_by(self, group: G) -> G:
+        """Give memory of a GPU back when this object is gone."""
+        for free, memory in self._on_device:
+            _give_back_with(group, memory, free)
         return group
 
 
@@ -100,6 +108,6 @@ class _Lease:
         self.__array_interface__ = memory.__array_interface__
 
 
-def _give_back_with(owner: object, memory: Array[Any], free: deque[Array[Any]]) -> None:
+def _give_back_with(owner: object, memory: Any, free: deque[Any]) -> None:
     """Give memory back when its owner is gone; not when the program ends."""
     weakref.finalize(owner, free.append, memory).atexit = False

@@ -16,7 +16,10 @@ class Known(Protocol):
     """What rounding asks of a frame."""
 
     noise_levels: float
-    calibrated: bool
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether ranges are in mm."""
 
 
 #: Rounds a field's values for the store.
@@ -146,8 +149,8 @@ def sigma_digits(sigma: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np
     """Keep seven bits of a standard deviation."""
     dropped = 23 - _SIGMA_BITS
     bits = sigma.view(np.uint32) + np.uint32(1 << (dropped - 1))
-    return (bits & np.uint32(0xFFFFFFFF << dropped & 0xFFFFFFFF)).view(np.float32)
+    return np.asarray((bits & np.uint32(0xFFFFFFFF << dropped & 0xFFFFFFFF)).view(np.float32))
 
 
 def _rounded(values: npt.NDArray[np.float32], step: float) -> npt.NDArray[np.float32]:
-    return np.rint(values * np.float32(1 / step)) * np.float32(step)
+    return np.asarray(np.rint(values * np.float32(1 / step)) * np.float32(step))

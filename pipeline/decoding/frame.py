@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.calibration import Geometry
 from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers
 from pipeline.decoding.fields import (
     field,
@@ -19,9 +20,12 @@ from pipeline.decoding.fields import (
     sigma_digits,
     wrapped_phase_digits,
 )
+from pipeline.decoding.frame_reader import size_text
+from pipeline.errors import SettingsError
 from tikernels import runtime
 from tikernels.arrays import F32, Array
 from tikernels.depth.triangulation import ProjectorGeometry
+from tikernels.errors import ShapeError
 from tikernels.phase.uncertainty import estimate_phase_sigma, point_sigma
 from tikernels.transposing import transpose
 
@@ -41,6 +45,13 @@ class CameraRays:
     rays: F32  # (H, W, 2) x and y at unit depth, stripes along the rows
     projector: ProjectorGeometry
 
+    @classmethod
+    def of(cls, geometry: Geometry, stripes: str) -> "CameraRays":
+        """Return those of a calibrated rig, on the device."""
+        rays = geometry.camera.rays()
+        along_rows = np.ascontiguousarray(rays.transpose(1, 0, 2)) if stripes == "vertical" else rays
+        return cls(runtime.to_device(along_rows), geometry.for_triangulation())
+
 
 @dataclass(frozen=True, eq=False)
 class RegionOrders:
@@ -48,6 +59,11 @@ class RegionOrders:
 
     known: npt.NDArray[np.bool_]  # (regions + 1,) whether they are absolute
     error_probability: Floats  # (regions + 1,) that they are not the absolute ones; NaN for 0
+
+    @classmethod
+    def of_no_region(cls) -> "RegionOrders":
+        """Return those of a frame without regions."""
+        return cls(np.zeros(1, np.bool_), np.full(1, np.nan, np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +74,22 @@ class FrameMemory:
     phase_counts: npt.NDArray[np.float64] | None  # (parts, bins) bare phases seen, earlier ones faded; None: no fringe
     surface: SurfaceBuffers
     orders: RegionOrders
+
+    def checked(self, shape: tuple[int, int], stripes: str) -> "FrameMemory":
+        """Return this memory, for a frame whose image has a shape with its stripes along the rows.
+
+        Raises
+        ------
+        SettingsError, ShapeError
+            The frame before had other stripes, or another size.
+        """
+        if self.stripes != stripes:
+            raise SettingsError(f"stripes are {stripes}, those of the frame before were not: leave previous away")
+        before = self.surface.mask.shape
+        if before != shape:
+            turn = -1 if stripes == "vertical" else 1
+            raise ShapeError(f"frame is {size_text(shape[::turn])} but the one before is {size_text(before[::turn])}")
+        return self
 
 
 @dataclass(eq=False)
@@ -226,6 +258,20 @@ class DecodedFrame:
         """Read from the device now what these fields are made of; looking at them later asks it nothing more."""
         for name in {part for wanted in fields for part in FIELDS[wanted].needs}:
             getattr(self, name)
+
+    def buffers_for(
+        self, shape: tuple[int, int], stripes: str, rays: CameraRays | None
+    ) -> tuple[PhaseBuffers, SurfaceBuffers]:
+        """Return this frame's buffers, to be written again for an image of this shape.
+
+        Raises
+        ------
+        ShapeError
+            They do not fit.
+        """
+        if (self.surface.mask.shape, self.stripes, self.calibrated) != (shape, stripes, rays is not None):
+            raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
+        return self.phases, self.surface
 
     def become(self, other: "DecodedFrame") -> "DecodedFrame":
         """Take all that another frame holds, and forget what has been read; return this frame."""

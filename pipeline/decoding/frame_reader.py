@@ -1,15 +1,16 @@
-"""From the array that a user hands over to linear light with the stripes along the rows, or a line that says why not."""
+"""From the array that a user hands over to linear light with the stripes along the rows, or a line that refuses it."""
 
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from pipeline.calibration import Geometry
 from pipeline.decoding.light_path import LightPath
 from pipeline.errors import CalibrationError, FootageError
 from pipeline.settings import DecodeSettings
-from tikernels import runtime
-from tikernels._checks import dtype_name
+from tikernels import _checks, runtime
 from tikernels.arrays import LevelsImage
 from tikernels.errors import ShapeError
 from tikernels.phase.frame_statistics import count_out_of_range
@@ -43,14 +44,23 @@ class FrameReader:
         Full scale and stripes.
     path : LightPath
         How the camera encodes light, and its lateral colour.
-    size_px : (width, height), optional
-        The size that the calibration is for.
+    geometry : Geometry, optional
+        The calibrated rig's, for images of one size.
+    reference : (H, W) float32, optional
+        What ranges are measured from, for images of its size.
     """
 
-    def __init__(self, settings: DecodeSettings, path: LightPath, size_px: tuple[int, int] | None) -> None:
+    def __init__(
+        self,
+        settings: DecodeSettings,
+        path: LightPath,
+        geometry: Geometry | None,
+        reference: npt.NDArray[np.float32] | None,
+    ) -> None:
         self._settings = settings
         self._path = path
-        self._size_px = size_px
+        self._calibrated_px = None if geometry is None else geometry.camera.size_px
+        self._reference_shape = None if reference is None else reference.shape
 
     def read(self, image: LevelsImage) -> LinearFrame:
         """Return a frame in linear light.
@@ -61,14 +71,10 @@ class FrameReader:
             See `Decoder.decode`.
         """
         self._check_shape(image)
-        dtype = dtype_name(image)
+        dtype = _checks.dtype_name(image)
         if dtype not in WHITE_LEVELS:
             raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
-        if isinstance(image, np.ndarray):
-            image = np.ascontiguousarray(image)
-            # A GPU launch copies every NumPy argument back, which a read-only array does not survive.
-            if runtime.started() != "cpu" and not image.flags.writeable:
-                image = image.copy()
+        image = _checks.read_array("image", image, (None, None, 3), dtype)
         white = self._settings.white_level or WHITE_LEVELS[dtype]
         if dtype == "float32" or white < WHITE_LEVELS[dtype]:
             missing, outside = count_out_of_range(image, white)
@@ -97,11 +103,13 @@ class FrameReader:
             raise ShapeError(f"image has shape {shape}: pass (H, W, 3) RGB")
         if min(shape[:2]) < _MIN_SIZE_PX:
             raise ShapeError(f"image is {size_text(shape)}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
-        if self._size_px is not None and self._size_px != (shape[1], shape[0]):
-            width, height = self._size_px
+        if self._calibrated_px is not None and self._calibrated_px != (shape[1], shape[0]):
+            width, height = self._calibrated_px
             raise CalibrationError(
                 f"frame is {size_text(shape)} but the calibration is for {height}x{width}: recalibrate or crop"
             )
+        if self._reference_shape is not None and self._reference_shape != shape[:2]:
+            raise ShapeError(f"frame is {size_text(shape)} but the reference is {size_text(self._reference_shape)}")
 
 
 def size_text(shape: tuple[int, ...]) -> str:

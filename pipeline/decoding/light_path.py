@@ -18,6 +18,9 @@ from tikernels.raw.linearization import Transfer
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
 # one.
 _HARMONICS_A_PIXEL = 0.8
+# How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
+# a surface, but a code changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
+_CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
 _NO_CORRECTION = np.zeros(2, np.float32)
 # Crosstalk of which nothing is known turns the phase about grey; leaks of up to a fifth do it by some 0.05 rad.
 _UNKNOWN_CONSTANT = 0.05
@@ -34,6 +37,8 @@ class LightPath:
         The camera's lateral colour.
     crosstalk : Crosstalk
         The crosstalk, where the surface's colour acts, and the projector's lateral colour.
+    code : {"contrast"} or None
+        The pattern's code.
     constant_known : bool
         Whether the phase is known, not only but for a constant.
     constant_sigma : float
@@ -47,6 +52,7 @@ class LightPath:
         self.camera_shift_px: FloatArray | None = None
         self._lag: FloatArray | None = None
         self._balance_first = settings.reflectance_bands == "broad"
+        self.code = settings.code
         self._equalize = settings.equalize
         self._response: FloatArray | None = None  # of a pattern in which it has not been undone, or may not have been
         self._compensated: bool | None = None
@@ -60,6 +66,7 @@ class LightPath:
                         f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
                     )
                 self._compensated = calibration.pattern.compensated
+                self.code = calibration.pattern.code
             self.transfer = _transfer(settings, calibration)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
             if calibration.response is not None and self._compensated is not True:
@@ -112,6 +119,11 @@ class LightPath:
         if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self._lag):
             return response_table(self._response, self._lag)
         return _NO_CORRECTION
+
+    @property
+    def contrast_doubt(self) -> float:
+        """Standard deviation of a pixel's contrast about its neighbourhood's, by the pattern's code."""
+        return _CONTRAST_DOUBT[self.code]
 
     @property
     def response_is_full(self) -> bool:

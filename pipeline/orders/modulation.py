@@ -1,4 +1,4 @@
-"""What a coded pattern's changing modulation does to the phase, and what undoes it; `docs/coded_pattern.md` derives it."""
+"""What a coded pattern's changing modulation does to the phase, and what undoes it (`docs/coded_pattern.md`)."""
 
 from functools import cache
 

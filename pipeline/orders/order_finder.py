@@ -26,7 +26,7 @@ from tikernels.order_evidence.order_votes import vote_orders
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.equalization import modulation_tables
 from tikernels.phase.smoothing import RATE_ACROSS
-from tikernels.unwrapping import MIN_REGION_PX, PatchGraph, Patches, RegionTable
+from tikernels.unwrapping import MIN_REGION_PX, Patches, PatchGraph, RegionTable
 
 # With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
 # (rad) that is worth a pass over the image.
@@ -57,10 +57,10 @@ class SeenPhase:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The evidence of a frame's orders; `absolute` where a code or a range tells, `carried` where a frame before does."""
+    """The evidence of a frame's orders, and what it gives reason to doubt."""
 
-    absolute: AbsoluteOrders | None
-    carried: CarriedOrders | None
+    absolute: AbsoluteOrders | None  # by a code, or by the depth range
+    carried: CarriedOrders | None  # by the frame before
     warning: str | None  # what the user should know
 
     def region_orders(self, patches: Patches, regions: RegionTable, memory: FrameMemory | None) -> RegionOrders:
@@ -100,10 +100,8 @@ class OrderFinder:
 
     Parameters
     ----------
-    code : {"contrast"} or None
-        The pattern's code.
     path : LightPath
-        What is known of the light.
+        What is known of the light, and the pattern's code.
     geometry : Geometry, optional
         The rig's; with it, the depth tells what the orders may be.
     depth_range_mm : (2,) float, optional
@@ -117,13 +115,12 @@ class OrderFinder:
 
     def __init__(
         self,
-        code: str | None,
         path: LightPath,
         geometry: Geometry | None,
         depth_range_mm: tuple[float, float] | None,
     ) -> None:
-        self._code = code
-        self._code_looked_for = code is not None
+        self._code = path.code
+        self._code_looked_for = path.code is not None
         self._path = path
         self._geometry = geometry
         self._depth_range_mm = depth_range_mm
@@ -221,9 +218,7 @@ class OrderFinder:
             return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
         return None
 
-    def _read_code(
-        self, seen: SeenPhase, patches: Patches, rays: CameraRays | None
-    ) -> tuple[AbsoluteOrders, bool]:
+    def _read_code(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None) -> tuple[AbsoluteOrders, bool]:
         """Find the absolute orders, split the regions that the code contradicts, and say whether the code is seen."""
         graph = patches.graph()
         absolute, readable = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
@@ -243,15 +238,11 @@ class OrderFinder:
         self, seen: SeenPhase, patches: Patches, graph: PatchGraph, order_range: OrderRange | None
     ) -> tuple[AbsoluteOrders, bool]:
         phases = seen.phases
-        sums = measure_contrast(
-            seen.image, self._path.crosstalk, seen.gains, phases.phase, phases.modulation, patches
-        )
+        sums = measure_contrast(seen.image, self._path.crosstalk, seen.gains, phases.phase, phases.modulation, patches)
         rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
         return find_absolute_orders(sums, graph, int(seen.image.shape[1]), rising, order_range)
 
-    def _place_by_depth(
-        self, seen: SeenPhase, patches: Patches, rays: CameraRays | None
-    ) -> AbsoluteOrders | None:
+    def _place_by_depth(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None) -> AbsoluteOrders | None:
         """Find the orders that the depth range leaves possible."""
         graph = patches.graph()
         order_range = self._order_range(seen, graph, rays)

@@ -20,9 +20,9 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.batch import job as jobs
 from pipeline.batch.job import Job, Region, chains, runs
 from pipeline.batch.run import Stopped, decode_footage
+from pipeline.decoding.frame import FIELDS
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.footage.source import StoredAs
-from pipeline.decoding.frame import FIELDS
 from pipeline.output.store import chosen_fields
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig

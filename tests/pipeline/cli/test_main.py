@@ -12,10 +12,10 @@ import pytest
 import zarr
 
 from pipeline import Calibration, Decoder, DecodeSettings
+from pipeline.decoding.frame import FIELDS
 from pipeline.footage.image_file import read_picture
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.range_image import write_png
-from pipeline.decoding.frame import FIELDS
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
 
