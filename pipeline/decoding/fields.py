@@ -4,6 +4,7 @@ Frame, store, reader, meshes and the README's table all come from these entries:
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Generic, Literal, Protocol, TypeVar, overload
 
 import numpy as np
@@ -22,8 +23,13 @@ class Known(Protocol):
         """Whether ranges are in mm."""
 
 
-#: Rounds a field's values for the store.
-Rounding = Callable[[npt.NDArray[Any], Known], npt.NDArray[Any]]
+@dataclass(frozen=True)
+class Rounding:
+    """How the store drops the digits of a field that say nothing, because noise does not compress."""
+
+    how: str
+    apply: Callable[[npt.NDArray[Any], Known], npt.NDArray[Any]]
+
 
 # A power of two, so that every rounded phase is a float32 with many zeros at its end, which compress away. Photon noise
 # alone leaves more than 6e-4 rad to a pixel with 100,000 electrons and five rows' smoothing: ten steps.
@@ -57,7 +63,7 @@ class Field(Generic[T]):
     vertex : str or None
         Its name as a property of a mesh's vertices; None: meshes do not carry it.
     rounding : Rounding or None
-        How the store drops the digits that say nothing, because noise does not compress.
+        Of its values in the store; None: they are kept as they are.
     """
 
     name: str
@@ -100,7 +106,7 @@ class Field(Generic[T]):
     def stored(self, frame: Known) -> npt.NDArray[Any]:
         """Return a frame's values without the digits that say nothing, as the store keeps them."""
         values = np.asarray(getattr(frame, self.name))
-        return values if self.rounding is None else self.rounding(values, frame)
+        return values if self.rounding is None else self.rounding.apply(values, frame)
 
 
 def field(
@@ -122,35 +128,37 @@ def fields_of(frame: type) -> dict[str, Field[Any]]:
     return {name: entry for name, entry in vars(frame).items() if isinstance(entry, Field)}
 
 
-def phase_digits(phase: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
-    """Round a phase to 2^-14 rad."""
+def _rounded(values: npt.NDArray[np.float32], step: float) -> npt.NDArray[np.float32]:
+    return np.asarray(np.rint(values * np.float32(1 / step)) * np.float32(step))
+
+
+def _phase(phase: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
     return _rounded(phase, _PHASE_STEP_RAD)
 
 
-def wrapped_phase_digits(phase: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
-    """Round a wrapped phase to 2^-14 rad, within [-pi, pi]."""
+def _wrapped_phase(phase: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
     end = np.float32(_PHASE_STEP_RAD * np.floor(np.pi / _PHASE_STEP_RAD))
     return np.clip(_rounded(phase, _PHASE_STEP_RAD), -end, end)
 
 
-def range_digits(values: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
-    """Round a range that is a phase; depths in mm stay as they are."""
+def _relative_range(values: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
     return values if frame.calibrated else _rounded(values, _PHASE_STEP_RAD)
 
 
-def modulation_digits(modulation: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
-    """Round a modulation to a tenth of the noise, or to the next power of two below."""
+def _modulation(modulation: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
     if not frame.noise_levels > 0:
         return modulation
     return _rounded(modulation, float(2 ** np.floor(np.log2(_NOISE_STEP * frame.noise_levels))))
 
 
-def sigma_digits(sigma: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
-    """Keep seven bits of a standard deviation."""
+def _sigma(sigma: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
     dropped = 23 - _SIGMA_BITS
     bits = sigma.view(np.uint32) + np.uint32(1 << (dropped - 1))
     return np.asarray((bits & np.uint32(0xFFFFFFFF << dropped & 0xFFFFFFFF)).view(np.float32))
 
 
-def _rounded(values: npt.NDArray[np.float32], step: float) -> npt.NDArray[np.float32]:
-    return np.asarray(np.rint(values * np.float32(1 / step)) * np.float32(step))
+PHASE_DIGITS = Rounding("to 2^-14 rad", _phase)
+WRAPPED_PHASE_DIGITS = Rounding("to 2^-14 rad, within [-pi, pi]", _wrapped_phase)
+RELATIVE_RANGE_DIGITS = Rounding("in rad: to 2^-14 rad; in mm: not", _relative_range)
+MODULATION_DIGITS = Rounding("to the power of two below a tenth of the frame's noise", _modulation)
+SIGMA_DIGITS = Rounding("to 8 significant bits", _sigma)

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from pipeline.calibration import Geometry
 from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers
 from pipeline.decoding.fields import (
+    MODULATION_DIGITS,
+    PHASE_DIGITS,
+    RELATIVE_RANGE_DIGITS,
+    SIGMA_DIGITS,
+    WRAPPED_PHASE_DIGITS,
     field,
     fields_of,
-    modulation_digits,
-    phase_digits,
-    range_digits,
-    sigma_digits,
-    wrapped_phase_digits,
 )
 from pipeline.decoding.frame_reader import size_text
 from pipeline.errors import SettingsError
@@ -132,14 +132,14 @@ class DecodedFrame:
         """(regions + 1,) bool: by region, whether its orders are absolute; False for 0, no region."""
         return self.orders.known
 
-    @field("float32", "rad", needs=("mask", "_phase"), rounding=wrapped_phase_digits)
+    @field("float32", "rad", needs=("mask", "_phase"), rounding=WRAPPED_PHASE_DIGITS)
     def wrapped_phase(self) -> Floats:
         """Phase in [-pi, pi], corrected and smoothed; NaN outside the mask."""
         phase = self._phase
         phase = phase - np.float32(2 * np.pi) * np.rint(phase / np.float32(2 * np.pi))
         return np.where(self.mask, phase, np.float32(np.nan))
 
-    @field("float32", "rad", needs=("unwrapped_phase",), rounding=phase_digits)
+    @field("float32", "rad", needs=("unwrapped_phase",), rounding=PHASE_DIGITS)
     def unwrapped_phase(self) -> Floats:
         """The phase with its whole cycles; NaN outside the mask."""
         return self._read(self.surface.unwrapped)
@@ -155,7 +155,7 @@ class DecodedFrame:
         """Lit, modulated, and not between two surfaces: where the other fields hold."""
         return self._read(self.surface.mask).view(np.bool_)
 
-    @field("float32", "grey levels", needs=("modulation",), vertex="modulation", rounding=modulation_digits)
+    @field("float32", "grey levels", needs=("modulation",), vertex="modulation", rounding=MODULATION_DIGITS)
     def modulation(self) -> Floats:
         """The fringe's amplitude, in levels of the input."""
         return self._read(self.phases.modulation)
@@ -182,7 +182,7 @@ class DecodedFrame:
         """
         return self.orders.error_probability[self.region]
 
-    @field("float32", "rad", needs=("phase_sigma",), vertex="sigma_rad", rounding=sigma_digits)
+    @field("float32", "rad", needs=("phase_sigma",), vertex="sigma_rad", rounding=SIGMA_DIGITS)
     def phase_sigma(self) -> Floats:
         """One standard deviation of `wrapped_phase`; NaN outside the mask.
 
@@ -215,7 +215,7 @@ class DecodedFrame:
         """Place in the camera's frame (x right, y down, z forward); NaN outside the mask; only with a calibration."""
         return None if self.surface.points is None else self._read(self.surface.points)
 
-    @field("float32", "mm", needs=("point_sigma",), in_mm=True, vertex="sigma_mm", rounding=sigma_digits)
+    @field("float32", "mm", needs=("point_sigma",), in_mm=True, vertex="sigma_mm", rounding=SIGMA_DIGITS)
     def point_sigma(self) -> Floats | None:
         """One standard deviation along the pixel's ray, by `phase_sigma`; NaN where there is no point."""
         if self.rays is None or self.surface.points is None:
@@ -224,7 +224,7 @@ class DecodedFrame:
             known = (self.surface.unwrapped, self._phase_sigma, self.surface.points)
             return self._read(point_sigma(*known, self.rays.rays, self.rays.projector))
 
-    @field("float32", "range", needs=("points", "mask", "unwrapped_phase"), rounding=range_digits)
+    @field("float32", "range", needs=("points", "mask", "unwrapped_phase"), rounding=RELATIVE_RANGE_DIGITS)
     def range_image(self) -> Floats:
         """Depth in mm with a calibration, else relative, in rad; NaN outside the mask.
 
