@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import _tests_path  # noqa: F401
 from support.recorded_footage import command, contents, kill_again_and_again, record
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from benchmarks.colour_cycle_motion import KINDS, moved, simulate_exposure
+from support.exposures_off_cycle import KINDS, moved, simulate_exposure
 
 from hardware.colour_cycle import TOLERANCE, phase_error_limit
 from pipeline import Decoder, DecodeSettings

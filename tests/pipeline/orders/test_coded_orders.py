@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import reference
-from benchmarks.order_probability import judged_regions, uncertain_frame
+from support.uncertain_frames import judged_regions, uncertain_frame
 
 import tikernels
 from pipeline import Decoder, DecodeSettings, DecodeWarning
