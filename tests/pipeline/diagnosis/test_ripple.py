@@ -10,16 +10,14 @@ from pipeline.diagnosis.ripple import diagnose
 from pipeline.diagnosis.surface_check import corrected_light
 from pipeline.errors import CalibrationError
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 # Frames of rigs that are not what they are taken for.
-pytestmark = pytest.mark.filterwarnings("ignore:the colours' fringes differ")
+pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 
 @pytest.mark.parametrize(("cause", "fault"), FAULTS)
 def test_one_fault_is_named(cause, fault):
     """Alone, or in a set of what one frame cannot tell apart, which holds at most four."""
-    runtime.init("cpu")
     for seed, scene in enumerate(("plane", "ball")):
         found = diagnosed(*photographed(scene, seed, **fault))
         assert len(found.findings) == 1, (scene, [finding.causes for finding in found.findings])
@@ -33,27 +31,23 @@ def test_one_fault_is_named(cause, fault):
 @pytest.mark.parametrize("gain", [None, (1.1, 1.0, 1.0)])
 def test_a_clean_frame_is_fine(scene, gain):
     """So is one whose colours are not balanced: that is what a surface's colour looks like."""
-    runtime.init("cpu")
     assert not diagnosed(*photographed(scene, 3, gain=gain)).findings
 
 
 @pytest.mark.parametrize("exposure", [1.4, 2.5])
 def test_over_exposure(exposure):
     """However much: what is cut off tells nothing else."""
-    runtime.init("cpu")
     found = diagnosed(*photographed("plane", 1, exposure=exposure))
     assert [finding.causes for finding in found.findings] == [("clipping",)]
 
 
 def test_hardly_anything_but_clipped():
-    runtime.init("cpu")
     found = diagnosed(*photographed("plane", 1, exposure=5.0))
     assert not found.findings and "expose less" in found.notes[0]
 
 
 def test_what_decoding_undoes_is_no_fault():
     """Neither a response that the calibration holds, nor lateral colour; without them both are found."""
-    runtime.init("cpu")
     rig = simulated_rig()
     shift = np.array([[0, 0.7], [0, 0], [0, -0.7]])
     faults = {"gamma": 2.0, "projector_shift_px": shift, "crosstalk_matrix": np.eye(3)}
@@ -76,7 +70,6 @@ def test_what_decoding_undoes_is_no_fault():
 
 def test_a_wrong_transfer_is_turned_round():
     """Against what the frame was decoded with, whatever the calibration says."""
-    runtime.init("cpu")
     image, white = photographed("plane", 1)
     frame = Decoder(DecodeSettings(equalize=False, crosstalk_matrix=np.eye(3), transfer="srgb"), arch="cpu").decode(
         image
@@ -94,7 +87,6 @@ def test_too_little_to_say_anything():
 
 def test_a_fixed_calibration():
     """Response and crosstalk that a calibration does not hold are put into it from the frame that shows them."""
-    runtime.init("cpu")
     truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
     old = truth.rig.model_copy(update={"crosstalk_matrix": np.eye(3)})
     frame = Decoder(DecodeSettings(equalize=False), old, arch="cpu").decode(truth.image)
