@@ -13,6 +13,8 @@ from pipeline.footage.image_file import read_picture
 from pipeline.pattern.fringes import make_pattern, write_pattern
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
+pytestmark = pytest.mark.usefixtures("cpu")
+
 BRIGHTNESS = 0.85
 CODES = np.linspace(0, 1, 256)
 RESPONSE = np.stack([CODES**gamma for gamma in (1.8, 2.0, 2.4)])

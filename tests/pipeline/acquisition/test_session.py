@@ -265,6 +265,7 @@ def test_a_closed_terminal_is_nothing_to_nohup():
         signal.signal(signal.SIGHUP, before)
 
 
+@pytest.mark.usefixtures("kernels_on_disk")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_command_stops_when_told_to(tmp_path, number):
     """Whatever moment it comes at, and however often: exit code, folder and pulses fit together."""

@@ -30,6 +30,8 @@ from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
+pytestmark = pytest.mark.usefixtures("cpu")
+
 N_FRAMES = 14
 CHAIN = 4
 
@@ -40,7 +42,7 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def rig(folder):
+def rig(folder, cpu):
     """Return the calibration of the rig that has recorded the footage."""
     return record(folder / "film.zarr", N_FRAMES)
 
@@ -172,6 +174,7 @@ def test_which_frames_are_decoded_for_which():
     assert list(runs([])) == []
 
 
+@pytest.mark.usefixtures("kernels_on_disk")
 def test_killed_again_and_again(folder, rig, tmp_path, monkeypatch):
     """The command's own chains, and its own process; `tests/benchmarks/kills.py` does it twenty times."""
     monkeypatch.undo()
@@ -342,6 +345,7 @@ def test_ctrl_c_keeps_what_is_done(job, undisturbed):
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
+@pytest.mark.usefixtures("kernels_on_disk")
 def test_ctrl_c_at_the_terminal(tmp_path):
     """Exit code 130, and one line that says how to go on."""
     record(tmp_path / "film.mkv", 300)
@@ -443,7 +447,6 @@ def test_regions_of_interest_that_are_none(job, rig):
 )
 def test_a_region_is_cut_out_of_the_planes(format):
     """What develops of it is what develops of the whole frame there, but for its rim, where neighbours are missing."""
-    runtime.init("cpu")
     rng = np.random.default_rng(3)
     planes = tuple(rng.integers(0, 256, shape).astype(np.uint8) for shape in format.plane_shapes(48, 64))
     region, rim = Region(8, 4, 41, 31), 12

@@ -22,7 +22,6 @@ from pipeline.footage.image_file import read_picture
 from pipeline.output.report import measure_against_truth
 from pipeline.pattern.fringes import make_pattern
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 SEQUENCE = radiometry_sequence((1024, 768))
 GREY = f"{len(SEQUENCE.names) - 1:02d}-grey-255"
@@ -87,9 +86,8 @@ def test_a_transfer_that_no_standard_names():
     np.testing.assert_allclose(found.response, np.tile((np.arange(256) / 255) ** 2, (3, 1)), atol=0.01)
 
 
-def test_the_compensated_pattern_leaves_no_ripple():
+def test_the_compensated_pattern_leaves_no_ripple(cpu):
     """Light that is sinusoidal needs no equalisation: 0.030 rad is noise, smoothed."""
-    runtime.init("cpu")
     rig = simulated_rig()
     settings = SimulationSettings(scene="plane")
     captures = {}
@@ -182,7 +180,6 @@ def test_a_calibration_of_light_alone(tmp_path):
         again.write(path, force=False)
     with pytest.warns(DecodeWarning, match="exposure_s is 0.02 but was 0.01"):
         Decoder(DecodeSettings(capture=Capture(exposure_s=0.02)), again, arch="cpu")
-    runtime.init("cpu")
     image = simulate_frame(simulated_rig((160, 120), period_px=4 * 768 / 44)).image
     frame = Decoder(DecodeSettings(), again, arch="cpu").decode(image)
     assert frame.points is None and frame.mask.any()

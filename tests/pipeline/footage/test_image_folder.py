@@ -13,6 +13,8 @@ from pipeline.footage.sources import BadFrame, StoredFrame, open_source
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
+pytestmark = pytest.mark.usefixtures("cpu")
+
 RNG = np.random.default_rng(4)
 
 
@@ -85,9 +87,6 @@ def test_a_jpeg_gives_its_planes(tmp_path):
     expected = PixelFormat("yuv", subsampling=(2, 2), siting="centre", matrix="bt601", full_range=True)
     assert frame.format == expected
     assert source.notes == ()
-    import tikernels
-
-    tikernels.init("cpu")
     np.testing.assert_allclose(255 * np.array(develop(frame.planes, frame.format)), picture, atol=3)
 
 

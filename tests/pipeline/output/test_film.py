@@ -15,8 +15,9 @@ from pipeline.output.film import FilmOptions, render_film
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.render import render_mesh
 from pipeline.output.stored_result import StoredResult, export_frames
-from tikernels import runtime
 from tikernels.raw.development import develop
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 SIZE = (160, 120)
 HEIGHT, WIDTH = 60, 80
@@ -166,7 +167,6 @@ def test_frames_without_a_surface(tmp_path):
 @pytest.mark.parametrize("size", [(160, 120), (1280, 960)])
 def test_colors_are_those_that_were_drawn(tmp_path, monkeypatch, codec, size):
     """Whatever a player guesses of a file that does not say its matrix; to 3 grey levels."""
-    runtime.init("cpu")
     monkeypatch.setattr(av, "codecs_available", {codec})
     color = (220, 60, 40)
     with film._Encoder(str(tmp_path / "film.mp4"), FilmOptions(size_px=size)) as encoder:
@@ -217,7 +217,6 @@ def test_a_damaged_chunk_is_named(tmp_path):
     path = store(tmp_path / "r.zarr", [400.0, 401.0])
     chunk = next(p for p in (path / "points").rglob("*") if p.is_file() and p.name != "zarr.json")
     chunk.write_bytes(b"nothing")
-    runtime.init("cpu")
     with pytest.raises(FootageError, match=r"points of frame \d is damaged"):
         export_frames(path, tmp_path / "out", "ply")
 
@@ -235,7 +234,6 @@ def test_a_child_that_dies_leaves_nothing(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("in_mm", [True, False])
 def test_export(tmp_path, in_mm):
-    runtime.init("cpu")
     path = store(tmp_path / "r.zarr", [400.0, None, 402.0, 403.0], missing=(3,), in_mm=in_mm)
     assert export_frames(path, tmp_path / "out", "ply") == (2, (1,))
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["frame_000000.ply", "frame_000002.ply"]
