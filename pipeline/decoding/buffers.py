@@ -8,7 +8,7 @@ GPU users get copies, and buffers come back with the object that holds them.
 
 import weakref
 from collections import defaultdict, deque
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -40,6 +40,7 @@ class SurfaceBuffers:
     points: F32 | None  # (H, W, 3) mm; None without a calibration
 
 
+_Free = defaultdict[str, deque[Any]]
 G = TypeVar("G", PhaseBuffers, SurfaceBuffers)
 
 
@@ -56,7 +57,8 @@ class BufferPool:
     """Results' buffers, used again when nothing refers to them any more."""
 
     def __init__(self) -> None:
-        self._free: defaultdict[tuple[tuple[int, ...], str], deque[Any]] = defaultdict(lambda: deque(maxlen=_MOST_FREE))
+        self._shape: tuple[int, int] | None = None
+        self._free: _Free = defaultdict(lambda: deque(maxlen=_MOST_FREE))
 
     def lend(self, shape: tuple[int, int], *, points: bool) -> tuple[PhaseBuffers, SurfaceBuffers]:
         """Return buffers that nobody else writes; their content is arbitrary.
@@ -68,24 +70,30 @@ class BufferPool:
         points : bool
             Whether there is room for points.
         """
-        if any(here[:2] != shape for here, _ in self._free):
+        if shape != self._shape:
+            self._shape = shape
             self._free.clear()  # frames come in one size, so what is left of another one is not needed again
-        phases, surface = _Loan(self._free), _Loan(self._free)
-        floats = [phases.take(shape, np.float32) for _ in fields(PhaseBuffers)]
-        unwrapped, mask, region = (surface.take(shape, kind) for kind in (np.float32, np.uint8, np.int32))
-        place = surface.take((*shape, 3), np.float32) if points else None
-        return phases.held_by(PhaseBuffers(*floats)), surface.held_by(SurfaceBuffers(unwrapped, mask, region, place))
+        pixels, unwrapping = _Loan(self._free), _Loan(self._free)
+        phases = PhaseBuffers(*(pixels.take(name, shape) for name in ("phase", "modulation", "precision")))
+        surface = SurfaceBuffers(
+            unwrapping.take("unwrapped", shape),
+            unwrapping.take("mask", shape, np.uint8),
+            unwrapping.take("region", shape, np.int32),
+            unwrapping.take("points", (*shape, 3)) if points else None,
+        )
+        return pixels.held_by(phases), unwrapping.held_by(surface)
 
 
 class _Loan:
     """Memory on its way from the pool, and how it comes back."""
 
-    def __init__(self, free: dict[tuple[tuple[int, ...], str], deque[Any]]) -> None:
+    def __init__(self, free: _Free) -> None:
         self._free = free
         self._on_device: list[tuple[deque[Any], Any]] = []
 
-    def take(self, shape: tuple[int, ...], dtype: npt.DTypeLike) -> Any:
-        free = self._free[shape, np.dtype(dtype).name]
+    def take(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> Any:
+        """Return memory that waits under a name, or fresh one."""
+        free = self._free[name]
         memory = free.pop() if free else runtime.empty(shape, dtype)
         if not isinstance(memory, np.ndarray):
             self._on_device.append((free, memory))

@@ -1,4 +1,7 @@
-"""The tables of a frame's fields in README and docs, made of the one in the code: python tests/support/field_tables.py"""
+"""The tables of a frame's fields in README and docs, made from the table in the code.
+
+python tests/support/field_tables.py
+"""
 
 from pathlib import Path
 

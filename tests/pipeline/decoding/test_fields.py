@@ -71,8 +71,8 @@ def test_rounding_stays_below_what_it_claims():
     assert np.abs(MODULATION_DIGITS.apply(levels, Frame()) - levels).max() <= 0.125  # half of 1/4, the step below 0.3
 
 
-def test_depths_in_mm_are_not_rounded():
-    depth = np.float32([900.123])
+def test_relative_ranges_are_rounded_and_depths_in_mm_are_not():
+    depth = np.float32([0.123456])
     frame = Frame()
     assert RELATIVE_RANGE_DIGITS.apply(depth, frame) != depth
     frame.calibrated = True

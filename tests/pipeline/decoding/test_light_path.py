@@ -77,10 +77,8 @@ def test_the_code_is_the_patterns():
     coded = simulated_rig((64, 48), code="contrast")
     assert LightPath(DecodeSettings(), coded).code == "contrast"
     assert LightPath(DecodeSettings(code="contrast"), simulated_rig((64, 48))).code is None
-    assert (
-        LightPath(DecodeSettings(code="contrast"), None).contrast_doubt
-        > LightPath(DecodeSettings(), None).contrast_doubt
-    )
+    plain, told = (LightPath(DecodeSettings(code=code), None) for code in (None, "contrast"))
+    assert told.contrast_doubt > plain.contrast_doubt
 
 
 def test_a_camera_that_stands_otherwise():

@@ -15,7 +15,7 @@ from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, si
 # Frames of rigs that are not what they are taken for.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
-PLANE = Path(__file__).resolve().parents[3] / "shared" / "data" / "kamino_plane"
+PLANE = Path(__file__).resolve().parents[4] / "shared" / "data" / "kamino_plane"
 
 
 def phase_error(found, truth, mask):
