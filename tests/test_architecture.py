@@ -84,7 +84,7 @@ def test_peers_are_no_dependencies():
             assert not imported(path) & {"scipy", "skimage"}, path
 
 
-@pytest.mark.parametrize("module", [*PACKAGES, "pipeline.cli.main"])
+@pytest.mark.parametrize("module", ["colorphase", *PACKAGES, "pipeline.cli.main"])
 def test_importing_does_nothing_else(module):
     """It prints nothing, starts no device and loads nothing heavy."""
     program = (

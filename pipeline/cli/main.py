@@ -4,6 +4,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from json import dumps
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -72,6 +73,7 @@ _err = Console(stderr=True, markup=False, emoji=False)
 app = App(
     name="colorphase",
     help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
+    version=lambda: version("colorphase"),
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,  # `main` says what it has stopped
     error_formatter=lambda error: Text(f"error: {' '.join(str(error).split())}", style="red"),
