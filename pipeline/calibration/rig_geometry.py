@@ -15,11 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.captures import Picture
 from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, Uncertainty
 from pipeline.calibration.multishot import ProjectorMap, decode_multishot
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray
+from pipeline.models import FloatArray, ImageArray
 
 MIN_POSES = 8
 _MIN_CORNERS = 12
@@ -70,7 +69,7 @@ class GeometryFit:
 
 def measure_pose(
     name: str,
-    captures: Mapping[str, Picture],
+    captures: Mapping[str, ImageArray],
     board: Board,
     projector_size_px: tuple[int, int],
     white_level: float | None = None,

@@ -11,23 +11,23 @@ import numpy as np
 from pipeline.decoder import Decoder
 from pipeline.diagnosis.container import ContainerFacts, container_facts
 from pipeline.diagnosis.frame_evidence import (
-    Kept,
-    Look,
-    Shown,
+    FrameQuality,
+    InspectedFrame,
+    KeptFrame,
     SitingFit,
     as_light,
     decoder_settings,
     fit_siting,
-    look_at,
+    inspect_frame,
     measure_gains,
     measure_motion,
-    measure_shown,
+    measure_quality,
 )
+from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.diagnosis.ripple import Diagnosis, diagnose
-from pipeline.diagnosis.sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.errors import DecodeWarning, FootageError
+from pipeline.footage.opening import Source, open_source
 from pipeline.footage.source import BadFrame, StoredAs, StoredFrame
-from pipeline.footage.sources import Source, open_source
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.phase.frame_statistics import measure_frame
@@ -67,7 +67,7 @@ _STILL_NOT_TOLD = "frames that are the same may be repeated, or nothing moved: t
 
 
 @dataclass(frozen=True)
-class Finding:
+class FootageFinding:
     """One thing that was looked at."""
 
     topic: str  # a word for programs, as "chroma"
@@ -81,7 +81,7 @@ class Finding:
 class Inspection:
     """What footage is like: every finding, the container's first."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[FootageFinding, ...]
     not_told: tuple[str, ...]  # what these frames cannot tell, a sentence each
     n_looked_at: int
     n_frames: int
@@ -107,7 +107,7 @@ def inspect_footage(
     arch: str = "auto",
     tell: Callable[[str], None] = lambda _: None,
 ) -> Inspection:
-    """Look at some twenty frames, however many there are, and say what their phase suffers from.
+    """InspectedFrame at some twenty frames, however many there are, and say what their phase suffers from.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def inspect_footage(
     if facts.missing is None and len(source) > 1:
         not_told.append("whether frames are missing between others: neither even time stamps nor numbers in names tell")
     if seen.looks:
-        typical = Shown(*np.median([list(vars(shown).values()) for shown in seen.shown], axis=0).tolist())
+        typical = FrameQuality(*np.median([list(vars(shown).values()) for shown in seen.shown], axis=0).tolist())
         findings += [
             *_of_fringes(seen, typical),
             *_of_storage(seen, facts, source, typical),
@@ -164,8 +164,8 @@ class _Seen:
     n_frames: int = 0
     bad: list[BadFrame] = field(default_factory=list)
     no_fringes: list[int] = field(default_factory=list)
-    looks: list[Kept] = field(default_factory=list)  # the first with fringes of every run
-    shown: list[Shown] = field(default_factory=list)
+    looks: list[KeptFrame] = field(default_factory=list)  # the first with fringes of every run
+    shown: list[FrameQuality] = field(default_factory=list)
     motion_rad: list[float] = field(default_factory=list)  # of pairs of neighbours, 95th percentile
     repeats: list[int] = field(default_factory=list)  # frames that are as the one before, value by value
     n_pairs: int = 0
@@ -181,9 +181,9 @@ def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str,
     seen, decoder = _Seen(settings), None
     runs = _runs(len(source))
     middle, total = max(runs, key=len), sum(map(len, runs))
-    sequence: list[Kept] = []
+    sequence: list[KeptFrame] = []
     for run in runs:
-        before: tuple[StoredFrame, Look] | None = None
+        before: tuple[StoredFrame, InspectedFrame] | None = None
         first = True
         for stored in source.frames(run.start, run.stop):
             seen.n_frames += 1
@@ -198,7 +198,7 @@ def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str,
                     if decoder is None:
                         seen.settings = _turned(stored, seen.settings)
                         decoder = Decoder(decoder_settings(seen.settings), arch=arch)
-                    look = look_at(stored, decoder, seen.settings)
+                    look = inspect_frame(stored, decoder, seen.settings)
                 except FootageError as error:
                     seen.bad.append(BadFrame(stored.number, str(error)))
                     before = None
@@ -214,10 +214,10 @@ def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str,
                 if look.frame is None:
                     seen.no_fringes.append(stored.number)
                     continue
-                seen.shown.append(measure_shown(look, look.frame, _bits(source)))
+                seen.shown.append(measure_quality(look, look.frame, _bits(source)))
                 if first:
                     first = False
-                    kept = Kept.of(look, look.frame)
+                    kept = KeptFrame.of(look, look.frame)
                     seen.looks.append(kept)
                     if seen.diagnosis is None and run.start >= middle.start:
                         seen.diagnosis = _diagnosed(kept, decoder, look.settings)
@@ -225,7 +225,7 @@ def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str,
                             tell("where the colours sit")
                             seen.siting = fit_siting(stored, seen.settings, arch)
                 if run == middle and len(run) == _RUN:
-                    sequence.append(Kept.of(look, look.frame))
+                    sequence.append(KeptFrame.of(look, look.frame))
     if len(sequence) == _RUN:
         tell("motion and beat")
         seen.sequence = diagnose_sequence(
@@ -277,21 +277,21 @@ def _matrix(decoder: Decoder | None) -> Any:
     return known
 
 
-def _diagnosed(kept: Kept, decoder: Decoder, settings: DecodeSettings) -> Diagnosis:
+def _diagnosed(kept: KeptFrame, decoder: Decoder, settings: DecodeSettings) -> Diagnosis:
     return diagnose(kept.encoded, 1.0, kept.unwrapped_phase, kept.mask, _matrix(decoder), settings.transfer)
 
 
 def _finding(
     topic: str, found: str, cost_rad: float | None = None, advice: str = "", *, grade: Grade | None = None
-) -> Finding:
+) -> FootageFinding:
     """Return a finding; without a grade its cost gives it."""
     if grade is None:
         cost = cost_rad or 0.0
         grade = "spoils" if cost >= _MOST_RAD else "costs" if cost >= _LEAST_RAD else "fine"
-    return Finding(topic, found, cost_rad, grade, "" if grade == "fine" else advice)
+    return FootageFinding(topic, found, cost_rad, grade, "" if grade == "fine" else advice)
 
 
-def _of_container(facts: ContainerFacts, source: Source) -> Iterator[Finding]:
+def _of_container(facts: ContainerFacts, source: Source) -> Iterator[FootageFinding]:
     width, height = source.size_px
     rate = "" if facts.rate_hz is None else f", {facts.rate_hz:.4g} a second"
     frames = "1 frame" if len(source) == 1 else f"{len(source)} frames"
@@ -317,7 +317,7 @@ def _of_container(facts: ContainerFacts, source: Source) -> Iterator[Finding]:
         )
 
 
-def _of_frames(seen: _Seen, facts: ContainerFacts, given: DecodeSettings) -> Iterator[Finding]:
+def _of_frames(seen: _Seen, facts: ContainerFacts, given: DecodeSettings) -> Iterator[FootageFinding]:
     """Yield what makes frames unusable."""
     if seen.bad:
         first = seen.bad[0]
@@ -355,7 +355,7 @@ def _of_frames(seen: _Seen, facts: ContainerFacts, given: DecodeSettings) -> Ite
         )
 
 
-def _of_fringes(seen: _Seen, typical: Shown) -> Iterator[Finding]:
+def _of_fringes(seen: _Seen, typical: FrameQuality) -> Iterator[FootageFinding]:
     periods = [look.period_px for look in seen.looks]
     yield _finding("fringes", f"{seen.settings.stripes}, {np.median(periods):.1f} px a cycle")
     # A limit that is lower than neighbours differ by shows what it is that costs.
@@ -376,7 +376,7 @@ def _of_fringes(seen: _Seen, typical: Shown) -> Iterator[Finding]:
     )
 
 
-def _of_storage(seen: _Seen, facts: ContainerFacts, source: Source, typical: Shown) -> Iterator[Finding]:
+def _of_storage(seen: _Seen, facts: ContainerFacts, source: Source, typical: FrameQuality) -> Iterator[FootageFinding]:
     # The codec's part of the noise: what neither the camera's noise, as far as the codec has left it, nor levels make.
     rest = float(np.sqrt(max(0.0, typical.sigma_rad**2 - typical.limit_rad**2)))
     x, y = source.format.subsampling
@@ -421,7 +421,7 @@ def _of_storage(seen: _Seen, facts: ContainerFacts, source: Source, typical: Sho
     yield _finding("depth", kind, typical.level_limit_rad, advice, grade=None if rough else "fine")
 
 
-def _of_light(seen: _Seen, typical: Shown) -> Iterator[Finding]:
+def _of_light(seen: _Seen, typical: FrameQuality) -> Iterator[FootageFinding]:
     """Yield what is wrong with exposure and transfer, and what the rig itself does."""
     diagnosed = () if seen.diagnosis is None else seen.diagnosis.findings
     cut = [_rms(finding.ripple_rad) for finding in diagnosed if finding.causes == ("clipping",)]
@@ -459,7 +459,7 @@ def _of_light(seen: _Seen, typical: Shown) -> Iterator[Finding]:
         )
 
 
-def _of_time(seen: _Seen, typical: Shown) -> Iterator[Finding]:
+def _of_time(seen: _Seen, typical: FrameQuality) -> Iterator[FootageFinding]:
     """Yield what changes from frame to frame."""
     gains = [measure_gains(seen.looks[0], later) for later in seen.looks[1:]]
     if any(gain is not None for gain in gains):

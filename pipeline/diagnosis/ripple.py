@@ -17,23 +17,22 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture
 from pipeline.diagnosis.channel_spectra import (
     OVERLAP,
     PHASES,
-    Fit,
+    RobustFit,
     Tiles,
+    channel_waves,
     clipping_ripple,
     fit_tiles,
     mean_spectrum,
     neighbours_median,
-    ripple,
+    ripple_by_harmonic,
     robust_fit,
     seen_ripple,
     smooth_phase,
-    waves_of,
 )
-from pipeline.models import FloatArray
+from pipeline.models import FloatArray, ImageArray
 from tikernels.raw.linearization import Transfer, linear_values
 
 _Complexes = npt.NDArray[np.complex128]
@@ -53,7 +52,7 @@ _MAX_CLIPPED = 0.1
 
 
 @dataclass(frozen=True)
-class Finding:
+class RippleFinding:
     """One thing that is wrong, or the smallest set of things that this frame cannot tell apart."""
 
     causes: tuple[str, ...]
@@ -67,7 +66,7 @@ class Finding:
 class Diagnosis:
     """What is wrong with a frame, the worst first."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[RippleFinding, ...]
     ripple_rad: dict[int, float]  # of all faults together, from the channels
     seen_rad: dict[int, float]  # by harmonic, in the phase that was handed in: what decoding has left of it
     limit_rad: float  # below this nothing is called a fault
@@ -75,7 +74,7 @@ class Diagnosis:
 
 
 def diagnose(
-    image: Picture,
+    image: ImageArray,
     white_level: float,
     unwrapped_phase: npt.NDArray[np.float32],
     mask: _Bools,
@@ -140,7 +139,7 @@ def diagnose(
                 f"{c} {100 * s:.1f} %" for c, s in zip(_CHANNELS, clipped[usable].mean(axis=0), strict=True)
             )
             advice = "expose less, or dim the projector"
-            findings.append(Finding(("clipping",), f"clipped pixels: {share}", lost, 0.99, advice))
+            findings.append(RippleFinding(("clipping",), f"clipped pixels: {share}", lost, 0.99, advice))
         if clipped[usable].mean(axis=0).max() > _MAX_CLIPPED or len(tiles.mean) < _MIN_TILES:
             seen_rad = seen_ripple(unwrapped_phase, phase, usable)
             return Diagnosis(tuple(findings), lost, seen_rad, float(limit), ("too much is clipped to say more",))
@@ -157,7 +156,7 @@ def diagnose(
     color = np.median(tiles.mean, axis=0)
     note = "channels' means R : G : B = " + " : ".join(f"{v / color[1]:.2f}" for v in color)
     note += ": surface colour, light or white balance; harmless, the balance undoes it"
-    everything = ripple(waves_of(mean_spectrum(seen)), matrix)
+    everything = ripple_by_harmonic(channel_waves(mean_spectrum(seen)), matrix)
     return Diagnosis(tuple(findings), everything, seen_ripple(unwrapped_phase, phase, usable), float(limit), (note,))
 
 
@@ -171,8 +170,8 @@ def ideal(matrix: FloatArray, contrast: Any = 1.0) -> _Complexes:
     return np.asarray(matrix @ (contrast * np.exp(1j * PHASES)))
 
 
-def own_harmonics(tiles: Tiles, matrix: FloatArray) -> Fit:
-    """Fit the harmonics (3, K - 1) of the unmixed channels, over their own fundamental and in its phase.
+def own_harmonics(tiles: Tiles, matrix: FloatArray) -> RobustFit:
+    """RobustFit the harmonics (3, K - 1) of the unmixed channels, over their own fundamental and in its phase.
 
     A response that knows nothing of the other channels makes them real: c_k of f(cos(phi)).
     """
@@ -199,7 +198,7 @@ def explain_harmonics(
     other: str,
     read_otherwise: Callable[[], Tiles],
     response: FloatArray | None = None,
-) -> tuple[list[Finding], Tiles, FloatArray]:
+) -> tuple[list[RippleFinding], Tiles, FloatArray]:
     """Tell the projector's response from the camera's transfer.
 
     Both put the same harmonics into every channel, the response before reflectance, ambient light and crosstalk, the
@@ -213,7 +212,7 @@ def explain_harmonics(
 
     def size_of(harmonics: _Complexes) -> dict[int, float]:
         pure = np.hstack([np.ones((3, 1)), harmonics]) * contrast * np.exp(1j * turns * PHASES[:, None])
-        return ripple(waves_of(matrix @ pure), matrix)
+        return ripple_by_harmonic(channel_waves(matrix @ pure), matrix)
 
     size = size_of(own)
     # Harmonics that the decoder undoes are no fault, and neither are none: what is known need not be in the pattern.
@@ -236,7 +235,7 @@ def explain_harmonics(
     explained = 1 - best / power
     if explained < 0.7:
         advice = "look at the camera's picture profile (contrast, sharpening) and at interreflections"
-        found = Finding(("unknown harmonics",), "neither a power law nor a transfer", size, 0.5, advice)
+        found = RippleFinding(("unknown harmonics",), "neither a power law nor a transfer", size, 0.5, advice)
         return [found], tiles, np.ones(3)
     words = {
         "response": (
@@ -250,7 +249,7 @@ def explain_harmonics(
     }
     causes = tuple(name for name, value in left.items() if value < 4 * best + _DECISIVE * floor)
     sizes, advice = (" or ".join(words[cause][i] for cause in causes) for i in (0, 1))
-    finding = Finding(causes, sizes, size, float(min(explained, 0.99)), advice)
+    finding = RippleFinding(causes, sizes, size, float(min(explained, 0.99)), advice)
     if causes == ("transfer",):
         return [finding], otherwise, np.ones(3)
     return [finding], tiles, 2 * gamma / (gamma + 1)
@@ -258,7 +257,7 @@ def explain_harmonics(
 
 def explain_fundamental(
     tiles: Tiles, response_contrast: FloatArray, matrix: FloatArray, limit: float, lag_rad: FloatArray
-) -> list[Finding]:
+) -> list[RippleFinding]:
     """Name what makes the channels' contrasts differ, or their phases, from what is known of the rig."""
     expected = ideal(matrix, response_contrast / response_contrast.mean() * np.exp(-1j * lag_rad))
     relative = tiles.spectrum[..., 0] / expected
@@ -275,7 +274,7 @@ def explain_fundamental(
     scale = np.median(abs(relative))
 
     def ripple_of(change: Any) -> dict[int, float]:
-        return ripple(waves_of((scale * ideal(matrix) * change)[:, None]), matrix)
+        return ripple_by_harmonic(channel_waves((scale * ideal(matrix) * change)[:, None]), matrix)
 
     def ripple_of_lag(lags: Any) -> dict[int, float]:
         return ripple_of(np.exp(1j * np.array([lags[0], 0, lags[1]])))
@@ -297,7 +296,7 @@ def explain_fundamental(
 
 def explain_loss(
     tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float], limit: float
-) -> Finding:
+) -> RippleFinding:
     """Contrast alone: one channel's, by its way over the picture, or several channels'."""
     others = np.array([[1, 2], [0, 2], [0, 1]])
     disagreement = abs(mean_loss[others[:, 0]] - mean_loss[others[:, 1]])
@@ -329,7 +328,7 @@ def explain_loss(
     if "offset" in possible:
         causes += [name for name in ("black level", "coloured ambient light") if name not in causes]
         sizes.append(f"{fits['offset'].value[0]:+.3f} of full scale added to {_CHANNELS[channel]}")
-    return Finding(
+    return RippleFinding(
         tuple(causes),
         " or ".join(sizes),
         size,
@@ -338,7 +337,7 @@ def explain_loss(
     )
 
 
-def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float]) -> Finding:
+def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float]) -> RippleFinding:
     """Contrast of more than one channel: a black level that all of them share, or several contrasts."""
     inverse = np.exp(loss)  # of the contrast: 1 + black / mean where that alone is wrong
     true_mean = tiles.mean / inverse
@@ -357,7 +356,7 @@ def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: 
     if "each" in possible:
         causes += ["projector amplitude", "projector defocus", "camera defocus", "even crosstalk"]
         sizes.append(f"contrasts against the best channel: {text}")
-    return Finding(
+    return RippleFinding(
         tuple(causes),
         " or ".join(sizes),
         size,
@@ -366,7 +365,7 @@ def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: 
     )
 
 
-def explain_lag(tiles: Tiles, lag: FloatArray, local: FloatArray, size: dict[int, float]) -> Finding:
+def explain_lag(tiles: Tiles, lag: FloatArray, local: FloatArray, size: dict[int, float]) -> RippleFinding:
     """Phase alone: by its way over the picture."""
     strength = np.hypot(*local.T)
     moving = strength > 0.5 * np.quantile(strength, 0.95)
@@ -402,7 +401,7 @@ def explain_lag(tiles: Tiles, lag: FloatArray, local: FloatArray, size: dict[int
         sizes.append(
             f"{np.ptp(lags) / 2:.3f} rad a field" + (" in a part of the picture" if possible <= {"part"} else "")
         )
-    return Finding(
+    return RippleFinding(
         tuple(causes),
         " or ".join(sizes),
         size,
@@ -417,7 +416,7 @@ def explain_both(
     loss: FloatArray,
     lag: FloatArray,
     ripple_of: Callable[[Any], dict[int, float]],
-) -> Finding | None:
+) -> RippleFinding | None:
     """Contrast and phase: crosstalk, if a matrix without negative entries can do it.
 
     A row of it, its sum one, puts a channel's fundamental into the triangle of exp(i d_k), its entries the barycentric
@@ -439,7 +438,7 @@ def explain_both(
     if contrast > 1.02 * best_scale:
         return None
     rows = "; ".join(" ".join(f"{entry:.2f}" for entry in row) for row in best)
-    return Finding(
+    return RippleFinding(
         ("crosstalk",),
         f"at least [{rows}], rows' sums one",
         ripple_of(change),

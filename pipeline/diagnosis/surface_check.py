@@ -8,14 +8,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture
-from pipeline.calibration.model import Calibration, Capture, Geometry
+from pipeline.calibration.model import Calibration, Geometry
 from pipeline.calibration.multishot import decode_multishot
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.self_calibration import estimate_light
 from pipeline.diagnosis.ripple import Diagnosis, other_transfer
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray
+from pipeline.models import CameraState, FloatArray, ImageArray
 from tikernels.depth.triangulation import triangulate
 from tikernels.raw.linearization import Transfer, linearize
 
@@ -152,7 +151,7 @@ def check_surface(
 
 
 def check_epipolar(
-    captures: Mapping[str, Picture],
+    captures: Mapping[str, ImageArray],
     calibration: Calibration,
     where: str = "captures",
     white_level: float | None = None,
@@ -324,7 +323,7 @@ def _predicted_bias(calibration: Calibration) -> float:
 def corrected_light(
     calibration: Calibration,
     diagnosis: Diagnosis,
-    image: Picture,
+    image: ImageArray,
     white_level: float,
     frame: DecodedFrame,
     transfer: Transfer = "linear",
@@ -356,7 +355,7 @@ def corrected_light(
         Nothing is at fault that a frame could correct, or the frame tells too little.
     """
     if any(finding.causes == ("transfer",) for finding in diagnosis.findings):
-        stood = calibration.capture or Capture()
+        stood = calibration.capture or CameraState()
         changed = stood.model_copy(update={"transfer": other_transfer(transfer)})
         return calibration.model_copy(update={"capture": changed})
     causes = {cause for finding in diagnosis.findings for cause in finding.causes}

@@ -19,7 +19,7 @@ from pipeline.errors import FootageError, OutputError, RenderError
 from pipeline.files import write_atomically
 from pipeline.output.mesh_files import Bytes, Floats, Mesh
 from pipeline.output.range_image import depth_colors
-from pipeline.output.render import VIEWS, Stage, View, draw_apart
+from pipeline.output.render import VIEWS, Renderer, View, draw_apart
 from pipeline.output.stored_result import StoredResult, mesh_fields
 from tikernels import runtime
 
@@ -71,7 +71,7 @@ class FilmOptions:
 class Film:
     """What has been drawn."""
 
-    n_pictures: int
+    n_images: int
     held: tuple[int, ...]  # frames that are not there, or show nothing: the one before stands in for them
     codec: str
 
@@ -146,7 +146,7 @@ def _sigma(result: StoredResult) -> str:
     return "point_sigma" if result.in_mm else "phase_sigma"
 
 
-class _Scene:
+class _FilmSetup:
     """What all pictures share: proportions, colours' limits, and where the eye is."""
 
     def __init__(self, meshes: Sequence[Mesh], options: FilmOptions) -> None:
@@ -204,7 +204,7 @@ def _draw_film(location: str, options: FilmOptions, path: str) -> None:
     meshes = [mesh for number in asked if len((mesh := result.mesh(number, needed)).faces)]
     if not meshes:
         raise RenderError("no frame shows a surface")
-    scene, stage = _Scene(meshes, options), Stage(options.size_px)
+    scene, stage = _FilmSetup(meshes, options), Renderer(options.size_px)
     del meshes
     numbers: Sequence[int] = result.wanted
     if len(numbers) == 1:

@@ -156,7 +156,7 @@ def _listen(
         return code, errors.read().decode(errors="replace")
 
 
-class Stage:
+class Renderer:
     """A lit scene off screen; only for a child process.
 
     Parameters
@@ -200,7 +200,7 @@ def _draw(mesh: Mesh, path: str, view: str, size_px: tuple[int, int]) -> None:
     vertices = proportioned(mesh)
     depth = vertices[:, 2:]
     colors = depth_colors(depth, np.ones(depth.shape, bool))[:, 0] if mesh.colors is None else mesh.colors
-    stage = Stage(size_px)
+    stage = Renderer(size_px)
     stage.show(vertices, mesh.faces, colors)
     stage.aim(vertices[mesh.faces].reshape(-1, 3), VIEWS[view])
     write_png(path, stage.picture())

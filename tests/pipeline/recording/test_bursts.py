@@ -16,7 +16,7 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from pipeline.errors import OutputError
-from pipeline.footage.sources import open_source
+from pipeline.footage.opening import open_source
 from pipeline.recording import recorder as recording
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat
