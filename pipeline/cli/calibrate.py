@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.calibration.board import Board
+from pipeline.calibration.board_poses import measure_pose
 from pipeline.calibration.captures import CapturedFolder, captured_files, write_sequence
 from pipeline.calibration.model import Calibration, Pattern, Uncertainty
 from pipeline.calibration.multishot import WHITE, multishot_codes, multishot_sequence
@@ -22,7 +23,7 @@ from pipeline.calibration.radiometry import (
     radiometry_codes,
     radiometry_sequence,
 )
-from pipeline.calibration.rig_geometry import MIN_POSES, GeometryFit, measure_pose, solve_geometry
+from pipeline.calibration.rig_geometry import MIN_POSES, GeometryFit, solve_geometry
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.models import CameraState, ImageArray, build
 

@@ -14,10 +14,11 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+import numpy.typing as npt
 
 from pipeline.errors import FootageError, OutputError, RenderError
 from pipeline.files import write_atomically
-from pipeline.output.mesh_files import Bytes, Floats, Mesh
+from pipeline.output.mesh import Mesh
 from pipeline.output.range_image import depth_colors
 from pipeline.output.render import VIEWS, Renderer, View, draw_apart
 from pipeline.output.stored_result import StoredResult, mesh_fields
@@ -172,7 +173,7 @@ class _FilmSetup:
             low, high = (0.0 if options.colors == "sigma" else float(bounds[0])), float(bounds[1])
             self.limits = (low, max(high, low + 1e-6 * max(abs(low), 1.0)))
 
-    def _shown(self, mesh: Mesh) -> Floats | None:
+    def _shown(self, mesh: Mesh) -> npt.NDArray[np.float32] | None:
         """Return what a mesh's colours stand for; None: nothing."""
         if self.options.colors == "shaded":
             return None
@@ -181,7 +182,7 @@ class _FilmSetup:
         name = "modulation" if self.options.colors == "modulation" else f"sigma_{mesh.unit}"
         return mesh.properties[name]
 
-    def colors(self, mesh: Mesh) -> Bytes:
+    def colors(self, mesh: Mesh) -> npt.NDArray[np.uint8]:
         """Return a colour a vertex, (N, 3)."""
         shown = self._shown(mesh)
         if shown is None:
@@ -250,7 +251,7 @@ class _Encoder:
             self._container.mux(self._stream.encode())
         self._container.close()
 
-    def add(self, picture: Bytes) -> None:
+    def add(self, picture: npt.NDArray[np.uint8]) -> None:
         import av
 
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")

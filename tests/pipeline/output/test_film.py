@@ -87,7 +87,7 @@ def shown(picture):
 
 @pytest.fixture(scope="module")
 def can_draw(tmp_path_factory):
-    from pipeline.output.mesh_files import Mesh
+    from pipeline.output.mesh import Mesh
 
     mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32))
     try:
