@@ -14,7 +14,7 @@ from rich.table import Table
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import measure_pose
-from pipeline.calibration.captures import CapturedFolder, captured_files, write_sequence
+from pipeline.calibration.captures import CapturedFolder, captured_files, refuse_other_camera, write_sequence
 from pipeline.calibration.model import Calibration, Pattern, Uncertainty
 from pipeline.calibration.multishot import WHITE, multishot_codes, multishot_sequence
 from pipeline.calibration.radiometry import (
@@ -29,8 +29,8 @@ from pipeline.models import CameraState, ImageArray, build
 
 if TYPE_CHECKING:
     from pipeline.decoding.frame import DecodedFrame
-    from pipeline.diagnosis.ripple import RippleFinding
-    from pipeline.diagnosis.surface_check import CheckResult
+    from pipeline.diagnosis.check_result import CheckResult
+    from pipeline.diagnosis.ripple_finding import RippleFinding
     from tikernels.raw.linearization import Transfer
 
 # Names of files may look like markup.
@@ -145,8 +145,6 @@ def radiometry(
     stood = build(CameraState, values, SettingsError, "capture")
     ramps = CapturedFolder(folder, radiometry_sequence(size_of(size)).names)
     if known is not None:
-        from pipeline.diagnosis.surface_check import refuse_other_camera
-
         height, width = next(iter(ramps.values())).shape[:2]
         refuse_other_camera(known, (width, height), str(folder))
     found = measure_radiometry(ramps, transfer, white_level)
@@ -290,8 +288,10 @@ def check(
         Replace an existing calibration.
     """
     from pipeline.decoder import Decoder
+    from pipeline.diagnosis.corrected_light import correct_light
+    from pipeline.diagnosis.epipolar_check import check_epipolar
     from pipeline.diagnosis.ripple import diagnose
-    from pipeline.diagnosis.surface_check import check_epipolar, check_surface, corrected_light, refuse_other_camera
+    from pipeline.diagnosis.surface_check import check_surface
     from pipeline.footage.image_file import read_image
     from pipeline.settings import DecodeSettings
     from tikernels.raw.lateral_color import align_channels
@@ -340,7 +340,7 @@ def check(
         worst = max(found.seen_rad, key=lambda harmonic: found.seen_rad[harmonic])
         _say(f"of it, decoding with this calibration leaves {found.seen_rad[worst]:.3f} rad, in harmonic {worst}")
     if fix is not None:
-        corrected_light(known, found, light, white, frame, transfer).write(fix, force=force)
+        correct_light(known, found, light, white, frame, transfer).write(fix, force=force)
         _say(f"wrote {fix}: it fits this pattern; measure the radiometry before you make a new one")
 
 

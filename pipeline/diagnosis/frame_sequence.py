@@ -26,7 +26,7 @@ from pipeline.diagnosis.channel_spectra import (
     smooth_phase,
     tile_side,
 )
-from pipeline.diagnosis.ripple import RippleFinding
+from pipeline.diagnosis.ripple_finding import RippleFinding
 from pipeline.models import FloatArray, ImageArray
 
 #: Fewer frames tell nothing.

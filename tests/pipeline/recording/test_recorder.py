@@ -114,7 +114,7 @@ def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch, suffix):
     def full(number, frame):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(recorder._crew._writer, "write", full)
+    monkeypatch.setattr(recorder._threads._writer, "write", full)
     with pytest.raises(OutputError, match="the disk is full: free some space"):
         recorder.add(frames_of(RGB8)[0])
         recorder.commit()
