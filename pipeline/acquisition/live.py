@@ -24,7 +24,7 @@ from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import DecodeWarning, FootageError, OutputError
 from pipeline.output.range_image import write_range_image
-from pipeline.processes import deaf_children
+from pipeline.processes import block_interrupts
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.errors import ShapeError
@@ -114,7 +114,7 @@ class LiveDecoder:
         task = _Task(settings, calibration, format, size_px, preview, arch)
         self._process = context.Process(target=_serve, args=(theirs, memory, task), name="live decoder", daemon=True)
         try:
-            with deaf_children():
+            with block_interrupts():
                 self._process.start()
         except OSError as error:
             self._ended = f"live decoding could not start: {error.strerror or error}"

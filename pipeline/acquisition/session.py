@@ -35,7 +35,7 @@ _RATE_BURSTS = 10
 
 
 @dataclass(frozen=True)
-class Plan:
+class CapturePlan:
     """What is to be captured, and how it is kept."""
 
     n_bursts: int | None = 1  # None: until it is stopped
@@ -47,7 +47,7 @@ class Plan:
 
 
 @dataclass(frozen=True)
-class Progress:
+class CaptureProgress:
     """How a capture stands."""
 
     n_bursts: int
@@ -59,7 +59,7 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Summary:
+class CaptureSummary:
     """What became of a capture."""
 
     n_bursts: int
@@ -70,17 +70,17 @@ class Summary:
     notes: tuple[str, ...]  # what could not be seen or held, a sentence each
 
 
-def capture(
+def capture_bursts(
     settings: RigSettings,
     open_instruments: Callable[[], tuple[Trigger, Camera]],
     folder: Path,
-    plan: Plan,
+    plan: CapturePlan,
     *,
     calibration: Calibration | None,
     decoding: DecodeSettings,
     stopping: Stopping,
-    tell: Callable[[Progress], None] = lambda progress: None,
-) -> Summary:
+    tell: Callable[[CaptureProgress], None] = lambda progress: None,
+) -> CaptureSummary:
     """Capture bursts until there are enough, or until it is stopped.
 
     Whatever happens, what was whole is kept: a burst stands in the recording and in its log, or in neither.
@@ -93,7 +93,7 @@ def capture(
         Open its trigger source and its camera.
     folder : Path
         The folder to make: the recording, ``log.jsonl``, ``calibration.json`` and, decoding live, ``live.png``.
-    plan : Plan
+    plan : CapturePlan
         How much is captured, and how it is kept.
     calibration : Calibration, optional
         The rig's.
@@ -142,7 +142,7 @@ def capture(
             stopping.ignore()
             bursts.close()
         notes = rig.notes + keeper.notes
-    return Summary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped, notes)
+    return CaptureSummary(keeper.n_bursts, keeper.n_frames, keeper.n_rejected, keeper.recording, stopped, notes)
 
 
 def _taken(folder: Path) -> OutputError:
@@ -166,7 +166,7 @@ class _Keeper:
     """A capture's folder: whole bursts go in, with their log."""
 
     def __init__(
-        self, folder: Path, rig: Rig, plan: Plan, calibration: Calibration | None, decoding: DecodeSettings
+        self, folder: Path, rig: Rig, plan: CapturePlan, calibration: Calibration | None, decoding: DecodeSettings
     ) -> None:
         self.n_bursts = self.n_frames = self.n_rejected = 0
         self.recording = folder / f"recording{plan.suffix}"
@@ -272,13 +272,13 @@ class _Keeper:
             return ("the capture was over before live decoding was ready, which takes some seconds",)
         return ()
 
-    def progress(self) -> Progress:
+    def progress(self) -> CaptureProgress:
         """Return how it stands."""
         seconds = self._ended_s[-1] - self._ended_s[0]
         rate_hz = (len(self._ended_s) - 1) * self._frames_a_burst / seconds if seconds > 0 else 0.0
         decoded = None if self._live is None else self._live.latest()
         n_bursts = self.n_bursts + len(self._ring)
-        return Progress(
+        return CaptureProgress(
             n_bursts=n_bursts,
             n_frames=n_bursts * self._frames_a_burst,
             n_rejected=self.n_rejected,

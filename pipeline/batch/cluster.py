@@ -12,9 +12,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from pipeline.batch.job import Job
-from pipeline.batch.worker import Chain, Report, Worker
+from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import ClusterError
-from pipeline.processes import deaf_children
+from pipeline.processes import block_interrupts
 
 # Tasks a worker: more of them even out how long each takes, fewer let footage be read in one go.
 _TASKS_A_WORKER = 8
@@ -29,7 +29,7 @@ _workers: dict[str, Worker] = {}
 _stopped: set[str] = set()
 
 
-def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: Callable[[Report], None]) -> None:
+def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: Callable[[Outcome], None]) -> None:
     """Decode chains of frames by the workers of a cluster; see `Worker.decode`.
 
     Parameters
@@ -154,7 +154,7 @@ def local_cluster(n_workers: int) -> Iterator[Any]:
     with (
         # Dask makes the C library give all memory back at once: asking for it anew took a fifth of a worker's time.
         dask.config.set({"distributed.nanny.pre-spawn-environ": {}}),
-        deaf_children() as hear,
+        block_interrupts() as unblock,
         distributed.LocalCluster(
             n_workers=0,
             threads_per_worker=1,
@@ -168,7 +168,7 @@ def local_cluster(n_workers: int) -> Iterator[Any]:
             env={"TI_CPU_MAX_NUM_THREADS": os.environ.get("TI_CPU_MAX_NUM_THREADS", threads)},
         ) as cluster,
     ):
-        hear()
+        unblock()
         cluster.scale(n_workers)  # here, so that Ctrl-C meanwhile closes what has been started
         try:
             cluster.wait_for_workers(n_workers, _START_S)
@@ -177,20 +177,20 @@ def local_cluster(n_workers: int) -> Iterator[Any]:
         yield cluster
 
 
-def _decode_task(chains: Sequence[Chain], job: Job, run: str) -> list[Report]:
+def _decode_task(chains: Sequence[Chain], job: Job, run: str) -> list[Outcome]:
     """Decode some chains, in a worker's process."""
     return _kernels.submit(_decode_here, chains, job, run).result()
 
 
-def _decode_here(chains: Sequence[Chain], job: Job, run: str) -> list[Report]:
+def _decode_here(chains: Sequence[Chain], job: Job, run: str) -> list[Outcome]:
     if run in _stopped:
         raise CancelledError
     if run not in _workers:
         _workers.clear()
         _workers[run] = Worker(job)
-    reports: list[Report] = []
+    reports: list[Outcome] = []
 
-    def note(report: Report) -> None:
+    def note(report: Outcome) -> None:
         reports.append(report)
         if run in _stopped:
             raise CancelledError

@@ -14,8 +14,8 @@ from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
+from pipeline.footage.opening import Source, open_source
 from pipeline.footage.source import StoredAs, StoredFrame
-from pipeline.footage.sources import Source, open_source
 from pipeline.output.store import ResultStore, result_attributes
 from pipeline.settings import DecodeSettings
 from tikernels.raw.development import develop
@@ -28,7 +28,7 @@ _MOST_ASKED = 64
 
 
 @dataclass(frozen=True)
-class Region:
+class Crop:
     """The part of every frame that is decoded, px."""
 
     x: int
@@ -78,7 +78,7 @@ class Job:
     says: StoredAs
     settings: DecodeSettings
     calibration: Calibration | None  # of the whole frame
-    region: Region | None
+    crop: Crop | None
     step: int  # every so many frames ...
     first: int  # ... from this one on, below the step
     fields: tuple[str, ...]
@@ -99,13 +99,13 @@ class Job:
             if expected != source.size_px:
                 here, there = ("x".join(map(str, size)) for size in (source.size_px, expected))
                 raise CalibrationError(f"{source.name} is {here} but the calibration is for {there}: recalibrate")
-        if self.region is not None:
-            self.region.check(source.size_px, source.format)
+        if self.crop is not None:
+            self.crop.check(source.size_px, source.format)
         return source
 
     def size_px(self, source: Source) -> tuple[int, int]:
         """Return width and height of what is decoded of a frame."""
-        return source.size_px if self.region is None else (self.region.width, self.region.height)
+        return source.size_px if self.crop is None else (self.crop.width, self.crop.height)
 
     def with_transfer_of(self, source: Source) -> "Job":
         """Return the same with the light as the container says that it is encoded, where nobody knows better."""
@@ -126,7 +126,7 @@ class Job:
                 "stored_as": asdict(source.format),
                 "first_frame_sha256": _fingerprint(source),
             },
-            "region_of_interest": None if self.region is None else asdict(self.region),
+            "region_of_interest": None if self.crop is None else asdict(self.crop),
             "step": self.step,
             "first": self.first,
             "chain_frames": CHAIN_FRAMES,
@@ -146,14 +146,14 @@ class Job:
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
         calibration = self.calibration
-        if calibration is not None and self.region is not None:
-            size_px = (self.region.width, self.region.height)
-            calibration = calibration.cropped(self.region.x, self.region.y, size_px)
+        if calibration is not None and self.crop is not None:
+            size_px = (self.crop.width, self.crop.height)
+            calibration = calibration.cropped(self.crop.x, self.crop.y, size_px)
         return Decoder(self.settings, calibration, arch=self.arch)
 
     def develop(self, stored: StoredFrame, out: Any | None) -> Any:
         """Return what is decoded of a frame, as RGB, in a buffer that can be handed in as `out` again."""
-        planes = stored.planes if self.region is None else self.region.of(stored.planes, stored.format)
+        planes = stored.planes if self.crop is None else self.crop.of(stored.planes, stored.format)
         return develop(planes, stored.format, stripes=self.settings.stripes, out=out)
 
     def learn_light(self, source: Source) -> tuple[LightEstimate | None, tuple[str, ...]]:
@@ -201,7 +201,7 @@ def chains(wanted: range, missing: set[int]) -> Iterator[tuple[range, frozenset[
         yield range(first + chain * length, numbers[-1] + 1, step), frozenset(numbers)
 
 
-def runs(ranges: Sequence[range]) -> Iterator[range]:
+def join_ranges(ranges: Sequence[range]) -> Iterator[range]:
     """Join ranges that follow on each other, so that footage is read in one go."""
     joined: range | None = None
     for following in ranges:

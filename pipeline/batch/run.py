@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from pipeline.batch.job import Job, chains
-from pipeline.batch.worker import Chain, Report, Worker
+from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import FootageError, SettingsError
 from pipeline.footage.source import BadFrame
 from pipeline.output.store import read_attributes
@@ -12,7 +12,7 @@ from tikernels import runtime
 
 
 @dataclass
-class Summary:
+class DecodeSummary:
     """What a run has done."""
 
     n_frames: int  # asked for
@@ -35,7 +35,7 @@ def decode_footage(
     workers: int = 0,
     cluster: str | None = None,
     tell: Callable[[int, int], None] = lambda done, of: None,
-) -> Summary:
+) -> DecodeSummary:
     """Decode what is missing in the store.
 
     Parameters
@@ -55,7 +55,7 @@ def decode_footage(
 
     Returns
     -------
-    Summary
+    DecodeSummary
         Which frames are bad, and which come with a warning.
 
     Raises
@@ -84,10 +84,10 @@ def decode_footage(
     store = job.open_store(source, light)
     store.remove_leftovers()
     missing = set(wanted) - store.done()
-    summary = Summary(len(wanted), len(wanted) - len(missing), notes=notes)
+    summary = DecodeSummary(len(wanted), len(wanted) - len(missing), notes=notes)
     done = summary.n_before
 
-    def note(report: Report) -> None:
+    def note(report: Outcome) -> None:
         nonlocal done
         if isinstance(report, BadFrame):
             if strict:

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture, Sequence, full_scale
+from pipeline.calibration.captures import PictureSequence, full_scale
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray
+from pipeline.models import FloatArray, ImageArray
 
 WHITE, BLACK = "00-white", "01-black"
 FINE_PX = 16.0
@@ -37,13 +37,13 @@ class ProjectorMap:
     white: FloatArray  # (H, W, 3) the fully lit picture, 0..1
 
 
-def multishot_sequence(size_px: tuple[int, int]) -> Sequence:
+def multishot_sequence(size_px: tuple[int, int]) -> PictureSequence:
     """Return the pictures that tell every pixel's projector column and row."""
     names = [WHITE, BLACK]
     for axis in _AXES:
         for level, steps in _STEPS.items():
             names += [f"{len(names) + step:02d}-{axis}-{level}-{step}" for step in range(steps)]
-    return Sequence(kind="geometry", size_px=size_px, names=tuple(names))
+    return PictureSequence(kind="geometry", size_px=size_px, names=tuple(names))
 
 
 def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
@@ -58,7 +58,7 @@ def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
 
 
 def decode_multishot(
-    captures: Mapping[str, Picture],
+    captures: Mapping[str, ImageArray],
     size_px: tuple[int, int],
     where: str = "captures",
     white_level: float | None = None,
@@ -117,7 +117,7 @@ def _period(level: str, axis: str, size_px: tuple[int, int]) -> float:
 
 
 def _decode_axis(
-    captures: Mapping[str, Picture], axis: str, size_px: tuple[int, int], full: float, where: str
+    captures: Mapping[str, ImageArray], axis: str, size_px: tuple[int, int], full: float, where: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return the coordinate along one axis, (H, W) px, and what each channel adds to it, (3, H, W)."""
     length = size_px[0 if axis == "column" else 1]
@@ -157,7 +157,7 @@ def _decode_axis(
 
 
 def _unevenness(
-    captures: Mapping[str, Picture],
+    captures: Mapping[str, ImageArray],
     axis: str,
     full: float,
     fine: npt.NDArray[np.complex128],
@@ -177,7 +177,7 @@ def _unevenness(
 
 
 def _phase_vector(
-    captures: Mapping[str, Picture], axis: str, level: str, full: float, harmonic: int = 1
+    captures: Mapping[str, ImageArray], axis: str, level: str, full: float, harmonic: int = 1
 ) -> npt.NDArray[np.complex128]:
     """Return amplitude times exp(i phase) of each channel, (H, W, 3); or of a harmonic."""
     steps = _STEPS[level]

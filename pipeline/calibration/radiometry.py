@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture, Sequence, full_scale
-from pipeline.calibration.model import MAX_CONDITION, Calibration, Capture, Uncertainty
+from pipeline.calibration.captures import PictureSequence, full_scale
+from pipeline.calibration.model import MAX_CONDITION, Calibration, Uncertainty
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray
+from pipeline.models import CameraState, FloatArray, ImageArray
 from tikernels.raw.linearization import TRANSFERS, Transfer, linear_values
 
 #: Codes of the ramps, 0..255. Sixteen steps follow any smooth response to a thousandth.
@@ -52,27 +52,27 @@ class Radiometry:
     ambient: FloatArray  # (3,) light of the black field, of full scale
     ramps: FloatArray  # (4, codes + 1, 3) mean linear light of red, green, blue, grey; black first, taken off
 
-    def add_to(self, calibration: Calibration | None, capture: Capture | None = None) -> Calibration:
+    def add_to(self, calibration: Calibration | None, camera: CameraState | None = None) -> Calibration:
         """Return a calibration that holds this light, with what else was known of the rig."""
         known = {} if calibration is None else {name: getattr(calibration, name) for name in Calibration.model_fields}
         old = (known.get("uncertainty") or Uncertainty()).model_dump()
         uncertainty = {**old, "crosstalk_matrix": self.crosstalk_sigma, "response": self.response_sigma}
-        stood = (capture or known.get("capture") or Capture()).model_dump()
+        stood = (camera or known.get("capture") or CameraState()).model_dump()
         return Calibration(
             **{
                 **known,
                 "crosstalk_matrix": self.crosstalk_matrix,
                 "response": self.response,
                 "uncertainty": Uncertainty(**uncertainty),
-                "capture": Capture(**{**stood, "transfer": self.transfer}),
+                "capture": CameraState(**{**stood, "transfer": self.transfer}),
             }
         )
 
 
-def radiometry_sequence(size_px: tuple[int, int]) -> Sequence:
+def radiometry_sequence(size_px: tuple[int, int]) -> PictureSequence:
     """Return the full fields to project: black, then red, green, blue and grey at rising codes."""
     names = [_name(color, code) for color in _COLORS for code in RAMP_CODES]
-    return Sequence(kind="radiometry", size_px=size_px, names=(_BLACK, *names))
+    return PictureSequence(kind="radiometry", size_px=size_px, names=(_BLACK, *names))
 
 
 def radiometry_codes(name: str) -> FloatArray:
@@ -84,7 +84,7 @@ def radiometry_codes(name: str) -> FloatArray:
 
 
 def measure_radiometry(
-    captures: Mapping[str, Picture], transfer: str | None = None, white_level: float | None = None
+    captures: Mapping[str, ImageArray], transfer: str | None = None, white_level: float | None = None
 ) -> Radiometry:
     """Measure the projector's response, the crosstalk and the camera's transfer.
 
@@ -153,7 +153,7 @@ def _light_of_levels(transfer: Transfer) -> FloatArray:
     return linear_values(np.arange(_LEVELS) / (_LEVELS - 1), transfer)
 
 
-def _histograms(name: str, picture: Picture, lit: npt.NDArray[np.bool_], full: float) -> FloatArray:
+def _histograms(name: str, picture: ImageArray, lit: npt.NDArray[np.bool_], full: float) -> FloatArray:
     """Return how the lit pixels' levels are distributed, (3, _LEVELS), each row's sum one."""
     values = picture[lit].astype(np.float64) / full
     saturated = (values >= _SATURATED).mean(axis=0).max()

@@ -5,10 +5,10 @@ import warnings
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import Calibration, Capture
+from pipeline.calibration import Calibration
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
-from pipeline.models import FloatArray
+from pipeline.models import CameraState, FloatArray
 from pipeline.settings import DecodeSettings
 from tikernels.phase.channel_model import flat_template, known_template
 from tikernels.phase.crosstalk import Crosstalk
@@ -136,7 +136,7 @@ class LightPath:
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
     """Return how the camera encodes light, and warn where it stands otherwise than at calibration."""
-    before, now = calibration.capture or Capture(), settings.capture or Capture()
+    before, now = calibration.capture or CameraState(), settings.capture or CameraState()
     chosen: Transfer = settings.transfer
     if before.transfer is not None and "transfer" not in settings.model_fields_set:
         chosen = before.transfer

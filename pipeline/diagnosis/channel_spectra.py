@@ -14,7 +14,7 @@ _Complexes = npt.NDArray[np.complex128]
 
 PHASES = np.array(CHANNEL_PHASES)
 #: Where the ripples of a three-channel arctangent are.
-HARMONICS = (1, 2, 3, 6)
+RIPPLE_HARMONICS = (1, 2, 3, 6)
 # Enough to tell harmonics from a slowly changing mean, few enough to follow a surface.
 _TILE_CYCLES = 3
 #: Tiles start every half a tile, so only one in four is news.
@@ -35,7 +35,7 @@ class Tiles(NamedTuple):
     weight: Any  # (T,) inverse variance of the contrasts
 
 
-class Fit(NamedTuple):
+class RobustFit(NamedTuple):
     """What `robust_fit` finds, (N, ...) for N shapes."""
 
     value: Any
@@ -134,14 +134,14 @@ def _fit_channels(basis: FloatArray, values: FloatArray) -> tuple[Any, Any, Any,
     return mean, spectrum.T, square, variance
 
 
-def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None) -> Fit:
-    """Fit values (T, ...), real or complex, by shapes (T, N), None: a constant; outliers are weighed down.
+def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None) -> RobustFit:
+    """RobustFit values (T, ...), real or complex, by shapes (T, N), None: a constant; outliers are weighed down.
 
     The scatter of the tiles, not the noise of the pixels, gives the errors: it holds what no model knows.
     """
     if np.iscomplexobj(values):
         real, imaginary = robust_fit(values.real, weight, shapes), robust_fit(values.imag, weight, shapes)
-        return Fit(
+        return RobustFit(
             real.value + 1j * imaginary.value, np.hypot(real.error, imaginary.error), real.squares + imaginary.squares
         )
     shapes = np.ones((len(values), 1)) if shapes is None else shapes
@@ -159,7 +159,7 @@ def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None
         errors.append(OVERLAP * scale * np.sqrt(np.diag(covariance)))
         squares += np.sum(np.minimum(residual, 3 * scale) ** 2)
     to = (-1, *values.shape[1:])
-    return Fit(np.array(fitted).T.reshape(to), np.array(errors).T.reshape(to), float(squares))
+    return RobustFit(np.array(fitted).T.reshape(to), np.array(errors).T.reshape(to), float(squares))
 
 
 def mean_spectrum(tiles: Tiles) -> _Complexes:
@@ -173,18 +173,18 @@ def neighbours_median(values: FloatArray, place: FloatArray) -> FloatArray:
     return np.array([np.median(values[row], axis=0) for row in near])
 
 
-def waves_of(spectrum: _Complexes) -> FloatArray:
+def channel_waves(spectrum: _Complexes) -> FloatArray:
     """Return (3, 256) one cycle of the channels, their means one."""
     turns = np.outer(np.arange(1, spectrum.shape[1] + 1), np.arange(256) * 2 * np.pi / 256)
     return np.asarray(1 + (spectrum @ np.exp(1j * turns)).real)
 
 
-def ripple(waves: FloatArray, matrix: FloatArray) -> dict[int, float]:
+def ripple_by_harmonic(waves: FloatArray, matrix: FloatArray) -> dict[int, float]:
     """Return the phase error's amplitude by harmonic that a plain arctangent makes of balanced channels, rad."""
     phase = np.arange(waves.shape[1]) * 2 * np.pi / waves.shape[1]
     vector = np.exp(-1j * PHASES) @ np.linalg.solve(matrix, waves)  # proportional to exp(i phase)
     error = np.fft.rfft(np.angle(vector * np.exp(-1j * phase))) / len(phase)
-    return {k: float(2 * abs(error[k])) for k in HARMONICS}
+    return {k: float(2 * abs(error[k])) for k in RIPPLE_HARMONICS}
 
 
 def clipping_ripple(
@@ -197,20 +197,20 @@ def clipping_ripple(
         (cv2.blur(np.float64(cut & usable[..., None]), size) / weight)[:: round(period), :: round(period)]
         for cut in (too_bright, too_dark)
     )
-    waves = waves_of(spectrum)
-    clean = ripple(waves, matrix)
+    waves = channel_waves(spectrum)
+    clean = ripple_by_harmonic(waves, matrix)
     ripples = []
     for place in np.argwhere(usable[:: round(period), :: round(period)]):
         shares = list(zip(waves, dark[tuple(place)], bright[tuple(place)], strict=True))
         cut = np.stack(
             [np.clip(wave, np.quantile(wave, low), np.quantile(wave, 1 - high)) for wave, low, high in shares]
         )
-        cut_ripple = ripple(cut / cut.mean(axis=1, keepdims=True), matrix)
-        ripples.append([abs(cut_ripple[k] - clean[k]) for k in HARMONICS])
-    return dict(zip(HARMONICS, np.quantile(ripples, 0.95, axis=0).tolist(), strict=True))
+        cut_ripple = ripple_by_harmonic(cut / cut.mean(axis=1, keepdims=True), matrix)
+        ripples.append([abs(cut_ripple[k] - clean[k]) for k in RIPPLE_HARMONICS])
+    return dict(zip(RIPPLE_HARMONICS, np.quantile(ripples, 0.95, axis=0).tolist(), strict=True))
 
 
 def seen_ripple(unwrapped_phase: npt.NDArray[np.float32], phase: FloatArray, usable: _Bools) -> dict[int, float]:
     """Return the ripple's amplitude by harmonic in the phase that was handed in, rad."""
     rest, wave = (unwrapped_phase - phase)[usable], np.exp(-1j * phase[usable])
-    return {k: float(2 * abs(np.mean((rest - rest.mean()) * wave**k))) for k in HARMONICS}
+    return {k: float(2 * abs(np.mean((rest - rest.mean()) * wave**k))) for k in RIPPLE_HARMONICS}

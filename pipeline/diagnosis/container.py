@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.footage.image_folder import Pictures
-from pipeline.footage.sources import Source
+from pipeline.footage.image_folder import ImageFolder
+from pipeline.footage.opening import Source
 from pipeline.footage.video_file import VideoFile
 
 _NUMBER = re.compile(r"\d+")
@@ -54,7 +54,7 @@ def container_facts(path: Path, source: Source) -> ContainerFacts:
                 missing=missing,
                 gaps=gaps,
             )
-    if isinstance(source, Pictures):
+    if isinstance(source, ImageFolder):
         lossy = source.names[0].lower().endswith(_LOSSY_PICTURES)
         # The number that changes from name to name: the last one.
         numbers = [int(found[-1]) for name in source.names if (found := _NUMBER.findall(Path(name).stem))]

@@ -31,7 +31,7 @@ _INSIDE, _EVEN, _MIN_PLACES = 0.95, 0.5, 12
 
 
 @dataclass(frozen=True, eq=False)
-class Look:
+class InspectedFrame:
     """One frame: light, and what decoding makes of it."""
 
     number: int
@@ -46,12 +46,12 @@ class Look:
         return (self.frame.period_px if self.frame is not None else None) or 1.0
 
 
-def look_at(stored: StoredFrame, decoder: Decoder, settings: DecodeSettings) -> Look:
+def inspect_frame(stored: StoredFrame, decoder: Decoder, settings: DecodeSettings) -> InspectedFrame:
     """Decode a frame; `decoder` takes linear light, `settings` say how this frame's is encoded."""
     image = develop(stored.planes, stored.format, stripes=settings.stripes)
     encoded, light = as_light(image, settings)
     frame = decoder.decode(light)
-    return Look(stored.number, encoded, light, frame if frame.mask.any() else None, settings)
+    return InspectedFrame(stored.number, encoded, light, frame if frame.mask.any() else None, settings)
 
 
 def as_light(image: Any, settings: DecodeSettings) -> tuple[_Singles, _Singles]:
@@ -64,7 +64,7 @@ def as_light(image: Any, settings: DecodeSettings) -> tuple[_Singles, _Singles]:
 
 
 @dataclass(frozen=True)
-class Shown:
+class FrameQuality:
     """What one frame shows; the limits are for a pixel smoothed as decoded."""
 
     contrast: float  # amplitude over mean of the camera's channels
@@ -75,7 +75,7 @@ class Shown:
     lost: float  # share of them with two, which have no phase
 
 
-def measure_shown(look: Look, frame: DecodedFrame, bits: int) -> Shown:
+def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> FrameQuality:
     """Measure a frame with fringes whose levels have so many bits; medians over the fringes."""
     part = _middle(frame.mask.shape)  # tells enough of the fringes, at a quarter of the time for a large frame
     inside, light = frame.mask[part], look.light[part]
@@ -91,7 +91,7 @@ def measure_shown(look: Look, frame: DecodedFrame, bits: int) -> Shown:
     power = np.sqrt(np.median(variance.sum(axis=-1)) * max(look.settings.smoothing_px, 1))
     at_full = np.count_nonzero(look.encoded >= _FULL, axis=-1)
     lit = at_full[frame.mask | (at_full > 1)]
-    return Shown(
+    return FrameQuality(
         contrast=float(np.median((np.sqrt(2 * variance) / np.maximum(mean, 1e-6)).mean(axis=-1))),
         limit_rad=float(noise / power),
         level_limit_rad=float(1 / (2**bits - 1) / np.sqrt(12) / power),
@@ -108,7 +108,7 @@ def _middle(shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class KeptFrame:
     """What is kept of a frame with fringes while others are looked at: the middle of a large one."""
 
     encoded: _Singles  # (H, W, 3) as stored, 0..1 of full scale
@@ -118,14 +118,14 @@ class Kept:
     period_px: float
 
     @classmethod
-    def of(cls, look: Look, frame: DecodedFrame) -> "Kept":
+    def of(cls, look: InspectedFrame, frame: DecodedFrame) -> "KeptFrame":
         """Keep a frame."""
         part = _middle(frame.mask.shape)
         encoded, light = look.encoded[part].copy(), look.light[part].copy()
         return cls(encoded, light, frame.unwrapped_phase[part].copy(), frame.mask[part].copy(), look.period_px)
 
 
-def measure_gains(first: Kept, later: Kept) -> npt.NDArray[np.float64] | None:
+def measure_gains(first: KeptFrame, later: KeptFrame) -> npt.NDArray[np.float64] | None:
     """Return by how much R, G and B have become brighter, (3,), where the same factor holds for most of the picture.
 
     1 where it does not: then an object that moves has changed it here and there. None: too little is lit in both.
@@ -148,7 +148,7 @@ def measure_gains(first: Kept, later: Kept) -> npt.NDArray[np.float64] | None:
     return np.exp(np.where(uneven, 0.0, middle))
 
 
-def measure_motion(first: Look, second: Look) -> npt.NDArray[np.float32]:
+def measure_motion(first: InspectedFrame, second: InspectedFrame) -> npt.NDArray[np.float32]:
     """Return by how much the phase differs, rad, where both frames have one; half a cycle is the most that shows."""
     if first.frame is None or second.frame is None:
         return np.zeros(0, np.float32)

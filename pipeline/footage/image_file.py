@@ -118,7 +118,7 @@ def read_codes(path: str | Path) -> npt.NDArray[np.uint8]:
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def read_picture(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
+def read_image(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
     """Read an image file as RGB.
 
     Returns

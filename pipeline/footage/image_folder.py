@@ -20,7 +20,7 @@ from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
 #: Names of files that are pictures.
-PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".webp", *_JPEG_SUFFIXES)
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".webp", *_JPEG_SUFFIXES)
 _DIGITS = re.compile(r"(\d+)")
 
 
@@ -31,8 +31,8 @@ def natural_key(name: str) -> tuple[Any, ...]:
     return (parts, name)
 
 
-class Pictures:
-    """Pictures of one folder, each read when its turn comes; a `Source`.
+class ImageFolder:
+    """ImageFolder of one folder, each read when its turn comes; a `Source`.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ class Pictures:
         raise FootageError(f"cannot read {name}: {what}{reason}")
 
     @classmethod
-    def in_folder(cls, folder: Path, says: StoredAs) -> "Pictures":
+    def in_folder(cls, folder: Path, says: StoredAs) -> "ImageFolder":
         """Take every picture of a folder, in the natural order of their names.
 
         Raises
@@ -82,7 +82,7 @@ class Pictures:
             There is none, or none can be read.
         """
         # Names alone: asking the file system about each of 100,000 files takes longer than reading the list.
-        names = [name for name in os.listdir(folder) if name.lower().endswith(PICTURE_SUFFIXES) and name[0] != "."]
+        names = [name for name in os.listdir(folder) if name.lower().endswith(IMAGE_SUFFIXES) and name[0] != "."]
         if not names:
             raise FootageError(f"{folder} holds no pictures: give a folder of PNG, TIFF or JPEG files, or a video")
         return cls(str(folder), folder, sorted(names, key=natural_key), says)

@@ -14,12 +14,13 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 import numpy as np
+import numpy.typing as npt
 
 from pipeline.errors import FootageError, OutputError, RenderError
 from pipeline.files import write_atomically
-from pipeline.output.mesh_files import Bytes, Floats, Mesh
+from pipeline.output.mesh import Mesh
 from pipeline.output.range_image import depth_colors
-from pipeline.output.render import VIEWS, Stage, View, draw_apart
+from pipeline.output.render import VIEWS, Renderer, View, draw_apart
 from pipeline.output.stored_result import StoredResult, mesh_fields
 from tikernels import runtime
 
@@ -71,7 +72,7 @@ class FilmOptions:
 class Film:
     """What has been drawn."""
 
-    n_pictures: int
+    n_images: int
     held: tuple[int, ...]  # frames that are not there, or show nothing: the one before stands in for them
     codec: str
 
@@ -146,7 +147,7 @@ def _sigma(result: StoredResult) -> str:
     return "point_sigma" if result.in_mm else "phase_sigma"
 
 
-class _Scene:
+class _FilmSetup:
     """What all pictures share: proportions, colours' limits, and where the eye is."""
 
     def __init__(self, meshes: Sequence[Mesh], options: FilmOptions) -> None:
@@ -172,7 +173,7 @@ class _Scene:
             low, high = (0.0 if options.colors == "sigma" else float(bounds[0])), float(bounds[1])
             self.limits = (low, max(high, low + 1e-6 * max(abs(low), 1.0)))
 
-    def _shown(self, mesh: Mesh) -> Floats | None:
+    def _shown(self, mesh: Mesh) -> npt.NDArray[np.float32] | None:
         """Return what a mesh's colours stand for; None: nothing."""
         if self.options.colors == "shaded":
             return None
@@ -181,7 +182,7 @@ class _Scene:
         name = "modulation" if self.options.colors == "modulation" else f"sigma_{mesh.unit}"
         return mesh.properties[name]
 
-    def colors(self, mesh: Mesh) -> Bytes:
+    def colors(self, mesh: Mesh) -> npt.NDArray[np.uint8]:
         """Return a colour a vertex, (N, 3)."""
         shown = self._shown(mesh)
         if shown is None:
@@ -204,7 +205,7 @@ def _draw_film(location: str, options: FilmOptions, path: str) -> None:
     meshes = [mesh for number in asked if len((mesh := result.mesh(number, needed)).faces)]
     if not meshes:
         raise RenderError("no frame shows a surface")
-    scene, stage = _Scene(meshes, options), Stage(options.size_px)
+    scene, stage = _FilmSetup(meshes, options), Renderer(options.size_px)
     del meshes
     numbers: Sequence[int] = result.wanted
     if len(numbers) == 1:
@@ -250,7 +251,7 @@ class _Encoder:
             self._container.mux(self._stream.encode())
         self._container.close()
 
-    def add(self, picture: Bytes) -> None:
+    def add(self, picture: npt.NDArray[np.uint8]) -> None:
         import av
 
         frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")

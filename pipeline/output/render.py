@@ -14,11 +14,12 @@ from pathlib import Path
 from typing import IO, Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
+import numpy.typing as npt
 
 from pipeline.errors import RenderError
 from pipeline.files import write_atomically
-from pipeline.output.mesh_files import Floats, Mesh, read_mesh, vertex_normals, write_mesh
+from pipeline.output.mesh import Mesh, vertex_normals
+from pipeline.output.mesh_files import read_mesh, write_mesh
 from pipeline.output.range_image import depth_colors, write_png
 
 View = Literal["three-quarter", "front"]
@@ -156,7 +157,7 @@ def _listen(
         return code, errors.read().decode(errors="replace")
 
 
-class Stage:
+class Renderer:
     """A lit scene off screen; only for a child process.
 
     Parameters
@@ -175,7 +176,9 @@ class Stage:
             self._plotter.add_light(pyvista.Light(position=position, intensity=intensity, light_type="camera light"))
         self._plotter.enable_anti_aliasing("ssaa")
 
-    def show(self, vertices: Floats, faces: NDArray[np.int32], colors: NDArray[np.uint8]) -> None:
+    def show(
+        self, vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.int32], colors: npt.NDArray[np.uint8]
+    ) -> None:
         """Put a surface on it, in place of the one before."""
         surface = self._pyvista.PolyData.from_regular_faces(vertices, faces)
         surface.point_data["normals"] = vertex_normals(Mesh(vertices, faces))
@@ -186,11 +189,11 @@ class Stage:
             surface, scalars="colors", rgb=True, name="surface", reset_camera=False, render=False, **look
         )
 
-    def aim(self, points: NDArray[np.floating], back: tuple[float, float, float]) -> None:
+    def aim(self, points: npt.NDArray[np.floating], back: tuple[float, float, float]) -> None:
         """Look against a direction, so that all points just fill the picture."""
         _aim(self._plotter.camera, points, back, self.size_px)
 
-    def picture(self) -> NDArray[np.uint8]:
+    def picture(self) -> npt.NDArray[np.uint8]:
         """Return what is seen, (H, W, 3) RGB."""
         self._plotter.render()  # a screenshot alone is of what was rendered last
         return np.asarray(self._plotter.screenshot(return_img=True))
@@ -200,13 +203,13 @@ def _draw(mesh: Mesh, path: str, view: str, size_px: tuple[int, int]) -> None:
     vertices = proportioned(mesh)
     depth = vertices[:, 2:]
     colors = depth_colors(depth, np.ones(depth.shape, bool))[:, 0] if mesh.colors is None else mesh.colors
-    stage = Stage(size_px)
+    stage = Renderer(size_px)
     stage.show(vertices, mesh.faces, colors)
     stage.aim(vertices[mesh.faces].reshape(-1, 3), VIEWS[view])
     write_png(path, stage.picture())
 
 
-def proportioned(mesh: Mesh) -> Floats:
+def proportioned(mesh: Mesh) -> npt.NDArray[np.float32]:
     """Return the vertices in mm, or in px with the depth stretched to a third of the width."""
     if mesh.unit == "mm":
         return mesh.vertices
@@ -216,7 +219,7 @@ def proportioned(mesh: Mesh) -> Floats:
 
 
 def _aim(
-    camera: Any, points: NDArray[np.floating], direction: tuple[float, float, float], size_px: tuple[int, int]
+    camera: Any, points: npt.NDArray[np.floating], direction: tuple[float, float, float], size_px: tuple[int, int]
 ) -> None:
     """Place a camera so that all points just fill its picture."""
     back = np.array(direction) / np.linalg.norm(direction)

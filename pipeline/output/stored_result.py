@@ -10,7 +10,8 @@ import numpy.typing as npt
 from pipeline.decoding.frame import FIELDS
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import explain
-from pipeline.output.mesh_files import Mesh, write_mesh
+from pipeline.output.mesh import Mesh
+from pipeline.output.mesh_files import write_mesh
 from pipeline.output.store import DONE, done_frames
 from pipeline.output.surface_mesh import surface_mesh
 

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.decoding.frame import FIELDS, DecodedFrame
-from pipeline.output.mesh_files import Mesh, Unit
+from pipeline.output.mesh import Mesh, Unit
 from tikernels.depth.meshing import triangulate_mesh
 
 # An edge of the mesh may rise by this many times what neighbouring pixels are apart: steeper surfaces are steps.

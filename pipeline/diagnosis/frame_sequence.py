@@ -15,20 +15,19 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture
 from pipeline.calibration.model import Geometry
 from pipeline.diagnosis.channel_spectra import (
     OVERLAP,
     PHASES,
+    channel_waves,
     fit_tiles,
-    ripple,
+    ripple_by_harmonic,
     robust_fit,
     smooth_phase,
     tile_side,
-    waves_of,
 )
-from pipeline.diagnosis.ripple import Finding
-from pipeline.models import FloatArray
+from pipeline.diagnosis.ripple_finding import RippleFinding
+from pipeline.models import FloatArray, ImageArray
 
 #: Fewer frames tell nothing.
 MIN_FRAMES = 12
@@ -48,12 +47,12 @@ _SIGMAS = 5.0
 class SequenceDiagnosis:
     """What changes from frame to frame that should not."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[RippleFinding, ...]
     notes: tuple[str, ...]  # what these frames cannot tell, and why
 
 
 def diagnose_sequence(
-    images: Sequence[Picture],
+    images: Sequence[ImageArray],
     white_level: float,
     unwrapped_phases: Sequence[npt.NDArray[np.float32]],
     masks: Sequence[npt.NDArray[np.bool_]],
@@ -105,7 +104,7 @@ def diagnose_sequence(
 
 
 def _follow(
-    images: Sequence[Picture],
+    images: Sequence[ImageArray],
     white_level: float,
     unwrapped_phases: Sequence[npt.NDArray[np.float32]],
     lit: Sequence[npt.NDArray[np.bool_]],
@@ -144,7 +143,7 @@ def _follow(
     return ratios.reshape(*flat, 2), lags.reshape(*flat, 2), speeds.reshape(flat)
 
 
-def _beat(ratios: FloatArray) -> Finding | None:
+def _beat(ratios: FloatArray) -> RippleFinding | None:
     """Find a line in the spectra of the colours' ratios, (F, T, 2)."""
     count = len(ratios)
     frames, columns = np.arange(count), ratios.reshape(count, -1)
@@ -166,7 +165,7 @@ def _beat(ratios: FloatArray) -> Finding | None:
     ):
         return None
     rate = (peak + 2) / count
-    return Finding(
+    return RippleFinding(
         causes=("colour-cycle beat",),
         size=f"the colours beat by {amplitude:.1%}, {rate:.3f} times a frame",
         ripple_rad={1: 0.0},  # a gain, which the balance undoes
@@ -176,7 +175,7 @@ def _beat(ratios: FloatArray) -> Finding | None:
     )
 
 
-def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> Finding | str | None:
+def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> RippleFinding | str | None:
     """Compare the phase from colour to colour with the phase from frame to frame; a string: why that tells nothing."""
     known = np.isfinite(speeds) & np.isfinite(lags).all(axis=2)
     followed = known.sum(axis=0) >= MIN_FRAMES // 2
@@ -204,10 +203,10 @@ def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> 
         text += f" ({bias / rad_per_mm(geometry):.2f} mm)"
     lagging = np.exp(1j * (PHASES + worst_speed * np.array([0, green, blue])))
     surest = float(np.max(np.abs(fit.value[0]) / np.maximum(fit.error[0], 1e-12)))
-    return Finding(
+    return RippleFinding(
         causes=("motion between colour fields",),
         size=f"green {green:+.3f} and blue {blue:+.3f} frames after red: up to {text} of bias from red's time",
-        ripple_rad=ripple(waves_of(lagging[:, None]), np.eye(3)),
+        ripple_rad=ripple_by_harmonic(channel_waves(lagging[:, None]), np.eye(3)),
         confidence=min(0.99, 1 - float(np.exp(-surest / 5))),
         advice="show all colours at once, or a faster cycle; what is left when nothing moves is lateral colour",
     )
