@@ -10,6 +10,7 @@ from pipeline.decoding.self_calibration import estimate_light
 from pipeline.diagnosis.ripple import Diagnosis, other_transfer
 from pipeline.errors import CalibrationError
 from pipeline.models import CameraState, ImageArray
+from tikernels import runtime
 from tikernels.raw.linearization import Transfer, linearize
 
 
@@ -55,7 +56,7 @@ def correct_light(
     if not causes & {"response", "crosstalk", "even crosstalk"}:
         raise CalibrationError("no fault was found that one frame can correct: do what the check advises")
     if not isinstance(transfer, str) or transfer != "linear":
-        image, white_level = linearize(image, transfer, white_level), 1.0
+        image, white_level = runtime.to_host(linearize(image, transfer, white_level)), 1.0
     light = estimate_light([image], white_level, [frame.unwrapped_phase], [frame.mask], frame.period_px or 0.0)
     if not light.reliable:
         raise CalibrationError("the frame tells too little of the light to correct it: capture a larger smooth surface")

@@ -59,7 +59,9 @@ def as_light(image: Any, settings: DecodeSettings) -> tuple[_Singles, _Singles]:
     levels = np.array(runtime.to_host(image))
     white = settings.white_level or WHITE_LEVELS[levels.dtype.name]
     encoded = np.clip(levels.astype(np.float32) / np.float32(white), 0, 1)
-    light = encoded if settings.transfer == "linear" else np.array(linearize(encoded, settings.transfer))
+    light = (
+        encoded if settings.transfer == "linear" else np.array(runtime.to_host(linearize(encoded, settings.transfer)))
+    )
     return encoded, light
 
 

@@ -11,6 +11,7 @@ from pipeline.decoding.frame import DecodedFrame
 from pipeline.diagnosis.check_result import BLIND_SPOTS, CheckResult, Measure
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
+from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
 
 Shape = Literal["plane", "ball"]
@@ -65,7 +66,8 @@ def check_surface(
         # roundest one, tells it.
         rays, projector = geometry.camera.rays(), geometry.for_triangulation()
         for cycles in range(-_ORDERS, _ORDERS + 1):
-            placed[cycles] = triangulate(frame.unwrapped_phase + np.float32(2 * np.pi * cycles), rays, projector)
+            phase = frame.unwrapped_phase + np.float32(2 * np.pi * cycles)
+            placed[cycles] = runtime.to_host(triangulate(phase, rays, projector))
     fits = [
         fit
         for n in (surfaces if shape == "ball" else surfaces[:1])

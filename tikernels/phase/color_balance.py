@@ -15,12 +15,12 @@ import numpy.typing as npt
 
 from tikernels import _checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, Static, U8Array2, f32, i32, mat3, ti, vec3
-from tikernels.arrays import LevelsImage
+from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
 from tikernels.phase.phase_vector import channel_waves, matrix_of
-from tikernels.raw.linearization import WHITE_LEVELS
+from tikernels.raw.linearization import LEVEL_TYPES
 
 #: The balance window: a Gaussian of this standard deviation across and along the stripes, in cycles. At 0.85 cycles it
 #: passes 1e-6 of the fringe; wider ones blur the reflectance without gaining anything. The channels' model is fitted
@@ -83,7 +83,7 @@ class Gains:
         ShapeError
             The image has another shape or dtype.
         """
-        image = _checks.read_array("image", image, (self.height, self.width, 3), *WHITE_LEVELS)
+        image = _checks.read_array("image", image, (self.height, self.width, 3), *LEVEL_TYPES)
         collect_samples, predict_blocks = _sample_kernels(crosstalk.balance_first)
         collect_samples(image, crosstalk.inverse, levels.intensity, self.rows, self.samples)
         sum_blocks_kernel(self.samples, self.rows, self.sums)
@@ -94,7 +94,7 @@ class Gains:
         predict_blocks(*light, levels.modulation, self.visibility, self.sums)
         self._find_gains(predicted=True)
 
-    def smooth_sums(self, sums: Any, half: Any, out: Any) -> None:
+    def smooth_sums(self, sums: F32, half: F32, out: F32) -> None:
         """Add up (Hb, Wb, N) sums of the blocks over a Gaussian window at every node, (Hg, Wg, N)."""
         smooth_blocks_kernel(int(sums.shape[2]), sums, self.taps_across, self.taps_along, half, out)
 
@@ -343,13 +343,13 @@ def darken_kernel(
 
 
 def balance_color(
-    image: Any,
+    image: F32,
     period_px: float,
-    mask: Any | None = None,
+    mask: Mask | None = None,
     *,
     crosstalk_matrix: npt.ArrayLike | None = None,
-    out: Any | None = None,
-) -> Any:
+    out: F32 | None = None,
+) -> F32:
     """Balance the colours over a smooth window of about a cycle, twice: the second time the phase is known.
 
     Parameters

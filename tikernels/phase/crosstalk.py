@@ -5,13 +5,13 @@ analysis for sinusoidal structured light in rapid range imaging, 2004).
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import F32Array3, mat3, ti, vec3
+from tikernels.arrays import F32
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import phase_weights
 
@@ -107,7 +107,7 @@ class Crosstalk:
         )
 
 
-def correct_crosstalk(image: Any, crosstalk_matrix: npt.ArrayLike, out: Any | None = None) -> Any:
+def correct_crosstalk(image: F32, crosstalk_matrix: npt.ArrayLike, out: F32 | None = None) -> F32:
     """Undo the crosstalk: what the projector's channels would have given alone.
 
     Parameters

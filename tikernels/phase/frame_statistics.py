@@ -1,15 +1,15 @@
 """What a frame says about itself before it is decoded: the fringe's period, the noise, how bright it is."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
 from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti, vec3
+from tikernels.arrays import LevelsImage
 from tikernels.phase.phase_vector import phase_vector
-from tikernels.raw.linearization import WHITE_LEVELS
+from tikernels.raw.linearization import LEVEL_TYPES, WHITE_LEVELS
 
 #: Three samples a cycle and a little more is what a camera must see.
 MIN_PERIOD_PX = 4.0
@@ -81,7 +81,7 @@ def probe_frame_kernel(
         out_samples[column, y, 3] = mean
 
 
-def measure_frame(image: Any, white_level: float | None = None) -> FrameStatistics:
+def measure_frame(image: LevelsImage, white_level: float | None = None) -> FrameStatistics:
     """Measure period, noise and brightness on a few columns.
 
     Parameters
@@ -101,7 +101,7 @@ def measure_frame(image: Any, white_level: float | None = None) -> FrameStatisti
     ShapeError
         Shape or dtype is another one.
     """
-    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     columns = min(_COLUMNS, int(image.shape[1]))
     samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
     probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), samples)
@@ -179,7 +179,7 @@ def count_out_of_range_kernel(
                 out_count[1] += 1
 
 
-def count_out_of_range(image: Any, white_level: float) -> tuple[int, int]:
+def count_out_of_range(image: LevelsImage, white_level: float) -> tuple[int, int]:
     """Count the values that are NaN, and those outside 0..white_level.
 
     Parameters
@@ -189,7 +189,7 @@ def count_out_of_range(image: Any, white_level: float) -> tuple[int, int]:
     white_level : float
         Full scale.
     """
-    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     counts = np.zeros(2, np.int32)
     count_out_of_range_kernel(image, white_level, counts)
     runtime.synchronize()

@@ -27,7 +27,7 @@ from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import CLIPPED, FrameLevels
 from tikernels.phase.phase_vector import PI, arctangent, cosine_and_sine, matrix_of
 from tikernels.phase.wrapped_phase import NO_PHASE
-from tikernels.raw.linearization import WHITE_LEVELS
+from tikernels.raw.linearization import LEVEL_TYPES
 
 # Gain cells that one thread walks along a row: enough threads for a GPU, and more than the 512 iterations below which
 # the CPU runtime uses a single core.
@@ -268,7 +268,7 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
     ShapeError
         The image has another shape or dtype.
     """
-    image = _checks.read_array("image", image, (gains.height, gains.width, 3), *WHITE_LEVELS)
+    image = _checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
     histogram = np.zeros((_PARTS**2, _BINS), np.int32)
     step = max(1, gains.height * gains.width // _COUNTED)
     thresholds = (levels.intensity, levels.modulation, levels.clipped)
@@ -324,7 +324,7 @@ def fit_phase(
         A shape or dtype is another one, or an output cannot be written.
     """
     shape = (gains.height, gains.width)
-    image = _checks.read_array("image", image, (*shape, 3), *WHITE_LEVELS)
+    image = _checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
     correction = _checks.read_array("correction", correction, (None,), np.float32)
     names, outs = ("phase", "modulation", "precision"), (None, None, None) if out is None else out
     results = tuple(_checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))

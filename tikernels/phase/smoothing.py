@@ -10,7 +10,7 @@ import numpy as np
 
 from tikernels import _checks, runtime
 from tikernels._taichi import F32Array2, f32, ti, u1
-from tikernels.arrays import F32
+from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import PI, STRIP, wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
@@ -241,7 +241,7 @@ def restore_kernel(
             out[y, x] = wrap(out[y, x])
 
 
-def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *, out: Any | None = None) -> Any:
+def smooth_along_stripes(wrapped_phase: F32, mask: Mask, smoothing_px: int = 5, *, out: F32 | None = None) -> F32:
     """Average the phase over a few pixels along the rows.
 
     Parameters

@@ -4,12 +4,11 @@ R, G, B = a + b cos(phi - 2 pi/3), a + b cos(phi), a + b cos(phi + 2 pi/3) gives
 phi = atan2(sqrt(3) (R - B), 2 G - R - B) (equation 2.4 of Je, Lee and Park 2004).
 """
 
-from typing import Any
-
 import numpy as np
 
 from tikernels import _checks
 from tikernels._taichi import F32Array2, F32Array3, U8Array2, ti, vec3
+from tikernels.arrays import F32
 from tikernels.phase.phase_vector import arctangent, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
@@ -48,7 +47,7 @@ def compute_wrapped_phase_kernel(
         out_background[y, x] = background
 
 
-def compute_wrapped_phase(image: Any, out: tuple[Any, Any, Any] | None = None) -> tuple[Any, Any, Any]:
+def compute_wrapped_phase(image: F32, out: tuple[F32, F32, F32] | None = None) -> tuple[F32, F32, F32]:
     """Compute wrapped phase, modulation and background.
 
     Parameters

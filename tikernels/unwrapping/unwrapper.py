@@ -195,7 +195,7 @@ class Unwrapper:
                 break
             if self.on_cpu:  # a GPU passes over spent contacts faster than one of its threads could close the gaps
                 close_gaps_kernel(contacts, self.contacts, self.counters)
-                contacts = int(self.counters[N_CONTACTS])
+                contacts = int(runtime.to_host(self.counters)[N_CONTACTS])
         settle_patches_kernel(self._serial(patches), patches, self.patches)
         self.patch_count = patches
         self._choose_starts()
