@@ -21,15 +21,16 @@ from pipeline.settings import DecodeSettings
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
-#: So many frames lean on each other, the first of them on none: what is missing of them is decoded from there.
+#: Frames a chain. In a chain each frame is decoded with the one before, the first one without: so a missing frame is
+#: decoded anew from the beginning of its chain.
 CHAIN_FRAMES = 64
-# So many frames, evenly spaced, are asked for the light before nothing is taken to be known of it.
+# Frames, evenly spaced, that are asked for the light before it counts as unknown.
 _MOST_ASKED = 64
 
 
 @dataclass(frozen=True)
 class Crop:
-    """The part of every frame that is decoded, px."""
+    """The part of every frame that is decoded, px: a region of interest."""
 
     x: int
     y: int
@@ -54,7 +55,7 @@ class Crop:
         Raises
         ------
         SettingsError
-            It sticks out of the frame, or begins between the samples of a color.
+            It sticks out of the frame, or begins between the samples of a colour.
         """
         width, height = size_px
         if min(self.x, self.y) < 0 or self.x + self.width > width or self.y + self.height > height:
@@ -79,8 +80,8 @@ class Job:
     settings: DecodeSettings
     calibration: Calibration | None  # of the whole frame
     crop: Crop | None
-    step: int  # every so many frames ...
-    first: int  # ... from this one on, below the step
+    step: int  # from one frame that is decoded to the next
+    first: int  # the first frame that is decoded, below the step
     fields: tuple[str, ...]
     store: str
     arch: str

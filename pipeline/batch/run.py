@@ -47,7 +47,7 @@ def decode_footage(
     strict : bool
         Whether a bad frame ends the run, instead of being left out.
     workers : int
-        So many processes here, each with a decoder of its own; 0: this process.
+        The number of processes to start here, each with a decoder of its own; 0: this process decodes.
     cluster : str, optional
         Address of a Dask scheduler, ``tcp://...``, whose workers see footage and store under the same names.
     tell : callable

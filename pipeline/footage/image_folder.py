@@ -1,4 +1,4 @@
-"""Frames from pictures: a folder of them in their natural order, or a single one."""
+"""Frames from image files: a folder of them in their natural order, or a single one."""
 
 import os
 import re
@@ -19,7 +19,7 @@ from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
-#: Names of files that are pictures.
+#: How the names of image files end.
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".webp", *_JPEG_SUFFIXES)
 _DIGITS = re.compile(r"(\d+)")
 
@@ -32,7 +32,7 @@ def natural_key(name: str) -> tuple[Any, ...]:
 
 
 class ImageFolder:
-    """ImageFolder of one folder, each read when its turn comes; a `Source`.
+    """Image files of one folder, each read when its turn comes; a `Source`.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class ImageFolder:
         None of them can be read.
     """
 
-    transfer: str | None = None  # pictures do not say
+    transfer: str | None = None  # image files do not say
 
     def __init__(self, name: str, folder: Path, names: Sequence[str], says: StoredAs) -> None:
         self.name = name
@@ -74,7 +74,7 @@ class ImageFolder:
 
     @classmethod
     def in_folder(cls, folder: Path, says: StoredAs) -> "ImageFolder":
-        """Take every picture of a folder, in the natural order of their names.
+        """Take every image file of a folder, in the natural order of their names.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""FFV1 in Matroska, so written that what was committed can be read whatever happens later.
+"""FFV1 in Matroska, written so that what was committed can be read whatever happens later.
 
 FFmpeg's own muxer keeps a file's length to itself until the end. Here the head, which tells it, is always of one size,
 and a commit writes it anew in place: that needs no room, and what comes behind the length it tells is not in the file.
@@ -128,7 +128,7 @@ class MatroskaWriter:
         self.n_frames, self._end = n_frames, self._n_bytes
 
     def close(self) -> None:
-        """Cut off what was not committed, and list where frames are, for players; harmless twice."""
+        """Cut off what was not committed, and list where frames are, for players; a second call does nothing."""
         if self._file.closed:
             return
         try:

@@ -16,9 +16,9 @@ from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codec, chunk_key, encode_chun
 from tikernels.raw.pixel_format import PixelFormat
 
 _KEY = re.compile(r"c\.(\d+)[.0]*")
-# Of the compressor: a higher one takes up to a half longer, and what it makes is 2 % smaller.
+# The compressor's level: a higher one takes up to half as long again, for chunks that are 2 % smaller.
 _LEVEL = 1
-# Each compresses and writes a frame by itself, and lets go of the interpreter meanwhile.
+# Threads at most; each compresses and writes a frame by itself, without the interpreter.
 _MOST_THREADS = 4
 
 
@@ -88,7 +88,7 @@ class ZarrWriter:
         self.n_frames = n_frames
 
     def close(self) -> None:
-        """Remove what was not committed; harmless twice."""
+        """Remove what was not committed; a second call does nothing."""
         for name in os.listdir(self._folder):
             key = _KEY.fullmatch(name)
             if key is not None and int(key[1]) >= self.n_frames:
