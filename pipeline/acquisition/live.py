@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.acquisition.live_process import LiveResult, LiveTask, serve_live
 from pipeline.calibration import Calibration
+from pipeline.models import ImageArray
 from pipeline.processes import block_interrupts
 from pipeline.settings import DecodeSettings
 from tikernels.errors import ShapeError
@@ -105,7 +105,7 @@ class LiveDecoder:
         self._listen()
         return self._ended
 
-    def offer(self, frame: npt.NDArray[Any], number: int, exposed_at_s: float) -> bool:
+    def offer(self, frame: ImageArray, number: int, exposed_at_s: float) -> bool:
         """Hand a frame over if there is time for it; never waits.
 
         Parameters

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
@@ -16,8 +15,10 @@ from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
 from pipeline.footage.opening import Source, open_source
 from pipeline.footage.source import StoredAs, StoredFrame
+from pipeline.models import ImageArray
 from pipeline.output.store import ResultStore, result_attributes
 from pipeline.settings import DecodeSettings
+from tikernels.arrays import LevelsImage
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -37,7 +38,7 @@ class Crop:
     width: int
     height: int
 
-    def of(self, planes: tuple[npt.NDArray[Any], ...], format: PixelFormat) -> tuple[npt.NDArray[Any], ...]:
+    def of(self, planes: tuple[ImageArray, ...], format: PixelFormat) -> tuple[ImageArray, ...]:
         """Return this part of a frame's planes, as views."""
         cut = []
         for plane, chroma in zip(planes, (False, True, True), strict=False):
@@ -152,10 +153,11 @@ class Job:
             calibration = calibration.cropped(self.crop.x, self.crop.y, size_px)
         return Decoder(self.settings, calibration, arch=self.arch)
 
-    def develop(self, stored: StoredFrame, out: Any | None) -> Any:
+    def develop(self, stored: StoredFrame, out: LevelsImage | None) -> LevelsImage:
         """Return what is decoded of a frame, as RGB, in a buffer that can be handed in as `out` again."""
         planes = stored.planes if self.crop is None else self.crop.of(stored.planes, stored.format)
-        return develop(planes, stored.format, stripes=self.settings.stripes, out=out)
+        image: LevelsImage = develop(planes, stored.format, stripes=self.settings.stripes, out=out)
+        return image
 
     def learn_light(self, source: Source) -> tuple[LightEstimate | None, tuple[str, ...]]:
         """Ask the footage for its light, where neither settings nor calibration say anything of it.

@@ -61,14 +61,14 @@ class Radiometry:
         known = {} if calibration is None else {name: getattr(calibration, name) for name in Calibration.model_fields}
         old = (known.get("uncertainty") or Uncertainty()).model_dump()
         uncertainty = {**old, "crosstalk_matrix": self.crosstalk_sigma, "response": self.response_sigma}
-        stood = (camera or known.get("capture") or CameraState()).model_dump()
+        before = (camera or known.get("capture") or CameraState()).model_dump()
         return Calibration(
             **{
                 **known,
                 "crosstalk_matrix": self.crosstalk_matrix,
                 "response": self.response,
                 "uncertainty": Uncertainty(**uncertainty),
-                "capture": CameraState(**{**stood, "transfer": self.transfer}),
+                "capture": CameraState(**{**before, "transfer": self.transfer}),
             }
         )
 

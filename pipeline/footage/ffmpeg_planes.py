@@ -6,10 +6,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.errors import FootageError
 from pipeline.footage.source import GREY, StoredAs
+from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import BAYER_PATTERNS, Bayer, Matrix, PixelFormat, Siting
 
 # ITU-T H.273: matrix coefficients, and transfer characteristics.
@@ -50,7 +50,7 @@ def transfer_of(frame: Any) -> tuple[str | None, str | None]:
 
 def stored_planes(
     frame: Any, codec: str, says: StoredAs
-) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat, tuple[str, ...]]:
+) -> tuple[tuple[ImageArray, ...], PixelFormat, tuple[str, ...]]:
     """Return views of a frame's planes, how they are stored, and what of that had to be assumed.
 
     Raises

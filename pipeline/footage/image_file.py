@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
+from pipeline.models import ImageArray
 
 # How each kind of file begins and how a whole one ends; OpenCV decodes the rest of a truncated one as grey.
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -121,7 +122,7 @@ def read_codes(path: str | Path) -> npt.NDArray[np.uint8]:
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def read_image(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
+def read_image(path: str | Path) -> ImageArray:
     """Read an image file as RGB.
 
     Returns

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy.typing as npt
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_messages import caught_messages
 from pipeline.footage.ffmpeg_planes import stored_planes
 from pipeline.footage.image_file import check_whole, decode_levels, read_bytes
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 
@@ -24,10 +24,10 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".web
 _DIGITS = re.compile(r"(\d+)")
 
 
-def natural_key(name: str) -> tuple[Any, ...]:
+def natural_key(name: str) -> tuple[list[int | str], str]:
     """Return what sorts names as people do: frame2 before frame10."""
     # Digits stand at every odd place, so numbers never meet letters; the name itself settles 1 and 01.
-    parts = [int(part) if i % 2 else part.casefold() for i, part in enumerate(_DIGITS.split(name))]
+    parts: list[int | str] = [int(part) if i % 2 else part.casefold() for i, part in enumerate(_DIGITS.split(name))]
     return (parts, name)
 
 
@@ -108,7 +108,7 @@ class ImageFolder:
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""
 
-    def _read(self, number: int) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat]:
+    def _read(self, number: int) -> tuple[tuple[ImageArray, ...], PixelFormat]:
         path = self._folder / self.names[number]
         data = read_bytes(path)
         check_whole(path, data)
@@ -127,7 +127,7 @@ class ImageFolder:
             text = str(error)
             raise FootageError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
-    def _read_jpeg(self, data: bytes) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat]:
+    def _read_jpeg(self, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat]:
         """Read a JPEG's planes: libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)."""
         import av  # slow to import, and only needed here
 

@@ -2,11 +2,10 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
-
-import numpy.typing as npt
+from typing import Protocol
 
 from pipeline.errors import FootageError
+from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import Bayer, Matrix, PixelFormat, Siting
 
 #: Why grey footage cannot be decoded.
@@ -18,7 +17,7 @@ class StoredFrame:
     """One frame as it was stored."""
 
     number: int  # in its source, from 0
-    planes: tuple[npt.NDArray[Any], ...]  # see PixelFormat; views that keep what they look at alive; do not write
+    planes: tuple[ImageArray, ...]  # see PixelFormat; views that keep what they look at alive; do not write
     format: PixelFormat
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.files import replace_file
 from pipeline.footage.recording_tags import VERSION, RecordingTags
 from pipeline.footage.zarr_recording import ATTRIBUTE, FRAMES
+from pipeline.models import ImageArray
 from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codec, chunk_key, encode_chunk
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -73,7 +73,7 @@ class ZarrWriter:
         self._checksum = google_crc32c.value
         self.n_frames = 0  # of those committed
 
-    def write(self, number: int, frame: npt.NDArray[Any]) -> int:
+    def write(self, number: int, frame: ImageArray) -> int:
         """Write a frame's chunk, and return how many bytes that took."""
         chunk = encode_chunk(frame, _LEVEL)  # of black frames, too: one that is not there is a frame that is missing
         with (self._folder / chunk_key(number, frame.ndim)).open("xb") as file:
