@@ -186,7 +186,7 @@ def neighbours_median(values: FloatArray, place: npt.NDArray[np.int64]) -> Float
     return np.array([np.median(values[row], axis=0) for row in near])
 
 
-def channel_waves(spectrum: npt.NDArray[np.complex128]) -> FloatArray:
+def waves_of_spectrum(spectrum: npt.NDArray[np.complex128]) -> FloatArray:
     """Return (3, 256) one cycle of the channels, their means one."""
     turns = np.outer(np.arange(1, spectrum.shape[1] + 1), np.arange(256) * 2 * np.pi / 256)
     return np.asarray(1 + (spectrum @ np.exp(1j * turns)).real)
@@ -215,7 +215,7 @@ def clipping_ripple(
         (cv2.blur(np.float64(cut & usable[..., None]), size) / weight)[:: round(period), :: round(period)]
         for cut in (too_bright, too_dark)
     )
-    waves = channel_waves(spectrum)
+    waves = waves_of_spectrum(spectrum)
     clean = ripple_by_harmonic(waves, matrix)
     ripples = []
     for place in np.argwhere(usable[:: round(period), :: round(period)]):

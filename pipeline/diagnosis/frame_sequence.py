@@ -19,12 +19,12 @@ from pipeline.calibration.model import Geometry
 from pipeline.diagnosis.channel_spectra import (
     OVERLAP,
     PHASES,
-    channel_waves,
     fit_tiles,
     ripple_by_harmonic,
     robust_fit,
     smooth_phase,
     tile_side,
+    waves_of_spectrum,
 )
 from pipeline.diagnosis.ripple_finding import RippleFinding
 from pipeline.models import FloatArray, ImageArray
@@ -214,7 +214,7 @@ def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> 
     return RippleFinding(
         causes=("motion between colour fields",),
         size=f"green {green:+.3f} and blue {blue:+.3f} frames after red: up to {text} of bias from red's time",
-        ripple_rad=ripple_by_harmonic(channel_waves(lagging[:, None]), np.eye(3)),
+        ripple_rad=ripple_by_harmonic(waves_of_spectrum(lagging[:, None]), np.eye(3)),
         confidence=min(0.99, 1 - float(np.exp(-surest / 5))),
         advice="show all colours at once, or a faster cycle; what is left when nothing moves is lateral colour",
     )
