@@ -18,11 +18,12 @@ from pipeline.footage.source import BadFrame, StoredFrame
 from pipeline.output.store import read_attributes
 from tikernels import runtime
 
-# Frames read ahead, and results in hand: being decoded, the one before, and one for each thread that writes. Those
-# mostly wait for the interpreter, which kernels keep to themselves while they run: with four of them storing all fields
-# was 5 % faster than with two.
+# Frames read ahead; more of them only take memory.
 _AHEAD = 4
+# Threads that write results. They mostly wait for the interpreter, which kernels keep to themselves while they run:
+# with four, storing all fields was 5 % faster than with two.
 _WRITERS = 4
+# Results in hand: the one being decoded, the one before, and one for each thread that writes.
 _RESULTS = 2 + _WRITERS
 
 
@@ -71,7 +72,8 @@ class Worker:
         Parameters
         ----------
         todo : sequence of (range, frozenset)
-            Which frames lean on each other, and which of them are to be stored; see `chains`.
+            The chains: frames of which each is decoded with the one before, and which of them are to be stored; see
+            `chains`.
         tell : callable
             Told of every stored and every bad frame, of a bad one sooner than of those that are still being written.
 

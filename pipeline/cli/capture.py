@@ -19,8 +19,9 @@ from hardware.instruments import open_instruments
 from hardware.projector import open_projector
 from hardware.settings import RigSettings
 from pipeline.acquisition import session
+from pipeline.acquisition.capture_folder import CALIBRATION, LOG, CapturePlan, CaptureProgress
 from pipeline.acquisition.rig_file import read_rig
-from pipeline.acquisition.session import CALIBRATION, LOG, CapturePlan, CaptureProgress, CaptureSummary
+from pipeline.acquisition.session import CaptureSummary
 from pipeline.acquisition.stopping import Stopping
 from pipeline.calibration import Calibration
 from pipeline.errors import SettingsError

@@ -10,10 +10,10 @@ from pipeline.diagnosis.channel_spectra import (
     OVERLAP,
     PHASES,
     Tiles,
-    channel_waves,
     neighbours_median,
     ripple_by_harmonic,
     robust_fit,
+    waves_of_spectrum,
 )
 from pipeline.diagnosis.ripple_finding import CHANNELS, DECISIVE, SIGMAS, RippleFinding
 from pipeline.models import FloatArray
@@ -49,7 +49,7 @@ def explain_fundamental(
     scale = np.median(abs(relative))
 
     def ripple_of(change: Any) -> dict[int, float]:
-        return ripple_by_harmonic(channel_waves((scale * ideal(matrix) * change)[:, None]), matrix)
+        return ripple_by_harmonic(waves_of_spectrum((scale * ideal(matrix) * change)[:, None]), matrix)
 
     def ripple_of_lag(lags: Any) -> dict[int, float]:
         return ripple_of(np.exp(1j * np.array([lags[0], 0, lags[1]])))
