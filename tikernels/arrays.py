@@ -1,6 +1,6 @@
 """Types of the arrays that host functions take and return: NumPy's, or an ndarray of the kernel language."""
 
-from typing import Protocol, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -35,4 +35,4 @@ Plane: TypeAlias = Array[np.uint8] | Array[np.uint16] | Array[np.float32]
 #: A mask: kernels take uint8; NumPy's bool is viewed as it.
 Mask: TypeAlias = Array[np.bool_] | Array[np.uint8]
 #: A frame in any element type that cameras and files give.
-LevelsImage: TypeAlias = Array[np.uint8] | Array[np.uint16] | Array[np.float32]
+LevelsImage: TypeAlias = npt.NDArray[np.uint8 | np.uint16 | np.float32] | DeviceArray[Any]

@@ -91,7 +91,7 @@ class _Loan:
         self._free = free
         self._on_device: list[tuple[deque[Any], Any]] = []
 
-    def take(self, name: str, shape: tuple[int, ...], dtype: npt.DTypeLike = np.float32) -> Any:
+    def take(self, name: str, shape: tuple[int, ...], dtype: type[np.generic] = np.float32) -> Any:
         """Return memory that waits under a name, or fresh one."""
         free = self._free[name]
         memory = free.pop() if free else runtime.empty(shape, dtype)

@@ -74,7 +74,7 @@ class FrameReader:
         dtype = _checks.dtype_name(image)
         if dtype not in WHITE_LEVELS:
             raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
-        image = _checks.read_array("image", image, (None, None, 3), dtype)
+        image = _checks.read_array("image", image, (None, None, 3), _checks.element_type(image))
         white = self._settings.white_level or WHITE_LEVELS[dtype]
         if dtype == "float32" or white < WHITE_LEVELS[dtype]:
             missing, outside = count_out_of_range(image, white)

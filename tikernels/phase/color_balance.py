@@ -312,7 +312,7 @@ def find_gains_kernel(
 def _gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
     """Half of a Gaussian of this deviation (in samples) from an offset on, cut at three deviations."""
     reach = np.arange(int(np.ceil(3 * sigma)) + 1) + offset
-    return np.exp(-0.5 * (reach / sigma) ** 2).astype(np.float32)
+    return np.asarray(np.exp(-0.5 * (reach / sigma) ** 2), np.float32)
 
 
 @ti.kernel

@@ -57,7 +57,7 @@ def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) 
     correction[:-1] = np.fft.irfft(spectrum, bins)
     correction[-1] = correction[0]
     mean = counts @ (correction[1:] + correction[:-1]) / (2 * total)
-    return (correction - mean).astype(np.float32)
+    return np.asarray(correction - mean, np.float32)
 
 
 def _certainty(parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
