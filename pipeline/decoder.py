@@ -288,7 +288,7 @@ class Decoder:
         frame._pairs = pairs
         measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
         smooth_phase_kernel(pairs)(work.raw_phase, buffers["precision"], work.rates, buffers["phase"])
-        work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
+        work.patches = work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
         doubt = self._orders.find(image, work, frame, previous, correction)
         if self._geometry is not None:
             projector = self._projector.arguments()

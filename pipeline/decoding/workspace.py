@@ -6,11 +6,15 @@ from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.smoothing import rates_buffer
-from tikernels.unwrapping.unwrapper import Unwrapper
+from tikernels.unwrapping.patches import Patches
+from tikernels.unwrapping.unwrap_methods import METHODS
+from tikernels.unwrapping.unwrapper import RegionUnwrapper
 
 
 class Workspace:
     """Buffers for one image size and fringe period; stripes lie along the rows."""
+
+    patches: Patches
 
     def __init__(self, height: int, width: int, period_px: float, unwrap_method: str) -> None:
         self.key = (height, width, period_px)
@@ -18,4 +22,4 @@ class Workspace:
         self.model = ChannelModel(self.gains)
         self.rates = rates_buffer(height)
         self.raw_phase = runtime.empty((height, width), np.float32)
-        self.unwrapper = Unwrapper(height, width, unwrap_method)
+        self.unwrapper = RegionUnwrapper(height, width, METHODS[unwrap_method](height, width))

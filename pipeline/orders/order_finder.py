@@ -16,15 +16,10 @@ from pipeline.orders.coded_orders import blur_shift, code_departures, find_absol
 from pipeline.orders.posterior import MAX_ERROR_PROBABILITY, AbsoluteOrders, OrderRange
 from pipeline.pattern.contrast_code import cycle_modulations
 from tikernels import runtime
-from tikernels.order_evidence.contrast_reading import (
-    SLOTS,
-    adopt_pixels_kernel,
-    correct_by_modulation_kernel,
-    measure_contrast_kernel,
-)
-from tikernels.order_evidence.order_votes import VOTES_A_CELL, vote_orders_kernel
+from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measure_contrast, vote_orders
 from tikernels.phase.equalization import modulation_tables
-from tikernels.unwrapping.unwrapper import MIN_REGION_PX, PatchGraph
+from tikernels.phase.smoothing import RATE_ACROSS
+from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph, RegionTable
 
 # With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
 # (rad) that is worth a pass over the image.
@@ -81,7 +76,7 @@ class OrderFinder:
         previous: DecodedFrame | None,
         correction: npt.NDArray[np.float32],
     ) -> str | None:
-        """Place the regions that `work.unwrapper` has joined, and write the unwrapped phase.
+        """Place the regions that `work.patches` belong to, and write the unwrapped phase.
 
         Parameters
         ----------
@@ -101,7 +96,7 @@ class OrderFinder:
         str or None
             What the user should know of the orders.
         """
-        unwrapper, buffers = work.unwrapper, frame._buffers
+        patches, buffers = work.patches, frame._buffers
         orders, readable = None, True
         if self._code == "contrast":
             orders, readable = self._read_code(image, work, frame)
@@ -109,27 +104,28 @@ class OrderFinder:
         if orders is None and self._depth_range_mm is not None:
             orders = self._place_by_depth(work, frame)
         if frame._rig is not None:
-            unwrapper.place(buffers["phase"], *frame._rig, self._depth_mm)
+            patches.place(buffers["phase"], *frame._rig, self._depth_mm)
         if orders is not None:
             errors = orders.error_probability(orders.offsets)
             # Of what the range alone leaves possible, the order nearest its middle stays.
             told = (errors < 1) if self._code else np.zeros(len(errors), np.bool_)
-            unwrapper.set_orders(orders.parts[told], orders.offsets[told])
+            patches.set_orders(orders.parts[told], orders.offsets[told])
         if carried is not None:
-            unwrapper.set_orders(carried.roots, carried.offsets)
+            patches.set_orders(carried.roots, carried.offsets)
         if orders is not None:
             absolute = errors < MAX_ERROR_PROBABILITY
-            unwrapper.set_orders(orders.parts[absolute], orders.offsets[absolute])
-        unwrapper.write(buffers["phase"], work.rates, buffers["unwrapped"], buffers["mask"], buffers["region"])
-        _note_orders(orders, carried, previous, work, frame)
+            patches.set_orders(orders.parts[absolute], orders.offsets[absolute])
+        outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
+        regions = patches.write(buffers["phase"], work.rates, *outputs)
+        _note_orders(orders, carried, previous, regions.roots, work, frame)
         doubt = None
         if self._code == "contrast":
-            doubt = self._use_code(readable, correction, work, frame)
+            doubt = self._use_code(readable, correction, regions, work, frame)
         if carried is not None and not carried.same_scene:
             doubt = "nothing of the frame before is seen again: the orders start afresh"
         if not self._code_looked_for:
             self._code_looked_for = True
-            graph = unwrapper.graph()
+            graph = patches.graph()
             found, readable = self._find_orders(image, work, frame, graph, None)
             absolute = found.error_probability(found.offsets) < MAX_ERROR_PROBABILITY
             share = graph.pixels[np.isin(found.roots, found.parts[absolute])].sum() / graph.pixels.sum()
@@ -139,27 +135,24 @@ class OrderFinder:
 
     def _read_code(self, image: Any, work: Workspace, frame: DecodedFrame) -> tuple[AbsoluteOrders, bool]:
         """Find the absolute orders, split the regions that the code contradicts, and say whether the code is seen."""
-        graph = work.unwrapper.graph()
+        graph = work.patches.graph()
         orders, readable = self._find_orders(image, work, frame, graph, self._order_range(frame, graph))
         if not np.array_equal(orders.roots, graph.root):
-            work.unwrapper.split(orders.roots)
+            work.patches.split(orders.roots)
         return orders, readable
 
     def _find_orders(
         self, image: Any, work: Workspace, frame: DecodedFrame, graph: PatchGraph, order_range: OrderRange | None
     ) -> tuple[AbsoluteOrders, bool]:
-        unwrapper, buffers = work.unwrapper, frame._buffers
-        sums = runtime.empty((unwrapper.patch_count, SLOTS, 4), np.float32)
-        light = (image, self._path.inverse, work.gains.gains, work.gains.cell, buffers["phase"], buffers["modulation"])
-        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits)
-        measure_contrast_kernel(self._path.balance_first)(*light, *patches, sums)
-        width = int(image.shape[1])
-        rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
-        return find_absolute_orders(runtime.to_host(sums), graph, width, rising, order_range)
+        buffers = frame._buffers
+        seen = (buffers["phase"], buffers["modulation"])
+        sums = measure_contrast(image, self._path, work.gains, *seen, work.patches)
+        rising = float(runtime.to_host(work.rates)[-1, RATE_ACROSS]) > 0
+        return find_absolute_orders(sums, graph, int(image.shape[1]), rising, order_range)
 
     def _place_by_depth(self, work: Workspace, frame: DecodedFrame) -> AbsoluteOrders | None:
         """Find the orders that the depth range leaves possible."""
-        graph = work.unwrapper.graph()
+        graph = work.patches.graph()
         order_range = self._order_range(frame, graph)
         if order_range is None:
             return None
@@ -169,18 +162,15 @@ class OrderFinder:
 
     def _carry_orders(self, previous: DecodedFrame, work: Workspace, phase: Any) -> CarriedOrders:
         """Find the orders that agree with the frame before, and split the regions that it contradicts."""
-        unwrapper, before = work.unwrapper, previous._buffers
-        votes = runtime.empty((unwrapper.cells * VOTES_A_CELL, 5), np.int32)
-        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits, unwrapper.patches)
-        vote_orders_kernel(phase, *patches, before["unwrapped"], before["region"], votes)
-        counted = runtime.to_host(votes)
+        patches, before = work.patches, previous._buffers
+        counted = vote_orders(phase, patches, before["unwrapped"], before["region"])
         if self._code is not None:  # the code has split them already, and knows better
-            return count_votes(counted, unwrapper.patch_roots())
-        graph = unwrapper.graph()
+            return count_votes(counted, patches.roots())
+        graph = patches.graph()
         roots = split_by_votes(counted, graph, previous.order_is_known)
         carried = count_votes(counted, roots)
         if carried.same_scene and not np.array_equal(roots, graph.root):
-            unwrapper.split(roots)
+            patches.split(roots)
         return carried
 
     def _order_range(self, frame: DecodedFrame, graph: PatchGraph) -> OrderRange | None:
@@ -200,7 +190,12 @@ class OrderFinder:
         return OrderRange(least - here, most - here, self._depth_range_mm is not None)
 
     def _use_code(
-        self, readable: bool, correction: npt.NDArray[np.float32], work: Workspace, frame: DecodedFrame
+        self,
+        readable: bool,
+        correction: npt.NDArray[np.float32],
+        regions: RegionTable,
+        work: Workspace,
+        frame: DecodedFrame,
     ) -> str | None:
         """Note what is known of each region, and correct the phases by the modulation that their cycles have.
 
@@ -208,10 +203,9 @@ class OrderFinder:
         """
         buffers, known = frame._buffers, frame.order_is_known
         if known.any():
-            adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
             seen = (buffers["phase"], work.raw_phase, buffers["modulation"], work.rates)
             outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            adopt_pixels_kernel(work.unwrapper.final, *seen, known.astype(np.int32), adopted, *outputs)
+            adopt_pixels(work.patches.final, *seen, known, out=outputs)
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
         usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
         departures, slopes = code_departures(usual)
@@ -220,9 +214,9 @@ class OrderFinder:
         corrections = modulation_corrections(departures, modulation_tables(correction))
         corrections -= blur_shift(*sampled, known, slopes, frame.period_px or 0.0) * slopes
         if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
-            arguments = (buffers["region"], known.astype(np.int32), corrections.astype(np.float32))
-            correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
-        pixels = work.unwrapper.region_pixels()
+            phases = (buffers["phase"], buffers["unwrapped"])
+            correct_by_modulation(buffers["region"], known, corrections, out=phases)
+        pixels = regions.pixels
         lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
         if not readable:
             return "the frame does not show the contrast code: project a pattern made with --code contrast"
@@ -235,11 +229,11 @@ def _note_orders(
     orders: AbsoluteOrders | None,
     carried: CarriedOrders | None,
     previous: DecodedFrame | None,
+    roots: npt.NDArray[np.int64],
     work: Workspace,
     frame: DecodedFrame,
 ) -> None:
     """Note of every region whether its orders are absolute, and how probably they are not."""
-    roots = work.unwrapper.roots
     known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
     if previous is not None and carried is not None and previous._placed is not None:
         known_before, errors_before = previous._placed
@@ -250,7 +244,7 @@ def _note_orders(
         known[number] = known_before[before] & (errors[number] < MAX_CARRIED_ERROR)
     if orders is not None and len(orders.parts):
         part = np.searchsorted(orders.parts, roots)
-        by_itself = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
+        by_itself = orders.error_probability(work.patches.orders(orders.parts).astype(np.int64))[part]
         absolute = by_itself < MAX_ERROR_PROBABILITY
         known[1:] |= absolute
         errors[1:] = np.where(absolute | ~known[1:], by_itself, errors[1:])

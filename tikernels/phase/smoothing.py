@@ -29,6 +29,9 @@ NO_NEIGHBOUR = 0.5 * NO_PHASE
 _SAME_SURFACE = 0.3
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
+#: Places in the last row of what `measure_rates_kernel` fills: the usual change along and across the stripes, rad a px,
+#: and the mean quality.
+RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = range(3)
 
 
 @cache
@@ -64,7 +67,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
         for t in range(height * strips):
             y, first = t // strips, (t % strips) * STRIP
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
-            rate_along, rate_across = rates[last, 0], rates[last, 1]
+            rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
             values = taps(0.0)
             upper, lower, bend, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for k in range(window):
@@ -151,9 +154,9 @@ def measure_rates_kernel(
             if out_rates[i, 4] > 0.0:
                 total += out_rates[i, 4]
                 count += 1.0
-        out_rates[rows, 0] = ti.atan2(along.y, along.x)
-        out_rates[rows, 1] = ti.atan2(across.y, across.x)
-        out_rates[rows, 2] = ti.max(total / ti.max(count, 1.0), 1e-12)
+        out_rates[rows, RATE_ALONG] = ti.atan2(along.y, along.x)
+        out_rates[rows, RATE_ACROSS] = ti.atan2(across.y, across.x)
+        out_rates[rows, MEAN_QUALITY] = ti.max(total / ti.max(count, 1.0), 1e-12)
 
 
 @ti.kernel

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array2, F32Array3, U8Array2, ti, vec3
+from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, ti, u1, vec3
 from tikernels.phase.phase_vector import arctangent, channel_waves, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
@@ -18,6 +18,12 @@ from tikernels.phase.phase_vector import arctangent, channel_waves, phase_vector
 NO_PHASE = 100.0
 #: The same, for a pixel that saw two surfaces at once.
 STEP_PHASE = 2.0 * NO_PHASE
+
+
+@ti.func
+def has_phase(phase: f32) -> u1:
+    """Whether this is a phase, and neither NO_PHASE nor STEP_PHASE."""
+    return phase < 0.5 * NO_PHASE
 
 
 def phase_weights(
