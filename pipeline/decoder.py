@@ -24,6 +24,7 @@ from tikernels.depth.triangulation import triangulate
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
+from tikernels.unwrapping import METHODS
 
 # What the phases of the frames before still count when the response is equalised, from frame to frame.
 _FADING = 0.9
@@ -248,5 +249,5 @@ class Decoder:
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period_px = float(2 ** (np.round(8 * np.log2(period_px)) / 8))
         if self._workspace is None or not self._workspace.fits(frame.shape, period_px):
-            self._workspace = Workspace(*frame.shape, period_px, self.settings.unwrap_method)
+            self._workspace = Workspace(*frame.shape, period_px, METHODS[self.settings.unwrap_method])
         return self._workspace

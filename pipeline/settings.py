@@ -11,11 +11,18 @@ from pipeline.models import CameraState, Matrix3, Model, NonNegative, Positive, 
 from tikernels.errors import ShapeError
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX
+from tikernels.unwrapping import METHODS
 
 
 def _odd_or_zero(value: int) -> int:
     if value != 0 and value % 2 == 0:
         raise ValueError(f"must be 0 or odd, got {value}")
+    return value
+
+
+def _known_method(value: str) -> str:
+    if value not in METHODS:
+        raise ValueError(f"must be {' or '.join(METHODS)}, got {value!r}")
     return value
 
 
@@ -42,7 +49,7 @@ class DecodeSettings(Model):
     """Whether, where nothing tells the projector's response, the phase's distribution is made uniform to undo it. A
     calibration's response is used whatever this says; so is what the first frame tells where nothing is known of the
     light (see `Decoder`)."""
-    unwrap_method: Literal["directional", "reliability"] = "directional"
+    unwrap_method: Annotated[str, AfterValidator(_known_method)] = "directional"
     """How neighbours' orders are joined: row runs by votes, or pixels along the most reliable edges (slower)."""
     smoothing_px: Annotated[int, Field(ge=0, le=33), AfterValidator(_odd_or_zero)] = 5
     """Window along the stripes; 0: none."""

@@ -18,16 +18,15 @@ from pipeline.orders.posterior import NOTHING_KNOWN, AbsoluteOrders, Integers, O
 from pipeline.pattern.contrast_code import CYCLES, contrast_steps
 from tikernels.order_evidence.contrast_reading import (
     BACKGROUND,
-    CANDIDATES,
     MODULATION,
+    ORDER_SLOTS,
     PHASE,
-    SLOTS,
     TOTAL,
-    join_parts_kernel,
-    match_stretches_kernel,
+    match_stretches,
 )
-from tikernels.unwrapping.patch_growing import CELL_HEIGHT, CELL_WIDTH
-from tikernels.unwrapping.unwrapper import MIN_REGION_PX, PatchGraph
+from tikernels.order_evidence.part_joining import CANDIDATES, join_parts
+from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
+from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 
 # Below this share of the code's steps the frame does not show the code; a response of gamma 2.4 leaves half of them.
 _MIN_STRENGTH = 0.25
@@ -100,8 +99,8 @@ def find_absolute_orders(
 
     Parameters
     ----------
-    sums : (P, SLOTS, 4) float32
-        What `measure_contrast_kernel` summed.
+    sums : (P, ORDER_SLOTS, 4) float32
+        What `measure_contrast` summed.
     graph : PatchGraph
         The patches, joined to regions.
     width : int
@@ -147,7 +146,7 @@ def _contrast_steps(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int
     """Put the cycles of every column of patches in a row and take the steps between whole ones."""
     patch, slot = np.nonzero(sums[..., TOTAL] > 0)
     values = sums[patch, slot].astype(np.float64)
-    order = graph.offset[patch].astype(np.int64) + slot - SLOTS // 2
+    order = graph.offset[patch].astype(np.int64) + slot - ORDER_SLOTS // 2
     root, first = graph.root[patch], graph.first[patch]
     column, row = first % width // CELL_WIDTH, first // width // CELL_HEIGHT
     sign = 1 if rising else -1
@@ -203,8 +202,7 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
     without = np.eye(_STRETCH) - common / _STRETCH
     windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
     seen = steps.rise[stretches] @ without
-    matches = np.empty((len(seen), 3), np.float32)
-    match_stretches_kernel(seen.astype(np.float32), (strength * windows).astype(np.float32), matches)
+    matches = match_stretches(seen.astype(np.float32), (strength * windows).astype(np.float32))
     best, least, second = matches[:, 0].astype(np.int64), matches[:, 1], matches[:, 2]
     clear = least < 0.25 * second
     sigma = _MIN_SIGMA
@@ -264,15 +262,8 @@ def _split(
     sort = np.lexsort((shuffled, -np.floor(4 * np.log2(np.maximum(weight, 1))), differ))
     parents = np.zeros(len(graph.root), np.int32)
     if len(sort):
-        join_parts_kernel(
-            np.ascontiguousarray(ends[:, sort]),
-            _MIN_SPAN,
-            _MIN_MARGIN,
-            _MARGIN_A_STEP,
-            orders,
-            evidence.astype(np.float32),
-            parents,
-        )
+        pairs = np.ascontiguousarray(ends[:, sort])
+        parents = join_parts(pairs, _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP, orders, evidence.astype(np.float32))
     return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
 
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from pipeline.models import FloatArray
 from pipeline.pattern.contrast_code import CYCLES, modulation_at
-from tikernels.order_evidence.contrast_reading import SLOPE_REACH, TABLED
+from tikernels.order_evidence.modulation_correction import SLOPE_REACH, TABLED
 
 # Where the phase bends by more (rad) within a cycle, the surface does.
 _MAX_BEND = 0.3

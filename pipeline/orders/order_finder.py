@@ -21,12 +21,11 @@ from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, AbsoluteOrders, OrderR
 from pipeline.pattern.contrast_code import cycle_modulations
 from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
-from tikernels.order_evidence.contrast_reading import adopt_pixels, correct_by_modulation, measure_contrast
-from tikernels.order_evidence.order_votes import vote_orders
+from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measure_contrast, vote_orders
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.equalization import modulation_tables
 from tikernels.phase.smoothing import RATE_ACROSS
-from tikernels.unwrapping import MIN_REGION_PX, Patches, PatchGraph, RegionTable
+from tikernels.unwrapping.patches import MIN_REGION_PX, Patches, PatchGraph, RegionTable
 
 # With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
 # (rad) that is worth a pass over the image.
@@ -199,10 +198,11 @@ class OrderFinder:
         """
         if self._code != "contrast":
             return None
-        known, flags, phases = orders.known, orders.known.astype(np.int32), seen.phases
+        known, phases = orders.known, seen.phases
         if known.any():
             surface = (out.unwrapped, out.mask, out.region)
-            adopt_pixels(patches, phases.phase, seen.raw_phase, phases.modulation, seen.rates, flags, out=surface)
+            found = (phases.phase, seen.raw_phase, phases.modulation, seen.rates)
+            adopt_pixels(patches.final, *found, known, out=surface)
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
         usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
         departures, slopes = code_departures(usual)
@@ -211,8 +211,7 @@ class OrderFinder:
         corrections = modulation_corrections(departures, modulation_tables(seen.correction))
         corrections -= blur_shift(*sampled, known, slopes, seen.period_px) * slopes
         if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
-            rounded = corrections.astype(np.float32)
-            correct_by_modulation(out.region, flags, rounded, out=(phases.phase, out.unwrapped))
+            correct_by_modulation(out.region, known, corrections, out=(phases.phase, out.unwrapped))
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
         if lost > _MAX_LOST:
             return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"

@@ -30,7 +30,8 @@ NO_NEIGHBOUR = 0.5 * NO_PHASE
 _SAME_SURFACE = 0.3
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
-#: Columns of the last row that `measure_rates` fills.
+#: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad a px, and
+#: the mean quality.
 RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = range(3)
 
 

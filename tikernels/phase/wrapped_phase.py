@@ -7,7 +7,7 @@ phi = atan2(sqrt(3) (R - B), 2 G - R - B) (equation 2.4 of Je, Lee and Park 2004
 import numpy as np
 
 from tikernels import _checks
-from tikernels._taichi import F32Array2, F32Array3, U8Array2, ti, vec3
+from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, ti, u1, vec3
 from tikernels.arrays import F32
 from tikernels.phase.phase_vector import arctangent, phase_vector
 
@@ -16,6 +16,12 @@ from tikernels.phase.phase_vector import arctangent, phase_vector
 NO_PHASE = 100.0
 #: The same, for a pixel that saw two surfaces at once.
 STEP_PHASE = 2.0 * NO_PHASE
+
+
+@ti.func
+def has_phase(phase: f32) -> u1:
+    """Whether this is a phase, and neither NO_PHASE nor STEP_PHASE."""
+    return phase < 0.5 * NO_PHASE
 
 
 @ti.kernel

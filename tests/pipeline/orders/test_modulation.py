@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.orders.modulation import blur_shift, code_departures, modulation_corrections
 from pipeline.pattern.contrast_code import CYCLES, cycle_modulations
-from tikernels.order_evidence.contrast_reading import TABLED
+from tikernels.order_evidence.modulation_correction import TABLED
 
 
 def test_departures_are_the_codes():
