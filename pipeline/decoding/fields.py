@@ -5,7 +5,8 @@ Frame, store, reader, meshes and the README's table all come from these entries:
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, Literal, Protocol, TypeVar, overload
+from functools import cached_property
+from typing import Any, Literal, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -41,13 +42,13 @@ _NOISE_STEP = 0.1
 _SIGMA_BITS = 7
 
 
-class Field(Generic[T]):
-    """A field of a frame: computed when it is first looked at, then kept.
+class Field(cached_property[T]):
+    """A field of a frame: a property that is computed when it is first looked at, and what is to be known of it.
+
+    Two threads that look at once may both compute it: they compute the same.
 
     Attributes
     ----------
-    name : str
-        Of the frame's attribute, and of the store's array.
     dtype : str
         NumPy's name of the element type.
     unit : str or None
@@ -66,8 +67,6 @@ class Field(Generic[T]):
         Of its values in the store; None: they are kept as they are.
     """
 
-    name: str
-
     def __init__(
         self,
         compute: Callable[[Any], T],
@@ -79,7 +78,7 @@ class Field(Generic[T]):
         vertex: str | None,
         rounding: Rounding | None,
     ) -> None:
-        self._compute = compute
+        super().__init__(compute)
         self.dtype, self.unit, self.axes, self.needs = dtype, unit, axes, needs
         self.in_mm, self.vertex, self.rounding = in_mm, vertex, rounding
         told = (compute.__doc__ or "").strip()
@@ -87,25 +86,9 @@ class Field(Generic[T]):
         shape = {(): "one value", ("y", "x"): "(H, W)", ("y", "x", "xyz"): "(H, W, 3)"}[axes]
         self.__doc__ = f"{shape} {dtype}: {told}"
 
-    def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
-
-    @overload
-    def __get__(self, instance: None, owner: type) -> "Field[T]": ...
-    @overload
-    def __get__(self, instance: object, owner: type) -> T: ...
-    def __get__(self, instance: object | None, owner: type) -> "Field[T] | T":
-        if instance is None:
-            return self
-        # Python looks into the instance's dictionary first, so this runs once a frame. Two threads may both come here:
-        # they compute the same.
-        value = self._compute(instance)
-        vars(instance)[self.name] = value
-        return value
-
     def stored(self, frame: Known) -> npt.NDArray[Any]:
         """Return a frame's values without the digits that say nothing, as the store keeps them."""
-        values = np.asarray(getattr(frame, self.name))
+        values = np.asarray(self.__get__(frame))
         return values if self.rounding is None else self.rounding.apply(values, frame)
 
 

@@ -220,8 +220,9 @@ class DecodedFrame:
         """One standard deviation along the pixel's ray, by `phase_sigma`; NaN where there is no point."""
         if self.rays is None or self.surface.points is None:
             return None
+        # Other fields first: whoever holds the device's lock must not wait for a thread that computes a field.
+        known = (self.surface.unwrapped, self._phase_sigma, self.surface.points)
         with runtime.lock:
-            known = (self.surface.unwrapped, self._phase_sigma, self.surface.points)
             return self._read(point_sigma(*known, self.rays.rays, self.rays.projector))
 
     @field("float32", "range", needs=("points", "mask", "unwrapped_phase"), rounding=RELATIVE_RANGE_DIGITS)

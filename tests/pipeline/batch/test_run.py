@@ -475,8 +475,8 @@ def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr("pipeline.decoding.frame.runtime", SimpleNamespace())
             patch.setattr("pipeline.decoding.frame.transpose", None)
-            for kernel in ("compare_rows", "phase_sigma", "point_sigma"):
-                patch.setattr(f"pipeline.decoding.frame.{kernel}_kernel", None)
+            for launched in ("estimate_phase_sigma", "point_sigma"):
+                patch.setattr(f"pipeline.decoding.frame.{launched}", None)
             np.testing.assert_array_equal(getattr(frame, name), values[name], err_msg=name)
 
 

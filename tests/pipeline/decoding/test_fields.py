@@ -35,8 +35,8 @@ class Frame:
 
 
 def test_a_new_field_is_one_method():
-    (entry,) = fields_of(Frame).values()
-    assert (entry.name, entry.dtype, entry.unit, entry.axes, entry.vertex) == ("height", "float32", "rad", (), "h")
+    ((name, entry),) = fields_of(Frame).items()
+    assert (name, entry.dtype, entry.unit, entry.axes, entry.vertex) == ("height", "float32", "rad", (), "h")
     assert entry.meaning == "How high."
     assert entry.__doc__.startswith("one value float32: How high.")
 

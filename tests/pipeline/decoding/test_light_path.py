@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.calibration import Capture
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
+from pipeline.models import CameraState
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 
@@ -82,8 +82,8 @@ def test_the_code_is_the_patterns():
 
 
 def test_a_camera_that_stands_otherwise():
-    before = rig(capture=Capture(gain=2.0))
+    before = rig(capture=CameraState(gain=2.0))
     with pytest.warns(DecodeWarning, match=r"gain is 3\.0 but was 2\.0 at calibration"):
-        LightPath(DecodeSettings(capture=Capture(gain=3.0)), before)
+        LightPath(DecodeSettings(capture=CameraState(gain=3.0)), before)
     with pytest.raises(SettingsError, match="set stripes to 'horizontal'"):
         LightPath(DecodeSettings(stripes="vertical"), before)
