@@ -12,18 +12,45 @@ from support.missing import skip_but_fail_in_ci
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # Taichi's own, once, while it is imported
     from support.array_forms import every_second, on_device, read_only
+    from support.kernel_cache import write_kernels
 
     import tikernels
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run what needs no GPU first: starting another device drops all buffers and compiled kernels."""
+#: Beside the first case of every test in `tests/tikernels`, what runs on Vulkan where `long` does not.
+ON_VULKAN = {"test_accuracy_on_every_scene"}
 
-    def on_gpu(item: pytest.Item) -> bool:
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run what needs no GPU first: starting another device drops all buffers and compiled kernels.
+
+    Software Vulkan compiles and computes many times slower than the CPU, so all but a core set of its tests is long.
+    """
+    seen = set()
+
+    def on_vulkan(item: pytest.Item) -> bool:
         callspec = getattr(item, "callspec", None)
         return callspec is not None and callspec.params.get("arch") == "vulkan"
 
-    items.sort(key=on_gpu)
+    for item in filter(on_vulkan, items):
+        test = item.nodeid.partition("[")[0]
+        if test in seen or not (test.startswith("tests/tikernels") or test.rpartition("::")[2] in ON_VULKAN):
+            item.add_marker("long")
+        seen.add(test)
+    items.sort(key=on_vulkan)
+
+
+@pytest.fixture(scope="module")
+def cpu() -> str:
+    """Start the CPU, for tests and for what a module's tests share; `arch` is for what runs on every backend."""
+    return tikernels.init("cpu")
+
+
+@pytest.fixture(scope="session")
+def kernels_on_disk() -> None:
+    """Write the kernels that decode to the disk, where processes that a test starts find them."""
+    write_kernels()
 
 
 @pytest.fixture(params=["cpu", "vulkan"])

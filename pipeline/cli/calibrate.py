@@ -13,8 +13,9 @@ from rich.console import Console
 from rich.table import Table
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.captures import CapturedFolder, Picture, captured_files, write_sequence
-from pipeline.calibration.model import Calibration, Capture, Pattern, Uncertainty
+from pipeline.calibration.board_poses import measure_pose
+from pipeline.calibration.captures import CapturedFolder, captured_files, refuse_other_camera, write_sequence
+from pipeline.calibration.model import Calibration, Pattern, Uncertainty
 from pipeline.calibration.multishot import WHITE, multishot_codes, multishot_sequence
 from pipeline.calibration.radiometry import (
     measure_radiometry,
@@ -22,14 +23,14 @@ from pipeline.calibration.radiometry import (
     radiometry_codes,
     radiometry_sequence,
 )
-from pipeline.calibration.rig_geometry import MIN_POSES, GeometryFit, measure_pose, solve_geometry
+from pipeline.calibration.rig_geometry import MIN_POSES, GeometryFit, solve_geometry
 from pipeline.errors import CalibrationError, OutputError, SettingsError
-from pipeline.models import build
+from pipeline.models import CameraState, ImageArray, build
 
 if TYPE_CHECKING:
     from pipeline.decoding.frame import DecodedFrame
-    from pipeline.diagnosis.ripple import Finding
-    from pipeline.diagnosis.surface_check import CheckResult
+    from pipeline.diagnosis.check_result import CheckResult
+    from pipeline.diagnosis.ripple_finding import RippleFinding
     from tikernels.raw.linearization import Transfer
 
 # Names of files may look like markup.
@@ -141,11 +142,9 @@ def radiometry(
     _check_target(target, force)
     known = None if calibration is None else Calibration.read(calibration)
     values = {"exposure_s": exposure_s, "gain": gain, "white_balance": white_balance}
-    stood = build(Capture, values, SettingsError, "capture")
+    stood = build(CameraState, values, SettingsError, "capture")
     ramps = CapturedFolder(folder, radiometry_sequence(size_of(size)).names)
     if known is not None:
-        from pipeline.diagnosis.surface_check import refuse_other_camera
-
         height, width = next(iter(ramps.values())).shape[:2]
         refuse_other_camera(known, (width, height), str(folder))
     found = measure_radiometry(ramps, transfer, white_level)
@@ -289,10 +288,13 @@ def check(
         Replace an existing calibration.
     """
     from pipeline.decoder import Decoder
+    from pipeline.diagnosis.corrected_light import correct_light
+    from pipeline.diagnosis.epipolar_check import check_epipolar
     from pipeline.diagnosis.ripple import diagnose
-    from pipeline.diagnosis.surface_check import check_epipolar, check_surface, corrected_light, refuse_other_camera
-    from pipeline.footage.image_file import read_picture
+    from pipeline.diagnosis.surface_check import check_surface
+    from pipeline.footage.image_file import read_image
     from pipeline.settings import DecodeSettings
+    from tikernels import runtime
     from tikernels.raw.lateral_color import align_channels
     from tikernels.raw.linearization import WHITE_LEVELS
 
@@ -314,8 +316,8 @@ def check(
     stood = known.capture.transfer if known.capture is not None else None
     transfer = chosen.transfer if "transfer" in chosen.model_fields_set or stood is None else stood
 
-    def decoded(path: Path) -> "tuple[Picture, DecodedFrame]":
-        picture = read_picture(path)
+    def decoded(path: Path) -> "tuple[ImageArray, DecodedFrame]":
+        picture = read_image(path)
         refuse_other_camera(known, (picture.shape[1], picture.shape[0]), str(path))
         return picture, decoder.decode(picture)
 
@@ -328,7 +330,9 @@ def check(
     if shape is not None:
         _say_check(check_surface(frame, known, shape, radius_mm))
     white = chosen.white_level or WHITE_LEVELS[image.dtype.name]
-    light = image if known.color_shift_px is None else align_channels(image, known.color_shift_px.camera)
+    light = image
+    if known.color_shift_px is not None:
+        light = runtime.to_host(align_channels(image, known.color_shift_px.camera))
     matrix = known.crosstalk_matrix if chosen.crosstalk_matrix is None else chosen.crosstalk_matrix
     compensated = known.pattern is not None and known.pattern.compensated is True
     response = None if compensated else known.response
@@ -339,19 +343,20 @@ def check(
         worst = max(found.seen_rad, key=lambda harmonic: found.seen_rad[harmonic])
         _say(f"of it, decoding with this calibration leaves {found.seen_rad[worst]:.3f} rad, in harmonic {worst}")
     if fix is not None:
-        corrected_light(known, found, light, white, frame, transfer).write(fix, force=force)
+        correct_light(known, found, light, white, frame, transfer).write(fix, force=force)
         _say(f"wrote {fix}: it fits this pattern; measure the radiometry before you make a new one")
 
 
 def _check_sequence(
     folder: Path,
-    decoded: "Callable[[Path], tuple[Picture, DecodedFrame]]",
+    decoded: "Callable[[Path], tuple[ImageArray, DecodedFrame]]",
     transfer: "Transfer",
     white_level: float | None,
     known: Calibration,
 ) -> None:
     """Say what a folder of frames, one after another, shows."""
-    from pipeline.diagnosis.sequence import MIN_FRAMES, diagnose_sequence
+    from pipeline.diagnosis.frame_sequence import MIN_FRAMES, diagnose_sequence
+    from tikernels import runtime
     from tikernels.raw.linearization import linearize
 
     suffixes = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
@@ -362,13 +367,13 @@ def _check_sequence(
         raise CalibrationError(
             f"{folder} holds {len(paths)} pictures: at least {MIN_FRAMES} frames in a row tell anything"
         )
-    light: list[Picture] = []
+    light: list[ImageArray] = []
     phases, masks = [], []
     for path in paths:
         picture, frame = decoded(path)
         if light and picture.shape != light[0].shape:
             raise CalibrationError(f"{path} has another size than the frames before it: give frames of one camera")
-        light.append(linearize(picture, transfer, white_level))
+        light.append(runtime.to_host(linearize(picture, transfer, white_level)))
         phases.append(frame.unwrapped_phase)
         masks.append(frame.mask)
     place = known.geometry() if known.has_geometry else None
@@ -378,7 +383,7 @@ def _check_sequence(
         _say(f"note: {note}")
 
 
-def _say_findings(findings: "tuple[Finding, ...]", otherwise: str) -> None:
+def _say_findings(findings: "tuple[RippleFinding, ...]", otherwise: str) -> None:
     if not findings:
         _say(f"ripple: {otherwise}")
     for finding in findings:

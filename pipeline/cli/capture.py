@@ -19,8 +19,9 @@ from hardware.instruments import open_instruments
 from hardware.projector import open_projector
 from hardware.settings import RigSettings
 from pipeline.acquisition import session
+from pipeline.acquisition.capture_folder import CALIBRATION, LOG, CapturePlan, CaptureProgress
 from pipeline.acquisition.rig_file import read_rig
-from pipeline.acquisition.session import CALIBRATION, LOG, Plan, Progress, Summary
+from pipeline.acquisition.session import CaptureSummary
 from pipeline.acquisition.stopping import Stopping
 from pipeline.calibration import Calibration
 from pipeline.errors import SettingsError
@@ -75,7 +76,7 @@ def capture(
     arch
         Where --live computes, and the simulated rig is rendered.
     """
-    from pipeline.acquisition.simulated_rig import SETTINGS, simulated_instruments
+    from pipeline.acquisition.simulated_capture import SETTINGS, simulated_instruments
 
     if settings is not None and not live:
         raise SettingsError(f"{settings} tells how --live decodes: add --live, or leave --settings away")
@@ -92,7 +93,7 @@ def capture(
                 _check_projector(wiring, rig)
             for note in _differences(wiring, calibration):
                 _say(f"note: {note}")
-            plan = Plan(
+            plan = CapturePlan(
                 n_bursts=1 if bursts is None and not endless and keep_last is None else bursts,
                 endless=endless,
                 keep_last_s=keep_last,
@@ -101,7 +102,7 @@ def capture(
                 arch=arch,
             )
             show("opening trigger source and camera")
-            summary = session.capture(
+            summary = session.capture_bursts(
                 wiring,
                 opened,
                 out,
@@ -156,7 +157,7 @@ def _times(n: int) -> str:
     return {1: "once", 2: "twice"}.get(n, f"{n} times")
 
 
-def _frames(counted: Progress | Summary) -> str:
+def _frames(counted: CaptureProgress | CaptureSummary) -> str:
     counts = ((counted.n_frames, "frame"), (counted.n_bursts, "burst"))
     return " of ".join(f"{n} {word}{'' if n == 1 else 's'}" for n, word in counts)
 
@@ -166,7 +167,7 @@ def _positive(value: float | None) -> None:
         raise ValueError("must be above 0, and a number")
 
 
-def _line(progress: Progress) -> str:
+def _line(progress: CaptureProgress) -> str:
     parts = [_frames(progress), f"{progress.rate_hz:.0f} frames/s"]
     if progress.latency_s is not None:
         parts.append(f"{1e3 * progress.latency_s:.0f} ms from strobe to range image")

@@ -19,7 +19,7 @@ from rich.progress import (
 )
 from rich.text import Text
 
-from pipeline.batch.job import Job, Region
+from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import decode_footage
 from pipeline.calibration import Calibration
 from pipeline.errors import OutputError, SettingsError
@@ -64,7 +64,7 @@ class FootageOptions:
     export: MeshKind | None = None
     """Write a mesh of each frame, too, into the folder meshes."""
 
-    def region(self) -> Region | None:
+    def crop(self) -> Crop | None:
         """Return the part of each frame that is decoded.
 
         Raises
@@ -77,7 +77,7 @@ class FootageOptions:
         parts = [int(part) if _DIGITS.fullmatch(part.strip()) else -1 for part in self.roi.split(",")]
         if len(parts) != 4 or min(parts) < 0 or min(parts[2:]) < 1:
             raise SettingsError(f"--roi is {self.roi!r}: give x,y,width,height in px, as in 100,50,640,480")
-        return Region(*parts)
+        return Crop(*parts)
 
 
 def _at_least(least: int, value: int | None) -> None:
@@ -109,7 +109,7 @@ def decode_video(
         says=stored_as,
         settings=settings,
         calibration=calibration,
-        region=options.region(),
+        crop=options.crop(),
         step=options.step,
         first=options.start % options.step,
         fields=chosen_fields(options.fields, in_mm=in_mm),

@@ -4,6 +4,7 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
 from json import dumps
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -33,9 +34,9 @@ from pipeline.errors import (
     RenderError,
     SettingsError,
 )
-from pipeline.footage.image_folder import PICTURE_SUFFIXES
+from pipeline.footage.image_folder import IMAGE_SUFFIXES
+from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame, StoredAs
-from pipeline.footage.sources import open_source
 from pipeline.output.stored_result import MeshKind
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
@@ -72,6 +73,7 @@ _err = Console(stderr=True, markup=False, emoji=False)
 app = App(
     name="colorphase",
     help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
+    version=lambda: version("colorphase"),
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,  # `main` says what it has stopped
     error_formatter=lambda error: Text(f"error: {' '.join(str(error).split())}", style="red"),
@@ -203,7 +205,7 @@ def decode(
     """
     chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
     rig = None if calibration is None else Calibration.read(calibration)
-    if input.suffix.lower() not in PICTURE_SUFFIXES or input.is_dir():
+    if input.suffix.lower() not in IMAGE_SUFFIXES or input.is_dir():
         decode_video(input, out, chosen, rig, arch, video, stored_as, force=force)
         return
     if video != _FOOTAGE:
@@ -337,7 +339,7 @@ def render(
     for held in film.held[:1]:
         text = f"{len(film.held)} frames hold no surface, as frame {held}: the one before is shown in their place"
         _err.print(text, style="yellow", highlight=False, soft_wrap=True)
-    _out.print(f"wrote {out}: {film.n_pictures} pictures, by {film.codec}", highlight=False, soft_wrap=True)
+    _out.print(f"wrote {out}: {film.n_images} pictures, by {film.codec}", highlight=False, soft_wrap=True)
 
 
 @app.command

@@ -4,24 +4,22 @@ python tests/benchmarks/footage_cost.py [--stripes vertical]
 """
 
 import argparse
-import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
+import _tests_path  # noqa: F401
 import av
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import reference
 from support.video_files import H264, MJPEG, encode, film
 
 from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
-from pipeline.footage.sources import StoredFrame, open_source
+from pipeline.footage.opening import StoredFrame, open_source
 from pipeline.output.report import measure_against_truth
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import WHITE, SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig

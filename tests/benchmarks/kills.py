@@ -8,13 +8,16 @@ import sys
 import tempfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import _tests_path  # noqa: F401
 from support.recorded_footage import command, contents, kill_again_and_again, record
+
+from tikernels import runtime
 
 
 def main() -> None:
     """Kill, finish, compare."""
     given = [int(argument) for argument in sys.argv[1:]]
+    runtime.init("cpu")
     kills, seed = given + [20, 1][len(given) :]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -5,14 +5,11 @@ python tests/benchmarks/light_knowledge.py board-free | doctor [frames a fault]
 
 import sys
 from collections import Counter
-from pathlib import Path
 
+import _tests_path  # noqa: F401
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "pipeline" / "diagnosis"))
-
-import test_ripple as faults
+from support.single_faults import FAULTS, diagnosed, photographed
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
@@ -63,12 +60,12 @@ def study_board_free():
 
 def study_doctor(count):
     """Print how often each fault is named alone, or in a set of what cannot be told apart."""
-    cases = [*faults.test_one_fault_is_named.pytestmark[0].args[1], ("clipping", {"exposure": 1.4}), (None, {})]
+    cases = [*FAULTS, ("clipping", {"exposure": 1.4}), (None, {})]
     for cause, fault in cases:
         right, answers = 0, Counter()
         for seed in range(count):
             scene = ("plane", "ball", "waves", "bust")[(seed + seed // 4) % 4]
-            found = faults.diagnosed(*faults.photographed(scene, seed, **fault))
+            found = diagnosed(*photographed(scene, seed, **fault))
             names = [finding.causes for finding in found.findings]
             right += names == [] if cause is None else len(names) == 1 and cause in names[0]
             answers[str(names)] += 1

@@ -9,7 +9,6 @@ Two workers of one thread, each bound to a core of its own, are to reach 1.6 tim
 import argparse
 import os
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -17,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import _tests_path  # noqa: F401
 from support.recorded_footage import record
 
 from pipeline import DecodeSettings

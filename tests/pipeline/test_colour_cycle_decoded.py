@@ -2,17 +2,15 @@
 
 import numpy as np
 import pytest
-from benchmarks.colour_cycle_motion import KINDS, moved, simulate_exposure
+from support.exposures_off_cycle import KINDS, moved, simulate_exposure
 
 from hardware.colour_cycle import TOLERANCE, phase_error_limit
 from pipeline import Decoder, DecodeSettings
 from pipeline.simulation import SimulationSettings
-from tikernels import runtime
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_decoded_phase_stays_within_the_limit(kind):
-    runtime.init("cpu")
+def test_the_decoded_phase_stays_within_the_limit(kind, cpu):
     decoder = Decoder(DecodeSettings(crosstalk_matrix=SimulationSettings().crosstalk_matrix), arch="cpu")
     straight = simulate_exposure(0.0, "even", size_px=(480, 360))
     for deviation in (TOLERANCE, 0.1):

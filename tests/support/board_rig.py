@@ -41,6 +41,7 @@ class BoardCaptures(Mapping):
         middle = np.array([*board.squares, 0]) / 2 * board.square_mm
         origin = np.asarray(place_mm, float) - rotation @ middle
         self.corners_camera = board.corners_mm() @ rotation.T + origin
+        self._pictures = {}
         self.views = {}
         for shift in {tuple(row) for row in self.camera_shift}:
             self.views[shift] = self._look(geometry, rotation, origin, scale, margin, np.array(shift))
@@ -71,27 +72,43 @@ class BoardCaptures(Mapping):
         return reflectance, projector.reshape(*shape, 2).astype(np.float32)
 
     def __getitem__(self, name):
-        light = self.codes(name) ** self.gamma  # (Hp, Wp, 3)
+        if name not in self._pictures:
+            self._pictures[name] = self._photograph(name)
+        return self._pictures[name]
+
+    def _photograph(self, name):
+        codes = self.codes(name)
+        is_grey = codes.strides[2] == 0  # one plane, broadcast to three
+        planes = [np.power(codes[..., k], self.gamma, dtype=np.float32) for k in range(1 if is_grey else 3)]
         width, height = self.size
-        channels = np.zeros((height, width, 3))
+        channels = np.zeros((height, width, 3), np.float32)
+        landed = {}  # the light of a plane where a channel of the camera looks
         for i in range(3):
-            reflectance, position = self.views[tuple(self.camera_shift[i])]
-            seen = np.zeros(reflectance.shape, np.float32)
+            place = tuple(self.camera_shift[i])
+            reflectance, position = self.views[place]
             for k in range(3):
                 if self.crosstalk[i, k] == 0:
                     continue
                 # A channel whose light lands beside its place shows there what belongs elsewhere.
-                at = position - self.projector_shift[k].astype(np.float32)
-                plane = np.ascontiguousarray(light[..., k], dtype=np.float32)
-                seen += self.crosstalk[i, k] * cv2.remap(plane, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-            fine = reflectance * (seen + 0.02)
-            channels[..., i] = fine.reshape(height, self.samples, width, self.samples).mean(axis=(1, 3))
+                beside = tuple(self.projector_shift[k])
+                plane = 0 if is_grey else k
+                if (place, beside, plane) not in landed:
+                    at = position - np.array(beside, np.float32)
+                    light = cv2.remap(planes[plane], at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+                    landed[place, beside, plane] = self._averaged(reflectance * light)
+                channels[..., i] += np.float32(self.crosstalk[i, k]) * landed[place, beside, plane]
+            channels[..., i] += 0.02 * self._averaged(reflectance)
         if self.blur_px:
             channels = cv2.GaussianBlur(channels, (0, 0), self.blur_px)
         rng = np.random.default_rng([self.seed, list(self.names).index(name)])
-        levels = 255 * channels + self.noise * rng.standard_normal(channels.shape)
+        levels = 255 * channels + self.noise * rng.standard_normal(channels.shape, dtype=np.float32)
         picture = np.clip(np.rint(levels), 0, 255).astype(np.uint8)
         return np.ascontiguousarray(picture[:, ::-1]) if self.mirror else picture
+
+    def _averaged(self, fine):
+        """Return the mean of each pixel's samples."""
+        width, height = self.size
+        return cv2.resize(fine, (width, height), interpolation=cv2.INTER_AREA)
 
     def __iter__(self):
         return iter(self.names)

@@ -14,7 +14,6 @@ import numpy as np
 from pipeline.calibration import Calibration
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 from tikernels.raw.pixel_format import PixelFormat
 
 #: Frames that are simulated; the rest of the footage are these, moved.
@@ -23,7 +22,6 @@ _DISTINCT = 6
 
 def record(path: Path, n_frames: int, size_px: tuple[int, int] = (128, 96)) -> Calibration:
     """Record frames of a bust that moves, each unlike all others; return the rig's calibration."""
-    runtime.init("cpu")
     rig = simulated_rig(size_px, period_px=2 * 768 / 44)
     images = [simulate_frame(rig, SimulationSettings(seed=i)).image for i in range(min(n_frames, _DISTINCT))]
     with Recorder(path, PixelFormat("rgb")) as recorder:

@@ -12,12 +12,11 @@ import pytest
 import tikernels
 from tikernels import runtime
 
-MODULES = sorted(module.name for module in pkgutil.iter_modules(tikernels.__path__, "tikernels."))
+MODULES = sorted(module.name for module in pkgutil.walk_packages(tikernels.__path__, "tikernels."))
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_examples(name):
-    tikernels.init("cpu")
+def test_examples(name, cpu):
     assert doctest.testmod(importlib.import_module(name)).failed == 0
 
 

@@ -6,13 +6,14 @@ names is found by one step of Chebyshev's method: of 900 mm that leaves 0.1 um f
 7 um for k1 = 0.15 and 0.1 mm for k1 = 0.3.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
+from tikernels.arrays import F32
 from tikernels.phase.phase_vector import PI, STRIP
 
 strip_of = ti.types.vector(STRIP, ti.f32)
@@ -130,7 +131,7 @@ def triangulate_kernel(
             out_points[y, first + k, 2] = depths[k]
 
 
-def triangulate(unwrapped_phase: Any, rays: Any, projector: ProjectorGeometry, out: Any | None = None) -> Any:
+def triangulate(unwrapped_phase: F32, rays: F32, projector: ProjectorGeometry, out: F32 | None = None) -> F32:
     """Turn an absolute phase map into points.
 
     Parameters

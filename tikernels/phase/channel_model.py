@@ -20,7 +20,9 @@ import numpy.typing as npt
 from tikernels import runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3
 from tikernels.phase.color_balance import Gains, gain_at
+from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized
+from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import arctangent, cosine_and_sine, matrix_of
 from tikernels.phase.wrapped_phase import NO_PHASE
 
@@ -115,22 +117,20 @@ class ChannelModel:
         self._share = 0.0
         self._weights = np.zeros((3, 3), np.float32)
 
-    def recover_samples(self, weights: npt.NDArray[np.float32], min_modulation: float, max_level: float) -> None:
+    def recover_samples(self, crosstalk: Crosstalk, levels: FrameLevels) -> None:
         """Balance the samples by the gains, and find their bare phase, the arctangent's.
 
         Parameters
         ----------
-        weights : (3, 3) float32
-            `phase_weights`.
-        min_modulation : float
-            Levels.
-        max_level : float
-            Brighter samples are clipped and say nothing.
+        crosstalk : Crosstalk
+            What the gains were measured with.
+        levels : FrameLevels
+            Clipped samples, and those with less modulation, say nothing.
         """
         gains = self._gains
-        self._weights = weights
-        args = (gains.samples, gains.gains, gains.cell, weights, min_modulation, max_level)
-        recover_samples_kernel(*args, self.phases, self._moments)
+        self._weights = crosstalk.weights
+        samples = (gains.samples, gains.gains, gains.cell, crosstalk.weights)
+        recover_samples_kernel(*samples, levels.modulation, levels.clipped, self.phases, self._moments)
         count, modulation, background, square, product = runtime.to_host(self._moments).sum(axis=0, dtype=np.float64)
         # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
         # light in it, too.

@@ -15,17 +15,21 @@ import numpy.typing as npt
 
 from tikernels import _checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, Static, U8Array2, f32, i32, mat3, ti, vec3
+from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.crosstalk import invert_crosstalk
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
 from tikernels.phase.phase_vector import channel_waves, matrix_of
+from tikernels.raw.linearization import LEVEL_TYPES
 
-# Window across and along the stripes, as a standard deviation in cycles: at 0.85 cycles a Gaussian passes 1e-6 of the
-# fringe; wider ones blur the reflectance without gaining anything.
-_SIGMA_ACROSS, _SIGMA_ALONG = 0.85, 1.0
-#: Three samples a cycle and a little more is what a camera must see.
-MIN_PERIOD_PX = 4.0
+#: The balance window: a Gaussian of this standard deviation across and along the stripes, in cycles. At 0.85 cycles it
+#: passes 1e-6 of the fringe; wider ones blur the reflectance without gaining anything. The channels' model is fitted
+#: over the same window (`channel_model.py`), and `uncertainty.py` knows how wide it is.
+SIGMA_ACROSS, SIGMA_ALONG = 0.85, 1.0
 # Sums below this hold no colour worth measuring.
 _DARK = 1e-6
+# Whoever balances an image alone has chosen its pixels by the mask.
+_ANYTHING_LIT = FrameLevels(white=1.0, read_noise=0.0, noise_gain=0.0, noise=0.0, intensity=_DARK, modulation=_DARK)
 
 
 def block_rows(period_px: float) -> int:
@@ -45,6 +49,7 @@ class Gains:
     """
 
     def __init__(self, height: int, width: int, period_px: float) -> None:
+        self.height, self.width = height, width
         self.rows = block_rows(period_px)
         self.cell = 2 * self.rows
         blocks = (-(-height // self.rows), -(-width // self.cell))
@@ -57,39 +62,39 @@ class Gains:
         self.gains = runtime.empty((*self.grid, 3), np.float32)
         self.visibility = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
         # Across, a node stands between two blocks, so the taps sit at half-integer distances.
-        self.taps_across = _gaussian(_SIGMA_ACROSS * period_px / self.rows, offset=0.5)
-        self.taps_along = _gaussian(_SIGMA_ALONG * period_px / self.cell)
+        self.taps_across = _gaussian(SIGMA_ACROSS * period_px / self.rows, offset=0.5)
+        self.taps_along = _gaussian(SIGMA_ALONG * period_px / self.cell)
 
-    def measure(
-        self,
-        image: Any,
-        inverse: npt.NDArray[np.floating[Any]],
-        matrix: npt.NDArray[np.floating[Any]],
-        min_intensity: float,
-        min_modulation: float,
-        *,
-        balance_first: bool,
-        lag: npt.NDArray[np.float64] | None = None,
-    ) -> Any:
+    def measure(self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels) -> None:
         """Measure the gains of one frame; see `balance_color`.
 
-        `inverse` undoes the crosstalk `matrix`; with `balance_first` the gains belong to the camera's channels, before
-        it, otherwise to the projector's, after it. The thresholds are in levels. `lag` is how far the fringe of each
-        colour lags behind its place, rad.
+        Parameters
+        ----------
+        image : (H, W, 3) uint8, uint16 or float32
+            Linear light, levels, stripes along the rows.
+        crosstalk : Crosstalk
+            With `balance_first` the gains belong to the camera's channels, before it is undone, otherwise to the
+            projector's, after that.
+        levels : FrameLevels
+            Darker pixels, and those with less modulation, say nothing of the colour.
+
+        Raises
+        ------
+        ShapeError
+            The image has another shape or dtype.
         """
-        inverse, matrix = inverse.astype(np.float32), matrix.astype(np.float32)
-        collect_samples, predict_blocks = _sample_kernels(balance_first)
-        collect_samples(image, inverse, min_intensity, self.rows, self.samples)
+        image = _checks.read_array("image", image, (self.height, self.width, 3), *LEVEL_TYPES)
+        collect_samples, predict_blocks = _sample_kernels(crosstalk.balance_first)
+        collect_samples(image, crosstalk.inverse, levels.intensity, self.rows, self.samples)
         sum_blocks_kernel(self.samples, self.rows, self.sums)
         self._find_gains(predicted=False)
-        waves = channel_waves(lag)
+        waves = channel_waves(crosstalk.lag)
         of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
-        args = (self.samples, inverse, matrix, of_phase, to_phase, self.gains, self.rows)
-        predict_blocks(*args, min_modulation, self.visibility, self.sums)
+        light = (self.samples, crosstalk.inverse, crosstalk.matrix, of_phase, to_phase, self.gains, self.rows)
+        predict_blocks(*light, levels.modulation, self.visibility, self.sums)
         self._find_gains(predicted=True)
-        return self.gains
 
-    def smooth_sums(self, sums: Any, half: Any, out: Any) -> None:
+    def smooth_sums(self, sums: F32, half: F32, out: F32) -> None:
         """Add up (Hb, Wb, N) sums of the blocks over a Gaussian window at every node, (Hg, Wg, N)."""
         smooth_blocks_kernel(int(sums.shape[2]), sums, self.taps_across, self.taps_along, half, out)
 
@@ -307,7 +312,7 @@ def find_gains_kernel(
 def _gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
     """Half of a Gaussian of this deviation (in samples) from an offset on, cut at three deviations."""
     reach = np.arange(int(np.ceil(3 * sigma)) + 1) + offset
-    return np.exp(-0.5 * (reach / sigma) ** 2).astype(np.float32)
+    return np.asarray(np.exp(-0.5 * (reach / sigma) ** 2), np.float32)
 
 
 @ti.kernel
@@ -338,13 +343,13 @@ def darken_kernel(
 
 
 def balance_color(
-    image: Any,
+    image: F32,
     period_px: float,
-    mask: Any | None = None,
+    mask: Mask | None = None,
     *,
     crosstalk_matrix: npt.ArrayLike | None = None,
-    out: Any | None = None,
-) -> Any:
+    out: F32 | None = None,
+) -> F32:
     """Balance the colours over a smooth window of about a cycle, twice: the second time the phase is known.
 
     Parameters
@@ -380,10 +385,9 @@ def balance_color(
         mask = _checks.read_mask("mask", mask, (height, width))
         counted = np.empty((height, width, 3), np.float32)
         darken_kernel(image, mask, counted)
-    matrix = np.eye(3) if crosstalk_matrix is None else np.array(crosstalk_matrix, np.float64)
-    inverse = invert_crosstalk(matrix, normalize_rows=True)
+    crosstalk = Crosstalk.of(np.eye(3) if crosstalk_matrix is None else crosstalk_matrix, balance_first=True)
     out = _checks.out_array("out", out, (height, width, 3), np.float32)
     gains = Gains(height, width, period_px)
-    gains.measure(counted, inverse, np.linalg.inv(inverse), _DARK, _DARK, balance_first=True)
+    gains.measure(counted, crosstalk, _ANYTHING_LIT)
     apply_gains_kernel(image, gains.gains, gains.cell, out)
     return out

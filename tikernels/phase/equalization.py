@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from tikernels import _checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
+from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import PI, channel_waves, wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, mark_no_phase_kernel
@@ -56,7 +57,7 @@ def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) 
     correction[:-1] = np.fft.irfft(spectrum, bins)
     correction[-1] = correction[0]
     mean = counts @ (correction[1:] + correction[:-1]) / (2 * total)
-    return (correction - mean).astype(np.float32)
+    return np.asarray(correction - mean, np.float32)
 
 
 def _certainty(parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -216,8 +217,8 @@ def equalize_phase_kernel(
 
 
 def equalize_phase(
-    wrapped_phase: Any, mask: Any, bins: int = 256, *, harmonics: int | None = None, out: Any | None = None
-) -> Any:
+    wrapped_phase: F32, mask: Mask, bins: int = 256, *, harmonics: int | None = None, out: F32 | None = None
+) -> F32:
     """Spread the phases of the masked pixels evenly over the cycle.
 
     Parameters

@@ -17,20 +17,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import runtime
+from tikernels import _checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array2, f32, i32, ti, vec3
-from tikernels.phase.channel_model import HARMONICS
+from tikernels.arrays import F32, LevelsImage
+from tikernels.phase.channel_model import HARMONICS, ChannelModel
 from tikernels.phase.color_balance import Gains, gain_at
+from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized
+from tikernels.phase.frame_statistics import CLIPPED, FrameLevels
 from tikernels.phase.phase_vector import PI, arctangent, cosine_and_sine, matrix_of
 from tikernels.phase.wrapped_phase import NO_PHASE
+from tikernels.raw.linearization import LEVEL_TYPES
 
 # Gain cells that one thread walks along a row: enough threads for a GPU, and more than the 512 iterations below which
 # the CPU runtime uses a single core.
 _CELLS_A_THREAD = 8
-#: Share of full scale beyond which a channel is clipped. A pixel with two such channels has lost its phase; one alone
-#: bends it by 0.03 rad at the most.
-CLIPPED = 0.998
 # The arctangent is never further off than this; a model that says so is wrong there.
 _MAX_STEP = 0.3
 
@@ -43,7 +44,7 @@ def second_brightest(light: vec3) -> f32:
 
 
 @cache
-def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
+def _fit_phase_kernel(balance_first: bool, cell: int) -> Any:
     """Return the kernel from grey levels to phase: balance, crosstalk, arctangent, fit and masks in one pass.
 
     `cell` is the distance of two nodes, px.
@@ -62,7 +63,7 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
         return gain, ambient
 
     @ti.kernel
-    def recover_phase(
+    def fit_phase_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         white: f32,  # level of full scale
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk; used where the model's channels come after it
@@ -179,7 +180,7 @@ def recover_phase_kernel(balance_first: bool, cell: int) -> Any:
                         out_precision[y, x + k] = precision[k]
                     x += width_at_once
 
-    return recover_phase
+    return fit_phase_kernel
 
 
 _BINS = 256
@@ -194,11 +195,11 @@ _RUN = 16
 
 
 @cache
-def _count_bare_phases_kernel(balance_first: bool) -> Any:
+def _count_phases_kernel(balance_first: bool) -> Any:
     lanes = ti.types.vector(_RUN, ti.f32)
 
     @ti.kernel
-    def count_bare_phases(
+    def count_phases_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         inverse_matrix: F32Array2,  # (3, 3)
         phase_weights: F32Array2,  # (3, 3)
@@ -240,40 +241,107 @@ def _count_bare_phases_kernel(balance_first: bool) -> Any:
                 if place[k] >= 0.0:
                     out_histogram[part, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
 
-    return count_bare_phases
+    return count_phases_kernel
 
 
-def count_bare_phases(
-    image: Any,
-    inverse: npt.NDArray[np.float32],
-    weights: npt.NDArray[np.float32],
-    gains: Gains,
-    thresholds: tuple[float, float, float],
-    balance_first: bool,
-) -> npt.NDArray[np.int64]:
+def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels: FrameLevels) -> npt.NDArray[np.int64]:
     """Count how often the arctangent's phases fall into each part of the cycle, all over the picture.
 
     Parameters
     ----------
-    image : (H, W, 3)
-        Levels.
-    inverse, weights : (3, 3) float32
-        What undoes the crosstalk, and `phase_weights`.
+    image : (H, W, 3) uint8, uint16 or float32
+        Linear light, levels.
     gains : Gains
         The frame's, measured.
-    thresholds : 3 floats
-        Least intensity, least modulation and largest level of a pixel that counts.
-    balance_first : bool
-        See `Gains.measure`.
+    crosstalk : Crosstalk
+        What the gains were measured with.
+    levels : FrameLevels
+        Darker pixels, those with less modulation and clipped ones do not count.
 
     Returns
     -------
     (parts, bins) int64
         From -pi to pi; by part of the picture.
+
+    Raises
+    ------
+    ShapeError
+        The image has another shape or dtype.
     """
+    image = _checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
     histogram = np.zeros((_PARTS**2, _BINS), np.int32)
-    step = max(1, int(image.shape[0]) * int(image.shape[1]) // _COUNTED)
-    kernel = _count_bare_phases_kernel(balance_first)
-    kernel(image, inverse, weights, gains.gains, gains.cell, step, *thresholds, histogram)
+    step = max(1, gains.height * gains.width // _COUNTED)
+    thresholds = (levels.intensity, levels.modulation, levels.clipped)
+    kernel = _count_phases_kernel(crosstalk.balance_first)
+    kernel(image, crosstalk.inverse, crosstalk.weights, gains.gains, gains.cell, step, *thresholds, histogram)
     runtime.synchronize()
     return histogram.astype(np.int64)
+
+
+def fit_phase(
+    image: LevelsImage,
+    gains: Gains,
+    model: ChannelModel,
+    crosstalk: Crosstalk,
+    levels: FrameLevels,
+    correction: npt.NDArray[np.float32],
+    contrast_doubt: float,
+    out: tuple[F32, F32, F32] | None = None,
+) -> tuple[F32, F32, F32]:
+    """Find the phase of every pixel that fits the channels' model best.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, uint16 or float32
+        Linear light, levels, stripes along the rows.
+    gains : Gains
+        The frame's, measured.
+    model : ChannelModel
+        The frame's, fitted.
+    crosstalk : Crosstalk
+        What both were made with.
+    levels : FrameLevels
+        The frame's noise, and what a pixel needs to have a phase.
+    correction : (bins + 1,) float32
+        rad to add to the arctangent; see `equalization.correction_table`.
+    contrast_doubt : float
+        Standard deviation of a pixel's contrast about what its neighbourhood shows, as a fraction.
+    out : three (H, W) float32, optional
+        Where the results go.
+
+    Returns
+    -------
+    phase : (H, W) float32
+        rad, a little beyond [-pi, pi]; NO_PHASE where a pixel is dark, clipped, or without fringe.
+    modulation : (H, W) float32
+        Amplitude of the fringe, levels.
+    precision : (H, W) float32
+        1 / rad^2: one over the phase's variance.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or an output cannot be written.
+    """
+    shape = (gains.height, gains.width)
+    image = _checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
+    correction = _checks.read_array("correction", correction, (None,), np.float32)
+    names, outs = ("phase", "modulation", "precision"), (None, None, None) if out is None else out
+    results = tuple(_checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
+    _fit_phase_kernel(crosstalk.balance_first, gains.cell)(
+        image,
+        levels.white,
+        crosstalk.inverse,
+        crosstalk.matrix,
+        crosstalk.weights,
+        correction,
+        model.template,
+        model.nodes,
+        levels.intensity,
+        levels.modulation,
+        levels.read_noise,
+        levels.noise_gain,
+        contrast_doubt,
+        *results,
+    )
+    return results[0], results[1], results[2]

@@ -65,6 +65,21 @@ def channel_waves(lag: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.
     return np.stack([np.ones(3), np.cos(angles), -np.sin(angles)], axis=1)
 
 
+def phase_weights(
+    inverse: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
+) -> npt.NDArray[np.float64]:
+    """Return the (3, 3) weights that take balanced camera channels to b (cos phi, sin phi) and the background a.
+
+    Parameters
+    ----------
+    inverse : (3, 3)
+        Undoes the crosstalk.
+    lag : (3,), optional
+        See `channel_waves`.
+    """
+    return np.asarray(np.linalg.inv(channel_waves(lag))[[1, 2, 0]] @ inverse)
+
+
 @ti.func
 def phase_vector(light: vec3):
     """Return b (cos phi, sin phi) and the background a of R, G, B = a + b cos(phi + (-1, 0, 1) 2 pi/3)."""

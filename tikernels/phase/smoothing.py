@@ -10,6 +10,7 @@ import numpy as np
 
 from tikernels import _checks, runtime
 from tikernels._taichi import F32Array2, f32, ti, u1
+from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import PI, STRIP, wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
@@ -29,10 +30,13 @@ NO_NEIGHBOUR = 0.5 * NO_PHASE
 _SAME_SURFACE = 0.3
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
+#: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad a px, and
+#: the mean quality.
+RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = range(3)
 
 
 @cache
-def smooth_phase_kernel(pairs: int) -> Any:
+def _smooth_phase_kernel(pairs: int) -> Any:
     """Return the kernel that averages over `pairs` neighbours on either side."""
     reach = max(pairs, 1)
     window = 2 * reach + STRIP
@@ -52,7 +56,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
         return ti.min(size, ti.abs(size - 2.0 * PI))
 
     @ti.kernel
-    def smooth_phase(
+    def smooth_phase_kernel(
         phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
         precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
         rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
@@ -64,7 +68,7 @@ def smooth_phase_kernel(pairs: int) -> Any:
         for t in range(height * strips):
             y, first = t // strips, (t % strips) * STRIP
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
-            rate_along, rate_across = rates[last, 0], rates[last, 1]
+            rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
             values = taps(0.0)
             upper, lower, bend, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for k in range(window):
@@ -102,19 +106,88 @@ def smooth_phase_kernel(pairs: int) -> Any:
             for k in range(ti.min(STRIP, width - first)):
                 out[y, first + k] = result[k]
 
-    return smooth_phase
+    return smooth_phase_kernel
 
 
-def rates_buffer(height: int) -> Any:
-    """Allocate what `measure_rates_kernel` fills for frames of this height."""
-    return runtime.empty((-(-height // _SAMPLE) + 1, 5), np.float32)
+def rates_buffer(height: int) -> F32:
+    """Allocate what `measure_rates` fills for frames of this height."""
+    return runtime.empty(_rates_shape(height), np.float32)
+
+
+def _rates_shape(height: int) -> tuple[int, int]:
+    return (-(-height // _SAMPLE) + 1, 5)
+
+
+def measure_rates(phase: F32, quality: F32, out: F32 | None = None) -> F32:
+    """Measure the usual change of the phase from pixel to pixel, and the mean quality.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad; NO_PHASE outside the mask.
+    quality : (H, W) float32
+        How sure each pixel is, in any unit, as its modulation.
+    out : (H / 8 + 1, 5) float32, optional
+        Where the result goes; see `rates_buffer`.
+
+    Returns
+    -------
+    (H / 8 + 1, 5) float32
+        In the last row, at RATE_ALONG and RATE_ACROSS, the usual change along and across the stripes, rad a px, and at
+        MEAN_QUALITY the mean quality; the rows before are sums over rows of the image.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    quality = _checks.read_array("quality", quality, phase.shape, np.float32)
+    out = _checks.out_buffer("out", out, _rates_shape(int(phase.shape[0])), np.float32)
+    measure_rates_kernel(phase, quality, out)
+    return out
+
+
+def smooth_phase(phase: F32, precision: F32, rates: F32, pairs: int, out: F32 | None = None) -> F32:
+    """Average the phase over a few pixels along the rows, and mark the pixels between two surfaces.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad, up to 0.6 beyond [-pi, pi]; NO_PHASE outside the mask.
+    precision : (H, W) float32
+        1 / rad^2, one over the phase's variance; 0 where nothing is known of it.
+    rates : (H / 8 + 1, 5) float32
+        What `measure_rates` found of the same phase.
+    pairs : int
+        Neighbours on either side that are averaged, 0 or more.
+    out : (H, W) float32, optional
+        Where the result goes; not the input.
+
+    Returns
+    -------
+    (H, W) float32
+        rad, a little beyond [-pi, pi]; NO_PHASE outside the mask, STEP_PHASE between two surfaces.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    shape = (int(phase.shape[0]), int(phase.shape[1]))
+    precision = _checks.read_array("precision", precision, shape, np.float32)
+    rates = _checks.read_array("rates", rates, _rates_shape(shape[0]), np.float32)
+    out = _checks.out_buffer("out", out, shape, np.float32)
+    _smooth_phase_kernel(pairs)(phase, precision, rates, out)
+    return out
 
 
 @ti.kernel
 def measure_rates_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)
-    out_rates: F32Array2,  # (H / 8 + 1, 5) sums a row; in the last row rate along, rate across (rad), mean quality
+    out_rates: F32Array2,  # (H / 8 + 1, 5) sums a row; in the last row RATE_ALONG ...
 ):
     height, width = phase.shape[0], phase.shape[1]
     rows = out_rates.shape[0] - 1
@@ -151,9 +224,9 @@ def measure_rates_kernel(
             if out_rates[i, 4] > 0.0:
                 total += out_rates[i, 4]
                 count += 1.0
-        out_rates[rows, 0] = ti.atan2(along.y, along.x)
-        out_rates[rows, 1] = ti.atan2(across.y, across.x)
-        out_rates[rows, 2] = ti.max(total / ti.max(count, 1.0), 1e-12)
+        out_rates[rows, RATE_ALONG] = ti.atan2(along.y, along.x)
+        out_rates[rows, RATE_ACROSS] = ti.atan2(across.y, across.x)
+        out_rates[rows, MEAN_QUALITY] = ti.max(total / ti.max(count, 1.0), 1e-12)
 
 
 @ti.kernel
@@ -169,7 +242,7 @@ def restore_kernel(
             out[y, x] = wrap(out[y, x])
 
 
-def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *, out: Any | None = None) -> Any:
+def smooth_along_stripes(wrapped_phase: F32, mask: Mask, smoothing_px: int = 5, *, out: F32 | None = None) -> F32:
     """Average the phase over a few pixels along the rows.
 
     Parameters
@@ -202,9 +275,7 @@ def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *
     out = _checks.out_array("out", out, shape, np.float32)
     marked = np.empty(shape, np.float32)
     mark_no_phase_kernel(wrapped_phase, mask, marked)
-    rates = rates_buffer(shape[0])
-    measure_rates_kernel(marked, marked, rates)
-    # Of the noise nothing is known.
-    smooth_phase_kernel(smoothing_px // 2)(marked, np.zeros(shape, np.float32), rates, out)
+    of_noise_nothing_is_known = np.zeros(shape, np.float32)
+    smooth_phase(marked, of_noise_nothing_is_known, measure_rates(marked, marked), smoothing_px // 2, out=out)
     restore_kernel(wrapped_phase, out)
     return out

@@ -14,7 +14,7 @@ from pipeline.acquisition import live
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.output.range_image import write_range_image
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import ShapeError, develop, runtime
+from tikernels import ShapeError, develop
 from tikernels.raw.pixel_format import PixelFormat
 
 RGB8, BAYER12 = PixelFormat("rgb"), PixelFormat("bayer", 12, bayer="grbg")
@@ -22,6 +22,7 @@ SIZE_PX = (128, 96)
 # Starting takes 3 s, of which compiling kernels is one.
 PATIENCE_S = 60
 
+pytestmark = pytest.mark.usefixtures("kernels_on_disk")
 on_posix = pytest.mark.skipif(os.name != "posix", reason="Windows has no such signals")
 
 
@@ -34,8 +35,7 @@ def rig():
 
 
 @pytest.fixture(scope="module")
-def image(rig):
-    runtime.init("cpu")
+def image(rig, cpu):
     return simulate_frame(rig, SimulationSettings()).image
 
 
@@ -70,7 +70,6 @@ def is_alive(pid):
 @pytest.mark.parametrize("format", [RGB8, BAYER12], ids=["rgb", "bayer"])
 def test_what_becomes_of_a_frame(rig, image, tmp_path, format):
     frame = image if format is RGB8 else mosaic(image, format)
-    runtime.init("cpu")
     expected = Decoder(DecodeSettings(), rig, arch="cpu").decode(develop((frame,), format))
     write_range_image(tmp_path / "expected.png", expected.range_image, expected.mask, "mm")
     begin = time.monotonic()

@@ -23,6 +23,7 @@ from pipeline.output.store import chosen_fields
 pytest.importorskip("distributed")
 # Not ours: what Dask leaves behind when its processes are killed.
 pytestmark = [
+    pytest.mark.usefixtures("kernels_on_disk"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
 ]
@@ -30,7 +31,7 @@ N_FRAMES = 200
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, cpu):
     folder = tmp_path_factory.mktemp("cluster")
     record(folder / "film.mkv", N_FRAMES)
     return folder

@@ -11,9 +11,10 @@ from support.board_rig import BoardCaptures, board_turns
 from pipeline import Calibration
 from pipeline.calibration import ColorShift
 from pipeline.calibration.board import Board
+from pipeline.calibration.board_poses import BoardPose, measure_pose
 from pipeline.calibration.model import Pattern
 from pipeline.calibration.multishot import BLACK, WHITE, decode_multishot, multishot_codes, multishot_sequence
-from pipeline.calibration.rig_geometry import BoardPose, measure_pose, solve_geometry
+from pipeline.calibration.rig_geometry import solve_geometry
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.models import build
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
@@ -42,6 +43,12 @@ def captured(board, turn=(0.3, -0.3, 0.1), place=(0.0, 0.0, 900.0), **options):
     return BoardCaptures(rig(), board, turn, place, SEQUENCE.names, codes, **options)
 
 
+@pytest.fixture(scope="module")
+def of_charuco():
+    """Return the captures of one pose of the board with markers."""
+    return captured(CHARUCO)
+
+
 def exact_poses(count=10, noise_px=0.03, board=CHESSBOARD, seed=3, turns=None, places=None, geometry=None):
     """Return poses whose corners are projected, not looked for: what the solver makes of noise alone."""
     rng = np.random.default_rng(seed)
@@ -68,9 +75,9 @@ def lens_values(lens):
 
 
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
-def test_corners_of_one_pose(board):
+def test_corners_of_one_pose(board, of_charuco):
     """In camera and projector to 0.15 px; a chessboard may be numbered from either end."""
-    captures = captured(board)
+    captures = of_charuco if board is CHARUCO else captured(board)
     pose = measure_pose("pose", captures, board, PROJECTOR_PX)
     geometry = rig().geometry()
     truth = captures.corners_camera
@@ -200,8 +207,8 @@ def test_a_board_that_is_partly_hidden():
     assert 12 <= len(pose.corners_mm) < 40
 
 
-def test_captures_in_the_wrong_order():
-    captures = dict(captured(CHARUCO))
+def test_captures_in_the_wrong_order(of_charuco):
+    captures = dict(of_charuco)
     names = [name for name in SEQUENCE.names if "column-fine" in name]
     for a, b in ((WHITE, BLACK), (names[0], "05-column-coarse-3"), (names[0], names[2]), (BLACK, names[1])):
         swapped = {**captures, a: captures[b], b: captures[a]}
@@ -213,16 +220,16 @@ def test_captures_in_the_wrong_order():
         decode_multishot({**captures, **turned}, PROJECTOR_PX)
 
 
-def test_a_projector_of_another_size():
-    captures = dict(captured(CHARUCO))
+def test_a_projector_of_another_size(of_charuco):
+    captures = dict(of_charuco)
     with pytest.raises(CalibrationError, match="800x600 is not the projector's size"):
         decode_multishot(captures, (800, 600))
     with pytest.raises(CalibrationError, match=r"640x480 is .* but the camera's: camera and projector are swapped"):
         decode_multishot(captures, CAMERA_PX)
 
 
-def test_sixteen_bit_files_of_a_twelve_bit_camera():
-    captures = {name: 16 * picture.astype(np.uint16) for name, picture in captured(CHARUCO).items()}
+def test_sixteen_bit_files_of_a_twelve_bit_camera(of_charuco):
+    captures = {name: 16 * picture.astype(np.uint16) for name, picture in of_charuco.items()}
     known = decode_multishot(captures, PROJECTOR_PX, white_level=4095)
     assert np.isfinite(known.position_px).all(axis=-1).mean() > 0.2
     captures[WHITE][:2] = 4095
@@ -232,22 +239,23 @@ def test_sixteen_bit_files_of_a_twelve_bit_camera():
         decode_multishot(captures, PROJECTOR_PX, white_level=-1)
 
 
-def test_lateral_colour_is_found():
+@pytest.mark.parametrize("shown", [(0,), pytest.param((0, 4), marks=pytest.mark.long)])
+def test_lateral_colour_is_found(shown):
     """To 0.05 px, though the camera's channels see each other's light."""
     camera = np.array([[-0.3, -0.4], [0.0, 0.0], [0.2, 0.5]])
     projector = np.array([[0.2, 0.3], [0.0, 0.0], [-0.1, -0.5]])
     options = {"camera_shift": camera, "projector_shift": projector, "crosstalk": TYPICAL_CROSSTALK}
     poses = exact_poses(9)
     turns, places = board_turns(10, 3)
-    for k in (0, 4):
-        captures = captured(CHESSBOARD, turns[k], places[k], seed=k, **options)
-        poses[k] = measure_pose(poses[k].name, captures, CHESSBOARD, PROJECTOR_PX)
-    seen = [poses[0], poses[4]]
-    shifts = {"camera_shift_px": seen[0].camera_shift_px, "projector_shift_px": seen[0].projector_shift_px}
-    poses = [
-        pose if pose in seen else BoardPose(**{**pose.__dict__, **shifts, "jacobian": seen[0].jacobian})
-        for pose in poses
+    seen = [
+        measure_pose(
+            poses[k].name, captured(CHESSBOARD, turns[k], places[k], seed=k, **options), CHESSBOARD, PROJECTOR_PX
+        )
+        for k in shown
     ]
+    shifts = {"camera_shift_px": seen[0].camera_shift_px, "projector_shift_px": seen[0].projector_shift_px}
+    others = [BoardPose(**{**pose.__dict__, **shifts, "jacobian": seen[0].jacobian}) for pose in poses]
+    poses = [*seen, *(pose for k, pose in enumerate(others) if k not in shown)]
     base = Calibration(crosstalk_matrix=np.array(TYPICAL_CROSSTALK))
     found = solve_geometry(poses, CAMERA_PX, PROJECTOR_PX, PATTERN, base).calibration
     np.testing.assert_allclose(found.color_shift_px.camera, camera - camera.mean(axis=0), atol=0.05)
@@ -267,6 +275,7 @@ def test_a_printed_board(tmp_path):
         CHARUCO.write(tmp_path / "board.jpg")
 
 
+@pytest.mark.long
 def test_the_command(tmp_path):
     """Eight folders of captures in, a calibration out; never over an existing one."""
     small = (320, 240)

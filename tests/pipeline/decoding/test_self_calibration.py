@@ -9,14 +9,13 @@ import pytest
 from pipeline import Decoder, DecodeSettings
 from pipeline.decoding.self_calibration import estimate_light
 from pipeline.errors import CalibrationError
-from pipeline.footage.image_file import read_picture
+from pipeline.footage.image_file import read_image
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 # Frames of rigs that are not what they are taken for.
-pytestmark = pytest.mark.filterwarnings("ignore:the colours' fringes differ")
+pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
-PLANE = Path(__file__).resolve().parents[3] / "shared" / "data" / "kamino_plane"
+PLANE = Path(__file__).resolve().parents[4] / "shared" / "data" / "kamino_plane"
 
 
 def phase_error(found, truth, mask):
@@ -44,7 +43,6 @@ def decoded(truth, **settings):
 )
 def test_a_frame_tells_the_light(scene, gamma, matrix):
     """It wins at least 0.8 of what the true matrix and response win against balance alone."""
-    runtime.init("cpu")
     truth = simulate_frame(
         simulated_rig(), SimulationSettings(scene=scene, gamma=gamma, crosstalk_matrix=np.array(matrix))
     )
@@ -70,7 +68,6 @@ def test_a_frame_tells_the_light(scene, gamma, matrix):
 
 
 def test_later_frames_use_what_the_first_told():
-    runtime.init("cpu")
     rig = simulated_rig((320, 240), period_px=2 * 768 / 44)
     first, second = (simulate_frame(rig, SimulationSettings(scene=scene)) for scene in ("bust", "ball"))
     decoder = Decoder(DecodeSettings(), arch="cpu")
@@ -84,7 +81,6 @@ def test_later_frames_use_what_the_first_told():
 
 def test_nothing_to_win_is_not_lost():
     """Neither crosstalk nor response: the estimate must not make it worse."""
-    runtime.init("cpu")
     truth = simulate_frame(
         simulated_rig(), SimulationSettings(scene="plane", gamma=1.0, crosstalk_matrix=np.eye(3), reflectance=WHITE)
     )
@@ -97,7 +93,6 @@ def test_too_small_an_object_says_nothing():
     image = np.full((40, 40, 3), 128, np.uint8)
     with pytest.raises(CalibrationError, match="hardly a pixel"):
         estimate_light([image], 255, [np.zeros((40, 40), np.float32)], [np.zeros((40, 40), bool)], 12.0)
-    runtime.init("cpu")
     truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
     small = np.zeros_like(truth.image)
     small[200:240, 300:340] = truth.image[200:240, 300:340]
@@ -113,7 +108,7 @@ def test_a_real_plane(name, bound):
     if not PLANE.exists():
         pytest.skip("the real captures are not here (shared/data/kamino_plane)")
     truth = np.load(PLANE / "plane_truth.npz")
-    shrunk = cv2.resize(read_picture(PLANE / f"plane_{name}_rgb.png"), None, fx=0.25, fy=0.25, interpolation=3)
+    shrunk = cv2.resize(read_image(PLANE / f"plane_{name}_rgb.png"), None, fx=0.25, fy=0.25, interpolation=3)
     phase = cv2.resize(truth["phase_abs"].astype(np.float64), shrunk.shape[1::-1], interpolation=cv2.INTER_AREA)
     mask = cv2.resize(truth["mask"].astype(np.float32), shrunk.shape[1::-1], interpolation=cv2.INTER_AREA) > 0.999
     decoder = Decoder(DecodeSettings(stripes="vertical"), arch="cpu")

@@ -11,12 +11,13 @@ from support.video_files import H264, encode, flip
 
 from pipeline.diagnosis.footage_inspection import inspect_footage
 from pipeline.errors import FootageError
-from pipeline.footage.sources import StoredAs
+from pipeline.footage.opening import StoredAs
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 from tikernels.raw.pixel_format import PixelFormat
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 RGB = PixelFormat("rgb")
 LEFT = PixelFormat("yuv", subsampling=(2, 2), matrix="bt601")
@@ -27,7 +28,6 @@ WHITE_SURFACE = {"gamma": 1.0, "reflectance": WHITE}
 
 def shoot(n_frames, stripes="horizontal", seed=0, **settings):
     """Return frames of a bust that moves a little."""
-    runtime.init("cpu")
     rig = simulated_rig((320, 240), period_px=2 * 768 / 44, stripes=stripes)
     return [
         simulate_frame(
@@ -60,7 +60,7 @@ def faults(path, says=None, settings=None):
 
 
 @pytest.fixture(scope="module")
-def clip():
+def clip(cpu):
     """Return fourteen good frames of the hard surface."""
     return shoot(14, seed=1)
 

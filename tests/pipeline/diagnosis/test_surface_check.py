@@ -9,13 +9,13 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Uncertainty
 from pipeline.calibration.board import Board
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
-from pipeline.diagnosis.surface_check import check_epipolar, check_surface
+from pipeline.diagnosis.epipolar_check import check_epipolar
+from pipeline.diagnosis.surface_check import check_surface
 from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 # Frames of rigs that are not what they are taken for.
-pytestmark = pytest.mark.filterwarnings("ignore:the colours' fringes differ")
+pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 KNOWN = {
     "crosstalk_matrix": np.array(TYPICAL_CROSSTALK),
@@ -23,10 +23,14 @@ KNOWN = {
 }
 
 
+def half_rig(**lenses):
+    """Return a rig of half the usual picture; at twice the pattern's period its fringes are as fine."""
+    return simulated_rig((320, 240), period_px=2 * 768 / 44, **lenses)
+
+
 def checked(scene, shape, radius_mm=None, **moved):
     """Check a capture of a rig with a calibration that says something else of it."""
-    runtime.init("cpu")
-    rig = simulated_rig().model_copy(update=KNOWN)
+    rig = half_rig().model_copy(update=KNOWN)
     truth = simulate_frame(rig, SimulationSettings(scene=scene))
     calibration = rig.model_copy(update=moved)
     frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(truth.image)
@@ -34,7 +38,7 @@ def checked(scene, shape, radius_mm=None, **moved):
 
 
 def turned(degrees):
-    return cv2.Rodrigues(np.radians(degrees))[0] @ simulated_rig().rotation
+    return cv2.Rodrigues(np.radians(degrees))[0] @ half_rig().rotation
 
 
 def test_a_rig_that_stands_as_it_did():
@@ -53,7 +57,7 @@ def test_a_rig_that_stands_as_it_did():
     "moved",
     [
         {"rotation": turned([0.0, 0.4, 0.3])},
-        {"projector": simulated_rig(projector_distortion=(0.08, 0, 0, 0, 0)).projector},
+        {"projector": half_rig(projector_distortion=(0.08, 0, 0, 0, 0)).projector},
     ],
     ids=["turned", "lens"],
 )
@@ -82,8 +86,7 @@ def test_another_shape():
 
 
 def test_nothing_to_check():
-    runtime.init("cpu")
-    rig = simulated_rig().model_copy(update=KNOWN)
+    rig = half_rig().model_copy(update=KNOWN)
     frame = Decoder(DecodeSettings(crosstalk_matrix=np.eye(3)), arch="cpu").decode(simulate_frame(rig).image)
     with pytest.raises(CalibrationError, match="without this calibration"):
         check_surface(frame, rig, "plane")

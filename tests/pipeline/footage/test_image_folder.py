@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from pipeline.errors import FootageError
-from pipeline.footage.image_file import read_picture
+from pipeline.footage.image_file import read_image
 from pipeline.footage.image_folder import natural_key
-from pipeline.footage.sources import BadFrame, StoredFrame, open_source
+from pipeline.footage.opening import BadFrame, StoredFrame, open_source
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 RNG = np.random.default_rng(4)
 
@@ -85,9 +87,6 @@ def test_a_jpeg_gives_its_planes(tmp_path):
     expected = PixelFormat("yuv", subsampling=(2, 2), siting="centre", matrix="bt601", full_range=True)
     assert frame.format == expected
     assert source.notes == ()
-    import tikernels
-
-    tikernels.init("cpu")
     np.testing.assert_allclose(255 * np.array(develop(frame.planes, frame.format)), picture, atol=3)
 
 
@@ -197,7 +196,7 @@ def test_many_tiny_files_are_not_asked_one_by_one(tmp_path, monkeypatch):
 def test_read_picture_reads_what_it_did(tmp_path):
     picture = colors(np.uint16)
     write(tmp_path / "a.png", picture[..., ::-1])
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), picture)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), picture)
     write(tmp_path / "grey.png", picture[..., 0])
     with pytest.raises(FootageError, match="is grey"):
-        read_picture(tmp_path / "grey.png")
+        read_image(tmp_path / "grey.png")

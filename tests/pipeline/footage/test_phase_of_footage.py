@@ -7,13 +7,14 @@ import reference
 from support.video_files import H264, MJPEG, film
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.footage.sources import open_source
+from pipeline.footage.opening import open_source
 from pipeline.output.report import measure_against_truth
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 EASY = SimulationSettings(scene="waves", gamma=1.0, reflectance=WHITE)
 HARD = SimulationSettings(scene="waves")
@@ -25,7 +26,6 @@ class Study:
     """One simulated frame, and a decoder that knows its rig."""
 
     def __init__(self, settings, stripes):
-        runtime.init("cpu")
         rig = simulated_rig(stripes=stripes)
         self.stripes = stripes
         self.truth = simulate_frame(rig, settings)
@@ -46,12 +46,12 @@ class Study:
 
 
 @pytest.fixture(scope="module", params=["horizontal", "vertical"])
-def easy(request):
+def easy(request, cpu):
     return Study(EASY, request.param)
 
 
 @pytest.fixture(scope="module", params=["horizontal", "vertical"])
-def hard(request):
+def hard(request, cpu):
     return Study(HARD, request.param)
 
 

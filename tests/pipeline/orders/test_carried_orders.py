@@ -7,9 +7,10 @@ from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.errors import SettingsError
 from pipeline.orders.carried_orders import MAX_ERROR_PROBABILITY, count_votes, split_by_votes
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 from tikernels.errors import ShapeError
 from tikernels.unwrapping.unwrapper import PatchGraph
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 SIZE = (320, 240)
 
@@ -69,7 +70,7 @@ def test_a_cut_is_noticed():
     assert not count_votes(np.zeros((0, 5), np.int32), np.zeros(1, np.int32)).same_scene
 
 
-def test_surfaces_that_lay_apart_are_split():
+def test_surfaces_that_lay_apart_are_split(cpu):
     """Four patches in a row, joined to one region; the frame before saw the last two a cycle behind."""
     graph = PatchGraph(
         root=np.zeros(4, np.int32),
@@ -79,7 +80,6 @@ def test_surfaces_that_lay_apart_are_split():
         ends=np.array([[0, 1, 2], [1, 2, 3]]),
         votes=np.array([16, 16, 16], np.int32),
     )
-    runtime.init("cpu")
     torn = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)))
     np.testing.assert_array_equal(split_by_votes(torn, graph, np.zeros(3, bool)), [0, 0, 2, 2])
     coming_into_view = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)), sound=0)
@@ -110,7 +110,6 @@ def moved(rig, scene: str, frame: int, **settings):
 def test_moving_objects_keep_their_orders(arch, scene):
     rig = simulated_rig(SIZE, period_px=1.5 * 768 / 44)
     decoder = Decoder(DecodeSettings(), rig, arch=arch)
-    runtime.init(arch)
     frame = offset = surface = None
     for number in range(8):
         truth = moved(rig, scene, number, gamma=1.0)

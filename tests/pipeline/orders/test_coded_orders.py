@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 import reference
-from benchmarks.order_probability import judged_regions, uncertain_frame
+from support.uncertain_frames import judged_regions, uncertain_frame
 
-import tikernels
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.pattern.contrast_code import LEVELS, cycle_modulations
 from pipeline.pattern.fringes import CHANNEL_PHASES
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.scene import scene_rendering as projection
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 SIZE = (480, 360)  # three quarters of the usual picture, its fringes as fine
 FULL = (640, 480)  # objects that show eight cycles or more
@@ -142,7 +143,6 @@ def test_motion_during_the_exposure_is_flagged():
 
 def test_the_error_probability_is_what_it_says():
     """Of uncertain regions about as many are wrong as their probabilities promise; more frames are a benchmark's."""
-    tikernels.init("cpu")
     regions = np.array([region for seed in range(900, 916) for region in judged_regions(*uncertain_frame(seed))])
     uncertain = regions[:, 0] > 0.1
     expected, observed = regions[uncertain].sum(axis=0)

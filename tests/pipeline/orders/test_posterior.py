@@ -6,7 +6,8 @@ import pytest
 from pipeline import Decoder, DecodeSettings
 from pipeline.orders.posterior import NOTHING_KNOWN, OrderRange, PartRange, Posterior
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 
 def test_an_error_far_below_rounding_is_kept():
@@ -54,7 +55,6 @@ def test_relief_narrows_and_a_few_pixels_do_not_matter():
 
 def decoded(scene, depth_range, **rig):
     """Return a plain frame decoded with a depth range, and its truth."""
-    runtime.init("cpu")
     calibration = simulated_rig((320, 240), period_px=2 * 768 / 44, **rig)
     settings = SimulationSettings(scene=scene)
     truth = simulate_frame(calibration, settings)

@@ -9,14 +9,15 @@ import pytest
 import zarr
 
 from pipeline.errors import FootageError, OutputError, RenderError
-from pipeline.footage.sources import open_source
+from pipeline.footage.opening import open_source
 from pipeline.output import film
 from pipeline.output.film import FilmOptions, render_film
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.render import render_mesh
 from pipeline.output.stored_result import StoredResult, export_frames
-from tikernels import runtime
 from tikernels.raw.development import develop
+
+pytestmark = pytest.mark.usefixtures("cpu")
 
 SIZE = (160, 120)
 HEIGHT, WIDTH = 60, 80
@@ -87,7 +88,7 @@ def shown(picture):
 
 @pytest.fixture(scope="module")
 def can_draw(tmp_path_factory):
-    from pipeline.output.mesh_files import Mesh
+    from pipeline.output.mesh import Mesh
 
     mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32))
     try:
@@ -103,7 +104,7 @@ def test_a_film_shows_each_frame_in_its_turn(tmp_path):
     told = []
     options = FilmOptions("front", fps=12.5, size_px=SIZE)
     made = render_film(path, tmp_path / "film.mp4", options, tell=lambda done, of: told.append((done, of)))
-    assert (made.n_pictures, made.held) == (6, (2,))
+    assert (made.n_images, made.held) == (6, (2,))
     assert told == [(i + 1, 6) for i in range(6)]
     assert [p.name for p in tmp_path.iterdir() if p.suffix == ".mp4" or p.name.startswith(".")] == ["film.mp4"]
     seen, rate = pictures(tmp_path / "film.mp4")
@@ -141,7 +142,7 @@ def test_turning_and_swaying(tmp_path):
 def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
     path = store(tmp_path / "r.zarr", [400.0], in_mm=False)
     options = FilmOptions(colors=colors, fps=10, seconds=0.5, size_px=SIZE)
-    assert render_film(path, tmp_path / "film.mp4", options).n_pictures == 5
+    assert render_film(path, tmp_path / "film.mp4", options).n_images == 5
     seen, _ = pictures(tmp_path / "film.mp4")
     assert shown(seen[0]).mean() > 0.1
 
@@ -150,7 +151,7 @@ def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
 def test_every_second_frame_is_no_gap(tmp_path):
     path = store(tmp_path / "r.zarr", 7 * [400.0], missing=(0, 2, 4, 6), step=2)
     made = render_film(path, tmp_path / "film.mp4", FilmOptions(size_px=SIZE))
-    assert (made.n_pictures, made.held) == (3, ())
+    assert (made.n_images, made.held) == (3, ())
 
 
 @pytest.mark.usefixtures("can_draw")
@@ -166,7 +167,6 @@ def test_frames_without_a_surface(tmp_path):
 @pytest.mark.parametrize("size", [(160, 120), (1280, 960)])
 def test_colors_are_those_that_were_drawn(tmp_path, monkeypatch, codec, size):
     """Whatever a player guesses of a file that does not say its matrix; to 3 grey levels."""
-    runtime.init("cpu")
     monkeypatch.setattr(av, "codecs_available", {codec})
     color = (220, 60, 40)
     with film._Encoder(str(tmp_path / "film.mp4"), FilmOptions(size_px=size)) as encoder:
@@ -217,7 +217,6 @@ def test_a_damaged_chunk_is_named(tmp_path):
     path = store(tmp_path / "r.zarr", [400.0, 401.0])
     chunk = next(p for p in (path / "points").rglob("*") if p.is_file() and p.name != "zarr.json")
     chunk.write_bytes(b"nothing")
-    runtime.init("cpu")
     with pytest.raises(FootageError, match=r"points of frame \d is damaged"):
         export_frames(path, tmp_path / "out", "ply")
 
@@ -235,7 +234,6 @@ def test_a_child_that_dies_leaves_nothing(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("in_mm", [True, False])
 def test_export(tmp_path, in_mm):
-    runtime.init("cpu")
     path = store(tmp_path / "r.zarr", [400.0, None, 402.0, 403.0], missing=(3,), in_mm=in_mm)
     assert export_frames(path, tmp_path / "out", "ply") == (2, (1,))
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["frame_000000.ply", "frame_000002.ply"]

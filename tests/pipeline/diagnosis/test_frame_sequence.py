@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.diagnosis.sequence import SequenceDiagnosis, diagnose_sequence, rad_per_mm
+from pipeline.diagnosis.frame_sequence import SequenceDiagnosis, diagnose_sequence, rad_per_mm
 from pipeline.pattern.fringes import make_pattern
 from pipeline.simulation import SKIN, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 # Frames of rigs that are not what they are taken for.
-pytestmark = pytest.mark.filterwarnings("ignore:the colours' fringes differ")
+pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 COUNT = 16
 
@@ -74,7 +73,6 @@ def test_too_few_frames():
 
 def rendered(scene, share, swing_mm, direction, count=14):
     """Return frames of our simulator: an object that swings to and fro, each colour where it was at its time."""
-    runtime.init("cpu")
     rig = simulated_rig((240, 180), period_px=2 * 768 / 44)
     pattern = make_pattern((1024, 768), rig.pattern)
     rng = np.random.default_rng(1)

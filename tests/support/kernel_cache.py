@@ -1,0 +1,26 @@
+"""The kernels' cache on the disk, from which every process takes what another one has compiled."""
+
+import numpy as np
+
+from pipeline import Decoder, DecodeSettings
+from pipeline.output.store import FIELDS
+from pipeline.simulation import TYPICAL_CROSSTALK, simulate_frame, simulated_rig
+from tikernels import runtime
+from tikernels._taichi import ti
+
+
+def write_kernels() -> None:
+    """Decode a frame with and without a calibration, look at every field, and write the kernels to the disk.
+
+    The kernel language writes them when a device ends, so the device ends here and is started again.
+    """
+    runtime.init("cpu")
+    rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
+    image = simulate_frame(rig).image
+    for calibration in (None, rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})):
+        frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
+        for name in FIELDS:
+            getattr(frame, name)
+    ti.reset()
+    runtime._started = None
+    runtime.init("cpu")
