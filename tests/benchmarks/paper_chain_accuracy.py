@@ -45,8 +45,8 @@ _BOX_PX = 25
 _ACROSS, _ALONG = 0.85, 1.0
 # Darker pixels are not looked at, as a share of full scale.
 _MIN_INTENSITY = 0.05
-# Bins of the phase's histogram, and parts of the picture both ways.
-_BINS, _PARTS = 256, 6
+# Bins of the phase's histogram, and tiles of the picture both ways.
+_BINS, _TILES = 256, 6
 
 
 @dataclass(frozen=True)
@@ -114,13 +114,13 @@ def arctangent(light: Image) -> Image:
     return np.asarray(tikernels.compute_wrapped_phase(light)[0])
 
 
-def equalize_by_parts(phase: Image, mask: Mask, period_px: float) -> Image:
-    """Equalise by what the histograms of the picture's parts have in common, as the decoder does."""
+def equalize_by_tiles(phase: Image, mask: Mask, period_px: float) -> Image:
+    """Equalise by what the histograms of the picture's tiles have in common, as the decoder does."""
     height, width = phase.shape
-    rows = np.arange(height)[:, None] * _PARTS // height
-    part = rows * _PARTS + np.arange(width) * _PARTS // width
+    rows = np.arange(height)[:, None] * _TILES // height
+    tile = rows * _TILES + np.arange(width) * _TILES // width
     place = np.clip((phase[mask] + np.pi) * (_BINS / (2 * np.pi)), 0, _BINS - 1).astype(np.int64)
-    counts = np.bincount(part[mask] * _BINS + place, minlength=_PARTS**2 * _BINS).reshape(-1, _BINS)
+    counts = np.bincount(tile[mask] * _BINS + place, minlength=_TILES**2 * _BINS).reshape(-1, _BINS)
     table = correction_table(counts, int(0.8 * period_px))
     return np.asarray(phase + np.interp(phase, np.linspace(-np.pi, np.pi, _BINS + 1), table), np.float32)
 
@@ -169,7 +169,7 @@ def paper_steps(scene: Scene) -> tuple[dict[str, Image], Steps]:
         equalized,
     )
     bare = arctangent(aware)
-    step("equalisation by parts of the picture (NumPy)", lambda: equalize_by_parts(bare, mask, scene.period_px), keep)
+    step("equalisation by tiles of the picture (NumPy)", lambda: equalize_by_tiles(bare, mask, scene.period_px), keep)
     return phases, work
 
 
