@@ -13,8 +13,8 @@ from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
-from pipeline.footage.opening import Source, open_source
-from pipeline.footage.source import StoredAs, StoredFrame
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
 from pipeline.output.store import ResultStore, result_attributes
 from pipeline.settings import DecodeSettings

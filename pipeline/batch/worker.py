@@ -13,8 +13,7 @@ from pipeline.batch.job import Job, join_ranges
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, FootageError, OutputError
-from pipeline.footage.opening import Source
-from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
 from pipeline.output.store import read_attributes
 from tikernels import runtime
 
@@ -142,6 +141,13 @@ class _Result:
             tell(GoodFrame(self.number, self.frame.warnings))
 
 
+def _frames_of(source: Source, ranges: Sequence[range]) -> Frames:
+    """Yield the frames of one range of numbers after another."""
+    for numbers in ranges:
+        with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
+            yield from frames
+
+
 @contextmanager
 def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[StoredFrame | BadFrame]]:
     """Read frames in a thread of their own, a few ahead."""
@@ -150,12 +156,11 @@ def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[St
 
     def run() -> None:
         try:
-            for numbers in ranges:
-                with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
-                    for frame in frames:
-                        read.put(frame)
-                        if stopped.is_set():
-                            return
+            with closing(_frames_of(source, ranges)) as frames:
+                for frame in frames:
+                    read.put(frame)
+                    if stopped.is_set():
+                        return
             read.put(None)
         except BaseException as error:
             read.put(error)  # raised where the frames are waited for

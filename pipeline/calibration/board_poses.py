@@ -71,7 +71,7 @@ def measure_pose(
     Raises
     ------
     CalibrationError
-        The board is not seen, or not lit, or the pictures are mirrored.
+        The board is not seen, or not lit, or the camera's images or the projector's picture are mirrored.
     """
     seen = decode_multishot(captures, projector_size_px, name, white_level)
     grey = seen.white.mean(axis=-1)

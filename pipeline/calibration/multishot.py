@@ -112,8 +112,8 @@ def decode_multishot(
 def _period(level: str, axis: str, size_px: tuple[int, int]) -> float:
     """Return a level's period in px.
 
-    The coarsest spans the projector, so every place has a phase of its own, and just so: read with another projector's
-    size the periods contradict each other.
+    The coarsest spans the projector, so that every place has a phase of its own; and only just, so that read with
+    another projector's size the periods contradict each other.
     """
     length = size_px[0 if axis == "column" else 1]
     if level == "fine":
@@ -172,10 +172,10 @@ def _unevenness(
 ) -> float:
     """Return what captures out of order add to the fine fringes, over their amplitude.
 
-    In order, the second harmonic is the response's, in phase with the first (a fourth makes a twentieth of it at most);
-    and the third is a thirtieth of the first at most. Steps of one parity that change places leave the third as it is,
-    steps of both leave neither. The result is what a quarter of the pixels exceed: a black picture in place of one step
-    bends only those that are bright there.
+    In order, the second harmonic is the response's and in phase with the first (but for a twentieth of it at most,
+    which a fourth adds), and the third is a thirtieth of the first at most. Two steps of one parity that change places
+    leave the third as it is, two of different parity neither. The result is what a quarter of the pixels exceed, as a
+    black picture in place of one step bends only those that are bright there.
     """
     amplitude = np.maximum(np.abs(fine), 1e-9)
     second, third = (_phase_vector(captures, axis, "fine", full, harmonic).sum(axis=-1) for harmonic in (2, 3))

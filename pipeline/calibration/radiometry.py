@@ -8,8 +8,6 @@ matrix of rank one. Grey must be the sum of the three, which also tells how the 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +21,8 @@ from tikernels.raw.linearization import TRANSFERS, Transfer, linear_values
 #: Codes of the ramps, 0..255. Sixteen steps follow any smooth response to a thousandth.
 RAMP_CODES = (*range(16, 256, 16), 255)
 _COLORS = {"red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "grey": (1, 1, 1)}
-_PRIMARIES = ("red", "green", "blue")
+#: Names of the projector's primaries, and of the camera channels that see most of each.
+PRIMARIES = ("red", "green", "blue")
 _BLACK = "00-black"
 # Pixels count that are at least this part as bright as the brightest: the projector lights them fully.
 _LIT_FRACTION = 0.3
@@ -207,9 +206,9 @@ def _check_order(ramps: FloatArray) -> None:
                 "and automatic exposure off"
             )
     shares = ramps[:3, -1] / ramps[:3, -1].sum(axis=0)  # [primary, channel]
-    for k, color in enumerate(_PRIMARIES):
+    for k, color in enumerate(PRIMARIES):
         if np.argmax(shares[:, k]) != k:
-            most = _PRIMARIES[int(np.argmax(shares[:, k]))]
+            most = PRIMARIES[int(np.argmax(shares[:, k]))]
             raise CalibrationError(
                 f"the camera's {color} channel sees {most} light more than {color}: the captures are in the wrong "
                 "order, or the pictures are BGR"
@@ -236,7 +235,7 @@ def _additive_curve(histograms: dict[str, FloatArray]) -> FloatArray:
     basis[np.arange(_LEVELS), low + 1] = at - low
     means = {name: counts @ basis for name, counts in histograms.items()}  # (3, knots)
     rows = [
-        means[_name("grey", code)] + 2 * means[_BLACK] - sum(means[_name(color, code)] for color in _PRIMARIES)
+        means[_name("grey", code)] + 2 * means[_BLACK] - sum(means[_name(color, code)] for color in PRIMARIES)
         for code in RAMP_CODES
     ]
     slopes = np.diff(np.eye(_KNOTS), axis=0) / np.diff(knots)[:, None]
@@ -290,29 +289,3 @@ def monotone_curve(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
     t = (at - x[i]) / step[i]
     rise, start, end = y[i + 1] - y[i], inner[i] * step[i], inner[i + 1] * step[i]
     return np.asarray(y[i] + t * (start + t * (3 * rise - 2 * start - end + t * (start + end - 2 * rise))))
-
-
-def plot_radiometry(radiometry: Radiometry, path: str | Path) -> None:
-    """Draw what each camera channel sees of red, green and blue, and the three responses (figure 2.2 of the paper).
-
-    Raises
-    ------
-    OutputError
-        The place cannot be written.
-    """
-    from pipeline.calibration.plots import draw_panels
-
-    codes = np.array([0, *RAMP_CODES])
-
-    def draw(axes: Any) -> None:
-        for k, color in enumerate(_PRIMARIES):
-            axes[k].set_title(f"camera's response to {color}")
-            for i, channel in enumerate(_PRIMARIES):
-                axes[k].plot(codes, radiometry.ramps[k, :, i], color=channel, marker="o", markersize=3)
-            axes[3].plot(np.arange(256), radiometry.response[k], color=color)
-        axes[3].set_title("the projector's responses")
-        for axis in axes:
-            axis.set_xlabel("projector code")
-            axis.set_ylabel("linear light")
-
-    draw_panels(path, 4, draw)

@@ -19,10 +19,10 @@ from pipeline.calibration.model import Calibration, Pattern, Uncertainty
 from pipeline.calibration.multishot import WHITE, multishot_codes, multishot_sequence
 from pipeline.calibration.radiometry import (
     measure_radiometry,
-    plot_radiometry,
     radiometry_codes,
     radiometry_sequence,
 )
+from pipeline.calibration.radiometry_plot import plot_radiometry
 from pipeline.calibration.rig_geometry import MIN_POSES, GeometryFit, solve_geometry
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.models import CameraState, ImageArray, build

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.footage.image_folder import ImageFolder
-from pipeline.footage.opening import Source
+from pipeline.footage.source import Source
 from pipeline.footage.video_file import VideoFile
 
 _NUMBER = re.compile(r"\d+")

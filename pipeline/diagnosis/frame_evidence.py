@@ -132,7 +132,7 @@ class KeptFrame:
 
 
 def measure_gains(first: KeptFrame, later: KeptFrame) -> npt.NDArray[np.float64] | None:
-    """Return by how much R, G and B have become brighter, (3,), where the same factor holds for most of the picture.
+    """Return by how much R, G and B have become brighter, (3,), where the same factor holds for most of the image.
 
     1 where it does not: then an object that moves has changed it here and there. None: too little is lit in both.
     """

@@ -7,13 +7,11 @@ from pathlib import Path
 
 from pipeline.errors import FootageError
 from pipeline.footage.image_folder import IMAGE_SUFFIXES, ImageFolder
-from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
+from pipeline.footage.source import Source, StoredAs
 from pipeline.footage.video_file import VideoFile
 from pipeline.footage.zarr_recording import ZarrRecording
 from tikernels.errors import ShapeError
-from tikernels.raw.pixel_format import Bayer, Matrix, PixelFormat, Siting
-
-__all__ = ["BadFrame", "PixelFormat", "Source", "StoredFrame", "open_source"]
+from tikernels.raw.pixel_format import Bayer, Matrix, Siting
 
 
 def open_source(

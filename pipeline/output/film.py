@@ -1,6 +1,7 @@
 """A film of the meshes of a ``result.zarr``, drawn without a screen.
 
-Meshes, drawing and encoding are the child's, one frame at a time, so that a film takes no more memory than a picture.
+A child process makes the meshes, draws and encodes them, one frame at a time, so that a film takes no more memory than
+one image.
 """
 
 import json
@@ -46,14 +47,14 @@ class FilmOptions:
     view : {"three-quarter", "front"}
         From where at its beginning: the camera's side, from its upper left or straight on.
     turn_deg : float
-        By how much the eye goes round the surface, about the upright axis, from the first to the last picture.
+        By how much the eye goes round the surface, about the upright axis, from the first to the last image.
     sway_deg : float
         By how much it swings to either side, once to and fro.
     colors : {"depth", "shaded", "modulation", "sigma"}
         What the colours show, with the same limits all along: depth, nothing (clay), the fringe's modulation, or the
         standard deviation of phase or depth.
     fps : float
-        Pictures a second.
+        Images a second.
     seconds : float
         How long a store of one frame is shown.
     size_px : (int, int)
@@ -97,9 +98,9 @@ def render_film(
     options : FilmOptions, optional
         View, motion, colours and rate.
     timeout_s : float
-        After how long without a new picture drawing is given up, in s.
+        Time without a new image after which drawing is given up, s.
     tell : callable
-        Is told how many of how many pictures are drawn.
+        Is told how many of how many images are drawn.
 
     Raises
     ------

@@ -60,7 +60,7 @@ def render_mesh(
     size_px : (int, int)
         Width and height of the image in px.
     timeout_s : float
-        After how long drawing is given up, in s.
+        Time after which drawing is given up, s.
 
     Raises
     ------
