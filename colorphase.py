@@ -48,7 +48,7 @@ from pipeline.errors import (
     RenderError,
     SettingsError,
 )
-from pipeline.footage import StoredAs, open_source, read_picture
+from pipeline.footage import StoredAs, open_source, read_image
 from pipeline.output import Mesh, StoredResult, frame_mesh, read_mesh, write_mesh
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
@@ -90,8 +90,8 @@ __all__ = [
     "init",
     "open_instruments",
     "open_source",
+    "read_image",
     "read_mesh",
-    "read_picture",
     "read_rig",
     "simulate_frame",
     "simulated_rig",
