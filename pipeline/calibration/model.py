@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from pipeline.errors import CalibrationError, OutputError
+from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.files import write_atomically
-from pipeline.models import ArrayOf, CameraState, FloatArray, Matrix3, Model, Positive, Vector3, read_file
+from pipeline.models import ArrayOf, CameraState, FloatArray, Matrix3, Model, Positive, Vector3, build, read_file
 from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
@@ -258,3 +258,23 @@ class Calibration(Model):
     def digest(self) -> str:
         """Return a SHA-256 of the contents, by which results name the calibration they were made with."""
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+
+def choose_pattern(
+    known: Calibration | None,
+    period_px: float | None,
+    stripes: Literal["horizontal", "vertical"] | None,
+    code: Literal["contrast"] | None = None,
+) -> Pattern:
+    """Return the pattern that frames are taken with: what was named, else the calibration's.
+
+    Raises
+    ------
+    SettingsError
+        There is no such pattern.
+    """
+    before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=768 / 44)
+    values = before.model_dump()
+    chosen = (("period_px", period_px), ("stripes", stripes), ("code", code))
+    values |= {name: value for name, value in chosen if value is not None}
+    return build(Pattern, values, SettingsError, "pattern")
