@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
+from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import ProjectorGeometry
-from tikernels.phase.uncertainty import estimate_phase_sigma, point_sigma
+from tikernels.phase.uncertainty import estimate_phase_sigma
 from tikernels.transposing import transpose
 
 # A frame's constant is never known better, rad: what balance and ambient light leave of it on clean frames.

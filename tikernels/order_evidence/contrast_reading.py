@@ -26,8 +26,9 @@ from tikernels._taichi import (
     vec4,
 )
 from tikernels.phase.color_balance import gain_at
-from tikernels.phase.phase_vector import PI, STRIP, matrix_of, wrap
+from tikernels.phase.phase_vector import PI, matrix_of, wrap
 from tikernels.phase.wrapped_phase import NO_PHASE
+from tikernels.strips import STRIP
 from tikernels.unwrapping.hidden_steps import TORN
 from tikernels.unwrapping.patch_growing import (
     CELL_HEIGHT,

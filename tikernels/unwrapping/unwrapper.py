@@ -34,9 +34,10 @@ from tikernels._taichi import (
 )
 from tikernels.depth.triangulation import ProjectorGeometry, load_projector, projected
 from tikernels.errors import ShapeError
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.phase.phase_vector import PI
 from tikernels.phase.smoothing import MAX_DEPARTURE, measure_rates_kernel, rates_buffer
 from tikernels.phase.wrapped_phase import mark_no_phase_kernel
+from tikernels.strips import STRIP
 from tikernels.transposing import transpose
 from tikernels.unwrapping.edge_reliability import NO_EDGE, weigh_edges_kernel
 from tikernels.unwrapping.hidden_steps import TORN, mark_torn_cells_kernel
@@ -251,7 +252,8 @@ class Unwrapper:
 
     def orders(self, roots: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """Return the whole cycles that are added to the orders of the regions with these roots."""
-        return -runtime.to_host(self.regions)[_REGION_ORDER, roots]
+        orders: npt.NDArray[np.int32] = runtime.to_host(self.regions)[_REGION_ORDER, roots]
+        return -orders
 
     def region_pixels(self) -> npt.NDArray[np.int32]:
         """Return (regions,) int32: how many pixels each region that was written had when it was joined."""
