@@ -24,9 +24,10 @@ from pipeline.decoding.frame_reader import size_text
 from pipeline.errors import SettingsError
 from tikernels import runtime
 from tikernels.arrays import F32, Array
+from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import ProjectorGeometry
 from tikernels.errors import ShapeError
-from tikernels.phase.uncertainty import estimate_phase_sigma, point_sigma
+from tikernels.phase.uncertainty import estimate_phase_sigma
 from tikernels.transposing import transpose
 
 Floats = npt.NDArray[np.float32]

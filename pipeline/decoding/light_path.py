@@ -10,9 +10,10 @@ from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import CameraState, FloatArray
 from pipeline.settings import DecodeSettings
-from tikernels.phase.channel_model import flat_template, known_template
+from tikernels.phase.channel_template import flat_template, known_template
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.equalization import correction_table, pattern_light, prefers_response, response_table
+from tikernels.phase.equalization import correction_table
+from tikernels.phase.projector_response import pattern_light, prefers_response, response_table
 from tikernels.raw.linearization import Transfer
 
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like

@@ -19,6 +19,7 @@ from pipeline.footage.image_file import read_image
 from pipeline.footage.image_folder import natural_key
 from pipeline.models import ImageArray
 from pipeline.settings import DecodeSettings
+from tikernels import runtime
 from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, Transfer, linearize
 
@@ -96,7 +97,7 @@ def check_picture(
         return None
     surface = None if shape is None else check_surface(frame, calibration, shape, radius_mm)
     shift = calibration.color_shift_px
-    light = image if shift is None else align_channels(image, shift.camera)
+    light = image if shift is None else runtime.to_host(align_channels(image, shift.camera))
     white = settings.white_level or WHITE_LEVELS[image.dtype.name]
     compensated = calibration.pattern is not None and calibration.pattern.compensated is True
     found = diagnose(
@@ -137,7 +138,7 @@ def check_sequence(
         image, frame = reader.read(path)
         if light and image.shape != light[0].shape:
             raise CalibrationError(f"{path} has another size than the frames before it: give frames of one camera")
-        light.append(linearize(image, reader.transfer, settings.white_level))
+        light.append(runtime.to_host(linearize(image, reader.transfer, settings.white_level)))
         phases.append(frame.unwrapped_phase)
         masks.append(frame.mask)
     place = calibration.geometry() if calibration.has_geometry else None

@@ -14,9 +14,10 @@ import numpy.typing as npt
 from tikernels import _checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
 from tikernels.arrays import F32
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.phase.phase_vector import PI
+from tikernels.strips import STRIP, strip_at, strip_count
 
-strip_of = ti.types.vector(STRIP, ti.f32)
+strip_of_floats = ti.types.vector(STRIP, ti.f32)
 
 
 class ProjectorGeometry(NamedTuple):
@@ -110,13 +111,13 @@ def triangulate_kernel(
     distorted: Static,
     out_points: F32Array3,  # (H, W, 3) mm
 ):
+    """Place every pixel on its ray."""
     height, width = unwrapped_phase.shape[0], unwrapped_phase.shape[1]
-    strips = (width + STRIP - 1) // STRIP
-    for t in range(height * strips):
-        y, first = t // strips, (t % strips) * STRIP
-        count = ti.min(STRIP, width - first)
+    for t in range(height * strip_count(width, STRIP)):
+        y, first, count = strip_at(t, width, STRIP)
         rotation, translation, lens, focal, center, period = load_projector(projector)
-        row, right, down, depths = strip_of(0.0), strip_of(0.0), strip_of(0.0), strip_of(0.0)
+        row, depths = strip_of_floats(0.0), strip_of_floats(0.0)
+        right, down = strip_of_floats(0.0), strip_of_floats(0.0)
         for k in range(count):
             row[k] = unwrapped_phase[y, first + k] * (period / (2.0 * PI))
             right[k], down[k] = rays[y, first + k, 0], rays[y, first + k, 1]

@@ -11,7 +11,8 @@ import numpy.typing as npt
 from tikernels import _checks
 from tikernels._taichi import F32Array1, F32Array2, I32Array1, I32Array2, f32, ti
 from tikernels.arrays import F32, I32
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.phase.phase_vector import PI
+from tikernels.strips import STRIP
 
 #: Cycles to either side between which the modulation's slope is taken: blur rounds the tips of the code off.
 SLOPE_REACH = 0.2

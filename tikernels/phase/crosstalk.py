@@ -10,20 +10,27 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array3, mat3, ti, vec3
+from tikernels._taichi import F32Array2, F32Array3, mat3, ti, vec3
 from tikernels.arrays import F32
 from tikernels.errors import ShapeError
-from tikernels.phase.phase_vector import phase_weights
+from tikernels.phase.phase_vector import color_at, matrix_of, phase_weights
+
+
+@ti.func
+def unmixed(light: vec3, inverse: mat3) -> vec3:
+    """Return the light of the projector's channels, given the camera's."""
+    return inverse @ light
 
 
 @ti.kernel
 def correct_crosstalk_kernel(
     image: F32Array3,  # (H, W, 3) linear light at the camera
-    inverse: mat3,
+    inverse_matrix: F32Array2,  # (3, 3)
     out: F32Array3,  # (H, W, 3) linear light of the projector's channels
 ):
-    for y, x in ti.ndrange(image.shape[0], image.shape[1]):
-        light = inverse @ vec3(image[y, x, 0], image[y, x, 1], image[y, x, 2])
+    for pixel in range(image.shape[0] * image.shape[1]):
+        y, x = pixel // image.shape[1], pixel % image.shape[1]
+        light = unmixed(color_at(image, y, x), matrix_of(inverse_matrix))
         for i in ti.static(range(3)):
             out[y, x, i] = light[i]
 
@@ -88,7 +95,7 @@ class Crosstalk:
             Whether the colours are balanced before the crosstalk is undone. Then a neutral projector gives neutral
             camera values by definition, whatever the rows of the matrix sum up to.
         lag : (3,), optional
-            rad; see `channel_waves`.
+            rad; see `channel_delays`.
 
         Raises
         ------
@@ -141,5 +148,5 @@ def correct_crosstalk(image: F32, crosstalk_matrix: npt.ArrayLike, out: F32 | No
     image = _checks.read_array("image", image, (None, None, 3), np.float32)
     inverse = invert_crosstalk(crosstalk_matrix)
     out = _checks.out_array("out", out, tuple(image.shape), np.float32)
-    correct_crosstalk_kernel(image, mat3(inverse.tolist()), out)
+    correct_crosstalk_kernel(image, inverse.astype(np.float32), out)
     return out

@@ -6,9 +6,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti, vec3
+from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti
 from tikernels.arrays import LevelsImage
-from tikernels.phase.phase_vector import phase_vector
+from tikernels.phase.phase_vector import color_at, phase_vector
 from tikernels.raw.linearization import LEVEL_TYPES, WHITE_LEVELS
 
 #: Three samples a cycle and a little more is what a camera must see.
@@ -67,18 +67,14 @@ def probe_frame_kernel(
     for sample in range(columns * height):
         column, y = sample // height, sample % height
         x = ti.min(ti.max((2 * column + 1) * width // (2 * columns), 1), width - 2)
-        total, noise = vec3(0.0), 0.0
-        for k in ti.static(range(3)):
-            left = ti.cast(image[y, ti.max(x - 1, 0), k], ti.f32)
-            here = ti.cast(image[y, ti.max(x, 0), k], ti.f32)
-            right = ti.cast(image[y, ti.min(x + 1, width - 1), k], ti.f32)
-            total[k] = here * scale
-            noise += (left - 2.0 * here + right) * scale
-        vector, mean = phase_vector(total)
+        here = color_at(image, y, ti.max(x, 0))
+        change = color_at(image, y, ti.max(x - 1, 0)) - 2.0 * here + color_at(image, y, ti.min(x + 1, width - 1))
+        change *= scale
+        vector = phase_vector(here * scale)
         out_samples[column, y, 0] = vector.x
         out_samples[column, y, 1] = vector.y
-        out_samples[column, y, 2] = noise
-        out_samples[column, y, 3] = mean
+        out_samples[column, y, 2] = change.x + change.y + change.z
+        out_samples[column, y, 3] = vector.z
 
 
 def measure_frame(image: LevelsImage, white_level: float | None = None) -> FrameStatistics:

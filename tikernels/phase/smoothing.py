@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array2, f32, ti, u1
+from tikernels._taichi import F32Array2, Static, f32, i32, ti, u1
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.phase_vector import PI, STRIP, wrap
-from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
+from tikernels.phase.phase_vector import PI, wrap
+from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
+from tikernels.strips import STRIP, strip_at, strip_count
 
 # A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends less
 # between them than noise makes it, four standard deviations, of which one of three pixels weighs twice; or than the
@@ -35,6 +36,45 @@ _SAMPLE = 8
 RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = range(3)
 
 
+@ti.func
+def between_surfaces(one: f32, other: f32) -> u1:
+    """Whether a pixel that is this far from its neighbours on either side belongs to neither's surface."""
+    low, high = ti.min(one, other), ti.max(one, other)
+    farthest = ti.select(high < NO_NEIGHBOUR, high, low)
+    return (farthest > MAX_DEPARTURE) & (farthest < NO_NEIGHBOUR) & (low > _SAME_SURFACE)
+
+
+@ti.func
+def from_whole_cycles(change: f32) -> f32:
+    """How far a difference of two phases, less its usual value, is from whole cycles."""
+    size = ti.abs(change)
+    return ti.min(size, ti.abs(size - 2.0 * PI))
+
+
+@ti.func
+def largest_bend(precision: f32) -> f32:
+    """Return how much the phase may bend between two neighbours left and right of a pixel, rad."""
+    return ti.min(ti.max(_BEND_SIGMAS / ti.sqrt(precision + 1e-6), _LEAST_BEND), _MAX_BEND)
+
+
+@ti.func
+def mean_correction(values: Static, middle: i32, pairs: Static, max_bend: f32) -> f32:
+    """Return what to add to a phase of a row to make it the mean with its neighbours.
+
+    They count in pairs, so that a steady slope along the stripe leaves no bias.
+    """
+    total, count = 0.0, 1.0
+    for tap in ti.static(range(1, pairs + 1)):
+        left, right = wrap(values[middle - tap] - values[middle]), wrap(values[middle + tap] - values[middle])
+        near = ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE
+        # Fading, so that rounding decides nothing.
+        counts = ti.min(ti.max(2.5 - 2.0 * ti.abs(left + right) / max_bend, 0.0), 1.0)
+        counts = ti.select(near, counts, 0.0)
+        total += counts * ti.select(near, left + right, 0.0)
+        count += 2.0 * counts
+    return total / count
+
+
 @cache
 def _smooth_phase_kernel(pairs: int) -> Any:
     """Return the kernel that averages over `pairs` neighbours on either side."""
@@ -42,68 +82,42 @@ def _smooth_phase_kernel(pairs: int) -> Any:
     window = 2 * reach + STRIP
     taps, lanes = ti.types.vector(window, ti.f32), ti.types.vector(STRIP, ti.f32)
 
-    @ti.func
-    def between_surfaces(one: f32, other: f32) -> u1:
-        """Whether a pixel that departs so far from its neighbours on either side belongs to neither's surface."""
-        low, high = ti.min(one, other), ti.max(one, other)
-        farthest = ti.select(high < NO_NEIGHBOUR, high, low)
-        return (farthest > MAX_DEPARTURE) & (farthest < NO_NEIGHBOUR) & (low > _SAME_SURFACE)
-
-    @ti.func
-    def departure(change: f32) -> f32:
-        """How far a difference of two phases, less its usual value, is from whole cycles."""
-        size = ti.abs(change)
-        return ti.min(size, ti.abs(size - 2.0 * PI))
-
     @ti.kernel
     def smooth_phase_kernel(
         phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
         precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
-        rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
+        rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad a px
         out: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask, STEP_PHASE between two surfaces
     ):
         height, width = phase.shape[0], phase.shape[1]
         last = rates.shape[0] - 1
-        strips = (width + STRIP - 1) // STRIP
-        for t in range(height * strips):
-            y, first = t // strips, (t % strips) * STRIP
+        for t in range(height * strip_count(width, STRIP)):
+            y, first, length = strip_at(t, width, STRIP)
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
             values = taps(0.0)
-            upper, lower, bend, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            upper, lower, certainty, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for k in range(window):
                 values[k] = NO_PHASE
             for k in range(ti.max(0, reach - first), ti.min(window, width - first + reach)):
                 values[k] = phase[y, first - reach + k]
-            for k in range(ti.min(STRIP, width - first)):
+            for k in range(length):
                 upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
-                bend[k] = precision[y, first + k]
+                certainty[k] = precision[y, first + k]
             for k in range(STRIP):
                 centre = values[reach + k]
-                max_bend = ti.min(ti.max(_BEND_SIGMAS / ti.sqrt(bend[k] + 1e-6), _LEAST_BEND), _MAX_BEND)
                 # Without a neighbour the differences stay far beyond any phase.
-                left, right = wrap(values[reach + k - 1] - centre), wrap(values[reach + k + 1] - centre)
-                to_left, to_right = ti.abs(left + rate_along), ti.abs(right - rate_along)
-                to_upper = departure(centre - upper[k] - rate_across)
-                to_lower = departure(lower[k] - centre - rate_across)
+                to_left = ti.abs(wrap(values[reach + k - 1] - centre) + rate_along)
+                to_right = ti.abs(wrap(values[reach + k + 1] - centre) - rate_along)
+                to_upper = from_whole_cycles(centre - upper[k] - rate_across)
+                to_lower = from_whole_cycles(lower[k] - centre - rate_across)
                 to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
                 to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
-                total, count = 0.0, 1.0
-                for tap in ti.static(range(1, pairs + 1)):
-                    # Pairs, so that a steady slope along the stripe leaves no bias.
-                    if ti.static(tap > 1):
-                        left = wrap(values[reach + k - tap] - centre)
-                        right = wrap(values[reach + k + tap] - centre)
-                    near = ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE
-                    # Fading, so that rounding decides nothing.
-                    counts = ti.min(ti.max(2.5 - 2.0 * ti.abs(left + right) / max_bend, 0.0), 1.0)
-                    counts = ti.select(near, counts, 0.0)
-                    total += counts * ti.select(near, left + right, 0.0)
-                    count += 2.0 * counts
                 step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
-                value = ti.select(step, STEP_PHASE, centre + total / count)
-                result[k] = ti.select(centre < 0.5 * NO_PHASE, value, NO_PHASE)
-            for k in range(ti.min(STRIP, width - first)):
+                correction = mean_correction(values, reach + k, pairs, largest_bend(certainty[k]))
+                value = ti.select(step, STEP_PHASE, centre + correction)
+                result[k] = ti.select(has_phase(centre), value, NO_PHASE)
+            for k in range(length):
                 out[y, first + k] = result[k]
 
     return smooth_phase_kernel
@@ -197,15 +211,15 @@ def measure_rates_kernel(
         total, count = 0.0, 0.0
         for j in range((width + _SAMPLE - 1) // _SAMPLE):
             x = ti.min(j * _SAMPLE, ti.max(width - 2, 0))
-            if phase[y, x] < 0.5 * NO_PHASE:
+            if has_phase(phase[y, x]):
                 total += quality[y, x]
                 count += 1.0
                 if x + 1 < width:
-                    if phase[y, x + 1] < 0.5 * NO_PHASE:
+                    if has_phase(phase[y, x + 1]):
                         change = phase[y, x + 1] - phase[y, x]
                         along += ti.Vector([ti.cos(change), ti.sin(change)])
                 if y + 1 < height:
-                    if phase[y + 1, x] < 0.5 * NO_PHASE:
+                    if has_phase(phase[y + 1, x]):
                         change = phase[y + 1, x] - phase[y, x]
                         across += ti.Vector([ti.cos(change), ti.sin(change)])
         out_rates[i, 0] = along.x
@@ -236,10 +250,8 @@ def restore_kernel(
 ):
     for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
         y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
-        if out[y, x] > 0.5 * NO_PHASE:
-            out[y, x] = wrapped_phase[y, x]
-        else:
-            out[y, x] = wrap(out[y, x])
+        smoothed = out[y, x]
+        out[y, x] = wrap(smoothed) if has_phase(smoothed) else wrapped_phase[y, x]
 
 
 def smooth_along_stripes(wrapped_phase: F32, mask: Mask, smoothing_px: int = 5, *, out: F32 | None = None) -> F32:

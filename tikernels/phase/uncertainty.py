@@ -1,7 +1,13 @@
-"""How sure each pixel is: what the fit says of the phase, checked against what rows really differ by, and in mm.
+"""How sure the phase of each pixel is: what the fit says, checked against what rows really differ by.
 
-A pixel's variance is the fit's, one over its precision. Smoothing along the stripes averages the camera's noise, but
-only where all the neighbours are there, and never the channels' model's own error, which they share.
+    sigma^2 = scatter^2 (averaged + model) / precision + edge^2 empty
+
+One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. Smoothing over n pixels leaves
+averaged = 1 / n of it, but only where all the neighbours are there, and never the channels' model's own error, which
+they share. Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the
+scatter: third differences over four rows a quarter of a cycle apart, which leave a surface's bend out, in units of what
+the law of propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). Their median tells it,
+whatever they are at edges. Near an edge of the mask part of the balance window is empty.
 """
 
 import cv2
@@ -9,12 +15,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, U8Array2, f32, i32, ti, vec3
+from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Mask
-from tikernels.depth.triangulation import ProjectorGeometry, load_projector, ray_depth
 from tikernels.errors import ShapeError
-from tikernels.phase.color_balance import SIGMA_ACROSS
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.phase.balance_window import SIGMA_ACROSS
 
 #: Where a pixel is: off the mask, on it, and on it with all the neighbours that smoothing averages over.
 OFF, PARTLY, WHOLE = 0, 1, 2
@@ -25,8 +29,6 @@ _MODEL_ERROR = 0.03
 # an error in rad, whatever the noise, that grows with the root of that part.
 _EDGE_ERROR = 0.025
 _LEAST_PRECISION = 1e-6  # 1 / rad^2
-# The shift of a point is measured between its phase and this much more, rad.
-_BESIDE = 0.02
 # Rows differ by less than the noise where it was overrated, but not by less than half of it.
 _LEAST_SCATTER = 0.5
 # About 60,000 pixels tell how far rows scatter, to half a per cent.
@@ -59,12 +61,12 @@ def compare_rows_kernel(
     rows, columns = out.shape[0], out.shape[1]
     for sample in range(rows * columns):
         y, x = sample // columns, sample % columns * every
-        rest, variance = 0.0, 0.0
+        difference, variance = 0.0, 0.0
         for k in ti.static(range(4)):
             weight = ti.static((1.0, -3.0, 3.0, -1.0)[k])
-            rest += weight * phase[y + k * step, x]
+            difference += weight * phase[y + k * step, x]
             variance += weight * weight * smoothed_variance(precision, support, averaged, y + k * step, x)
-        out[y, sample % columns] = ti.abs(rest) / ti.sqrt(variance)
+        out[y, sample % columns] = ti.abs(difference) / ti.sqrt(variance)
 
 
 @ti.kernel
@@ -76,38 +78,11 @@ def phase_sigma_kernel(
     scatter: f32,  # by how much more rows differ than expected
     out: F32Array2,  # (H, W) rad; NaN outside the mask
 ):
-    height, width = out.shape[0], out.shape[1]
-    strips = (width + STRIP - 1) // STRIP
-    for t in range(height * strips):
-        y, first = t // strips, (t % strips) * STRIP
-        for x in range(first, ti.min(first + STRIP, width)):
-            variance = scatter * scatter * smoothed_variance(precision, support, averaged, y, x)
-            out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
-
-
-@ti.kernel
-def point_sigma_kernel(
-    phase: F32Array2,  # (H, W) rad, absolute
-    phase_sigma: F32Array2,  # (H, W) rad
-    points: F32Array3,  # (H, W, 3) mm
-    rays: F32Array3,  # (H, W, 2) x, y at unit depth
-    projector: F32Array1,
-    axis: Static,
-    distorted: Static,
-    out: F32Array2,  # (H, W) mm along the ray; NaN where there is no point
-):
-    height, width = out.shape[0], out.shape[1]
-    strips = (width + STRIP - 1) // STRIP
-    for t in range(height * strips):
-        y, first = t // strips, (t % strips) * STRIP
-        for x in range(first, ti.min(first + STRIP, width)):
-            rotation, translation, lens, focal, center, period = load_projector(projector)
-            ray = vec3(rays[y, x, 0], rays[y, x, 1], 1.0)
-            row = (phase[y, x] + _BESIDE) * (period / (2.0 * PI))
-            depth = ray_depth(ray, row, rotation, translation, focal, center, lens, axis, distorted)
-            depth = ti.select(depth > 0.0, depth, ti.math.nan)
-            shift = ti.abs(depth - points[y, x, 2]) * ti.sqrt(1.0 + ray.x * ray.x + ray.y * ray.y)
-            out[y, x] = shift * phase_sigma[y, x] / _BESIDE
+    """Add up what makes a pixel's phase uncertain."""
+    for pixel in range(out.shape[0] * out.shape[1]):
+        y, x = pixel // out.shape[1], pixel % out.shape[1]
+        variance = scatter * scatter * smoothed_variance(precision, support, averaged, y, x)
+        out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
 
 
 def phase_sigma(
@@ -187,46 +162,6 @@ def compare_rows(
         raise ShapeError(f"phase has {height} rows: four rows {step} px apart need {3 * step + 1}")
     out = _checks.out_buffer("out", out, (height - 3 * step, -(-width // every)), np.float32)
     compare_rows_kernel(phase, precision, support, averaged, step, every, out)
-    return out
-
-
-def point_sigma(
-    phase: F32, phase_sigma: F32, points: F32, rays: F32, projector: ProjectorGeometry, out: F32 | None = None
-) -> F32:
-    """Return how far a standard deviation of the phase moves each point along its ray.
-
-    Parameters
-    ----------
-    phase : (H, W) float32
-        rad, absolute.
-    phase_sigma : (H, W) float32
-        rad.
-    points : (H, W, 3) float32
-        mm, what `triangulate` made of the phase.
-    rays : (H, W, 2) float32
-        x and y of every camera pixel's ray at unit depth.
-    projector : ProjectorGeometry
-        The projector.
-    out : (H, W) float32, optional
-        Where the result goes.
-
-    Returns
-    -------
-    (H, W) float32
-        mm; NaN where there is no point. A buffer of the device if none is given.
-
-    Raises
-    ------
-    ShapeError
-        A shape or dtype is another one, or `out` cannot be written.
-    """
-    phase = _checks.read_array("phase", phase, (None, None), np.float32)
-    shape = (int(phase.shape[0]), int(phase.shape[1]))
-    phase_sigma = _checks.read_array("phase_sigma", phase_sigma, shape, np.float32)
-    points = _checks.read_array("points", points, (*shape, 3), np.float32)
-    rays = _checks.read_array("rays", rays, (*shape, 2), np.float32)
-    out = _checks.out_buffer("out", out, shape, np.float32)
-    point_sigma_kernel(phase, phase_sigma, points, rays, *projector.arguments(), out)
     return out
 
 

@@ -7,9 +7,9 @@ phi = atan2(sqrt(3) (R - B), 2 G - R - B) (equation 2.4 of Je, Lee and Park 2004
 import numpy as np
 
 from tikernels import _checks
-from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, ti, u1, vec3
+from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, ti, u1
 from tikernels.arrays import F32
-from tikernels.phase.phase_vector import arctangent, phase_vector
+from tikernels.phase.phase_vector import arctangent, color_at, modulation_of, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
@@ -47,10 +47,10 @@ def compute_wrapped_phase_kernel(
 ):
     for pixel in range(image.shape[0] * image.shape[1]):
         y, x = pixel // image.shape[1], pixel % image.shape[1]
-        vector, background = phase_vector(vec3(image[y, x, 0], image[y, x, 1], image[y, x, 2]))
+        vector = phase_vector(color_at(image, y, x))
         out_phase[y, x] = arctangent(vector.y, vector.x)
-        out_modulation[y, x] = vector.norm()
-        out_background[y, x] = background
+        out_modulation[y, x] = modulation_of(vector)
+        out_background[y, x] = vector.z
 
 
 def compute_wrapped_phase(image: F32, out: tuple[F32, F32, F32] | None = None) -> tuple[F32, F32, F32]:

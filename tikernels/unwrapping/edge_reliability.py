@@ -7,8 +7,9 @@ the sum of both its ends as its level. Levels are integers, equal on every devic
 """
 
 from tikernels._taichi import F32Array2, I32Array3, Static, f32, i32, ti
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import NO_PHASE
+from tikernels.strips import STRIP
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.tables import MOST, Edge
 

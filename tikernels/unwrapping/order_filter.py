@@ -18,7 +18,8 @@ from tikernels import _checks, runtime
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.phase.phase_vector import PI
+from tikernels.strips import STRIP
 from tikernels.transposing import transpose
 
 _CYCLE = 2**16

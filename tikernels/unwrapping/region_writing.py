@@ -5,8 +5,9 @@ orders show it: at the rim of a round object it can pass for the other surface. 
 """
 
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, U8Array2, f32, i32, ti
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.phase.phase_vector import PI
 from tikernels.phase.smoothing import MAX_DEPARTURE
+from tikernels.strips import STRIP
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.tables import (
     BETWEEN,

@@ -5,10 +5,11 @@ import pytest
 import reference
 
 from tikernels import runtime
-from tikernels.phase.channel_model import HARMONICS, ChannelModel, flat_template, known_template
+from tikernels.phase.channel_model import ChannelModel
+from tikernels.phase.channel_template import HARMONICS, flat_template, known_template
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.equalization import SLOTS, correction_table, count_phases_kernel
+from tikernels.phase.equalization import correction_table, measure_distribution
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_fit import fit_phase
 
@@ -41,9 +42,7 @@ def recover(image: np.ndarray, *, balance_first=True, doubt=0.02, gain=0.0, fitt
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, levels)
     model.recover_samples(crosstalk, levels)
-    histogram = np.zeros((SLOTS, 256), np.int32)
-    count_phases_kernel(model.phases, 1, histogram)
-    correction = correction_table(histogram.sum(axis=0), 9)
+    correction = correction_table(measure_distribution(model.phases, 256), 9)
     model.fit(correction, flat_template())
     if not fitted:
         model.template[:, 1:] *= 0
