@@ -24,7 +24,7 @@ from tikernels.depth.triangulation import triangulate
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
-from tikernels.unwrapping import METHODS
+from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 
 # What the phases of the frames before still count when the response is equalised, from frame to frame.
 _FADING = 0.9
@@ -55,6 +55,9 @@ class Decoder:
         A frame of a plane, which `range_image` is measured from without a calibration.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         Where to compute; a named one never falls back.
+    unwrapper : UserUnwrapper, optional
+        Your own unwrapping instead of the settings' `unwrap_method`: an object with a method
+        ``unwrap(phase, quality) -> (unwrapped, region)``, stripes along the rows; see `tikernels.GivenRegions`.
 
     Attributes
     ----------
@@ -78,6 +81,7 @@ class Decoder:
         calibration: Calibration | None = None,
         reference: DecodedFrame | None = None,
         arch: str = "auto",
+        unwrapper: UserUnwrapper | None = None,
     ) -> None:
         self.settings = settings or DecodeSettings()
         self.calibration = calibration
@@ -89,6 +93,9 @@ class Decoder:
         depth_range_mm = None if calibration is None else calibration.depth_range_mm
         self._reader = FrameReader(self.settings, self._path, self._geometry, self._reference)
         self._orders = OrderFinder(self._path, self._geometry, depth_range_mm)
+        self._unwrapping = METHODS[self.settings.unwrap_method]
+        if unwrapper is not None:
+            self._unwrapping = lambda height, width: GivenRegions(unwrapper)
         self._pool = BufferPool()
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)
@@ -249,5 +256,5 @@ class Decoder:
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period_px = float(2 ** (np.round(8 * np.log2(period_px)) / 8))
         if self._workspace is None or not self._workspace.fits(frame.shape, period_px):
-            self._workspace = Workspace(*frame.shape, period_px, METHODS[self.settings.unwrap_method])
+            self._workspace = Workspace(*frame.shape, period_px, self._unwrapping)
         return self._workspace
