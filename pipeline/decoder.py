@@ -2,7 +2,6 @@
 
 import sys
 import warnings
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,12 +15,12 @@ from pipeline.errors import CalibrationError, DecodeWarning, FootageError, Setti
 from pipeline.orders.order_finder import OrderFinder
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
-from tikernels.depth.triangulation import triangulate_kernel
+from tikernels.depth.triangulation import triangulate
 from tikernels.errors import ShapeError
 from tikernels.phase.channel_model import ChannelModel
-from tikernels.phase.frame_statistics import FrameStatistics, count_out_of_range, measure_frame
-from tikernels.phase.phase_fit import CLIPPED, count_bare_phases, recover_phase_kernel
-from tikernels.phase.smoothing import measure_rates_kernel, smooth_phase_kernel
+from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics, count_out_of_range, measure_frame
+from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.smoothing import measure_rates, smooth_phase
 from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, linearize
 from tikernels.transposing import transpose
@@ -45,18 +44,6 @@ _LEAST_NOISE = 1e-5
 # How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
 # a surface, but a code changes it from cycle to cycle, and taken for constant it would bend the phase by 0.02 rad.
 _CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
-
-
-@dataclass(frozen=True)
-class _Levels:
-    """Noise and thresholds of a frame, in its levels of linear light."""
-
-    white: float  # full scale
-    read_noise: float  # standard deviation of a dark channel
-    noise_gain: float  # by how much the variance grows with the light
-    noise: float  # standard deviation at half of the brightest
-    intensity: float  # least mean of the channels
-    modulation: float  # least modulation
 
 
 class Decoder:
@@ -248,51 +235,35 @@ class Decoder:
         self,
         image: Any,
         work: Workspace,
-        levels: _Levels,
+        levels: FrameLevels,
         period: float,
         frame: DecodedFrame,
         previous: DecodedFrame | None,
     ) -> str | None:
         """Decode, and return what the user should know of the orders."""
         buffers, path = frame._buffers, self._path
-        least = (levels.intensity, levels.modulation)
-        work.gains.measure(image, path.inverse, path.matrix, *least, balance_first=path.balance_first, lag=path.lag)
-        counting = (path.inverse, path.weights, work.gains, (*least, CLIPPED * levels.white), path.balance_first)
+        crosstalk = path.crosstalk
+        work.gains.measure(image, crosstalk, levels)
         # `out` may be the frame before.
         earlier = None if previous is None else previous._histogram
-        frame._histogram = count_bare_phases(image, *counting).astype(np.float64)
-        work.model.recover_samples(path.weights, levels.modulation, CLIPPED * levels.white)
+        frame._histogram = count_phases(image, work.gains, crosstalk, levels).astype(np.float64)
+        work.model.recover_samples(crosstalk, levels)
         if earlier is not None:
             frame._histogram += _MEMORY * earlier
         correction = path.correction(frame._histogram, period)
         work.model.fit(correction, path.template())
         frame._constant_sigma = float(np.hypot(path.constant_sigma, work.model.mismatch))
-        recover_phase_kernel(path.balance_first, work.gains.cell)(
-            image,
-            levels.white,
-            path.inverse,
-            path.matrix,
-            path.weights,
-            correction,
-            work.model.template,
-            work.model.nodes,
-            *least,
-            levels.read_noise,
-            levels.noise_gain,
-            _CONTRAST_DOUBT[self._code],
-            work.raw_phase,
-            buffers["modulation"],
-            buffers["precision"],
-        )
+        out = (work.raw_phase, buffers["modulation"], buffers["precision"])
+        doubted = _CONTRAST_DOUBT[self._code]
+        fit_phase(image, work.gains, work.model, crosstalk, levels, correction, doubted, out=out)
         pairs = self.settings.smoothing_px // 2
         frame._pairs = pairs
-        measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
-        smooth_phase_kernel(pairs)(work.raw_phase, buffers["precision"], work.rates, buffers["phase"])
+        measure_rates(work.raw_phase, buffers["modulation"], out=work.rates)
+        smooth_phase(work.raw_phase, buffers["precision"], work.rates, pairs, out=buffers["phase"])
         work.patches = work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
         doubt = self._orders.find(image, work, frame, previous, correction)
         if self._geometry is not None:
-            projector = self._projector.arguments()
-            triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
+            triangulate(buffers["unwrapped"], self._rays, self._projector, out=buffers["points"])
         return doubt
 
     def _read_image(self, image: Any) -> tuple[Any, float]:
@@ -334,7 +305,7 @@ class Decoder:
             image = linearize(image, transfer, white, white)
         return image, white
 
-    def _levels(self, statistics: FrameStatistics, white: float) -> _Levels:
+    def _levels(self, statistics: FrameStatistics, white: float) -> FrameLevels:
         """Return noise and thresholds: the settings', and what they leave open from the frame."""
         settings, brightness = self.settings, statistics.brightness * white
         read, gain = settings.noise or (statistics.noise[0] * white, statistics.noise[1] * white)
@@ -344,8 +315,10 @@ class Decoder:
         if intensity is None:
             intensity = max(_INTENSITY_SIGMAS * noise, _INTENSITY_FRACTION * brightness)
         if modulation is None:
-            modulation = max(_MODULATION_SIGMAS * self._path.noise_gain * noise, _MODULATION_FRACTION * brightness)
-        return _Levels(white, read, gain, noise, intensity, modulation)
+            modulation = max(
+                _MODULATION_SIGMAS * self._path.crosstalk.noise_gain * noise, _MODULATION_FRACTION * brightness
+            )
+        return FrameLevels(white, read, gain, noise, intensity, modulation)
 
     def _frame(self, height: int, width: int, vertical: bool, out: DecodedFrame | None) -> DecodedFrame:
         if self._geometry is not None and self._rays is None:

@@ -10,8 +10,8 @@ from pipeline.calibration.model import Capture, Matrix3
 from pipeline.errors import SettingsError
 from pipeline.models import Model, build, read_file
 from tikernels.errors import ShapeError
-from tikernels.phase.color_balance import MIN_PERIOD_PX
 from tikernels.phase.crosstalk import invert_crosstalk
+from tikernels.phase.frame_statistics import MIN_PERIOD_PX
 from tikernels.unwrapping import METHODS
 
 Positive = Annotated[float, Field(gt=0)]

@@ -20,9 +20,8 @@ def _import_language() -> tuple[Any, str]:
     for name in ("taichi", "quadrants"):
         try:
             if name == "taichi" and sys.platform == "linux":
-                ctypes.CDLL(
-                    "libX11.so.6"
-                )  # asked first, because a failing import prints advice that is of no help here
+                # Asked first, because a failing import prints advice that is of no help here.
+                ctypes.CDLL("libX11.so.6")
             return importlib.import_module(name), name
         except (ImportError, OSError) as error:
             reasons.append(f"{name}: {error}")

@@ -30,6 +30,8 @@ Array: TypeAlias = npt.NDArray[E] | DeviceArray[E]
 F32: TypeAlias = Array[np.float32]
 I32: TypeAlias = Array[np.int32]
 U8: TypeAlias = Array[np.uint8]
+#: A plane of a frame as it was stored.
+Plane: TypeAlias = Array[np.uint8] | Array[np.uint16] | Array[np.float32]
 #: A mask: kernels take uint8; NumPy's bool is viewed as it.
 Mask: TypeAlias = Array[np.bool_] | Array[np.uint8]
 #: A frame in any element type that cameras and files give.

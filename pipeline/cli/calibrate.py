@@ -293,6 +293,7 @@ def check(
     from pipeline.diagnosis.surface_check import check_epipolar, check_surface, corrected_light, refuse_other_camera
     from pipeline.footage.image_file import read_picture
     from pipeline.settings import DecodeSettings
+    from tikernels import runtime
     from tikernels.raw.lateral_color import align_channels
     from tikernels.raw.linearization import WHITE_LEVELS
 
@@ -328,7 +329,9 @@ def check(
     if shape is not None:
         _say_check(check_surface(frame, known, shape, radius_mm))
     white = chosen.white_level or WHITE_LEVELS[image.dtype.name]
-    light = image if known.color_shift_px is None else align_channels(image, known.color_shift_px.camera)
+    light = image
+    if known.color_shift_px is not None:
+        light = runtime.to_host(align_channels(image, known.color_shift_px.camera))
     matrix = known.crosstalk_matrix if chosen.crosstalk_matrix is None else chosen.crosstalk_matrix
     compensated = known.pattern is not None and known.pattern.compensated is True
     response = None if compensated else known.response
@@ -352,6 +355,7 @@ def _check_sequence(
 ) -> None:
     """Say what a folder of frames, one after another, shows."""
     from pipeline.diagnosis.sequence import MIN_FRAMES, diagnose_sequence
+    from tikernels import runtime
     from tikernels.raw.linearization import linearize
 
     suffixes = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
@@ -368,7 +372,7 @@ def _check_sequence(
         picture, frame = decoded(path)
         if light and picture.shape != light[0].shape:
             raise CalibrationError(f"{path} has another size than the frames before it: give frames of one camera")
-        light.append(linearize(picture, transfer, white_level))
+        light.append(runtime.to_host(linearize(picture, transfer, white_level)))
         phases.append(frame.unwrapped_phase)
         masks.append(frame.mask)
     place = known.geometry() if known.has_geometry else None

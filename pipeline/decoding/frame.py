@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
+from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import ProjectorGeometry
-from tikernels.phase.uncertainty import compare_rows_kernel, phase_sigma_kernel, point_sigma_kernel
+from tikernels.phase.uncertainty import estimate_phase_sigma
 from tikernels.transposing import transpose
 
 # A frame's constant is never known better, rad: what balance and ambient light leave of it on clean frames.
@@ -19,14 +19,6 @@ _LEAST_CONSTANT = 0.0006
 # The smoothing's bias is taken from second differences over so many px, most of whose noise averages out, in every
 # fourth row.
 _BEND_PX, _BEND_ROWS = 6, 4
-# The window that the channels' model is fitted to, in cycles.
-_MODEL_WINDOW = 0.85
-# Rows differ by less than the noise where it was overrated, but not by less than half of it.
-_LEAST_SCATTER = 0.5
-# Grid points within its standard deviation that a blur needs.
-_GRID = 2
-# About so many pixels tell how far rows scatter, to half a per cent.
-_SCATTER_SAMPLES = 60_000
 # What the device has to be asked for each field.
 _MADE_OF = {
     "wrapped_phase": ("mask", "_phase"),
@@ -166,10 +158,8 @@ class DecodedFrame:
         if self._rig is None:
             return None
         rays, projector = self._rig
-        out = runtime.empty(self._buffers["mask"].shape, np.float32)
         known = (self._buffers["unwrapped"], self._phase_sigma, self._buffers["points"])
-        point_sigma_kernel(*known, rays, *projector.arguments(), out)
-        return self._host(out)
+        return self._host(point_sigma(*known, rays, projector))
 
     @cached_property
     def points(self) -> npt.NDArray[np.float32] | None:
@@ -195,23 +185,8 @@ class DecodedFrame:
     @cached_property
     def _phase_sigma(self) -> Any:
         """`phase_sigma` on the device, stripes along the rows."""
-        mask = np.ascontiguousarray(self.mask.T if self._vertical else self.mask).view(np.uint8)
-        # OFF, PARTLY and WHOLE are 0, 1 and 2.
-        support = mask + cv2.erode(mask, np.ones((1, 2 * self._pairs + 1), np.uint8))
-        known, averaged = (self._buffers["precision"], support), 1 / (2 * self._pairs + 1)
-        height, width = mask.shape
-        step, every = max(2, round((self.period_px or 8) / 4)), max(1, mask.size // _SCATTER_SAMPLES)
-        scatter = 1.0
-        if height > 3 * step:
-            ratio = np.empty((height - 3 * step, -(-width // every)), np.float32)
-            compare_rows_kernel(self._buffers["unwrapped"], *known, averaged, step, every, ratio)
-            ratio = ratio[np.isfinite(ratio)]
-            if len(ratio):
-                scatter = max(_LEAST_SCATTER, float(np.median(ratio)) / 0.6745)
-        empty = 1 - np.minimum(_blurred(mask, _MODEL_WINDOW * (self.period_px or 1)), 1)
-        out = runtime.empty(mask.shape, np.float32)
-        phase_sigma_kernel(*known, empty, averaged, scatter, out)
-        return out
+        known = (self._buffers["unwrapped"], self._buffers["precision"], self._buffers["mask"])
+        return estimate_phase_sigma(*known, self._pairs, self.period_px or 1.0)
 
     def fetch(self, fields: Iterable[str]) -> None:
         """Read from the device what these fields are made of: another thread may then look at them."""
@@ -229,18 +204,6 @@ class DecodedFrame:
         for name in list(vars(self)):
             if isinstance(getattr(type(self), name, None), cached_property):
                 del self.__dict__[name]
-
-
-def _blurred(mask: npt.NDArray[np.uint8], width_px: float) -> npt.NDArray[np.float32]:
-    """(H, W) float32: the share of the neighbourhood that lies in the mask, by a Gaussian of this deviation."""
-    # A wide Gaussian is as smooth on a coarser grid, and costs the less.
-    coarser = max(1, int(width_px / _GRID))
-    share = mask.astype(np.float32)
-    size = share.shape[::-1]
-    if coarser > 1:
-        share = cv2.resize(share, (-(-size[0] // coarser), -(-size[1] // coarser)), interpolation=cv2.INTER_AREA)
-    share = cv2.GaussianBlur(share, (0, 0), width_px / coarser, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR) if coarser > 1 else share, np.float32)
 
 
 def _best_ramp(phase: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:

@@ -10,10 +10,10 @@ from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import FloatArray
 from pipeline.settings import DecodeSettings
-from tikernels.phase.channel_model import flat_template, known_template
-from tikernels.phase.crosstalk import invert_crosstalk
-from tikernels.phase.equalization import correction_table, pattern_light, prefers_response, response_table
-from tikernels.phase.wrapped_phase import phase_weights
+from tikernels.phase.channel_template import flat_template, known_template
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import correction_table
+from tikernels.phase.projector_response import pattern_light, prefers_response, response_table
 from tikernels.raw.linearization import Transfer
 
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
@@ -33,16 +33,8 @@ class LightPath:
         How the camera encodes light.
     camera_shift_px : (3, 2) float64 or None
         The camera's lateral colour.
-    lag : (3,) float64 or None
-        How far the projector's lateral colour makes the fringe of each colour lag behind its place, rad.
-    balance_first : bool
-        Whether the reflectance acts on the camera's channels, after the crosstalk.
-    matrix, inverse : (3, 3) float32
-        The crosstalk, and what undoes it.
-    weights : (3, 3) float32
-        Of the balanced channels; see `phase_weights`.
-    noise_gain : float
-        The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
+    crosstalk : Crosstalk
+        The crosstalk, where the surface's colour acts, and the projector's lateral colour.
     constant_known : bool
         Whether the phase is known, not only but for a constant.
     constant_sigma : float
@@ -54,8 +46,8 @@ class LightPath:
     def __init__(self, settings: DecodeSettings, calibration: Calibration | None) -> None:
         self.transfer: Transfer = settings.transfer
         self.camera_shift_px: FloatArray | None = None
-        self.lag: FloatArray | None = None
-        self.balance_first = settings.reflectance_bands == "broad"
+        self._lag: FloatArray | None = None
+        self._balance_first = settings.reflectance_bands == "broad"
         self._equalize = settings.equalize
         self._response: FloatArray | None = None  # of a pattern in which it has not been undone, or may not have been
         self._compensated: bool | None = None
@@ -77,10 +69,10 @@ class LightPath:
                     light = pattern_light(calibration.response)
             if calibration.color_shift_px is not None:
                 self.camera_shift_px = calibration.color_shift_px.camera
-                self.lag = calibration.projector_lag_rad()
+                self._lag = calibration.projector_lag_rad()
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
-        self.unknown = matrix is None and self.balance_first
+        self.unknown = matrix is None and self._balance_first
         self.constant_known = matrix is not None
         self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
         self._use(np.eye(3) if matrix is None else matrix @ np.diag(light))
@@ -99,7 +91,7 @@ class LightPath:
             response = np.array([[0.0, 1.0]] * 3)
         if response is None:
             return flat_template()
-        return known_template(self.matrix if self.balance_first else np.eye(3), response, self.lag)
+        return known_template(self.crosstalk.matrix if self._balance_first else np.eye(3), response, self._lag)
 
     def correction(self, histogram: FloatArray, period_px: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, rad to add to the arctangent, as a table over the cycle.
@@ -115,8 +107,8 @@ class LightPath:
             if not self._equalize:
                 return _NO_CORRECTION
             return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
-        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self.lag):
-            return response_table(self._response, self.lag)
+        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self._lag):
+            return response_table(self._response, self._lag)
         return _NO_CORRECTION
 
     @property
@@ -125,11 +117,7 @@ class LightPath:
         return self._learned is None and self._response is not None
 
     def _use(self, matrix: FloatArray) -> None:
-        # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
-        inverse = invert_crosstalk(matrix, normalize_rows=self.balance_first)
-        self.inverse, self.matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
-        self.weights = phase_weights(inverse if self.balance_first else np.eye(3), self.lag).astype(np.float32)
-        self.noise_gain = float(np.sqrt((phase_weights(inverse)[:2] ** 2).sum() / 2))
+        self.crosstalk = Crosstalk.of(matrix, balance_first=self._balance_first, lag=self._lag)
 
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:

@@ -16,6 +16,7 @@ from pipeline.decoding.self_calibration import estimate_light
 from pipeline.diagnosis.ripple import Diagnosis, other_transfer
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
+from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
 from tikernels.raw.linearization import Transfer, linearize
 
@@ -114,7 +115,8 @@ def check_surface(
         # roundest one, tells it.
         rays, projector = geometry.camera.rays(), geometry.for_triangulation()
         for cycles in range(-_ORDERS, _ORDERS + 1):
-            placed[cycles] = triangulate(frame.unwrapped_phase + np.float32(2 * np.pi * cycles), rays, projector)
+            phase = frame.unwrapped_phase + np.float32(2 * np.pi * cycles)
+            placed[cycles] = runtime.to_host(triangulate(phase, rays, projector))
     fits = [
         fit
         for n in (surfaces if shape == "ball" else surfaces[:1])
@@ -363,7 +365,7 @@ def corrected_light(
     if not causes & {"response", "crosstalk", "even crosstalk"}:
         raise CalibrationError("no fault was found that one frame can correct: do what the check advises")
     if not isinstance(transfer, str) or transfer != "linear":
-        image, white_level = linearize(image, transfer, white_level), 1.0
+        image, white_level = runtime.to_host(linearize(image, transfer, white_level)), 1.0
     light = estimate_light([image], white_level, [frame.unwrapped_phase], [frame.mask], frame.period_px or 0.0)
     if not light.reliable:
         raise CalibrationError("the frame tells too little of the light to correct it: capture a larger smooth surface")

@@ -146,7 +146,7 @@ class OrderFinder:
     ) -> tuple[AbsoluteOrders, bool]:
         buffers = frame._buffers
         seen = (buffers["phase"], buffers["modulation"])
-        sums = measure_contrast(image, self._path, work.gains, *seen, work.patches)
+        sums = measure_contrast(image, self._path.crosstalk, work.gains, *seen, work.patches)
         rising = float(runtime.to_host(work.rates)[-1, RATE_ACROSS]) > 0
         return find_absolute_orders(sums, graph, int(image.shape[1]), rising, order_range)
 

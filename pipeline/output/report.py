@@ -92,7 +92,7 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
     if frame.calibrated:
         geometry = truth.rig.geometry()
         placed = (frame.unwrapped_phase - 2 * np.pi * commonest).astype(np.float32)
-        points = triangulate(placed, geometry.camera.rays(), geometry.for_triangulation())
+        points = runtime.to_host(triangulate(placed, geometry.camera.rays(), geometry.for_triangulation()))
         depth_error = (points - truth.points)[valid][:, 2]
         measured["depth_rms_mm"] = float(np.sqrt(np.nanmean(depth_error.astype(np.float64) ** 2)))
     return measured
