@@ -5,7 +5,7 @@ import numpy.typing as npt
 import reference
 
 from tikernels import runtime
-from tikernels.phase.smoothing import MEAN_QUALITY, RATE_ACROSS, RATE_ALONG, measure_rates_kernel, rates_buffer
+from tikernels.phase.smoothing import MEAN_QUALITY, RATE_ACROSS, RATE_ALONG, measure_rates
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, ORDER_BITS, ORDER_MASK, ORDER_ZERO
 from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
@@ -37,7 +37,7 @@ def orders(unwrapped: Phase, wrapped: Phase) -> Integers:
 
 
 def flat_rates(along: float = 0.0, across: float = 0.0, mean_quality: float = 1.0) -> Phase:
-    """Return what `measure_rates_kernel` would find on a surface that changes by so much a pixel, rad."""
+    """Return what `measure_rates` would find on a surface that changes by so much a pixel, rad."""
     rates = np.zeros((1, 5), np.float32)
     rates[0, RATE_ALONG], rates[0, RATE_ACROSS], rates[0, MEAN_QUALITY] = along, across, mean_quality
     return rates
@@ -48,8 +48,7 @@ def join(
 ) -> tuple[Patches, Phase]:
     """Return the patches that a method makes of a wrapped phase, joined to regions, and the phase's rates."""
     quality = np.ones(phase.shape, np.float32) if quality is None else quality
-    rates = rates_buffer(phase.shape[0])
-    measure_rates_kernel(phase, quality, rates)
+    rates = measure_rates(phase, quality)
     chosen = METHODS[method](*phase.shape) if isinstance(method, str) else method
     return RegionUnwrapper(*phase.shape, chosen).join(phase, quality, rates), rates
 

@@ -17,7 +17,8 @@ from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, f32, i
 from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.phase_vector import PI, matrix_of
+from tikernels.phase.phase_vector import PI, color_at, matrix_of
+from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import (
     NOTHING,
@@ -97,12 +98,8 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
                         add_cycle(label, sums, cells, draft_bits, out_sums)
                         label, sums = labels[y, x], vec4(0.0)
                     if label >= 0:
-                        light = vec3(
-                            ti.cast(image[y, x, 0], ti.f32),
-                            ti.cast(image[y, x, 1], ti.f32),
-                            ti.cast(image[y, x, 2], ti.f32),
-                        )
-                        seen = vec4(1.0, modulation[y, x], background.dot(light), phase[y, x])
+                        light = background.dot(color_at(image, y, x))
+                        seen = vec4(1.0, modulation[y, x], light, phase[y, x])
                         sums += cycle_weight(phase[y, x]) * seen
                 add_cycle(label, sums, cells, draft_bits, out_sums)
 
@@ -140,7 +137,7 @@ def measure_contrast(
     ShapeError
         A shape or dtype is another one.
     """
-    image = _checks.read_array("image", image, (*patches.shape, 3), np.uint8, np.uint16, np.float32)
+    image = _checks.read_array("image", image, (*patches.shape, 3), *LEVEL_TYPES)
     phase = _checks.read_array("phase", phase, patches.shape, np.float32)
     modulation = _checks.read_array("modulation", modulation, patches.shape, np.float32)
     sums = runtime.empty((patches.count, ORDER_SLOTS, 4), np.float32)

@@ -12,7 +12,7 @@ from tikernels import _checks
 from tikernels._taichi import F32Array1, F32Array2, I32Array1, I32Array2, f32, ti
 from tikernels.arrays import F32, I32
 from tikernels.phase.phase_vector import PI
-from tikernels.strips import STRIP
+from tikernels.strips import STRIP, strip_at, strip_count
 
 #: Cycles to either side between which the modulation's slope is taken: blur rounds the tips of the code off.
 SLOPE_REACH = 0.2
@@ -40,10 +40,9 @@ def correct_by_modulation_kernel(
 ):
     """Correct the phases of all regions whose orders are absolute."""
     height, width = phase.shape[0], phase.shape[1]
-    strips = (width + STRIP - 1) // STRIP
-    for t in range(height * strips):
-        y, first = t // strips, (t % strips) * STRIP
-        for x in range(first, ti.min(first + STRIP, width)):
+    for t in range(height * strip_count(width, STRIP)):
+        y, first, count = strip_at(t, width, STRIP)
+        for x in range(first, first + count):
             if absolute[region[y, x]] == 1:
                 correction = tabled(corrections, unwrapped[y, x])
                 phase[y, x] = phase[y, x] + correction

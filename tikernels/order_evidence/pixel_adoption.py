@@ -200,7 +200,7 @@ def adopt_pixels(
     modulation : (H, W) float32
         Levels.
     rates : (N, 5) float32
-        What `measure_rates_kernel` found.
+        What `measure_rates` found.
     known : (regions + 1,) bool
         Whether a region's orders are absolute; False for 0.
     out : (H, W) float32, (H, W) uint8 and (H, W) int32
@@ -216,6 +216,7 @@ def adopt_pixels(
     phase = _checks.out_array("phase", phase, shape, np.float32)
     raw_phase = _checks.read_array("raw_phase", raw_phase, shape, np.float32)
     modulation = _checks.read_array("modulation", modulation, shape, np.float32)
+    rates = _checks.read_array("rates", rates, (None, 5), np.float32)
     known = _checks.read_array("known", known, (None,), np.bool_)
     unwrapped, mask, region = (
         _checks.out_array(f"out[{i}]", array, shape, dtype)

@@ -9,7 +9,7 @@ the sum of both its ends as its level. Levels are integers, equal on every devic
 from tikernels._taichi import F32Array2, I32Array3, Static, f32, i32, ti
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import NO_PHASE
-from tikernels.strips import STRIP
+from tikernels.strips import STRIP, strip_at, strip_count
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.tables import MOST, Edge
 
@@ -117,10 +117,10 @@ def weigh_edges_kernel(
     """Weigh all edges and find the best of every pixel."""
     height, width = phase.shape[0], phase.shape[1]
     padded_height, padded_width = out_edges.shape[1], out_edges.shape[2]
-    strips = (padded_width + STRIP - 1) // STRIP
-    for t in range((padded_height + _BAND - 1) // _BAND * strips):
+    for t in range((padded_height + _BAND - 1) // _BAND * strip_count(padded_width, STRIP)):
         # Rows and columns count from the padding.
-        top, first = (t // strips) * _BAND, (t % strips) * STRIP
+        band, first, count = strip_at(t, padded_width, STRIP)
+        top = band * _BAND
         rate_along, rate_across, _ = frame_rates(rates)
         along, across, most = counted(rate_along), counted(rate_across), counted(max_departure)
         highest, above, here = fringed_strip(0), fringed_strip(0), fringed_strip(0)
@@ -128,7 +128,6 @@ def weigh_edges_kernel(
         trust, trust_above = fringed_strip(0), fringed_strip(0)
         beside, upwards, downwards, best = fringed_strip(0), fringed_strip(0), fringed_strip(0), fringed_strip(0)
         start, stop = ti.max(3 - first, 0), ti.min(STRIP + 4, width - first + 3)
-        count = ti.min(STRIP, padded_width - first)
         for y in range(top - 3, ti.min(top + _BAND, padded_height) + 1):
             # The row below enters; reliabilities are known of this row, edges of the row above.
             for k in range(STRIP + 4):

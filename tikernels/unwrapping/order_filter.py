@@ -19,7 +19,7 @@ from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import PI
-from tikernels.strips import STRIP
+from tikernels.strips import STRIP, strip_at, strip_count
 from tikernels.transposing import transpose
 
 _CYCLE = 2**16
@@ -39,21 +39,20 @@ def sum_rows_kernel(
 ):
     """Count phases as integers, and sum them over the window's row around every pixel."""
     height, width = unwrapped.shape[0], unwrapped.shape[1]
-    stretches = (width + STRIP - 1) // STRIP
-    for t in range(height * stretches):
-        y, start = t // stretches, (t % stretches) * STRIP
-        for x in range(start, ti.min(start + STRIP, width)):
+    for t in range(height * strip_count(width, STRIP)):
+        y, start, length = strip_at(t, width, STRIP)
+        for x in range(start, start + length):
             phase = 0
             if mask[y, x] != 0:
                 phase = ti.cast(ti.round(unwrapped[y, x] * (_CYCLE / (2.0 * PI))), ti.i32)
             out_phase[y, x] = phase
-    for t in range(height * stretches):
-        y, start = t // stretches, (t % stretches) * STRIP
+    for t in range(height * strip_count(width, STRIP)):
+        y, start, length = strip_at(t, width, STRIP)
         total, count = 0, 0
         for x in range(ti.max(start - reach, 0), ti.min(start + reach, width)):
             total += out_phase[y, x]
             count += ti.cast(mask[y, x] != 0, ti.i32)
-        for x in range(start, ti.min(start + STRIP, width)):
+        for x in range(start, start + length):
             if x + reach < width:
                 total += out_phase[y, x + reach]
                 count += ti.cast(mask[y, x + reach] != 0, ti.i32)
@@ -122,13 +121,12 @@ def sum_windows_kernel(
     """Sum all windows with nothing corrected, and find the pixels that they would change."""
     height, width = phase.shape[0], phase.shape[1]
     bands = (height + _BAND - 1) // _BAND
-    stretches = (width + STRIP - 1) // STRIP
     ti.loop_config(serialize=True)
     for _ in range(1):
         out_changed[0] = 0
-    for t in range(bands * stretches):
-        top, start = (t // stretches) * _BAND, (t % stretches) * STRIP
-        stop = ti.min(start + STRIP, width)
+    for t in range(bands * strip_count(width, STRIP)):
+        band, start, length = strip_at(t, width, STRIP)
+        top, stop = band * _BAND, start + length
         sum_down(row_sums, row_counts, reach, top, start, stop, out_excess, out_counts)
         for y in range(top, ti.min(top + _BAND, height)):
             for x in range(start, stop):

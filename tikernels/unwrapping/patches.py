@@ -96,7 +96,7 @@ class Patches:
 
     def roots(self) -> npt.NDArray[np.int32]:
         """Return (P,) int32: the patch that stands for the region of each patch."""
-        return runtime.to_host(self.table)[Patch.ROOT, : self.count].copy()  # synchronises
+        return np.array(runtime.to_host(self.table)[Patch.ROOT, : self.count], np.int32)  # synchronises
 
     def graph(self) -> PatchGraph:
         """Return the patches, and where they touch inside their regions."""
@@ -134,7 +134,7 @@ class Patches:
 
     def orders(self, roots: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """Return the whole cycles that are added to the orders of the regions with these roots."""
-        return np.asarray(-runtime.to_host(self._regions)[Region.ORDER, roots])  # synchronises
+        return np.array(-runtime.to_host(self._regions)[Region.ORDER, roots], np.int32)  # synchronises
 
     def place(self, phase: F32, rays: F32, projector: ProjectorGeometry, depth_mm: float) -> None:
         """Give every region the orders that bring it nearest to a depth, instead of 0 at its start.
@@ -171,7 +171,7 @@ class Patches:
         phase : (H, W) float32
             rad in [-pi, pi].
         rates : (N, 5) float32
-            What `measure_rates_kernel` found.
+            What `measure_rates` found.
         out_unwrapped : (H, W) float32
             rad; NaN outside the mask.
         out_mask : (H, W) uint8
@@ -190,6 +190,7 @@ class Patches:
             A shape or dtype is another one, or an output cannot be written.
         """
         phase = _checks.read_array("phase", phase, self.shape, np.float32)
+        rates = _checks.read_array("rates", rates, (None, 5), np.float32)
         out_unwrapped = _checks.out_array("out_unwrapped", out_unwrapped, self.shape, np.float32)
         out_mask = _checks.out_array("out_mask", out_mask, self.shape, np.uint8)
         out_region = _checks.out_array("out_region", out_region, self.shape, np.int32)

@@ -7,7 +7,7 @@ orders show it: at the rim of a round object it can pass for the other surface. 
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, U8Array2, f32, i32, ti
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.smoothing import MAX_DEPARTURE
-from tikernels.strips import STRIP
+from tikernels.strips import STRIP, strip_at, strip_count
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.tables import (
     BETWEEN,
@@ -154,10 +154,8 @@ def write_unwrapped_kernel(
 ):
     """Write every pixel's phase with its order, unless it lies outside the regions or beside a step."""
     height, width = phase.shape[0], phase.shape[1]
-    strips = (width + STRIP - 1) // STRIP
-    for t in range(height * strips):
-        y, first = t // strips, (t % strips) * STRIP
-        count = ti.min(STRIP, width - first)
+    for t in range(height * strip_count(width, STRIP)):
+        y, first, count = strip_at(t, width, STRIP)
         label, region, unwrapped = strip_of_integers(0), strip_of_integers(0), strip_of_floats(0.0)
         for k in range(count):
             label[k] = labels[y, first + k]

@@ -44,7 +44,7 @@ class PatchMethod(Protocol):
         quality : (H, W) float32
             Larger is better; the modulation.
         rates : (N, 5) float32
-            What `measure_rates_kernel` found.
+            What `measure_rates` found.
         drafts : Drafts
             What is written.
         """

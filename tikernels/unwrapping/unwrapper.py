@@ -11,7 +11,7 @@ import numpy as np
 from tikernels import _checks, runtime
 from tikernels.arrays import F32, I32, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.smoothing import measure_rates_kernel, rates_buffer
+from tikernels.phase.smoothing import measure_rates
 from tikernels.phase.wrapped_phase import mark_no_phase_kernel
 from tikernels.transposing import transpose
 from tikernels.unwrapping.drafts import Drafts
@@ -67,7 +67,7 @@ class RegionUnwrapper:
         quality : (H, W) float32
             Larger is better; the modulation.
         rates : (N, 5) float32
-            What `measure_rates_kernel` found.
+            What `measure_rates` found.
 
         Returns
         -------
@@ -190,8 +190,7 @@ def unwrap_phase(
         phase, quality, shape = transpose(phase), transpose(quality), shape[::-1]
         result = runtime.empty(shape, np.float32)
     unwrapper = RegionUnwrapper(*shape, METHODS[method](*shape))
-    rates = rates_buffer(shape[0])
-    measure_rates_kernel(phase, quality, rates)
+    rates = measure_rates(phase, quality)
     patches = unwrapper.join(phase, quality, rates)
     patches.write(phase, rates, result, runtime.empty(shape, np.uint8), runtime.empty(shape, np.int32))
     if stripes == "vertical":
