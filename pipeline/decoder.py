@@ -1,8 +1,7 @@
 """Turn one colour frame into phase, orders and points: `Decoder.decode` is the way of a frame, top to bottom."""
 
 import warnings
-from dataclasses import dataclass, replace
-from dataclasses import field as attribute
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -35,7 +34,7 @@ class _Measured:
     order_doubt: str | None  # what the user should know of the orders
     light_doubts: tuple[str, ...] = ()  # and of the light
     phase_counts: npt.NDArray[np.float64] | None = None
-    orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
+    orders: RegionOrders = field(default_factory=RegionOrders.of_no_region)
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
 
