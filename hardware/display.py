@@ -142,7 +142,7 @@ class Display:
         self._draw()
 
     def wait(self, seconds: float | None = None) -> None:
-        """Return when Esc or q is pressed, or after so many seconds.
+        """Return when Esc or q is pressed, or after `seconds`.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class Display:
                 self._draw()
 
     def close(self) -> None:
-        """Give the display back; harmless twice."""
+        """Give the display back; idempotent."""
         self._pygame.display.quit()
 
     def _settle(self) -> None:

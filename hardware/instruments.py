@@ -1,15 +1,17 @@
 """Open what a rig's file names."""
 
 from hardware.camera import open_camera
+from hardware.drivers import SIMULATED, SOFTWARE
 from hardware.errors import RigError
 from hardware.protocols import Camera, Trigger
 from hardware.settings import RigSettings
+from hardware.simulated import SimulatedInstruments
 from hardware.trigger import open_trigger
 from hardware.trigger.software import SoftwareTrigger
 
 
 def open_instruments(settings: RigSettings) -> tuple[Trigger, Camera]:
-    """Open a rig's trigger source and its camera, or neither.
+    """Open a rig's trigger source and its camera, or neither; simulated ones see a wall under the pattern.
 
     Raises
     ------
@@ -18,11 +20,15 @@ def open_instruments(settings: RigSettings) -> tuple[Trigger, Camera]:
     TriggerError, CameraError
         One of them cannot be reached, or is another one.
     """
-    if "simulated" in (settings.trigger.driver, settings.camera.driver):
+    simulated = [part.driver == SIMULATED for part in (settings.trigger, settings.camera)]
+    if all(simulated):
+        devices = SimulatedInstruments.before_a_wall(settings)
+        return devices.trigger, devices.camera
+    if any(simulated):
         raise RigError(
             'a simulated trigger source and a simulated camera go together: set driver = "simulated" for both'
         )
-    if settings.trigger.driver == "software":
+    if settings.trigger.driver == SOFTWARE:
         camera = open_camera(settings.camera)
         return SoftwareTrigger(camera), camera
     # The trigger source first: a wrong port is told at once, while cameras take seconds.

@@ -97,7 +97,7 @@ class Link:
         return line
 
     def settle(self, quiet_s: float = 0.1) -> None:
-        """Throw away what has come and what still comes, until nothing does for so long."""
+        """Throw away what has come and what still comes, until nothing has come for `quiet_s`."""
         deadline = time.monotonic() + self.timeout_s + quiet_s
         quiet_until = time.monotonic() + quiet_s
         while (now := time.monotonic()) < quiet_until:
@@ -111,7 +111,7 @@ class Link:
         self._overlong = False
 
     def close(self) -> None:
-        """Let go of the port; harmless twice, and never raises."""
+        """Let go of the port; idempotent, and never raises."""
         if not self._port.is_open:
             return
         socket = getattr(self._port, "_socket", None)

@@ -21,7 +21,8 @@ _TOLERANCE = 0.05
 _MOST_TOLERANCE = 0.45
 # Where only the times of arrival are known, which are late by whatever the computer was doing.
 _ARRIVAL_TOLERANCE = 0.5
-# Misses so close to each other, and so many, are those of a camera that is still busy; of a cable that is out, all are.
+# At least three missed pulses, two pulses apart or more, all as far apart: a camera that is still busy when they come.
+# A cable that is out misses every pulse.
 _REGULAR_MISSES, _CLOSEST_MISSES = 3, 2
 # What to look at, the likeliest first.
 _TRIGGER = "check the camera's trigger cable"

@@ -76,7 +76,7 @@ class Trigger(Protocol):
         """Stop, outputs low; harmless at any time."""
 
     def close(self) -> None:
-        """Stop and let go of the port; harmless twice, and never raises."""
+        """Stop and let go of the port; idempotent, and never raises."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class Camera(Protocol):
         """What it may still change by itself, or what could not be read back, a sentence each."""
 
     def arm(self, count: int | None) -> None:
-        """Get ready for so many triggers (None: until disarmed), queues empty; returns when it takes them."""
+        """Get ready for `count` triggers (None: until disarmed), queues empty; return when it takes them."""
 
     def frame(self, timeout_s: float) -> CameraFrame | None:
         """Return the next frame in the order of their arrival, whole or not; None: none came in time."""
@@ -143,7 +143,7 @@ class Camera(Protocol):
         """Stop; harmless at any time."""
 
     def close(self) -> None:
-        """Stop and let go of the camera; harmless twice, and never raises."""
+        """Stop and let go of the camera; idempotent, and never raises."""
 
 
 PowerState = Literal["off", "warming up", "on", "cooling down"]
@@ -183,4 +183,4 @@ class Projector(Protocol):
         """Ask it how it is."""
 
     def close(self) -> None:
-        """Let go of it and leave it as it is; harmless twice, and never raises."""
+        """Let go of it and leave it as it is; idempotent, and never raises."""

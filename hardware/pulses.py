@@ -50,7 +50,7 @@ def fitted(train: PulseTrain, limits: TriggerLimits) -> PulseTrain:
 
     Notes
     -----
-    Times are compared in whole ticks, and every time is taken for the decimal number that it is written as: 3e-7 s is
+    Times are compared in whole ticks, and every time counts as the decimal number that it is written as: 3e-7 s is
     thirty ticks of 1e-8 s, although their quotient as floats is less.
     """
     tick = _exact(limits.tick_s)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hardware.alternating_pictures import Alternation
 from hardware.colour_cycle import check_exposure
+from hardware.drivers import SOFTWARE
 from hardware.errors import BurstError, CameraError, RigError, TriggerError
 from hardware.pairing import Evidence, Fault, find_faults, latencies_s
 from hardware.protocols import Camera, CameraFrame, Levels, Strobe, Trigger, TriggerStatus
@@ -24,7 +25,7 @@ _CLOCK = 1e-2
 _POLL_S = 0.25
 # How often it is asked for the end of a burst.
 _SHORT_POLL_S = 0.01
-# From so far behind on, lost frames are laid to this machine, and not to a cable.
+# Behind the camera by more than this, this machine is blamed for lost frames, and not a cable.
 _BEHIND_S = 0.1
 # How long an instrument may stay away: a board starts for three seconds, a cable is put back in somewhat more.
 _REOPEN_S = 5.0
@@ -158,7 +159,7 @@ class Rig:
         self.close()
 
     def close(self) -> None:
-        """Stop, outputs low, camera stopped, and let go of both; harmless twice, and never raises."""
+        """Stop, outputs low, camera stopped, and let go of both; idempotent, and never raises."""
         if self._is_open:
             self._is_open = False
             self._configured = None
@@ -310,7 +311,7 @@ class Rig:
         found = find_faults(
             Evidence(
                 train=train,
-                by_software=self.settings.trigger.driver == "software",
+                by_software=self.settings.trigger.driver == SOFTWARE,
                 first_pulse=first,
                 count=count,
                 exposure_s=self.camera.exposure_s,
@@ -348,7 +349,7 @@ class Rig:
         return Burst(number, tuple(paired), status, n_repeated, _camera_ppm(paired))
 
     def _collect(self, run: _Run, count: int) -> tuple[list[CameraFrame], int]:
-        """Wait for so many frames; fewer where they do not come in time. Second: how many came twice."""
+        """Wait for `count` frames; fewer where they do not come in time. Second: how many came twice."""
         frames: list[CameraFrame] = []
         n_repeated = 0
         pulses_s = (run.next_pulse + count * (1 + _CLOCK)) * run.train.period_s
@@ -449,7 +450,7 @@ def check_timing(settings: RigSettings, trigger: Trigger, camera: Camera) -> Non
             f"timing.period_s is {timing.period_s:g}, but a frame takes the camera {camera.limits.min_period_s:.6g} s, "
             "exposure and readout: make the period that long, or the exposure shorter"
         )
-    if (settings.trigger.driver == "software") != (settings.camera.trigger == "software"):
+    if (settings.trigger.driver == SOFTWARE) != (settings.camera.trigger == "software"):
         raise RigError('trigger.driver and camera.trigger must both be "software", or neither')
     if settings.trigger.strobe and not trigger.limits.counts_strobes:
         raise RigError(f"{trigger.identity} counts no exposures: leave trigger.strobe away")

@@ -1,12 +1,29 @@
 """``rig.toml``: what is wired to what, and when it is fired."""
 
+import re
+from collections.abc import Callable, Iterable
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(ge=1)]
+_OWN_DRIVER = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")  # module:Class
+
+
+def _one_of(names: Iterable[str]) -> Callable[[str], str]:
+    """Return what refuses a driver that is neither one of these nor ``module:Class``."""
+    *others, last = map(repr, names)
+
+    def check(driver: str) -> str:
+        if repr(driver) not in (*others, last) and not _OWN_DRIVER.fullmatch(driver):
+            raise ValueError(f"Input should be {', '.join(others)} or {last}, or your own driver as 'module:Class'")
+        return driver
+
+    return check
 
 
 class _Section(BaseModel):
@@ -16,8 +33,9 @@ class _Section(BaseModel):
 class TriggerSettings(_Section):
     """Where the pulses come from."""
 
-    driver: Literal["box", "quantum-composers", "dg645", "software", "simulated"]
-    """"software": this program triggers the camera itself, some milliseconds late, and the projector not at all."""
+    driver: Annotated[str, AfterValidator(_one_of([*TRIGGERS, SOFTWARE, SIMULATED]))]
+    """A name in `hardware.drivers`, or a driver of the user's own as ``module:Class``. "software": this program
+    triggers the camera itself, some milliseconds late, and the projector not at all."""
     port: str | None = None
     """A serial device, as /dev/ttyUSB0 or COM3, or a pyserial URL, as socket://10.0.0.5:5025."""
     baud: Count | None = None
@@ -29,8 +47,8 @@ class TriggerSettings(_Section):
     strobe: bool = False
     """Whether the camera's exposure output is wired to the trigger source, which then counts exposures."""
     vsync: Literal["free-running", "per-pulse"] | None = None
-    """Whether the projector's sync output is wired to the trigger source, which then counts its pictures: it shows so
-    many a second ("free-running"), or one to every pulse ("per-pulse"), so that a lost one is seen."""
+    """Whether the projector's sync output is wired to the trigger source, which then counts its pictures: it shows
+    them at a rate of its own ("free-running"), or one to every pulse ("per-pulse"), so that a lost one is seen."""
 
 
 class TimingSettings(_Section):
@@ -48,7 +66,8 @@ class TimingSettings(_Section):
 class CameraSettings(_Section):
     """The camera and what is fixed in it."""
 
-    driver: Literal["basler", "aravis", "opencv", "simulated"]
+    driver: Annotated[str, AfterValidator(_one_of([*CAMERAS, SIMULATED]))]
+    """A name in `hardware.drivers`, or a driver of the user's own as ``module:Class``."""
     serial: Annotated[str | None, Field(coerce_numbers_to_str=True)] = None
     """Its serial number, or for opencv its number; None: the only one there."""
     exposure_s: Positive
@@ -68,8 +87,8 @@ class ProjectorSettings(_Section):
 
     colour_cycle_s: Positive | None = None
     """How long R, G and B take together, where the projector shows them one after another; None: it does not."""
-    control: Literal["pjlink", "infocus"] | None = None
-    """What switches it on; None: somebody does."""
+    control: Annotated[str, AfterValidator(_one_of(PROJECTORS))] | None = None
+    """What switches it on, a name in `hardware.drivers` or ``module:Class``; None: somebody does."""
     port: str | None = None
     """A serial device, or a URL such as socket://10.0.0.6:4352."""
     baud: Count | None = None

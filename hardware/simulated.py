@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
+
 from hardware.errors import CameraError, TriggerError
 from hardware.protocols import (
     CameraFrame,
@@ -44,6 +46,13 @@ _BUFFERS = 128
 _NOTHING_SET_UP = "the simulated trigger has no burst to make: configure it first"
 # How long a thread that was told to stop may take.
 _STOP_S = 5.0
+
+
+# What is seen where nobody renders a scene: fringes of this many px a cycle, dimmer by this factor in picture 1, as
+# `colorphase pattern --brightness 0.85` makes it.
+_SIZE_PX = (640, 480)
+_PERIOD_PX = 16.0
+_DIM = 0.85
 
 
 class SimulatedTrigger:
@@ -281,3 +290,12 @@ class SimulatedInstruments:
         if settings.trigger.vsync:
             projector.sync = trigger.vsync
         return cls(trigger, projector, camera)
+
+    @classmethod
+    def before_a_wall(cls, settings: RigSettings) -> "SimulatedInstruments":
+        """Return them wired, the camera seeing a flat white wall under the pattern."""
+        width, height = settings.camera.size_px or _SIZE_PX
+        cycles = np.arange(height)[:, None, None] / _PERIOD_PX + np.array([-1, 0, 1]) / 3
+        light = np.broadcast_to(0.5 + 0.4 * np.cos(2 * np.pi * cycles), (height, width, 3))
+        frames = [np.rint(255 * brightness * light).astype(np.uint8) for brightness in (1.0, _DIM)]
+        return cls.wired(lambda picture, time_s: frames[picture], (width, height), FrameFormat("rgb"), settings)

@@ -1,62 +1,45 @@
-"""Turn one colour frame into phase, orders and points."""
+"""Turn one colour frame into phase, orders and points: `Decoder.decode` is the way of a frame, top to bottom."""
 
-import sys
 import warnings
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from pipeline.calibration import Calibration, Geometry
-from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
+from pipeline.decoding.doubts import fringe_doubt, light_doubts
+from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, RegionOrders
+from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
+from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
-from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
-from pipeline.orders.order_finder import OrderFinder
+from pipeline.errors import CalibrationError, DecodeWarning
+from pipeline.orders.order_finder import OrderFinder, SeenPhase
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
-from tikernels.depth.triangulation import triangulate_kernel
-from tikernels.errors import ShapeError
-from tikernels.phase.channel_model import ChannelModel
-from tikernels.phase.frame_statistics import FrameStatistics, count_out_of_range, measure_frame
-from tikernels.phase.phase_fit import CLIPPED, count_bare_phases, recover_phase_kernel
-from tikernels.phase.smoothing import measure_rates_kernel, smooth_phase_kernel
-from tikernels.raw.lateral_color import align_channels
-from tikernels.raw.linearization import WHITE_LEVELS, linearize
-from tikernels.transposing import transpose
+from tikernels.arrays import LevelsImage
+from tikernels.depth.triangulation import triangulate
+from tikernels.phase.frame_statistics import FrameLevels, measure_frame
+from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.smoothing import measure_rates, smooth_phase
+from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 
-# Smaller pictures hold no surface.
-_MIN_SIZE_PX = 16
-# The fringe must stand out of the noise by five standard deviations, where chance makes one pixel in 300,000 valid, and
-# reach this fraction of the picture's brightness, below which ambient light and stray light decide.
-_MODULATION_SIGMAS = 5.0
-_MODULATION_FRACTION = 0.03
-_INTENSITY_SIGMAS = 3.0
-_INTENSITY_FRACTION = 0.02
-# Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
-_MIN_CONTRAST = 0.12
-# A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
-_MAX_MISMATCH = 0.12
 # What the phases of the frames before still count when the response is equalised, from frame to frame.
-_MEMORY = 0.9
-# Noise below this share of full scale is not to be relied on.
-_LEAST_NOISE = 1e-5
-# How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
-# a surface, but a code changes it from cycle to cycle, and taken for constant it would bend the phase by 0.02 rad.
-_CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
+_FADING = 0.9
 
 
-@dataclass(frozen=True)
-class _Levels:
-    """Noise and thresholds of a frame, in its levels of linear light."""
+@dataclass(frozen=True, eq=False)
+class _Measured:
+    """What the stages make of a frame, but for its buffers."""
 
-    white: float  # full scale
-    read_noise: float  # standard deviation of a dark channel
-    noise_gain: float  # by how much the variance grows with the light
-    noise: float  # standard deviation at half of the brightest
-    intensity: float  # least mean of the channels
-    modulation: float  # least modulation
+    phase_counts: npt.NDArray[np.float64] | None
+    orders: RegionOrders
+    constant_known: bool
+    constant_sigma: float  # rad, by the light alone
+    order_doubt: str | None  # what the user should know of the orders
+    light_doubts: tuple[str, ...]  # and of the light
 
 
 class Decoder:
@@ -72,6 +55,9 @@ class Decoder:
         A frame of a plane, which `range_image` is measured from without a calibration.
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         Where to compute; a named one never falls back.
+    unwrapper : UserUnwrapper, optional
+        Your own unwrapping instead of the settings' `unwrap_method`: an object with a method
+        ``unwrap(phase, quality) -> (unwrapped, region)``, stripes along the rows; see `tikernels.GivenRegions`.
 
     Attributes
     ----------
@@ -95,27 +81,29 @@ class Decoder:
         calibration: Calibration | None = None,
         reference: DecodedFrame | None = None,
         arch: str = "auto",
+        unwrapper: UserUnwrapper | None = None,
     ) -> None:
         self.settings = settings or DecodeSettings()
         self.calibration = calibration
         self._reference = None if reference is None else reference.unwrapped_phase
-        self._stripes = self.settings.stripes
         self._path = LightPath(self.settings, calibration)
         self._geometry: Geometry | None = None
-        self._rays: Any = None
         if calibration is not None and calibration.has_geometry:
             self._geometry = calibration.geometry()
-            self._projector = self._geometry.for_triangulation()
-        self._code = self.settings.code
-        if calibration is not None and calibration.pattern is not None:
-            self._code = calibration.pattern.code
         depth_range_mm = None if calibration is None else calibration.depth_range_mm
-        self._orders = OrderFinder(self._code, self._path, self._geometry, depth_range_mm)
+        self._reader = FrameReader(self.settings, self._path, self._geometry, self._reference)
+        self._orders = OrderFinder(self._path, self._geometry, depth_range_mm)
+        self._unwrapping = METHODS[self.settings.unwrap_method]
+        if unwrapper is not None:
+            self._unwrapping = lambda height, width: GivenRegions(unwrapper)
+        self._pool = BufferPool()
         self._workspace: Workspace | None = None
-        self._last_buffers: dict[str, Any] = {}
         self.arch = runtime.init(arch)
+        self._rays = None if self._geometry is None else CameraRays.of(self._geometry, self.settings.stripes)
 
-    def decode(self, image: Any, previous: DecodedFrame | None = None, out: DecodedFrame | None = None) -> DecodedFrame:
+    def decode(
+        self, image: LevelsImage, previous: DecodedFrame | None = None, out: DecodedFrame | None = None
+    ) -> DecodedFrame:
         """Decode one frame.
 
         Parameters
@@ -146,74 +134,44 @@ class Decoder:
         FootageError
             The image holds NaN, or values outside 0..white level.
         """
-        image, white = self._read_image(image)
-        if self._path.camera_shift_px is not None:
-            image = align_channels(image, self._path.camera_shift_px)
-        vertical = self._stripes == "vertical"
-        if vertical:
-            image = transpose(image)
-        height, width = int(image.shape[0]), int(image.shape[1])
-        frame = self._frame(height, width, vertical, out)
-        statistics = measure_frame(image, white)
-        period = self.settings.camera_period_px or statistics.period_px
-        levels = self._levels(statistics, white)
-        frame.noise_levels = levels.noise
-        frame.period_px = period
-        frame.warnings = ()
-        frame._constant_sigma = np.nan
-        if self._geometry is not None:
-            frame._rig = (self._rays, self._projector)
-        if statistics.period_px is None:
-            self._warn(frame, _no_fringe(image, white, self._stripes))
-            period = None
-        if period is None:
-            self._clear(frame)
-            frame._placed = frame._histogram = None
-            frame.constant_known = False
-            return frame
-        if previous is not None:
-            self._check_previous(previous, frame)
-        # A few per cent of period change nothing; the buffers stay while it drifts.
-        period = float(2 ** (np.round(8 * np.log2(period)) / 8))
-        work = self._workspace
-        if work is None or work.key != (height, width, period):
-            work = self._workspace = Workspace(height, width, period, self.settings.unwrap_method)
-        doubt = self._run(image, work, levels, period, frame, previous)
-        if self._path.unknown:
-            self._path.unknown = False
-            if self._learn_light(image, levels.white, period, frame):
-                # What the first run has said of the code holds; the frame before is gone if `out` was its buffers.
-                before = None if out is previous else previous
-                again = self._run(image, work, levels, period, frame, before)
-                doubt = again or doubt
-        if doubt is not None:
-            self._warn(frame, doubt)
-        self._warn_of_light(frame, work.model)
-        frame.constant_known = self._path.constant_known
-        return frame
-
-    def _warn_of_light(self, frame: DecodedFrame, model: ChannelModel) -> None:
-        """Say where the light is not what decoding takes it for."""
-        if model.contrast < _MIN_CONTRAST:
-            self._warn(
-                frame,
-                f"the fringe's contrast is only {model.contrast:.0%}: less motion blur, a sharper focus or less other "
-                "light would make it certain",
+        with runtime.lock:
+            frame = self._reader.read(image)  # linear light, colours aligned, stripes along the rows
+            memory = None if previous is None else previous.memory.checked(frame.shape, self.settings.stripes)
+            if out is None:
+                phases, surface = self._pool.lend(frame.shape, points=self._rays is not None)
+            else:
+                phases, surface = out.buffers_for(frame.shape, self.settings.stripes, self._rays)
+            statistics = measure_frame(frame.image, frame.white)
+            levels = frame_levels(self.settings, statistics, frame.white, self._path.crosstalk)
+            period_px = self.settings.camera_period_px or statistics.period_px
+            if statistics.period_px is None or period_px is None:
+                found = self._measure_nothing(frame, phases, surface)
+            else:
+                found = self._measure(frame, levels, period_px, memory, phases, surface)
+                if self._learn_light(frame, period_px, surface):
+                    first = found
+                    memory = None if out is previous else memory  # its buffers have just been written
+                    found = self._measure(frame, levels, period_px, memory, phases, surface)
+                    found = replace(found, order_doubt=found.order_doubt or first.order_doubt)
+            doubts = tuple(doubt for doubt in (found.order_doubt, *found.light_doubts) if doubt is not None)
+            for doubt in doubts:
+                warnings.warn(doubt, DecodeWarning, stacklevel=2)
+            result = DecodedFrame(
+                period_px=period_px,
+                noise_levels=levels.noise,
+                warnings=doubts,
+                constant_known=found.constant_known,
+                light_constant_sigma=found.constant_sigma,
+                smoothing_pairs=self.settings.smoothing_px // 2,
+                stripes=self.settings.stripes,
+                phases=phases,
+                surface=surface,
+                orders=found.orders,
+                rays=self._rays,
+                reference=self._reference,
+                phase_counts=found.phase_counts,
             )
-        if self._path.constant_known and model.mismatch > _MAX_MISMATCH:
-            self._warn(
-                frame,
-                f"the colours' fringes differ by {model.mismatch:.0%} from what the crosstalk matrix makes of them: "
-                "calibrate the light anew (colorphase calibrate check says what is wrong)",
-            )
-
-    def _check_previous(self, previous: DecodedFrame, frame: DecodedFrame) -> None:
-        if previous._vertical != frame._vertical:
-            raise SettingsError(f"stripes are {self._stripes}, those of the frame before were not: leave previous away")
-        before, here = (tuple(f._buffers["mask"].shape) for f in (previous, frame))
-        if before != here:
-            turn = -1 if frame._vertical else 1
-            raise ShapeError(f"frame is {_size(here[::turn])} but the one before is {_size(before[::turn])}")
+            return result if out is None else out.become(result)
 
     @property
     def asks_for_light(self) -> bool:
@@ -226,176 +184,77 @@ class Decoder:
         Then a frame's result does not depend on which frames came before it, but for `previous`.
         """
         self.light = light
-        self._path.unknown = False
+        self._path.learn(light)
         self._orders.ask_for_no_code()
-        if light is not None and light.reliable:
-            self._path.learn(light)
 
-    def _learn_light(self, image: Any, white: float, period: float, frame: DecodedFrame) -> bool:
-        """Learn crosstalk and response from a frame that was decoded without; return whether it told them."""
-        unwrapped = runtime.to_host(frame._buffers["unwrapped"])  # synchronises
-        mask = runtime.to_host(frame._buffers["mask"]) != 0
-        try:
-            light = estimate_light([runtime.to_host(image)], white, [unwrapped], [mask], period)
-        except CalibrationError:
-            return False
-        if light.reliable:
-            self._path.learn(light)
-        self.light = light
-        return light.reliable
-
-    def _run(
+    def _measure(
         self,
-        image: Any,
-        work: Workspace,
-        levels: _Levels,
-        period: float,
-        frame: DecodedFrame,
-        previous: DecodedFrame | None,
-    ) -> str | None:
-        """Decode, and return what the user should know of the orders."""
-        buffers, path = frame._buffers, self._path
-        least = (levels.intensity, levels.modulation)
-        work.gains.measure(image, path.inverse, path.matrix, *least, balance_first=path.balance_first, lag=path.lag)
-        counting = (path.inverse, path.weights, work.gains, (*least, CLIPPED * levels.white), path.balance_first)
-        # `out` may be the frame before.
-        earlier = None if previous is None else previous._histogram
-        frame._histogram = count_bare_phases(image, *counting).astype(np.float64)
-        work.model.recover_samples(path.weights, levels.modulation, CLIPPED * levels.white)
-        if earlier is not None:
-            frame._histogram += _MEMORY * earlier
-        correction = path.correction(frame._histogram, period)
-        work.model.fit(correction, path.template())
-        frame._constant_sigma = float(np.hypot(path.constant_sigma, work.model.mismatch))
-        recover_phase_kernel(path.balance_first, work.gains.cell)(
-            image,
-            levels.white,
-            path.inverse,
-            path.matrix,
-            path.weights,
-            correction,
-            work.model.template,
-            work.model.nodes,
-            *least,
-            levels.read_noise,
-            levels.noise_gain,
-            _CONTRAST_DOUBT[self._code],
-            work.raw_phase,
-            buffers["modulation"],
-            buffers["precision"],
+        frame: LinearFrame,
+        levels: FrameLevels,
+        period_px: float,
+        memory: FrameMemory | None,
+        phases: PhaseBuffers,
+        surface: SurfaceBuffers,
+    ) -> _Measured:
+        """Go through all stages, from a frame with fringes to its points."""
+        image, path, work = frame.image, self._path, self._work(frame, period_px)
+        crosstalk, gains, model, rates = path.crosstalk, work.gains, work.model, work.rates
+        # The phase of every pixel: balance, response, each channel's wave, and a fit to all three.
+        gains.measure(image, crosstalk, levels)
+        counts = count_phases(image, gains, crosstalk, levels).astype(np.float64)
+        if memory is not None and memory.phase_counts is not None:
+            counts += _FADING * memory.phase_counts
+        correction = path.correction(counts, work.period_px)
+        model.recover_samples(crosstalk, levels)
+        model.fit(correction, path.template())
+        fit = (work.raw_phase, phases.modulation, phases.precision)
+        fit_phase(image, gains, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
+        # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
+        measure_rates(work.raw_phase, phases.modulation, out=rates)
+        smooth_phase(work.raw_phase, phases.precision, rates, self.settings.smoothing_px // 2, out=phases.phase)
+        patches = work.unwrapper.join(phases.phase, phases.modulation, rates)
+        seen = SeenPhase(image, gains, phases, work.raw_phase, rates, correction, period_px)
+        placement = self._orders.place(seen, patches, self._rays, memory)
+        regions = patches.write(phases.phase, rates, surface.unwrapped, surface.mask, surface.region)
+        orders = placement.region_orders(patches, regions, memory)
+        lost = self._orders.refine(seen, patches, regions, orders, out=surface)
+        # Its place.
+        if self._rays is not None:
+            triangulate(surface.unwrapped, self._rays.rays, self._rays.projector, out=surface.points)
+        return _Measured(
+            phase_counts=counts,
+            orders=orders,
+            constant_known=path.constant_known,
+            constant_sigma=float(np.hypot(path.constant_sigma, model.mismatch)),
+            order_doubt=placement.warning or lost,
+            light_doubts=light_doubts(model, constant_known=path.constant_known),
         )
-        pairs = self.settings.smoothing_px // 2
-        frame._pairs = pairs
-        measure_rates_kernel(work.raw_phase, buffers["modulation"], work.rates)
-        smooth_phase_kernel(pairs)(work.raw_phase, buffers["precision"], work.rates, buffers["phase"])
-        work.unwrapper.join(buffers["phase"], buffers["modulation"], work.rates)
-        doubt = self._orders.find(image, work, frame, previous, correction)
-        if self._geometry is not None:
-            projector = self._projector.arguments()
-            triangulate_kernel(buffers["unwrapped"], self._rays, *projector, buffers["points"])
-        return doubt
 
-    def _read_image(self, image: Any) -> tuple[Any, float]:
-        """Return linear light in levels, and their full scale."""
-        if not isinstance(image, np.ndarray) and not runtime.is_device_array(image):
-            raise ShapeError(f"image is a {type(image).__name__}: pass a NumPy array of shape (H, W, 3)")
-        shape = tuple(image.shape)
-        if len(shape) == 2 or (len(shape) == 3 and shape[2] == 1):
-            raise ShapeError(f"image is grey ({_size(shape)}): the phase is in the colours, pass (H, W, 3) RGB")
-        if len(shape) == 3 and shape[2] == 4:
-            raise ShapeError("image has four channels: drop the transparency with image[..., :3]")
-        if len(shape) != 3 or shape[2] != 3:
-            raise ShapeError(f"image has shape {shape}: pass (H, W, 3) RGB")
-        if min(shape[:2]) < _MIN_SIZE_PX:
-            raise ShapeError(f"image is {_size(shape)}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
-        if self._geometry is not None and self._geometry.camera.size_px != (shape[1], shape[0]):
-            width, height = self._geometry.camera.size_px
-            raise CalibrationError(
-                f"frame is {_size(shape)} but the calibration is for {height}x{width}: recalibrate or crop"
+    def _measure_nothing(self, frame: LinearFrame, phases: PhaseBuffers, surface: SurfaceBuffers) -> _Measured:
+        """Say of a frame without fringes that nothing is known of it."""
+        clear_buffers(phases, surface)
+        doubt = fringe_doubt(frame, self.settings.stripes)
+        return _Measured(None, RegionOrders.of_no_region(), False, np.nan, doubt, ())
+
+    def _learn_light(self, frame: LinearFrame, period_px: float, surface: SurfaceBuffers) -> bool:
+        """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""
+        if not self._path.unknown:
+            return False
+        unwrapped, mask = runtime.to_host(surface.unwrapped), runtime.to_host(surface.mask) != 0  # synchronises
+        try:
+            image = runtime.to_host(frame.image)
+            self.light = estimate_light(
+                [image], frame.white, [unwrapped], [mask], self._work(frame, period_px).period_px
             )
-        dtype = image.dtype.name if isinstance(image, np.ndarray) else runtime.dtype_name(image)
-        if dtype not in WHITE_LEVELS:
-            raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
-        if isinstance(image, np.ndarray):
-            image = np.ascontiguousarray(image)
-            if self.arch != "cpu" and not image.flags.writeable:
-                image = image.copy()
-        white = self.settings.white_level or WHITE_LEVELS[dtype]
-        if dtype == "float32" or white < WHITE_LEVELS[dtype]:
-            missing, outside = count_out_of_range(image, white)
-            if missing:
-                raise FootageError(f"image holds NaN in {missing} values: replace them, by 0 for pixels to be masked")
-            if outside:
-                raise FootageError(
-                    f"image has {outside} values outside 0..{white:g}: scale it, or set white_level to its full scale"
-                )
-        transfer = self._path.transfer
-        if not isinstance(transfer, str) or transfer != "linear":
-            image = linearize(image, transfer, white, white)
-        return image, white
+        except CalibrationError:
+            pass
+        self._path.learn(self.light)
+        return self.light is not None and self.light.reliable
 
-    def _levels(self, statistics: FrameStatistics, white: float) -> _Levels:
-        """Return noise and thresholds: the settings', and what they leave open from the frame."""
-        settings, brightness = self.settings, statistics.brightness * white
-        read, gain = settings.noise or (statistics.noise[0] * white, statistics.noise[1] * white)
-        read = max(read, _LEAST_NOISE * white)
-        noise = float(np.sqrt(read**2 + gain * brightness / 2))
-        intensity, modulation = settings.min_intensity, settings.min_modulation
-        if intensity is None:
-            intensity = max(_INTENSITY_SIGMAS * noise, _INTENSITY_FRACTION * brightness)
-        if modulation is None:
-            modulation = max(_MODULATION_SIGMAS * self._path.noise_gain * noise, _MODULATION_FRACTION * brightness)
-        return _Levels(white, read, gain, noise, intensity, modulation)
-
-    def _frame(self, height: int, width: int, vertical: bool, out: DecodedFrame | None) -> DecodedFrame:
-        if self._geometry is not None and self._rays is None:
-            rays = self._geometry.camera.rays()
-            self._rays = runtime.to_device(np.ascontiguousarray(rays.transpose(1, 0, 2)) if vertical else rays)
-        if self._reference is not None and self._reference.shape != ((width, height) if vertical else (height, width)):
-            raise ShapeError(f"frame is {height}x{width} but the reference is {_size(self._reference.shape)}")
-        if out is not None:
-            fits = tuple(out._buffers["mask"].shape) == (height, width) and out._vertical == vertical
-            if not fits or out.calibrated != (self._geometry is not None):
-                raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
-            out._forget()
-            return out
-        buffers = self._unused_buffers(height, width)
-        return DecodedFrame(
-            None, 0.0, (), self._geometry is not None, False, vertical, buffers, _reference=self._reference
-        )
-
-    def _unused_buffers(self, height: int, width: int) -> dict[str, Any]:
-        """Return the buffers of the frame before if nobody holds it or its arrays any more, else new ones."""
-        buffers, self._last_buffers = self._last_buffers, {}
-        # A buffer that only the dictionary and this expression know of is free; the dictionary goes with its frame.
-        free = bool(buffers) and sys.getrefcount(buffers) == 2 and buffers["mask"].shape == (height, width)
-        if not free or any(sys.getrefcount(buffers[name]) > 2 for name in buffers):
-            floats = ("phase", "modulation", "precision", "unwrapped")
-            buffers = {name: runtime.empty((height, width), np.float32) for name in floats}
-            buffers["mask"] = runtime.empty((height, width), np.uint8)
-            buffers["region"] = runtime.empty((height, width), np.int32)
-            if self._geometry is not None:
-                buffers["points"] = runtime.empty((height, width, 3), np.float32)
-        self._last_buffers = buffers
-        return buffers
-
-    def _clear(self, frame: DecodedFrame) -> None:
-        empty = {"mask": 0, "region": 0, "modulation": 0.0}
-        for name, buffer in frame._buffers.items():
-            buffer.fill(empty.get(name, np.nan))
-
-    def _warn(self, frame: DecodedFrame, message: str) -> None:
-        frame.warnings = (*frame.warnings, message)
-        warnings.warn(message, DecodeWarning, stacklevel=4)
-
-
-def _no_fringe(image: Any, white_level: float, stripes: str) -> str:
-    """Say why no fringe was found."""
-    if measure_frame(transpose(image), white_level).period_px is not None:
-        other = "vertical" if stripes == "horizontal" else "horizontal"
-        return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r}"
-    return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
-
-
-def _size(shape: tuple[int, ...]) -> str:
-    return f"{shape[0]}x{shape[1]}"
+    def _work(self, frame: LinearFrame, period_px: float) -> Workspace:
+        """Return the buffers for a frame's size and period."""
+        # A few per cent of period change nothing; the buffers stay while it drifts.
+        period_px = float(2 ** (np.round(8 * np.log2(period_px)) / 8))
+        if self._workspace is None or not self._workspace.fits(frame.shape, period_px):
+            self._workspace = Workspace(*frame.shape, period_px, self._unwrapping)
+        return self._workspace

@@ -1,16 +1,21 @@
-"""What every file that a user hands us shares: frozen models, unknown keys refused, errors that name the key."""
+"""What the files that a user hands over share: frozen models, unknown keys refused, errors that name the key."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core import core_schema
 
 FloatArray = npt.NDArray[np.float64]
+#: Levels in any element type that cameras and files give: a colour image (H, W, 3), or one plane of a stored frame.
+ImageArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
 
 
 class Model(BaseModel):
@@ -44,6 +49,20 @@ class ArrayOf:
             raise ValueError("must be finite")
         array.setflags(write=False)
         return array
+
+
+Vector3 = Annotated[FloatArray, ArrayOf((3,))]
+Matrix3 = Annotated[FloatArray, ArrayOf((3, 3))]
+
+
+class CameraState(Model):
+    """How the camera was set; what a calibration holds of it, and settings of the footage."""
+
+    exposure_s: Positive | None = None
+    gain: float | None = None
+    white_balance: Vector3 | None = None
+    transfer: Literal["linear", "srgb", "bt709"] | Annotated[FloatArray, ArrayOf((256,))] | None = None
+    """How the camera encodes light; or, measured, the linear light of 256 levels, from 0 to 1."""
 
 
 def build(model: type[M], values: Any, error: type[Exception], where: str) -> M:

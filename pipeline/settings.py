@@ -6,20 +6,23 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pipeline.calibration.model import Capture, Matrix3
 from pipeline.errors import SettingsError
-from pipeline.models import Model, build, read_file
+from pipeline.models import CameraState, Matrix3, Model, NonNegative, Positive, build, read_file
 from tikernels.errors import ShapeError
-from tikernels.phase.color_balance import MIN_PERIOD_PX
 from tikernels.phase.crosstalk import invert_crosstalk
-
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+from tikernels.phase.frame_statistics import MIN_PERIOD_PX
+from tikernels.unwrapping import METHODS
 
 
 def _odd_or_zero(value: int) -> int:
     if value != 0 and value % 2 == 0:
         raise ValueError(f"must be 0 or odd, got {value}")
+    return value
+
+
+def _known_method(value: str) -> str:
+    if value not in METHODS:
+        raise ValueError(f"must be {' or '.join(METHODS)}, got {value!r}")
     return value
 
 
@@ -40,13 +43,13 @@ class DecodeSettings(Model):
     primaries (the other way round). Broad suits surfaces whose reflectance changes slowly with wavelength, as skin."""
     transfer: Literal["linear", "srgb", "bt709"] = "linear"
     """How the camera encoded light; undone before anything else. Left out, a calibration's is used."""
-    capture: Capture | None = None
-    """How the camera stood for this footage; compared with the calibration's."""
+    capture: CameraState | None = None
+    """How the camera was set for this footage; compared with the calibration's."""
     equalize: bool = True
     """Whether, where nothing tells the projector's response, the phase's distribution is made uniform to undo it. A
     calibration's response is used whatever this says; so is what the first frame tells where nothing is known of the
     light (see `Decoder`)."""
-    unwrap_method: Literal["directional", "reliability"] = "directional"
+    unwrap_method: Annotated[str, AfterValidator(_known_method)] = "directional"
     """How neighbours' orders are joined: row runs by votes, or pixels along the most reliable edges (slower)."""
     smoothing_px: Annotated[int, Field(ge=0, le=33), AfterValidator(_odd_or_zero)] = 5
     """Window along the stripes; 0: none."""

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pipeline.calibration import Calibration, Lens, Pattern
-from pipeline.calibration.model import Matrix3, Shift
-from pipeline.models import Model
+from pipeline.calibration.model import Shift
+from pipeline.models import Matrix3, Model, NonNegative, Positive
 from pipeline.pattern.fringes import make_pattern
 from tikernels import runtime
 from tikernels.scene import scene_rendering as projection
@@ -27,20 +27,19 @@ SKIN = (0.75, 0.52, 0.42)
 WHITE = (0.8, 0.8, 0.8)
 
 Triple = tuple[float, float, float]
-NonNegative = Annotated[float, Field(ge=0)]
 
 
 class SimulationSettings(Model):
     """What happens between the pattern and the frame; the defaults are an ordinary, imperfect rig."""
 
     scene: Literal["bust", "plane", "waves", "objects", "ball"] = "bust"
-    gamma: Annotated[float, Field(gt=0)] = 2.0  # the projector's response: light = code ** gamma
+    gamma: Positive = 2.0  # the projector's response: light = code ** gamma
     crosstalk_matrix: Matrix3 = np.array(TYPICAL_CROSSTALK)
     reflectance: Triple = SKIN
     texture: Annotated[float, Field(ge=0, lt=1)] = 0.1  # how far the reflectance varies, as a fraction
     reflectance_bands: Literal["broad", "narrow"] = "broad"  # acts on camera channels, or on projector primaries
     ambient: NonNegative = 0.05  # relative to the projector's white
-    exposure: Annotated[float, Field(gt=0)] | None = None  # None: the brightest half per cent reaches 0.9 of full scale
+    exposure: Positive | None = None  # None: the brightest half per cent reaches 0.9 of full scale
     noise_levels: NonNegative = 1.5  # standard deviation, in 1/255 of full scale
     bits: Literal[8, 10, 12, 16] = 8
     transfer: Literal["linear", "srgb"] = "linear"
@@ -150,7 +149,7 @@ def simulate_frame(
     Returns
     -------
     SimulatedFrame
-        The picture, and the truth it was made from.
+        The image, and the truth that it was made from.
 
     Raises
     ------

@@ -20,9 +20,8 @@ def _import_language() -> tuple[Any, str]:
     for name in ("taichi", "quadrants"):
         try:
             if name == "taichi" and sys.platform == "linux":
-                ctypes.CDLL(
-                    "libX11.so.6"
-                )  # asked first, because a failing import prints advice that is of no help here
+                # Asked first, because a failing import prints advice that is of no help here.
+                ctypes.CDLL("libX11.so.6")
             return importlib.import_module(name), name
         except (ImportError, OSError) as error:
             reasons.append(f"{name}: {error}")
@@ -51,6 +50,7 @@ if TYPE_CHECKING:
     vec5: TypeAlias = Any
     vec8: TypeAlias = Any
     ivec2: TypeAlias = Any
+    ivec4: TypeAlias = Any
     mat3: TypeAlias = Any
     f32: TypeAlias = Any
     i32: TypeAlias = Any
@@ -62,7 +62,7 @@ else:
     U8Array2 = ti.types.ndarray(dtype=ti.u8, ndim=2)
     AnyArray2, AnyArray3 = (ti.types.ndarray(ndim=n) for n in (2, 3))
     vec2, vec3, vec4, vec5, vec8 = (ti.types.vector(n, ti.f32) for n in (2, 3, 4, 5, 8))
-    ivec2 = ti.types.vector(2, ti.i32)
+    ivec2, ivec4 = (ti.types.vector(n, ti.i32) for n in (2, 4))
     mat3 = ti.types.matrix(3, 3, ti.f32)
     f32, i32, u1 = ti.f32, ti.i32, ti.u1
     Static = ti.template()  # known when the kernel is compiled

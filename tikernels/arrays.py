@@ -1,6 +1,6 @@
 """Types of the arrays that host functions take and return: NumPy's, or an ndarray of the kernel language."""
 
-from typing import Protocol, TypeAlias, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -30,7 +30,9 @@ Array: TypeAlias = npt.NDArray[E] | DeviceArray[E]
 F32: TypeAlias = Array[np.float32]
 I32: TypeAlias = Array[np.int32]
 U8: TypeAlias = Array[np.uint8]
+#: A plane of a frame as it was stored.
+Plane: TypeAlias = Array[np.uint8] | Array[np.uint16] | Array[np.float32]
 #: A mask: kernels take uint8; NumPy's bool is viewed as it.
 Mask: TypeAlias = Array[np.bool_] | Array[np.uint8]
 #: A frame in any element type that cameras and files give.
-LevelsImage: TypeAlias = Array[np.uint8] | Array[np.uint16] | Array[np.float32]
+LevelsImage: TypeAlias = npt.NDArray[np.uint8 | np.uint16 | np.float32] | DeviceArray[Any]

@@ -4,17 +4,23 @@ import contextlib
 import ctypes
 import os
 import sys
+import threading
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels._taichi import f32, i32, language, ti
+from tikernels.arrays import Array, DeviceArray, E
 from tikernels.errors import DeviceNotReady
 
 #: Every arch by name, in the order in which "auto" prefers them.
 ARCHS = ("cuda", "metal", "vulkan", "cpu")
+
+#: Kernels are launched by one thread at a time: held while a frame is decoded, and while results are read.
+lock = threading.RLock()
 
 _started: str | None = None
 
@@ -133,7 +139,7 @@ def vulkan_devices() -> list[VulkanDevice]:
         loader.vkDestroyInstance(instance, None)
 
 
-def empty(shape: tuple[int, ...], dtype: npt.DTypeLike) -> Any:
+def empty(shape: tuple[int, ...], dtype: type[E]) -> Array[E]:
     """Allocate a buffer where the kernels reach it fastest.
 
     On the CPU that is a NumPy array (the kernels write it in place, and handing it out costs no copy); on a GPU it is
@@ -141,29 +147,32 @@ def empty(shape: tuple[int, ...], dtype: npt.DTypeLike) -> Any:
     """
     if started() == "cpu":
         return np.empty(shape, dtype)
-    return ti.ndarray(_DEVICE_TYPES[np.dtype(dtype).name], shape)
+    buffer: DeviceArray[E] = ti.ndarray(_DEVICE_TYPES[np.dtype(dtype).name], shape)
+    return buffer
 
 
-def to_device(array: npt.NDArray[Any]) -> Any:
+def to_device(array: npt.NDArray[E]) -> Array[E]:
     """Return a NumPy array as a buffer where the kernels reach it fastest; itself on the CPU."""
     if started() == "cpu":
         return array
-    buffer = empty(array.shape, array.dtype)
+    buffer: DeviceArray[E] = ti.ndarray(_DEVICE_TYPES[array.dtype.name], array.shape)
     buffer.from_numpy(array)
     return buffer
 
 
-def to_host(buffer: Any) -> npt.NDArray[Any]:
+def to_host(buffer: Array[E]) -> npt.NDArray[E]:
     """Return a buffer as a NumPy array: itself on the CPU, a copy from a GPU."""  # synchronises
-    if isinstance(buffer, np.ndarray):
-        return buffer
-    host: npt.NDArray[Any] = buffer.to_numpy()
-    return host
+    return buffer if isinstance(buffer, np.ndarray) else buffer.to_numpy()
 
 
-def is_device_array(array: object) -> bool:
+def is_device_array(array: object) -> TypeGuard[DeviceArray[Any]]:
     """Whether this is an ndarray of the kernel language."""
     return isinstance(array, ti.Ndarray)
+
+
+def has_dtype(buffer: Any, dtypes: Sequence[type[np.generic]]) -> bool:
+    """Whether a device ndarray's element type is one of NumPy's."""
+    return any(_DEVICE_TYPES.get(dtype.__name__) == buffer.element_type for dtype in dtypes)
 
 
 def dtype_name(buffer: Any) -> str:

@@ -1,10 +1,12 @@
 """Turn rows into columns: every stage works on stripes along the rows, and vertical stripes are turned to it once."""
 
-from typing import Any
+import numpy as np
 
-from tikernels import runtime
-from tikernels._checks import dtype_name
+from tikernels import _checks
 from tikernels._taichi import AnyArray2, AnyArray3, ti
+from tikernels.arrays import Array, E
+
+_TYPES = (np.uint8, np.uint16, np.int32, np.float32)
 
 
 @ti.kernel
@@ -28,18 +30,37 @@ def transpose_color_kernel(
             out[y, x, k] = image[x, y, k]
 
 
-def transpose(image: Any, out: Any | None = None) -> Any:
-    """Return the image with rows and columns exchanged, in a buffer of the device if none is given.
+def transpose(image: Array[E], out: Array[E] | None = None) -> Array[E]:
+    """Return the image with rows and columns exchanged.
 
     Parameters
     ----------
-    image : (H, W) or (H, W, 3)
-        Any element type.
+    image : (H, W) or (H, W, 3) uint8, uint16, int32 or float32
+        Anything.
     out : (W, H) or (W, H, 3), optional
         The same element type.
+
+    Returns
+    -------
+    (W, H) or (W, H, 3)
+        The same element type, in a buffer of the device if none is given.
+
+    Raises
+    ------
+    ShapeError
+        The image has another shape or dtype, or `out` cannot be written.
+
+    Examples
+    --------
+    >>> import numpy as np, tikernels
+    >>> _ = tikernels.init("cpu")
+    >>> transpose(np.array([[1, 2, 3]], np.uint8)).tolist()
+    [[1], [2], [3]]
     """
-    if out is None:
-        out = runtime.empty((image.shape[1], image.shape[0], *image.shape[2:]), dtype_name(image))
-    kernel = transpose_kernel if len(image.shape) == 2 else transpose_color_kernel
+    colored = len(image.shape) == 3
+    image = _checks.read_array("image", image, (None, None, 3) if colored else (None, None), *_TYPES)
+    shape = (image.shape[1], image.shape[0], *image.shape[2:])
+    out = _checks.out_buffer("out", out, shape, _checks.element_type(image))
+    kernel = transpose_color_kernel if colored else transpose_kernel
     kernel(image, out)
     return out

@@ -4,7 +4,6 @@ import ctypes
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from math import ceil
-from threading import Thread
 from time import monotonic
 
 import numpy as np
@@ -12,7 +11,6 @@ import numpy as np
 from hardware.camera.aravis_library import load_aravis
 from hardware.camera.genicam import (
     FrameNumbers,
-    GenICamCamera,
     Value,
     buffers_for,
     choose,
@@ -21,6 +19,7 @@ from hardware.camera.genicam import (
     set_up,
     wait_until_ready,
 )
+from hardware.camera.opened_camera import OpenedCamera, let_go_within
 from hardware.errors import CameraError, RigError
 from hardware.protocols import CameraFrame, Identity
 from hardware.settings import CameraSettings
@@ -50,7 +49,7 @@ def list_aravis_cameras() -> list[Identity]:
     return [identity for _, identity in _found()]
 
 
-class AravisCamera(GenICamCamera):
+class AravisCamera(OpenedCamera):
     """A GigE Vision or USB3 Vision camera, opened and set up; the methods are those of `hardware.protocols.Camera`.
 
     Raises
@@ -90,7 +89,7 @@ class AravisCamera(GenICamCamera):
         self._temperature_c: float | None = None
 
     def arm(self, count: int | None) -> None:
-        """Get ready for so many triggers (None: until disarmed), queues empty; returns when it takes them."""
+        """Get ready for `count` triggers (None: until disarmed), queues empty; return when it takes them."""
         self.disarm()
         if not self._camera:
             raise CameraError(f"camera {self._identity.serial} is closed")
@@ -143,7 +142,7 @@ class AravisCamera(GenICamCamera):
             self._aravis.g_object_unref(stream)
 
     def close(self) -> None:
-        """Stop and let go of the camera; harmless twice, and never raises."""
+        """Stop and let go of the camera; idempotent, and never raises."""
         if not self._device:
             return
         stream, camera, device = self._stream, self._camera, self._device
@@ -157,9 +156,7 @@ class AravisCamera(GenICamCamera):
                 if instance:
                     self._aravis.g_object_unref(instance)
 
-        closing = Thread(target=let_go, name="close camera", daemon=True)
-        closing.start()
-        closing.join(_CLOSE_S)
+        let_go_within(_CLOSE_S, let_go)
 
     def _give(self, buffer: int) -> None:
         self._aravis.arv_buffer_set_frame_id(buffer, _NO_FRAME_ID)

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from math import ceil
-from threading import Thread
 from time import monotonic
 from typing import Any
 from warnings import catch_warnings, simplefilter
@@ -12,7 +11,6 @@ import numpy as np
 
 from hardware.camera.genicam import (
     FrameNumbers,
-    GenICamCamera,
     Value,
     buffers_for,
     choose,
@@ -22,6 +20,7 @@ from hardware.camera.genicam import (
     set_up,
     wait_until_ready,
 )
+from hardware.camera.opened_camera import OpenedCamera, let_go_within
 from hardware.errors import CameraError, RigError
 from hardware.protocols import CameraFrame, Identity
 from hardware.settings import CameraSettings
@@ -44,7 +43,7 @@ def list_basler_cameras() -> list[Identity]:
         return [_identity(info) for info in pylon.TlFactory.GetInstance().EnumerateDevices()]
 
 
-class BaslerCamera(GenICamCamera):
+class BaslerCamera(OpenedCamera):
     """A Basler camera, opened and set up; the methods are those of `hardware.protocols.Camera`.
 
     Raises
@@ -84,7 +83,7 @@ class BaslerCamera(GenICamCamera):
         self._temperature_c: float | None = None
 
     def arm(self, count: int | None) -> None:
-        """Get ready for so many triggers (None: until disarmed), queues empty; returns when it takes them."""
+        """Get ready for `count` triggers (None: until disarmed), queues empty; return when it takes them."""
         if not self._open:  # its features are gone, and asking them crashes
             raise CameraError(f"camera {self._identity.serial} is closed")
         self.disarm()
@@ -128,7 +127,7 @@ class BaslerCamera(GenICamCamera):
                 self._camera.StopGrabbing()
 
     def close(self) -> None:
-        """Stop and let go of the camera; harmless twice, and never raises."""
+        """Stop and let go of the camera; idempotent, and never raises."""
         if not self._open:
             return
         self._open = False
@@ -140,9 +139,7 @@ class BaslerCamera(GenICamCamera):
                 except self._genicam.GenericException:
                     pass  # it is gone, or was never begun: there is nothing left to let go of
 
-        closing = Thread(target=let_go, name="close camera", daemon=True)
-        closing.start()
-        closing.join(_CLOSE_S)
+        let_go_within(_CLOSE_S, let_go)
 
     def _frame_of(self, result: Any, host_time_s: float) -> CameraFrame:
         block, ticks = result.BlockID, result.TimeStamp

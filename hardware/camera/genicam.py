@@ -9,7 +9,6 @@ import re
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from math import lcm
 from typing import Literal, Protocol
 
@@ -17,8 +16,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from hardware.camera.opened_camera import Setup
 from hardware.errors import CameraError, RigError
-from hardware.protocols import CameraLimits, FrameFormat, Identity, Levels
+from hardware.protocols import CameraLimits, FrameFormat, Levels
 from hardware.settings import CameraSettings
 
 Value = str | float | int | bool
@@ -51,43 +51,6 @@ class Features(Protocol):
 
     def step(self, name: str) -> int:
         """Return the step of an integer."""
-
-
-@dataclass(frozen=True)
-class Setup:
-    """A camera as it was set up and read back."""
-
-    limits: CameraLimits
-    exposure_s: float
-    unlocked: tuple[str, ...]
-    swapped: bool  # blue comes first
-
-
-class GenICamCamera:
-    """What is alike in every GenICam camera once it is set up."""
-
-    _identity: Identity
-    _setup: Setup
-
-    @property
-    def identity(self) -> Identity:
-        """What was found when it was opened."""
-        return self._identity
-
-    @property
-    def limits(self) -> CameraLimits:
-        """What it can do as it is set up."""
-        return self._setup.limits
-
-    @property
-    def exposure_s(self) -> float:
-        """The exposure as read back."""
-        return self._setup.exposure_s
-
-    @property
-    def unlocked(self) -> tuple[str, ...]:
-        """What it may still change by itself, or what could not be read back, a sentence each."""
-        return self._setup.unlocked
 
 
 #: What changes levels or geometry by itself or behind one's back: the feature, what it must be, and what it would do.

@@ -18,6 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from hardware.camera.opened_camera import OpenedCamera, Setup
 from hardware.errors import CameraError, RigError
 from hardware.protocols import CameraFrame, CameraLimits, FrameFormat, Identity
 from hardware.settings import CameraSettings
@@ -52,13 +53,13 @@ def list_webcams() -> list[Identity]:
     found = []
     for folder in sorted(Path("/sys/class/video4linux").glob("video*"), key=lambda path: (len(path.name), path.name)):
         with suppress(OSError):  # it is being unplugged
-            # One camera has several devices, of which the first one gives pictures.
+            # One camera has several devices, of which the first one gives frames.
             if (folder / "index").read_text().strip() == "0":
                 found.append(Identity("", (folder / "name").read_text().strip(), folder.name.removeprefix("video")))
     return found
 
 
-class OpenCVCamera:
+class OpenCVCamera(OpenedCamera):
     """A webcam, opened and as far as it allows set up; the methods are those of `hardware.protocols.Camera`.
 
     Raises
@@ -83,10 +84,10 @@ class OpenCVCamera:
         if not number.isdecimal() or int(number) >= 2**31:  # it takes no larger ones
             raise RigError(f"serial is {number}: a webcam goes by its number, as 0")
         with _quiet():
-            self._capture = cv2.VideoCapture(int(number))
-        if not self._capture.isOpened():
+            self._webcam = cv2.VideoCapture(int(number))
+        if not self._webcam.isOpened():
             raise CameraError(f"webcam {number} is not there, or in use: `colorphase devices` lists webcams")
-        self._identity = Identity("OpenCV", self._capture.getBackendName(), number)
+        self._identity = Identity("OpenCV", self._webcam.getBackendName(), number)
         self._requests: Queue[_Request | None] = Queue()
         self._frames: Queue[tuple[_Request, CameraFrame | None]] = Queue()
         self._burst = 0
@@ -96,8 +97,8 @@ class OpenCVCamera:
         self._worker = Thread(target=self._work, name="webcam", daemon=True)
         self._worker.start()
         try:
-            self._unlocked, self._exposure_s = _set_up(self._capture, settings)
-            self._stale = _queue_length(self._capture) + _IN_FLIGHT
+            unlocked, exposure_s = _set_up(self._webcam, settings)
+            self._stale = _queue_length(self._webcam) + _IN_FLIGHT
             size_px, period_s = self._measure()
         except BaseException:
             self.close()
@@ -105,36 +106,17 @@ class OpenCVCamera:
         if settings.size_px is not None and settings.size_px != size_px:
             self.close()
             raise RigError(f"size_px is {settings.size_px}: this webcam gives {size_px}; take that, or leave it out")
-        self._limits = CameraLimits(
+        limits = CameraLimits(
             size_px=size_px,
             format=FrameFormat("rgb"),
             exposure_s=(0.0, period_s),
             min_period_s=(self._stale + 1) * period_s,
             triggered=False,
         )
-
-    @property
-    def identity(self) -> Identity:
-        """What was found when it was opened."""
-        return self._identity
-
-    @property
-    def limits(self) -> CameraLimits:
-        """What it was seen to do when it was opened."""
-        return self._limits
-
-    @property
-    def exposure_s(self) -> float:
-        """The exposure as read back, where it can be."""
-        return self._exposure_s
-
-    @property
-    def unlocked(self) -> tuple[str, ...]:
-        """What it may still change by itself, or what could not be read back, a sentence each."""
-        return self._unlocked
+        self._setup = Setup(limits, exposure_s, unlocked)
 
     def arm(self, count: int | None) -> None:
-        """Get ready for so many triggers (None: until disarmed), queues empty; returns when it takes them."""
+        """Get ready for `count` triggers (None: until disarmed), queues empty; return when it takes them."""
         if self._closed:
             raise CameraError(f"webcam {self._identity.serial} is closed")
         self.disarm()
@@ -166,7 +148,7 @@ class OpenCVCamera:
         self._burst += 1
 
     def close(self) -> None:
-        """Stop and let go of the camera; harmless twice, and never raises."""
+        """Stop and let go of the camera; idempotent, and never raises."""
         self.disarm()
         if not self._closed:
             self._closed = True
@@ -177,13 +159,13 @@ class OpenCVCamera:
         while (request := self._requests.get()) is not None:
             if request.burst == self._burst:
                 self._frames.put((request, self._take(request)))
-        self._capture.release()
+        self._webcam.release()
 
     def _take(self, request: _Request) -> CameraFrame | None:
         for _ in range(request.stale):
-            if not self._capture.grab():
+            if not self._webcam.grab():
                 return None
-        taken, image = self._capture.read()
+        taken, image = self._webcam.read()
         host_time_s = monotonic()
         if not taken:
             return None
@@ -204,18 +186,18 @@ class OpenCVCamera:
         return (width, height), (last.host_time_s - first.host_time_s) / _MEASURED_FRAMES
 
 
-def _set_up(capture: Any, settings: CameraSettings) -> tuple[tuple[str, ...], float]:
+def _set_up(webcam: Any, settings: CameraSettings) -> tuple[tuple[str, ...], float]:
     """Switch off what can be; return what cannot be relied on, and the exposure."""
     unlocked = [
         "a webcam's driver may change exposure, gain, colours and sharpness whatever it says: use it for trials only",
         'its levels are probably not proportional to light: decode its frames with transfer = "srgb"',
     ]
     if settings.size_px is not None:
-        capture.set(cv2.CAP_PROP_FRAME_WIDTH, settings.size_px[0])
-        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, settings.size_px[1])
-    capture.set(cv2.CAP_PROP_CONVERT_RGB, 1)
-    capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-    on_linux = capture.getBackendName() == "V4L2"
+        webcam.set(cv2.CAP_PROP_FRAME_WIDTH, settings.size_px[0])
+        webcam.set(cv2.CAP_PROP_FRAME_HEIGHT, settings.size_px[1])
+    webcam.set(cv2.CAP_PROP_CONVERT_RGB, 1)
+    webcam.set(cv2.CAP_PROP_BUFFERSIZE, 1)
+    on_linux = webcam.getBackendName() == "V4L2"
     fixed = {
         # Video4Linux calls manual exposure 1; the others take 0 for "not automatic".
         "automatic exposure": (cv2.CAP_PROP_AUTO_EXPOSURE, 1 if on_linux else 0),
@@ -227,12 +209,12 @@ def _set_up(capture: Any, settings: CameraSettings) -> tuple[tuple[str, ...], fl
         "sharpening": (cv2.CAP_PROP_SHARPNESS, 0),
     }
     for what, (code, value) in fixed.items():
-        capture.set(code, value)
-        if capture.get(code) != value:
+        webcam.set(code, value)
+        if webcam.get(code) != value:
             unlocked.append(f"its {what} cannot be fixed, or not be read back: look for it in the webcam's own program")
     # Video4Linux counts in 100 us; the others in powers of two of a second.
-    capture.set(cv2.CAP_PROP_EXPOSURE, settings.exposure_s / 1e-4 if on_linux else round(log2(settings.exposure_s)))
-    found = capture.get(cv2.CAP_PROP_EXPOSURE)
+    webcam.set(cv2.CAP_PROP_EXPOSURE, settings.exposure_s / 1e-4 if on_linux else round(log2(settings.exposure_s)))
+    found = webcam.get(cv2.CAP_PROP_EXPOSURE)
     exposure_s = found * 1e-4 if on_linux else 2.0**found
     if abs(exposure_s - settings.exposure_s) > 0.5 * settings.exposure_s or (on_linux and found <= 0):
         unlocked.append(f"its exposure cannot be read back, {settings.exposure_s:g} s is only what was asked for")
@@ -240,9 +222,9 @@ def _set_up(capture: Any, settings: CameraSettings) -> tuple[tuple[str, ...], fl
     return tuple(unlocked), exposure_s
 
 
-def _queue_length(capture: Any) -> int:
+def _queue_length(webcam: Any) -> int:
     """Return how many frames may lie in the driver: as many as it could, where it does not say."""
-    said = capture.get(cv2.CAP_PROP_BUFFERSIZE)
+    said = webcam.get(cv2.CAP_PROP_BUFFERSIZE)
     return _USUAL_QUEUE if 1 <= said <= _USUAL_QUEUE else _LONGEST_QUEUE
 
 

@@ -16,8 +16,9 @@ from dataclasses import dataclass
 
 from hardware.errors import ProjectorError
 from hardware.link import Link
-from hardware.projector.switching import switch_power
+from hardware.projector.switching import port_of, switch_power
 from hardware.protocols import Identity, PowerState, ProjectorStatus
+from hardware.settings import ProjectorSettings
 
 PAUSE_S = 3.0
 ANSWER_S = 3.0
@@ -146,3 +147,8 @@ class InFocus:
         self._link.settle(0.02)  # what came late is no answer to this
         self._link.send(f"({command}")
         self._last_s = time.monotonic()
+
+
+def open_infocus(settings: ProjectorSettings) -> InFocus:
+    """Connect to the projector that a rig's settings name."""
+    return InFocus(port_of(settings, "/dev/ttyUSB0"), settings.baud)

@@ -14,8 +14,9 @@ from contextlib import contextmanager
 from urllib.parse import urlsplit
 
 from hardware.errors import ProjectorError
-from hardware.projector.switching import switch_power
+from hardware.projector.switching import port_of, switch_power
 from hardware.protocols import Identity, PowerState, ProjectorStatus
+from hardware.settings import ProjectorSettings
 
 #: The standard leaves a projector two seconds; some take longer while they warm up.
 ANSWER_S = 5.0
@@ -143,6 +144,11 @@ class PJLink:
             yield session
         finally:
             session.close()
+
+
+def open_pjlink(settings: ProjectorSettings) -> PJLink:
+    """Connect to the projector that a rig's settings name."""
+    return PJLink(port_of(settings, "socket://10.0.0.6:4352"), settings.password)
 
 
 class _Session:

@@ -1,10 +1,11 @@
-"""Switch a projector on or off, which takes it minutes."""
+"""What is alike in all projectors: they need a port, and take minutes to switch on or off."""
 
 import time
 from collections.abc import Callable
 
-from hardware.errors import ProjectorError
+from hardware.errors import ProjectorError, RigError
 from hardware.protocols import PowerState
+from hardware.settings import ProjectorSettings
 
 #: Lamps take up to a minute and a half to light and two to cool, and one that was just switched off does both.
 DEADLINE_S = 240.0
@@ -46,3 +47,16 @@ def switch_power(
             taken = command()
         tell(now if taken and now is not None else f"waiting to switch it {wanted}")
         time.sleep(POLL_S)
+
+
+def port_of(settings: ProjectorSettings, example: str) -> str:
+    """Return where the projector is.
+
+    Raises
+    ------
+    RigError
+        The settings do not say.
+    """
+    if settings.port is None:
+        raise RigError(f'projector.port is missing: write where it is connected, as port = "{example}"')
+    return settings.port

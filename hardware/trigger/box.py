@@ -1,7 +1,7 @@
 """Our own trigger box: an ATmega328P with the firmware in `hardware/firmware`; its protocol is in docs/trigger_box.md.
 
 Every request carries a number, which its answer repeats, and both carry a CRC-8: an answer that comes too late, or is
-damaged, is never taken for another one.
+damaged, is never mistaken for another one.
 """
 
 import time
@@ -16,6 +16,8 @@ from hardware.errors import TriggerError
 from hardware.link import Link
 from hardware.protocols import Identity, Strobe, TriggerStatus
 from hardware.pulses import PulseTrain, TriggerLimits, fitted
+from hardware.settings import TriggerSettings
+from hardware.trigger.port_trigger import PortTrigger, open_port, refuse_outputs
 
 NAME = "colorphase-trigger-box"
 PROTOCOL = "1"
@@ -35,10 +37,10 @@ LOG_ANSWERS = 4
 #: An endless burst is not remembered for ever: the last hour at 30 Hz.
 REMEMBERED = 108_000
 
-#: Clocks are compared over so long at least: an answer's delay, unknown by a millisecond, is 100 ppm of it.
+#: Clocks are compared over this time at least: an answer's delay, unknown by a millisecond, is 100 ppm of it.
 CLOCK_S = 10.0
 CLOCK_SAMPLES = 100
-#: Answers that took so many times as long as the fastest one were held up on their way, and tell no time.
+#: Answers that took this many times as long as the fastest one were held up on their way, and tell no time.
 SLOW = 1.5
 
 CAUSES = {
@@ -109,7 +111,7 @@ class _Answer:
         )
 
 
-class TriggerBox:
+class TriggerBox(PortTrigger):
     """The trigger box.
 
     It remembers 128 exposures; of longer bursts `status` reads them out while they run. The box stops a burst when it
@@ -145,16 +147,6 @@ class TriggerBox:
         self._clock: deque[tuple[float, float, int]] = deque(maxlen=CLOCK_SAMPLES)  # asked and answered at, s; tick
         self._identity = self._identified()
         self._limits = self._asked_limits()
-
-    @property
-    def identity(self) -> Identity:
-        """What was found when it was opened."""
-        return self._identity
-
-    @property
-    def limits(self) -> TriggerLimits:
-        """What it can do."""
-        return self._limits
 
     def configure(self, train: PulseTrain) -> PulseTrain:
         """Set the burst up, outputs low; return it as it will be, rounded to the tick of 0.5 us."""
@@ -261,12 +253,6 @@ class TriggerBox:
         self._deadline_s = None
         self._ask("STOP")
 
-    def close(self) -> None:
-        """Stop and let go of the port."""
-        with suppress(TriggerError):
-            self.abort()
-        self._link.close()
-
     def _complaints(self, said: _Answer) -> list[str]:
         """Return what a status says that is wrong."""
         complaints = []
@@ -301,7 +287,7 @@ class TriggerBox:
             )
 
     def _read_log(self, strobes: int, answers: int) -> None:
-        """Read exposures that were not read yet, in so many answers at most; more than that many may come meanwhile."""
+        """Read exposures that were not read yet, in at most `answers` answers; more exposures may come meanwhile."""
         while self._logged < strobes and answers > 0:
             said = self._ask(f"LOG {self._logged}")
             entries = said.pairs()
@@ -379,6 +365,13 @@ class TriggerBox:
             if number == "?":
                 raise _Lost(f"{self._link.url}: the trigger box could not read {command!r}: look at its cable")
         raise _Lost(f"{self._link.url}: the trigger box does not answer {command!r}{heard}: is it still on?", heard)
+
+
+def open_box(settings: TriggerSettings) -> TriggerBox:
+    """Open the one that a rig's settings name."""
+    refuse_outputs(settings)
+    wired_back = {"strobe": settings.strobe, "vsync": settings.vsync is not None}
+    return open_port(settings, (BAUD,), b"\n", lambda link: TriggerBox(link, **wired_back))
 
 
 def clock_ppm(samples: Sequence[tuple[float, float, int]], tick_s: float) -> float | None:

@@ -5,13 +5,14 @@ queue. The burst is started by a single shot; its end, and what went wrong in it
 """
 
 import time
-from contextlib import suppress
 
 from hardware.errors import TriggerError
 from hardware.link import Link
-from hardware.protocols import Identity, Strobe, TriggerStatus
+from hardware.protocols import TriggerStatus
 from hardware.pulses import PulseTrain, TriggerLimits, fitted
+from hardware.settings import TriggerSettings
 from hardware.trigger._dialogue import Dialogue
+from hardware.trigger.port_trigger import PortTrigger, open_port, refuse_inputs, refuse_outputs
 
 TERMINATOR = b"\n"
 BAUDS = (9600, 115200, 57600, 38400, 19200, 4800)
@@ -67,7 +68,7 @@ COMPLAINTS = {
 STOPPED_S = 1.0  # how long it may take to stop
 
 
-class DG645:
+class DG645(PortTrigger):
     """A Stanford DG645.
 
     Parameters
@@ -82,7 +83,9 @@ class DG645:
     """
 
     def __init__(self, link: Link) -> None:
+        self._link = link
         self._dialogue = Dialogue(link, NAME, "Stanford DG645")
+        self._identity, self._limits = self._dialogue.identity, LIMITS
         self._train: PulseTrain | None = None
         self._fired = False
         self._boot = 1
@@ -90,16 +93,6 @@ class DG645:
         self._complaints: list[str] = []
         link.send("*CLS")
         self._errors()
-
-    @property
-    def identity(self) -> Identity:
-        """What was found when it was opened."""
-        return self._dialogue.identity
-
-    @property
-    def limits(self) -> TriggerLimits:
-        """What it can do."""
-        return LIMITS
 
     def configure(self, train: PulseTrain) -> PulseTrain:
         """Set the burst up; return it as it will be. The levels of the outputs stay as they are."""
@@ -123,14 +116,14 @@ class DG645:
     def fire(self) -> None:
         """Start the burst."""
         self._fired = True
-        self._dialogue.link.send("*TRG")
+        self._link.send("*TRG")
         try:
             refused = self._errors()
         except TriggerError:  # it may run or not: its registers tell
             self._complaints.append("the DG645 did not confirm that it started")
             return
         if refused:
-            raise TriggerError(f"{self._dialogue.link.url}: the DG645 refuses to start: {refused}")
+            raise TriggerError(f"{self._link.url}: the DG645 refuses to start: {refused}")
 
     def status(self) -> TriggerStatus:
         """Return what its registers tell."""
@@ -140,27 +133,17 @@ class DG645:
             complaints.append("the DG645 did not come to the end of a burst: it did not start, or was stopped")
         return TriggerStatus(running, boot=self._boot, complaints=tuple(complaints))
 
-    def strobes(self) -> tuple[Strobe, ...]:
-        """Return nothing: it sees no exposures."""
-        return ()
-
     def abort(self) -> None:
         """Stop, outputs low."""
         self._fired = False
         if not self._read_registers():
             return
         for command in ("TSRC 5", "BURM 0", "DLAY 2,0,0"):  # another delay ends the cycle that is under way
-            self._dialogue.link.send(command)
+            self._link.send(command)
         deadline = time.monotonic() + STOPPED_S
         while self._read_registers():
             if time.monotonic() >= deadline:
-                raise TriggerError(f"{self._dialogue.link.url}: the DG645 does not stop: switch it off")
-
-    def close(self) -> None:
-        """Stop and let go of the port."""
-        with suppress(TriggerError):
-            self.abort()
-        self._dialogue.link.close()
+                raise TriggerError(f"{self._link.url}: the DG645 does not stop: switch it off")
 
     def _set(self, train: PulseTrain) -> None:
         """Set whatever is not as the train needs it."""
@@ -190,10 +173,10 @@ class DG645:
                 continue
             name, _, index = setting.partition(" ")
             command = f"{name} " + ",".join([*index.split(), *map(_written, values)])
-            self._dialogue.link.send(command)
+            self._link.send(command)
             if not self._holds(setting, values):
                 reason = self._errors() or "it does not say why"
-                raise TriggerError(f"{self._dialogue.link.url}: the DG645 does not take {command!r}: {reason}")
+                raise TriggerError(f"{self._link.url}: the DG645 does not take {command!r}: {reason}")
 
     def _holds(self, setting: str, values: tuple[float, ...]) -> bool:
         """Return whether the instrument answers the values that it should."""
@@ -226,3 +209,10 @@ class DG645:
 
 def _written(value: float) -> str:
     return str(value) if isinstance(value, int) else f"{value:.9f}"
+
+
+def open_dg645(settings: TriggerSettings) -> DG645:
+    """Open the one that a rig's settings name."""
+    refuse_outputs(settings)
+    refuse_inputs(settings)
+    return open_port(settings, BAUDS, TERMINATOR, DG645)

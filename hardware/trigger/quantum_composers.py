@@ -5,13 +5,14 @@ both outputs are tied; switching T0 on starts it. Not every model says how many 
 """
 
 import time
-from contextlib import suppress
 
 from hardware.errors import RigError, TriggerError
 from hardware.link import Link
-from hardware.protocols import Identity, Strobe, TriggerStatus
+from hardware.protocols import TriggerStatus
 from hardware.pulses import Pulse, PulseTrain, TriggerLimits, fitted
+from hardware.settings import TriggerSettings
 from hardware.trigger._dialogue import Dialogue
+from hardware.trigger.port_trigger import PortTrigger, chosen_outputs, open_port, refuse_inputs
 
 TERMINATOR = b"\r\n"
 BAUDS = (38400, 115200, 9600, 19200, 57600, 4800)
@@ -50,7 +51,7 @@ REFUSAL = r"\?\d.*"
 CLOCKS = 1e-3
 
 
-class QuantumComposers:
+class QuantumComposers(PortTrigger):
     """A pulse generator of Quantum Composers or Berkeley Nucleonics.
 
     Parameters
@@ -70,20 +71,12 @@ class QuantumComposers:
         if projector_output == camera_output:
             raise RigError(f"projector and camera are both at output {camera_output}: give each its own")
         self._outputs = ("ABCD".index(projector_output) + 1, "ABCD".index(camera_output) + 1)
+        self._link = link
         self._dialogue = Dialogue(link, NAME, "Quantum Composers or BNC pulse generator")
+        self._identity, self._limits = self._dialogue.identity, LIMITS
         self._train: PulseTrain | None = None
         self._fired_s: float | None = None  # None: nothing was fired, or its end was seen
         self._complaints: list[str] = []
-
-    @property
-    def identity(self) -> Identity:
-        """What was found when it was opened."""
-        return self._dialogue.identity
-
-    @property
-    def limits(self) -> TriggerLimits:
-        """What it can do."""
-        return LIMITS
 
     def configure(self, train: PulseTrain) -> PulseTrain:
         """Reset it and set the burst up; return it as it will be."""
@@ -129,20 +122,10 @@ class QuantumComposers:
                 )
         return TriggerStatus(running, complaints=tuple(self._complaints))
 
-    def strobes(self) -> tuple[Strobe, ...]:
-        """Return nothing: it sees no exposures."""
-        return ()
-
     def abort(self) -> None:
         """Stop, outputs low."""
         self._fired_s = None
         self._tell(":PULS0:STATE 0")
-
-    def close(self) -> None:
-        """Stop and let go of the port."""
-        with suppress(TriggerError):
-            self.abort()
-        self._dialogue.link.close()
 
     def _set(self, train: PulseTrain) -> None:
         """Set whatever is not as the train needs it."""
@@ -159,7 +142,7 @@ class QuantumComposers:
             self._tell(f"{keyword} {value}")
             if not _means(kept := self._asked(keyword), value):
                 raise TriggerError(
-                    f"{self._dialogue.link.url}: the pulse generator took {keyword} {value} as {kept}: is the output "
+                    f"{self._link.url}: the pulse generator took {keyword} {value} as {kept}: is the output "
                     "there, and does the model have that range?"
                 )
 
@@ -174,9 +157,13 @@ class QuantumComposers:
     def _check(self, command: str, said: str) -> None:
         if said.startswith("?"):
             reason = ERRORS.get(said[1:], "an error that its manual does not list")
-            raise TriggerError(
-                f"{self._dialogue.link.url}: the {self.identity.model} refuses {command!r}: {reason} ({said})"
-            )
+            raise TriggerError(f"{self._link.url}: the {self.identity.model} refuses {command!r}: {reason} ({said})")
+
+
+def open_quantum_composers(settings: TriggerSettings) -> QuantumComposers:
+    """Open the one that a rig's settings name."""
+    refuse_inputs(settings)
+    return open_port(settings, BAUDS, TERMINATOR, lambda link: QuantumComposers(link, **chosen_outputs(settings)))
 
 
 def _channel_settings(channel: int, pulse: Pulse) -> dict[str, str]:

@@ -2,6 +2,6 @@
 
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.acquisition.rig_file import read_rig
-from pipeline.acquisition.session import capture
+from pipeline.acquisition.session import capture_bursts
 
-__all__ = ["LiveDecoder", "capture", "read_rig"]
+__all__ = ["LiveDecoder", "capture_bursts", "read_rig"]

@@ -8,35 +8,37 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
-from pipeline.footage.source import StoredAs, StoredFrame
-from pipeline.footage.sources import Source, open_source
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import Source, StoredAs, StoredFrame
+from pipeline.models import ImageArray
 from pipeline.output.store import ResultStore, result_attributes
 from pipeline.settings import DecodeSettings
+from tikernels.arrays import LevelsImage
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
-#: So many frames lean on each other, the first of them on none: what is missing of them is decoded from there.
+#: Frames a chain. In a chain each frame is decoded with the one before, the first one without: so a missing frame is
+#: decoded anew from the beginning of its chain.
 CHAIN_FRAMES = 64
-# So many frames, evenly spaced, are asked for the light before nothing is taken to be known of it.
+# Frames, evenly spaced, that are asked for the light before it counts as unknown.
 _MOST_ASKED = 64
 
 
 @dataclass(frozen=True)
-class Region:
-    """The part of every frame that is decoded, px."""
+class Crop:
+    """The part of every frame that is decoded, px: a region of interest."""
 
     x: int
     y: int
     width: int
     height: int
 
-    def of(self, planes: tuple[npt.NDArray[Any], ...], format: PixelFormat) -> tuple[npt.NDArray[Any], ...]:
+    def of(self, planes: tuple[ImageArray, ...], format: PixelFormat) -> tuple[ImageArray, ...]:
         """Return this part of a frame's planes, as views."""
         cut = []
         for plane, chroma in zip(planes, (False, True, True), strict=False):
@@ -54,7 +56,7 @@ class Region:
         Raises
         ------
         SettingsError
-            It sticks out of the frame, or begins between the samples of a color.
+            It sticks out of the frame, or begins between the samples of a colour.
         """
         width, height = size_px
         if min(self.x, self.y) < 0 or self.x + self.width > width or self.y + self.height > height:
@@ -78,9 +80,9 @@ class Job:
     says: StoredAs
     settings: DecodeSettings
     calibration: Calibration | None  # of the whole frame
-    region: Region | None
-    step: int  # every so many frames ...
-    first: int  # ... from this one on, below the step
+    crop: Crop | None
+    step: int  # from one frame that is decoded to the next
+    first: int  # the first frame that is decoded, below the step
     fields: tuple[str, ...]
     store: str
     arch: str
@@ -99,13 +101,13 @@ class Job:
             if expected != source.size_px:
                 here, there = ("x".join(map(str, size)) for size in (source.size_px, expected))
                 raise CalibrationError(f"{source.name} is {here} but the calibration is for {there}: recalibrate")
-        if self.region is not None:
-            self.region.check(source.size_px, source.format)
+        if self.crop is not None:
+            self.crop.check(source.size_px, source.format)
         return source
 
     def size_px(self, source: Source) -> tuple[int, int]:
         """Return width and height of what is decoded of a frame."""
-        return source.size_px if self.region is None else (self.region.width, self.region.height)
+        return source.size_px if self.crop is None else (self.crop.width, self.crop.height)
 
     def with_transfer_of(self, source: Source) -> "Job":
         """Return the same with the light as the container says that it is encoded, where nobody knows better."""
@@ -126,7 +128,7 @@ class Job:
                 "stored_as": asdict(source.format),
                 "first_frame_sha256": _fingerprint(source),
             },
-            "region_of_interest": None if self.region is None else asdict(self.region),
+            "region_of_interest": None if self.crop is None else asdict(self.crop),
             "step": self.step,
             "first": self.first,
             "chain_frames": CHAIN_FRAMES,
@@ -146,15 +148,16 @@ class Job:
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
         calibration = self.calibration
-        if calibration is not None and self.region is not None:
-            size_px = (self.region.width, self.region.height)
-            calibration = calibration.cropped(self.region.x, self.region.y, size_px)
+        if calibration is not None and self.crop is not None:
+            size_px = (self.crop.width, self.crop.height)
+            calibration = calibration.cropped(self.crop.x, self.crop.y, size_px)
         return Decoder(self.settings, calibration, arch=self.arch)
 
-    def develop(self, stored: StoredFrame, out: Any | None) -> Any:
+    def develop(self, stored: StoredFrame, out: LevelsImage | None) -> LevelsImage:
         """Return what is decoded of a frame, as RGB, in a buffer that can be handed in as `out` again."""
-        planes = stored.planes if self.region is None else self.region.of(stored.planes, stored.format)
-        return develop(planes, stored.format, stripes=self.settings.stripes, out=out)
+        planes = stored.planes if self.crop is None else self.crop.of(stored.planes, stored.format)
+        image: LevelsImage = develop(planes, stored.format, stripes=self.settings.stripes, out=out)
+        return image
 
     def learn_light(self, source: Source) -> tuple[LightEstimate | None, tuple[str, ...]]:
         """Ask the footage for its light, where neither settings nor calibration say anything of it.
@@ -201,7 +204,7 @@ def chains(wanted: range, missing: set[int]) -> Iterator[tuple[range, frozenset[
         yield range(first + chain * length, numbers[-1] + 1, step), frozenset(numbers)
 
 
-def runs(ranges: Sequence[range]) -> Iterator[range]:
+def join_ranges(ranges: Sequence[range]) -> Iterator[range]:
     """Join ranges that follow on each other, so that footage is read in one go."""
     joined: range | None = None
     for following in ranges:

@@ -9,20 +9,20 @@ from queue import Empty, Queue
 from threading import Event, Thread
 from typing import Any
 
-from pipeline.batch.job import Job, runs
+from pipeline.batch.job import Job, join_ranges
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, FootageError, OutputError
-from pipeline.footage.source import BadFrame, StoredFrame
-from pipeline.footage.sources import Source
+from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
 from pipeline.output.store import read_attributes
 from tikernels import runtime
 
-# Frames read ahead, and results in hand: being decoded, the one before, and one for each thread that writes. Those
-# mostly wait for the interpreter, which kernels keep to themselves while they run: with four of them storing all fields
-# was 5 % faster than with two.
+# Frames read ahead; more of them only take memory.
 _AHEAD = 4
+# Threads that write results. They mostly wait for the interpreter, which kernels keep to themselves while they run:
+# with four, storing all fields was 5 % faster than with two.
 _WRITERS = 4
+# Results in hand: the one being decoded, the one before, and one for each thread that writes.
 _RESULTS = 2 + _WRITERS
 
 
@@ -34,7 +34,7 @@ class GoodFrame:
     warnings: tuple[str, ...]
 
 
-Report = GoodFrame | BadFrame
+Outcome = GoodFrame | BadFrame
 Chain = tuple[range, frozenset[int]]
 
 
@@ -65,13 +65,14 @@ class Worker:
         self._image = runtime.empty((height, width, 3), self._source.format.rgb_dtype)
         self._results = [_Result() for _ in range(_RESULTS)]
 
-    def decode(self, todo: Sequence[Chain], tell: Callable[[Report], None]) -> None:
+    def decode(self, todo: Sequence[Chain], tell: Callable[[Outcome], None]) -> None:
         """Decode ranges of frames, each by itself, and store those that are missing.
 
         Parameters
         ----------
         todo : sequence of (range, frozenset)
-            Which frames lean on each other, and which of them are to be stored; see `chains`.
+            The chains: frames of which each is decoded with the one before, and which of them are to be stored; see
+            `chains`.
         tell : callable
             Told of every stored and every bad frame, of a bad one sooner than of those that are still being written.
 
@@ -85,7 +86,7 @@ class Worker:
         previous: DecodedFrame | None = None
         turn = 0
         with (
-            _read_ahead(self._source, list(runs([numbers for numbers, _ in todo]))) as frames,
+            _read_ahead(self._source, list(join_ranges([numbers for numbers, _ in todo]))) as frames,
             ThreadPoolExecutor(_WRITERS, "write") as writers,
             warnings.catch_warnings(),
         ):
@@ -133,11 +134,18 @@ class _Result:
     number: int = 0
     written: "Future[None] | None" = None
 
-    def finish(self, tell: Callable[[Report], None]) -> None:
+    def finish(self, tell: Callable[[Outcome], None]) -> None:
         if self.written is not None and self.frame is not None:
             self.written.result()
             self.written = None
             tell(GoodFrame(self.number, self.frame.warnings))
+
+
+def _frames_of(source: Source, ranges: Sequence[range]) -> Frames:
+    """Yield the frames of one range of numbers after another."""
+    for numbers in ranges:
+        with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
+            yield from frames
 
 
 @contextmanager
@@ -148,12 +156,11 @@ def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[St
 
     def run() -> None:
         try:
-            for numbers in ranges:
-                with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
-                    for frame in frames:
-                        read.put(frame)
-                        if stopped.is_set():
-                            return
+            with closing(_frames_of(source, ranges)) as frames:
+                for frame in frames:
+                    read.put(frame)
+                    if stopped.is_set():
+                        return
             read.put(None)
         except BaseException as error:
             read.put(error)  # raised where the frames are waited for

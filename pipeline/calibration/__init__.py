@@ -1,8 +1,7 @@
-"""Measure a rig, keep what was measured, and check it later."""
+"""Measure a rig: its lenses, where they stand, and its light; and keep what was measured."""
 
 from pipeline.calibration.model import (
     Calibration,
-    Capture,
     ColorShift,
     Geometry,
     Lens,
@@ -10,4 +9,4 @@ from pipeline.calibration.model import (
     Uncertainty,
 )
 
-__all__ = ["Calibration", "Capture", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
+__all__ = ["Calibration", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]

@@ -10,22 +10,23 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.calibration.model import Calibration
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
-from pipeline.footage.image_file import read_picture
-from pipeline.models import Model
+from pipeline.footage.image_file import read_image
+from pipeline.models import ImageArray, Model
 from tikernels.raw.linearization import WHITE_LEVELS
-
-Picture = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 
 #: What a sequence is called in its folder.
 SEQUENCE_FILE = "sequence.json"
 _SUFFIXES = (".png", ".tif", ".tiff")
-# Full scales of cameras whose 10, 12 or 14 bits come in 16-bit files.
+# Full scales, levels, of cameras whose 10, 12 or 14 bits come in 16-bit files.
 _PART_SCALES = (2**10 - 1, 2**12 - 1, 2**14 - 1)
+#: What to say where the camera's part of a calibration is the projector's.
+SWAPPED = "camera and projector are swapped in the calibration: calibrate geometry again"
 
 
-class Sequence(Model):
+class PictureSequence(Model):
     """What is projected, in order; ``sequence.json``."""
 
     kind: Literal["radiometry", "geometry"]
@@ -34,7 +35,7 @@ class Sequence(Model):
 
 
 def write_sequence(
-    folder: Path, sequence: Sequence, codes: Callable[[str], npt.NDArray[np.float64] | npt.NDArray[np.float32]]
+    folder: Path, sequence: PictureSequence, codes: Callable[[str], npt.NDArray[np.float64] | npt.NDArray[np.float32]]
 ) -> None:
     """Write the pictures to project as 8-bit PNGs, and ``sequence.json``: all, or nothing.
 
@@ -42,7 +43,7 @@ def write_sequence(
     ----------
     folder : Path
         A folder that does not exist yet, or is empty.
-    sequence : Sequence
+    sequence : PictureSequence
         What to write.
     codes : callable
         From a name to (height, width, 3) projector codes, 0..1.
@@ -72,7 +73,7 @@ def write_sequence(
         raise OutputError(f"cannot write {folder}: {explain(error)}") from None
 
 
-def full_scale(white: Picture, white_level: float | None = None) -> float:
+def full_scale(white: ImageArray, white_level: float | None = None) -> float:
     """Return the captures' full scale, levels.
 
     Parameters
@@ -100,11 +101,11 @@ def full_scale(white: Picture, white_level: float | None = None) -> float:
 
 
 def captured_files(folder: Path) -> dict[str, Path]:
-    """Return the pictures in a folder by their names without suffix."""
+    """Return the captures in a folder by their names without suffix."""
     return {path.stem: path for path in sorted(folder.glob("*")) if path.suffix.lower() in _SUFFIXES}
 
 
-class CapturedFolder(Mapping[str, Picture]):
+class CapturedFolder(Mapping[str, ImageArray]):
     """The captures in a folder by their names, each read when it is asked for."""
 
     def __init__(self, folder: Path, names: tuple[str, ...]) -> None:
@@ -126,7 +127,7 @@ class CapturedFolder(Mapping[str, Picture]):
         self._paths = {name: found[name] for name in names}
         self._shape: tuple[tuple[int, ...], str] | None = None
 
-    def __getitem__(self, name: str) -> Picture:
+    def __getitem__(self, name: str) -> ImageArray:
         """Read one capture, (H, W, 3) RGB.
 
         Raises
@@ -136,15 +137,15 @@ class CapturedFolder(Mapping[str, Picture]):
         FootageError
             It cannot be read.
         """
-        picture = read_picture(self._paths[name])
-        shape = (picture.shape, picture.dtype.name)
+        image = read_image(self._paths[name])
+        shape = (image.shape, image.dtype.name)
         if self._shape is not None and shape != self._shape:
             raise CalibrationError(
-                f"{self._paths[name]} is {picture.shape[1]}x{picture.shape[0]} {picture.dtype}, others are "
+                f"{self._paths[name]} is {image.shape[1]}x{image.shape[0]} {image.dtype}, others are "
                 f"{self._shape[0][1]}x{self._shape[0][0]} {self._shape[1]}: do not change the camera in between"
             )
         self._shape = shape
-        return picture
+        return image
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names in order."""
@@ -153,3 +154,22 @@ class CapturedFolder(Mapping[str, Picture]):
     def __len__(self) -> int:
         """Return how many captures there are."""
         return len(self._paths)
+
+
+def refuse_other_camera(calibration: Calibration, size_px: tuple[int, int], where: str) -> None:
+    """Refuse captures of a size that the calibration's camera does not have.
+
+    Raises
+    ------
+    CalibrationError
+        The calibration is for another camera, or camera and projector are swapped in it.
+    """
+    if calibration.camera is None or calibration.projector is None or calibration.camera.size_px == tuple(size_px):
+        return
+    if calibration.projector.size_px == tuple(size_px):
+        raise CalibrationError(f"{where}: {SWAPPED}")
+    raise CalibrationError(
+        "{} is {}x{} px but the calibration is for a camera of {}x{}: calibrate this one, or crop".format(
+            where, *size_px, *calibration.camera.size_px
+        )
+    )

@@ -11,14 +11,12 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from pipeline.errors import CalibrationError, OutputError
+from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.files import write_atomically
-from pipeline.models import ArrayOf, FloatArray, Model, read_file
+from pipeline.models import ArrayOf, CameraState, FloatArray, Matrix3, Model, Positive, Vector3, build, read_file
 from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
-Vector3 = Annotated[FloatArray, ArrayOf((3,))]
-Matrix3 = Annotated[FloatArray, ArrayOf((3, 3))]
 Distortion = Annotated[FloatArray, ArrayOf((5,))]
 Shift = Annotated[FloatArray, ArrayOf((3, 2))]
 Response = Annotated[FloatArray, ArrayOf((3, 256))]
@@ -80,16 +78,6 @@ class ColorShift(Model):
 
     camera: Shift
     projector: Shift
-
-
-class Capture(Model):
-    """How the camera stood when the rig was calibrated."""
-
-    exposure_s: Annotated[float, Field(gt=0)] | None = None
-    gain: float | None = None
-    white_balance: Vector3 | None = None
-    transfer: Literal["linear", "srgb", "bt709"] | Annotated[FloatArray, ArrayOf((256,))] | None = None
-    """How the camera encodes light; or, measured, the linear light of 256 levels, from 0 to 1."""
 
 
 class Uncertainty(Model):
@@ -170,8 +158,8 @@ class Calibration(Model):
     crosstalk_matrix: Matrix3 | None = None  # camera = matrix @ projector, in linear light
     response: Response | None = None  # linear light for each projector code
     color_shift_px: ColorShift | None = None
-    depth_range_mm: tuple[Annotated[float, Field(gt=0)], float] | None = None
-    capture: Capture | None = None
+    depth_range_mm: tuple[Positive, float] | None = None
+    capture: CameraState | None = None
     uncertainty: Uncertainty | None = None
 
     @model_validator(mode="after")
@@ -232,7 +220,7 @@ class Calibration(Model):
         """
         if self.camera is None:
             return self
-        # The lens stays: its distortion counts from the axis, which moves in the picture.
+        # The lens stays: its distortion counts from the axis, which moves in the image.
         matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
         camera = self.camera.model_copy(update={"size_px": size_px, "matrix": matrix})
         return self.model_copy(update={"camera": camera})
@@ -270,3 +258,23 @@ class Calibration(Model):
     def digest(self) -> str:
         """Return a SHA-256 of the contents, by which results name the calibration they were made with."""
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+
+def choose_pattern(
+    known: Calibration | None,
+    period_px: float | None,
+    stripes: Literal["horizontal", "vertical"] | None,
+    code: Literal["contrast"] | None = None,
+) -> Pattern:
+    """Return the pattern that frames are taken with: what was named, else the calibration's.
+
+    Raises
+    ------
+    SettingsError
+        There is no such pattern.
+    """
+    before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=768 / 44)
+    values = before.model_dump()
+    chosen = (("period_px", period_px), ("stripes", stripes), ("code", code))
+    values |= {name: value for name, value in chosen if value is not None}
+    return build(Pattern, values, SettingsError, "pattern")

@@ -1,55 +1,36 @@
-"""`colorphase calibrate ...`: parse, call, say what was found."""
+"""`colorphase calibrate ...`: radiometry, geometry, and whether they still hold."""
 
-import re
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import App, Parameter
-from rich.console import Console
 from rich.table import Table
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.captures import CapturedFolder, Picture, captured_files, write_sequence
-from pipeline.calibration.model import Calibration, Capture, Pattern, Uncertainty
-from pipeline.calibration.multishot import WHITE, multishot_codes, multishot_sequence
+from pipeline.calibration.captures import CapturedFolder, refuse_other_camera, write_sequence
+from pipeline.calibration.model import Calibration, Uncertainty, choose_pattern
+from pipeline.calibration.multishot import multishot_codes, multishot_sequence
+from pipeline.calibration.pose_folders import measure_poses
 from pipeline.calibration.radiometry import (
+    Radiometry,
     measure_radiometry,
-    plot_radiometry,
     radiometry_codes,
     radiometry_sequence,
 )
-from pipeline.calibration.rig_geometry import MIN_POSES, GeometryFit, measure_pose, solve_geometry
-from pipeline.errors import CalibrationError, OutputError, SettingsError
-from pipeline.models import build
+from pipeline.calibration.radiometry_plot import plot_radiometry
+from pipeline.calibration.rig_geometry import GeometryFit, solve_geometry
+from pipeline.cli.console import Arch, check_target, read_calibration, read_settings, say, size_of, stdout
+from pipeline.errors import SettingsError
+from pipeline.models import CameraState, build
 
 if TYPE_CHECKING:
-    from pipeline.decoding.frame import DecodedFrame
-    from pipeline.diagnosis.ripple import Finding
-    from pipeline.diagnosis.surface_check import CheckResult
-    from tikernels.raw.linearization import Transfer
-
-# Names of files may look like markup.
-_out = Console(markup=False, emoji=False)
+    from pipeline.diagnosis.check_result import CheckResult
+    from pipeline.diagnosis.ripple_finding import RippleFinding
 
 calibrate = App(name="calibrate", help="Measure the rig: its light, its geometry, and later whether both still hold.")
-
-
-def size_of(text: str, option: str = "--size") -> tuple[int, int]:
-    """Read a width and height in px, as in 1024x768.
-
-    Raises
-    ------
-    SettingsError
-        It is none.
-    """
-    width, separator, height = text.lower().partition("x")
-    if not (separator and width.isdigit() and height.isdigit() and int(width) > 0 and int(height) > 0):
-        raise SettingsError(f"{option} is {text!r}: give width and height in px, as in 1024x768")
-    return int(width), int(height)
 
 
 @Parameter(name="*")
@@ -135,33 +116,25 @@ def radiometry(
         sequence = radiometry_sequence(size_of(size))
         width, height = sequence.size_px
         write_sequence(make, sequence, lambda name: np.broadcast_to(radiometry_codes(name), (height, width, 3)))
-        _say(f"{len(sequence.names)} pictures in {make}: project each, and capture it under the same name")
+        say(f"{len(sequence.names)} pictures in {make}: project each, and capture it under the same name")
         return
     folder, target = _both(captures, out)
-    _check_target(target, force)
-    known = None if calibration is None else Calibration.read(calibration)
+    check_target(target, force=force)
+    known = read_calibration(calibration)
     values = {"exposure_s": exposure_s, "gain": gain, "white_balance": white_balance}
-    stood = build(Capture, values, SettingsError, "capture")
+    camera = build(CameraState, values, SettingsError, "capture")
     ramps = CapturedFolder(folder, radiometry_sequence(size_of(size)).names)
     if known is not None:
-        from pipeline.diagnosis.surface_check import refuse_other_camera
-
         height, width = next(iter(ramps.values())).shape[:2]
         refuse_other_camera(known, (width, height), str(folder))
     found = measure_radiometry(ramps, transfer, white_level)
-    found.add_to(known, stood).write(target, force=force)
+    found.add_to(known, camera).write(target, force=force)
     plot = target.with_name(f"{target.stem}-radiometry.png")
     plot_radiometry(found, plot)
-    table = Table(title="crosstalk: what each camera channel sees of the projector's", show_header=True)
-    for heading in ("", "red", "green", "blue"):
-        table.add_column(heading)
-    for i, channel in enumerate(("red", "green", "blue")):
-        cells = zip(found.crosstalk_matrix[i], found.crosstalk_sigma[i], strict=True)
-        table.add_row(channel, *(f"{value:.5f} ± {sigma:.5f}" for value, sigma in cells))
-    _out.print(table)
+    _show_crosstalk(found)
     name = found.transfer if isinstance(found.transfer, str) else "a curve of its own, measured"
-    _say(f"the camera's transfer: {name}; grey is red + green + blue to {found.additivity:.2%} of white")
-    _say(f"wrote {target} and {plot}")
+    say(f"the camera's transfer: {name}; grey is red + green + blue to {found.additivity:.2%} of white")
+    say(f"wrote {target} and {plot}")
 
 
 @calibrate.command
@@ -217,38 +190,22 @@ def geometry(
     if make is not None and captures is None and out is None:
         sequence = multishot_sequence(size_px)
         write_sequence(make, sequence, lambda name: multishot_codes(name, size_px))
-        _say(f"{len(sequence.names)} pictures in {make}: project and capture all of them in each pose, a folder a pose")
+        say(f"{len(sequence.names)} pictures in {make}: project and capture all of them in each pose, a folder a pose")
         return
     folder, target = _both(captures, out)
-    _check_target(target, force)
-    known = None if calibration is None else Calibration.read(calibration)
+    check_target(target, force=force)
+    known = read_calibration(calibration)
     described = options.board(board)
-    pattern = chosen_pattern(known, period, stripes)
-    names = multishot_sequence(size_px).names
-    if not folder.is_dir():
-        raise CalibrationError(f"{folder} is no folder: give the one with a folder a pose")
-    poses, refused, camera_px = [], [], None
-    for place in sorted(entry for entry in folder.iterdir() if entry.is_dir()):
-        pose_captures = CapturedFolder(place, names)
-        height, width = pose_captures[names[0]].shape[:2]
-        if camera_px is not None and camera_px != (width, height):
-            raise CalibrationError(f"{place} is {width}x{height}, the poses before are {camera_px[0]}x{camera_px[1]}")
-        camera_px = (width, height)
-        try:
-            poses.append(measure_pose(place.name, pose_captures, described, size_px, white_level))
-        except CalibrationError as error:
-            refused.append(str(error))
-    if camera_px is None or len(poses) < MIN_POSES:
-        reason = refused[0] if refused else f"{folder} holds {len(poses)} folders of captures"
-        raise CalibrationError(f"{len(poses)} usable poses, at least {MIN_POSES} are needed: {reason}")
-    found = solve_geometry(poses, camera_px, size_px, pattern, known, baseline_mm)
+    pattern = choose_pattern(known, period, stripes)
+    measured = measure_poses(folder, described, size_px, white_level)
+    found = solve_geometry(measured.poses, measured.camera_size_px, size_px, pattern, known, baseline_mm)
     found.calibration.write(target, force=force)
-    _say_geometry(found)
-    for line in (*refused, *(f"{name} left out: {reason}" for name, reason in found.left_out)):
-        _say(f"note: {line}")
+    _show_geometry(found)
+    for line in (*measured.refused, *(f"{name} left out: {reason}" for name, reason in found.left_out)):
+        say(f"note: {line}")
     if found.calibration.color_shift_px is not None and found.calibration.crosstalk_matrix is None:
-        _say("note: crosstalk dampens the projector's lateral colour: measure radiometry first, and give --calibration")
-    _say(f"wrote {target}")
+        say("note: crosstalk dampens the projector's lateral colour: measure radiometry first, and give --calibration")
+    say(f"wrote {target}")
 
 
 @calibrate.command
@@ -261,7 +218,7 @@ def check(
     radius_mm: float | None = None,
     settings: Path | None = None,
     fix: Path | None = None,
-    arch: Literal["auto", "cpu", "vulkan", "cuda", "metal"] = "auto",
+    arch: Arch = "auto",
     force: bool = False,
 ) -> None:
     """Ask whether a calibration still holds, and why a surface is wavy.
@@ -288,142 +245,76 @@ def check(
     force
         Replace an existing calibration.
     """
-    from pipeline.decoder import Decoder
-    from pipeline.diagnosis.ripple import diagnose
-    from pipeline.diagnosis.surface_check import check_epipolar, check_surface, corrected_light, refuse_other_camera
-    from pipeline.footage.image_file import read_picture
-    from pipeline.settings import DecodeSettings
-    from tikernels.raw.lateral_color import align_channels
-    from tikernels.raw.linearization import WHITE_LEVELS
+    from pipeline.diagnosis.rig_check import check_captures, check_picture, check_sequence, holds_captures
 
     if radius_mm is not None and shape != "ball":
         raise SettingsError("--radius-mm is a ball's: add --shape ball")
     if capture.is_dir() and (shape is not None or fix is not None):
         raise SettingsError(f"{capture} is a folder: --shape and --fix take one picture")
     if fix is not None:
-        _check_target(fix, force)
+        check_target(fix, force=force)
     known = Calibration.read(calibration)
-    chosen = DecodeSettings() if settings is None else DecodeSettings.read(settings)
-    if WHITE in captured_files(capture):
-        names = multishot_sequence(known.geometry().projector.size_px).names
-        _say_check(check_epipolar(CapturedFolder(capture, names), known, str(capture), chosen.white_level))
+    chosen = read_settings(settings)
+    if holds_captures(capture):
+        _show_check(check_captures(capture, known, chosen))
         return
-    if known.pattern is not None and "stripes" not in chosen.model_fields_set:
-        chosen = chosen.model_copy(update={"stripes": known.pattern.stripes})
-    decoder = Decoder(chosen, known, arch=arch)
-    stood = known.capture.transfer if known.capture is not None else None
-    transfer = chosen.transfer if "transfer" in chosen.model_fields_set or stood is None else stood
-
-    def decoded(path: Path) -> "tuple[Picture, DecodedFrame]":
-        picture = read_picture(path)
-        refuse_other_camera(known, (picture.shape[1], picture.shape[0]), str(path))
-        return picture, decoder.decode(picture)
-
     if capture.is_dir():
-        _check_sequence(capture, decoded, transfer, chosen.white_level, known)
+        n_frames, changes = check_sequence(capture, known, chosen, arch)
+        _say_findings(changes.findings, f"{n_frames} frames: " + ("nothing found" if changes.notes else "fine"))
+        for note in changes.notes:
+            say(f"note: {note}")
         return
-    image, frame = decoded(capture)
-    if not frame.mask.any():  # the warning has said why
+    found = check_picture(capture, known, chosen, arch, shape, radius_mm)
+    if found is None:  # the warning has said why
         sys.exit(1)
-    if shape is not None:
-        _say_check(check_surface(frame, known, shape, radius_mm))
-    white = chosen.white_level or WHITE_LEVELS[image.dtype.name]
-    light = image if known.color_shift_px is None else align_channels(image, known.color_shift_px.camera)
-    matrix = known.crosstalk_matrix if chosen.crosstalk_matrix is None else chosen.crosstalk_matrix
-    compensated = known.pattern is not None and known.pattern.compensated is True
-    response = None if compensated else known.response
-    lag = known.projector_lag_rad()
-    found = diagnose(light, white, frame.unwrapped_phase, frame.mask, matrix, transfer, response, lag)
-    _say_findings(found.findings, found.notes[0] if np.isnan(found.limit_rad) else "fine")
-    if found.findings:
-        worst = max(found.seen_rad, key=lambda harmonic: found.seen_rad[harmonic])
-        _say(f"of it, decoding with this calibration leaves {found.seen_rad[worst]:.3f} rad, in harmonic {worst}")
+    if found.surface is not None:
+        _show_check(found.surface)
+    ripple = found.diagnosis
+    _say_findings(ripple.findings, ripple.notes[0] if np.isnan(ripple.limit_rad) else "fine")
+    if ripple.findings:
+        worst = max(ripple.seen_rad, key=lambda harmonic: ripple.seen_rad[harmonic])
+        say(f"of it, decoding with this calibration leaves {ripple.seen_rad[worst]:.3f} rad, in harmonic {worst}")
     if fix is not None:
-        corrected_light(known, found, light, white, frame, transfer).write(fix, force=force)
-        _say(f"wrote {fix}: it fits this pattern; measure the radiometry before you make a new one")
+        found.corrected().write(fix, force=force)
+        say(f"wrote {fix}: it fits this pattern; measure the radiometry before you make a new one")
 
 
-def _check_sequence(
-    folder: Path,
-    decoded: "Callable[[Path], tuple[Picture, DecodedFrame]]",
-    transfer: "Transfer",
-    white_level: float | None,
-    known: Calibration,
-) -> None:
-    """Say what a folder of frames, one after another, shows."""
-    from pipeline.diagnosis.sequence import MIN_FRAMES, diagnose_sequence
-    from tikernels.raw.linearization import linearize
-
-    suffixes = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
-    paths = [path for path in folder.iterdir() if path.suffix.lower() in suffixes]
-    # 2.png before 10.png.
-    paths.sort(key=lambda path: [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", path.name)])
-    if len(paths) < MIN_FRAMES:
-        raise CalibrationError(
-            f"{folder} holds {len(paths)} pictures: at least {MIN_FRAMES} frames in a row tell anything"
-        )
-    light: list[Picture] = []
-    phases, masks = [], []
-    for path in paths:
-        picture, frame = decoded(path)
-        if light and picture.shape != light[0].shape:
-            raise CalibrationError(f"{path} has another size than the frames before it: give frames of one camera")
-        light.append(linearize(picture, transfer, white_level))
-        phases.append(frame.unwrapped_phase)
-        masks.append(frame.mask)
-    place = known.geometry() if known.has_geometry else None
-    found = diagnose_sequence(light, 1.0, phases, masks, place, known.crosstalk_matrix)
-    _say_findings(found.findings, f"{len(paths)} frames: " + ("nothing found" if found.notes else "fine"))
-    for note in found.notes:
-        _say(f"note: {note}")
+def _show_crosstalk(found: Radiometry) -> None:
+    table = Table(title="crosstalk: what each camera channel sees of the projector's", show_header=True)
+    for heading in ("", "red", "green", "blue"):
+        table.add_column(heading)
+    for i, channel in enumerate(("red", "green", "blue")):
+        cells = zip(found.crosstalk_matrix[i], found.crosstalk_sigma[i], strict=True)
+        table.add_row(channel, *(f"{value:.5f} ± {sigma:.5f}" for value, sigma in cells))
+    stdout.print(table)
 
 
-def _say_findings(findings: "tuple[Finding, ...]", otherwise: str) -> None:
+def _say_findings(findings: "tuple[RippleFinding, ...]", otherwise: str) -> None:
     if not findings:
-        _say(f"ripple: {otherwise}")
+        say(f"ripple: {otherwise}")
     for finding in findings:
         worst = max(finding.ripple_rad, key=lambda harmonic: finding.ripple_rad[harmonic])
         ripple = f"; {finding.ripple_rad[worst]:.3f} rad in harmonic {worst}" if finding.ripple_rad[worst] > 0 else ""
-        _say(
+        say(
             f"ripple: {' or '.join(finding.causes)} ({finding.size}{ripple}, confidence {finding.confidence:.0%}): "
             f"{finding.advice}"
         )
 
 
-def _say_check(found: "CheckResult") -> None:
+def _show_check(found: "CheckResult") -> None:
     table = Table("figure", "measured", "predicted", "")
     for measure in found.measures:
         verdict = "fine" if measure.fine else "re-calibrate"
         table.add_row(
             measure.name, f"{measure.measured:.3f} {measure.unit}", f"{measure.predicted:.3f} {measure.unit}", verdict
         )
-    _out.print(table)
-    _say("fine" if found.fine else "re-calibrate")
+    stdout.print(table)
+    say("fine" if found.fine else "re-calibrate")
     if found.fine and found.blind_spot:
-        _say(f"note: {found.blind_spot}")
+        say(f"note: {found.blind_spot}")
 
 
-def chosen_pattern(
-    known: Calibration | None,
-    period: float | None,
-    stripes: Literal["horizontal", "vertical"] | None,
-    code: Literal["contrast"] | None = None,
-) -> Pattern:
-    """Return the pattern that frames are taken with: what was named, else the calibration's.
-
-    Raises
-    ------
-    SettingsError
-        There is no such pattern.
-    """
-    before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=768 / 44)
-    values = before.model_dump()
-    chosen = (("period_px", period), ("stripes", stripes), ("code", code))
-    values |= {name: value for name, value in chosen if value is not None}
-    return build(Pattern, values, SettingsError, "pattern")
-
-
-def _say_geometry(found: GeometryFit) -> None:
+def _show_geometry(found: GeometryFit) -> None:
     place, deviations = found.calibration.geometry(), found.calibration.uncertainty or Uncertainty()
     table = Table(title=f"geometry from {len(found.poses)} poses", show_header=True)
     for heading in ("", "value", "standard deviation"):
@@ -442,22 +333,10 @@ def _say_geometry(found: GeometryFit) -> None:
         table.add_row("baseline", f"{baseline:.2f} mm", f"{np.linalg.norm(along * deviations.translation_mm):.2f} mm")
     if deviations.depth_bias_mm is not None:
         table.add_row("depth bias to be expected", "", f"{deviations.depth_bias_mm:.2f} mm")
-    _out.print(table)
-
-
-def _say(line: str) -> None:
-    _out.print(line, highlight=False, soft_wrap=True)
+    stdout.print(table)
 
 
 def _both(captures: Path | None, out: Path | None) -> tuple[Path, Path]:
     if captures is None or out is None:
         raise SettingsError("give either --make and a folder, or a folder of captures and --out")
     return captures, out
-
-
-def _check_target(target: Path, force: bool) -> None:
-    """Refuse a target that cannot be written before minutes have gone into what would be."""
-    if not target.parent.is_dir():
-        raise OutputError(f"cannot write {target}: its folder does not exist: create the folder first")
-    if target.exists() and not force:
-        raise OutputError(f"{target} exists already: choose another name, or add --force")

@@ -1,23 +1,78 @@
-"""`colorphase project` and `colorphase projector ...`: parse, call, say what was found."""
+"""`colorphase pattern`, `colorphase project` and `colorphase projector ...`: what the projector shows."""
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
+from typing import Literal
 
 from cyclopts import App
-from rich.console import Console
 from rich.table import Table
 
 from hardware.display import Display
 from hardware.projector import open_projector
 from hardware.protocols import Projector
 from pipeline.acquisition.rig_file import read_rig
+from pipeline.calibration.model import choose_pattern
+from pipeline.cli.calibrate import BoardOptions
+from pipeline.cli.console import read_calibration, remark, say, size_of, stderr, stdout
+from pipeline.errors import CalibrationError
 from pipeline.footage.image_file import read_codes
 
-_out = Console(markup=False, emoji=False)
-_err = Console(stderr=True, markup=False, emoji=False)
+_BOARD = BoardOptions()
 
 projector = App(name="projector", help="Switch the rig's projector, over PJLink or InFocus's RS-232 commands.")
+
+
+def pattern(
+    file: Path,
+    /,
+    *,
+    size: str | None = None,
+    period: float | None = None,
+    stripes: Literal["horizontal", "vertical"] | None = None,
+    code: Literal["contrast"] | None = None,
+    calibration: Path | None = None,
+    brightness: float = 1.0,
+    board: Literal["charuco", "chessboard"] | None = None,
+    options: BoardOptions = _BOARD,
+) -> None:
+    """Write the picture that the projector shows, and its description beside it as JSON; or a board to be printed.
+
+    Example: colorphase pattern pattern.png --size 1024x768 --period 17.4545 --stripes horizontal, or
+    colorphase pattern board.pdf --board charuco --squares 11x8 --square-mm 20
+
+    Parameters
+    ----------
+    file
+        The PNG to write; a board may be a PDF or SVG.
+    size
+        The projector's width and height in px; left out, the calibration's, else 1024x768.
+    period
+        Projector px a cycle; left out, the calibration's, else 17.4545.
+    stripes
+        Which way they run; left out, the calibration's, else horizontal.
+    code
+        "contrast": the modulation of each cycle tells which one it is, so that one frame gives absolute depth.
+    calibration
+        The rig's calibration.json; the projector's response is then undone in the pattern.
+    brightness
+        Show the same with so much of the light, above 0 to 1; without a calibration as if light were linear in the
+        codes. A rig that shows two pictures in turn tells them apart by it.
+    board
+        Write this kind of calibration board instead, in its true size, as PDF, SVG or PNG.
+    """
+    if board is not None:
+        options.board(board).write(file)
+        return
+    from pipeline.pattern.fringes import write_pattern
+
+    rig = read_calibration(calibration)
+    if rig is not None and rig.response is None:
+        raise CalibrationError(f"{calibration} holds no response: run colorphase calibrate radiometry")
+    size_px = rig.projector.size_px if rig is not None and rig.projector is not None else (1024, 768)
+    chosen = choose_pattern(rig, period, stripes, code)
+    response = None if rig is None else rig.response
+    write_pattern(file, size_px if size is None else size_of(size), chosen, response, brightness)
 
 
 def project(picture: Path, /, *, display: int | None = None, seconds: float | None = None) -> None:
@@ -38,9 +93,9 @@ def project(picture: Path, /, *, display: int | None = None, seconds: float | No
     with suppress(KeyboardInterrupt), Display(display) as screen:
         screen.show(codes)
         if screen.note is not None:
-            _err.print(f"note: {screen.note}", style="yellow", highlight=False, soft_wrap=True)
+            remark(f"note: {screen.note}")
         what = f"{picture} is on display {screen.number}, {{}}x{{}}".format(*screen.size_px)
-        _out.print(f"{what}; Esc, q or Ctrl-C ends it", highlight=False, soft_wrap=True)
+        say(f"{what}; Esc, q or Ctrl-C ends it")
         screen.wait(seconds)
 
 
@@ -136,15 +191,15 @@ def status(*, rig: Path) -> None:
         ("lamp hours", hours),
     ):
         table.add_row(name, value or "not told")
-    _out.print(table)
+    stdout.print(table)
 
 
 def _switch(rig: Path, on: bool) -> None:
-    with _opened(rig) as device, _err.status("asking") as shown:
+    with _opened(rig) as device, stderr.status("asking") as shown:
         tell: Callable[[str], None] = shown.update
         sure = device.power(on, tell)
     what = "the projector is" if sure else "the projector does not tell whether it is, but was told to be"
-    _out.print(f"{what} {'on' if on else 'off'}")
+    stdout.print(f"{what} {'on' if on else 'off'}")
 
 
 @contextmanager

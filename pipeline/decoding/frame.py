@@ -1,55 +1,103 @@
-"""What decoding a frame gives."""
+"""What decoding a frame gives: the fields of every pixel, and what the next frame of a video may know of it."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as attribute
 from functools import cached_property
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.calibration import Geometry
+from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers
+from pipeline.decoding.fields import (
+    MODULATION_DIGITS,
+    PHASE_DIGITS,
+    RELATIVE_RANGE_DIGITS,
+    SIGMA_DIGITS,
+    WRAPPED_PHASE_DIGITS,
+    field,
+    fields_of,
+)
+from pipeline.decoding.frame_reader import size_text
+from pipeline.errors import SettingsError
 from tikernels import runtime
+from tikernels.arrays import F32, Array
+from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import ProjectorGeometry
-from tikernels.phase.uncertainty import compare_rows_kernel, phase_sigma_kernel, point_sigma_kernel
+from tikernels.errors import ShapeError
+from tikernels.phase.uncertainty import estimate_phase_sigma
 from tikernels.transposing import transpose
+
+Floats = npt.NDArray[np.float32]
 
 # A frame's constant is never known better, rad: what balance and ambient light leave of it on clean frames.
 _LEAST_CONSTANT = 0.0006
-# The smoothing's bias is taken from second differences over so many px, most of whose noise averages out, in every
-# fourth row.
+# The bias of the smoothing is taken from second differences over this many px, most of whose noise averages out, in
+# every fourth row.
 _BEND_PX, _BEND_ROWS = 6, 4
-# The window that the channels' model is fitted to, in cycles.
-_MODEL_WINDOW = 0.85
-# Rows differ by less than the noise where it was overrated, but not by less than half of it.
-_LEAST_SCATTER = 0.5
-# Grid points within its standard deviation that a blur needs.
-_GRID = 2
-# About so many pixels tell how far rows scatter, to half a per cent.
-_SCATTER_SAMPLES = 60_000
-# What the device has to be asked for each field.
-_MADE_OF = {
-    "wrapped_phase": ("mask", "_phase"),
-    "unwrapped_phase": ("unwrapped_phase",),
-    "fringe_order": ("mask", "_phase", "unwrapped_phase"),
-    "mask": ("mask",),
-    "modulation": ("modulation",),
-    "region": ("region",),
-    "absolute": ("region",),
-    "order_error_probability": ("mask", "region"),
-    "phase_sigma": ("phase_sigma",),
-    "constant_sigma": ("unwrapped_phase",),
-    "points": ("points",),
-    "point_sigma": ("point_sigma",),
-    "range_image": ("points", "mask", "unwrapped_phase"),
-}
+
+
+@dataclass(frozen=True, eq=False)
+class CameraRays:
+    """What turns a phase into a point: every camera pixel's ray, and the projector."""
+
+    rays: F32  # (H, W, 2) x and y at unit depth, stripes along the rows
+    projector: ProjectorGeometry
+
+    @classmethod
+    def of(cls, geometry: Geometry, stripes: str) -> "CameraRays":
+        """Return those of a calibrated rig, on the device."""
+        rays = geometry.camera.rays()
+        along_rows = np.ascontiguousarray(rays.transpose(1, 0, 2)) if stripes == "vertical" else rays
+        return cls(runtime.to_device(along_rows), geometry.for_triangulation())
+
+
+@dataclass(frozen=True, eq=False)
+class RegionOrders:
+    """What is known of the orders of a frame's regions; index 0 stands for "no region"."""
+
+    known: npt.NDArray[np.bool_]  # (regions + 1,) whether they are absolute
+    error_probability: Floats  # (regions + 1,) that they are not the absolute ones; NaN for 0
+
+    @classmethod
+    def of_no_region(cls) -> "RegionOrders":
+        """Return those of a frame without regions."""
+        return cls(np.zeros(1, np.bool_), np.full(1, np.nan, np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class FrameMemory:
+    """All that travels from a frame to the next one of a video."""
+
+    stripes: str
+    phase_counts: npt.NDArray[np.float64] | None  # (parts, bins) bare phases seen, earlier ones faded; None: no fringe
+    surface: SurfaceBuffers
+    orders: RegionOrders
+
+    def checked(self, shape: tuple[int, int], stripes: str) -> "FrameMemory":
+        """Return this memory, for a frame whose image has a shape with its stripes along the rows.
+
+        Raises
+        ------
+        SettingsError, ShapeError
+            The frame before had other stripes, or another size.
+        """
+        if self.stripes != stripes:
+            raise SettingsError(f"stripes are {stripes}, those of the frame before were not: leave previous away")
+        before = self.surface.mask.shape
+        if before != shape:
+            turn = -1 if stripes == "vertical" else 1
+            raise ShapeError(f"frame is {size_text(shape[::turn])} but the one before is {size_text(before[::turn])}")
+        return self
 
 
 @dataclass(eq=False)
 class DecodedFrame:
     """A decoded frame: every pixel's phase, its order and, with a calibration, its place.
 
-    The fields are NumPy arrays, read back from the device when they are first looked at.
+    The fields are NumPy arrays, read back from the device when they are first looked at, from any thread.
     """
 
     period_px: float | None
@@ -58,192 +106,192 @@ class DecodedFrame:
     """Standard deviation of a channel where the frame is half as bright as at its brightest, grey levels."""
     warnings: tuple[str, ...]
     """What the user should know about this frame."""
-    calibrated: bool
-    """Whether `range_image` is a depth in mm."""
     constant_known: bool
     """Whether the phase is known, not only but for one constant: crosstalk that is not known turns it about grey."""
-    _vertical: bool
-    _buffers: dict[str, Any] = field(repr=False)  # stripes along the rows, on the device
-    _constant_sigma: float = field(default=np.nan, repr=False)  # rad, by the light
-    _pairs: int = field(default=0, repr=False)  # neighbours on either side that the smoothing averages over
-    _rig: tuple[Any, ProjectorGeometry] | None = field(default=None, repr=False)  # rays as the buffers lie, projector
-    _histogram: npt.NDArray[np.float64] | None = field(default=None, repr=False)  # of bare phases, earlier frames'
-    # too
-    _placed: tuple[npt.NDArray[np.bool_], npt.NDArray[np.float32]] | None = field(default=None, repr=False)
-    _reference: npt.NDArray[np.float32] | None = field(default=None, repr=False)
+    light_constant_sigma: float = attribute(repr=False)
+    """Standard deviation of that constant by the light alone, rad; NaN without fringes."""
+    smoothing_pairs: int = attribute(repr=False)
+    """Neighbours on either side that the smoothing averages over."""
+    stripes: str = attribute(repr=False)
+    """"horizontal" or "vertical"; the buffers have stripes along the rows."""
+    phases: PhaseBuffers = attribute(repr=False)
+    surface: SurfaceBuffers = attribute(repr=False)
+    orders: RegionOrders = attribute(repr=False)
+    rays: CameraRays | None = attribute(repr=False)
+    reference: Floats | None = attribute(repr=False)
+    """(H, W) unwrapped phase of a plane, rad, that `range_image` is measured from without a calibration."""
+    phase_counts: npt.NDArray[np.float64] | None = attribute(repr=False)
+    """(parts, bins) how often each bare phase was seen here and, fading, in the frames before; None without fringes."""
 
-    @cached_property
-    def wrapped_phase(self) -> npt.NDArray[np.float32]:
-        """(H, W) float32: rad in [-pi, pi], corrected and smoothed; NaN outside the mask."""
-        phase = self._phase
-        phase = phase - np.float32(2 * np.pi) * np.rint(phase / np.float32(2 * np.pi))
-        return np.where(self.mask, phase, np.float32(np.nan))
-
-    @cached_property
-    def unwrapped_phase(self) -> npt.NDArray[np.float32]:
-        """(H, W) float32: rad; NaN outside the mask."""
-        return self._read("unwrapped")
-
-    @cached_property
-    def fringe_order(self) -> npt.NDArray[np.int32]:
-        """(H, W) int32: unwrapped = wrapped + 2 pi order; 0 outside the mask."""
-        cycles = (self.unwrapped_phase - self.wrapped_phase) / np.float32(2 * np.pi)
-        return np.rint(np.where(self.mask, cycles, 0)).astype(np.int32)
-
-    @cached_property
-    def mask(self) -> npt.NDArray[np.bool_]:
-        """(H, W) bool: where the other fields hold."""
-        return self._read("mask").view(np.bool_)
-
-    @cached_property
-    def modulation(self) -> npt.NDArray[np.float32]:
-        """(H, W) float32: the fringe's amplitude in grey levels of the input."""
-        return self._read("modulation")
-
-    @cached_property
-    def region(self) -> npt.NDArray[np.int32]:
-        """(H, W) int32: connected surfaces from 1, the largest first; 0: none."""
-        return self._read("region")
+    @property
+    def calibrated(self) -> bool:
+        """Whether `range_image` is a depth in mm."""
+        return self.rays is not None
 
     @property
     def order_is_known(self) -> npt.NDArray[np.bool_]:
         """(regions + 1,) bool: by region, whether its orders are absolute; False for 0, no region."""
-        return np.zeros(1, np.bool_) if self._placed is None else self._placed[0]
+        return self.orders.known
 
-    @cached_property
+    @field("float32", "rad", needs=("mask", "_phase"), rounding=WRAPPED_PHASE_DIGITS)
+    def wrapped_phase(self) -> Floats:
+        """Phase in [-pi, pi], corrected and smoothed; NaN outside the mask."""
+        phase = self._phase
+        phase = phase - np.float32(2 * np.pi) * np.rint(phase / np.float32(2 * np.pi))
+        return np.where(self.mask, phase, np.float32(np.nan))
+
+    @field("float32", "rad", needs=("unwrapped_phase",), rounding=PHASE_DIGITS)
+    def unwrapped_phase(self) -> Floats:
+        """The phase with its whole cycles; NaN outside the mask."""
+        return self._read(self.surface.unwrapped)
+
+    @field("int32", needs=("mask", "_phase", "unwrapped_phase"))
+    def fringe_order(self) -> npt.NDArray[np.int32]:
+        """Whole cycles: unwrapped = wrapped + 2 pi order; 0 outside the mask."""
+        cycles = (self.unwrapped_phase - self.wrapped_phase) / np.float32(2 * np.pi)
+        return np.rint(np.where(self.mask, cycles, 0)).astype(np.int32)
+
+    @field("bool", needs=("mask",))
+    def mask(self) -> npt.NDArray[np.bool_]:
+        """Lit, modulated, and not between two surfaces: where the other fields hold."""
+        return self._read(self.surface.mask).view(np.bool_)
+
+    @field("float32", "grey levels", needs=("modulation",), vertex="modulation", rounding=MODULATION_DIGITS)
+    def modulation(self) -> Floats:
+        """The fringe's amplitude, in levels of the input."""
+        return self._read(self.phases.modulation)
+
+    @field("int32", needs=("region",))
+    def region(self) -> npt.NDArray[np.int32]:
+        """Connected surfaces from 1, the largest first; 0: none."""
+        return self._read(self.surface.region)
+
+    @field("bool", needs=("region",))
     def absolute(self) -> npt.NDArray[np.bool_]:
-        """(H, W) bool: whether the order is known, not only relative to its region.
+        """Whether the order is known, not only relative to its region.
 
         A plain pattern tells only where a calibration's depth range leaves a region one order; a coded pattern does
         where a region shows enough of it.
         """
-        return self.order_is_known[self.region]
+        return self.orders.known[self.region]
 
-    @cached_property
-    def order_error_probability(self) -> npt.NDArray[np.float32]:
-        """(H, W) float32: probability, 0..1, that the order is not the absolute one; NaN outside the mask.
+    @field("float32", "1", needs=("region",), vertex="order_error_probability")
+    def order_error_probability(self) -> Floats:
+        """How probably the order is not the absolute one; NaN outside the mask.
 
         The same all over a region, and 1 where neither a code, a depth range nor the frame before tells.
         """
-        if self._placed is None:
-            return np.where(self.mask, np.float32(1), np.float32(np.nan))
-        return self._placed[1][self.region]
+        return self.orders.error_probability[self.region]
 
-    @cached_property
-    def phase_sigma(self) -> npt.NDArray[np.float32]:
-        """(H, W) float32: rad, one standard deviation of `wrapped_phase`; NaN outside the mask.
+    @field("float32", "rad", needs=("phase_sigma",), vertex="sigma_rad", rounding=SIGMA_DIGITS)
+    def phase_sigma(self) -> Floats:
+        """One standard deviation of `wrapped_phase`; NaN outside the mask.
 
         The camera's noise through the chain, scaled to what neighbouring rows really differ by, which also sees the
         ripple that balance and crosstalk leave; what is the same over a whole cycle and more, as near an edge, is not
         in it.
         """
-        return self._host(self._phase_sigma)
+        return self._read(self._phase_sigma)
 
-    @cached_property
+    @field("float32", "rad", axes=(), needs=("unwrapped_phase",))
     def constant_sigma(self) -> np.float32:
-        """Standard deviation of the constant by which all phases may be wrong, rad; it is not in `phase_sigma`.
+        """One standard deviation of the constant by which all phases may be wrong; it is not in `phase_sigma`.
 
         Crosstalk that is not as calibrated, or channels that respond differently, show in the channels' waves: they
         turn the phase by about as much as these differ from what they should be. Only what turns all three colours
         alike leaves no trace. Smoothing adds its bias on surfaces that bend along the stripes. NaN without fringes.
         """
-        phase = (self.unwrapped_phase.T if self._vertical else self.unwrapped_phase)[::_BEND_ROWS]
-        bias = 0.0
-        if self._pairs and phase.shape[1] > 2 * _BEND_PX:
+        phase = (self.unwrapped_phase.T if self.stripes == "vertical" else self.unwrapped_phase)[::_BEND_ROWS]
+        pairs, bias = self.smoothing_pairs, 0.0
+        if pairs and phase.shape[1] > 2 * _BEND_PX:
             bend = phase[:, 2 * _BEND_PX :] - 2 * phase[:, _BEND_PX:-_BEND_PX] + phase[:, : -2 * _BEND_PX]
             smooth = np.abs(bend) < 1  # more is a step
             if smooth.any():
                 # A window of n px has a variance of (n^2 - 1) / 12, and n = 2 pairs + 1.
-                bias = float(bend[smooth].mean()) / _BEND_PX**2 * self._pairs * (self._pairs + 1) / 6
-        return np.float32(np.sqrt(_LEAST_CONSTANT**2 + bias**2 + self._constant_sigma**2))
+                bias = float(bend[smooth].mean()) / _BEND_PX**2 * pairs * (pairs + 1) / 6
+        return np.float32(np.sqrt(_LEAST_CONSTANT**2 + bias**2 + self.light_constant_sigma**2))
 
-    @cached_property
-    def point_sigma(self) -> npt.NDArray[np.float32] | None:
-        """(H, W) float32: mm along the pixel's ray, one standard deviation by `phase_sigma`.
+    @field("float32", "mm", axes=("y", "x", "xyz"), needs=("points",), in_mm=True)
+    def points(self) -> Floats | None:
+        """Place in the camera's frame (x right, y down, z forward); NaN outside the mask; only with a calibration."""
+        return None if self.surface.points is None else self._read(self.surface.points)
 
-        NaN where there is no point; None without a calibration.
-        """
-        if self._rig is None:
+    @field("float32", "mm", needs=("point_sigma",), in_mm=True, vertex="sigma_mm", rounding=SIGMA_DIGITS)
+    def point_sigma(self) -> Floats | None:
+        """One standard deviation along the pixel's ray, by `phase_sigma`; NaN where there is no point."""
+        if self.rays is None or self.surface.points is None:
             return None
-        rays, projector = self._rig
-        out = runtime.empty(self._buffers["mask"].shape, np.float32)
-        known = (self._buffers["unwrapped"], self._phase_sigma, self._buffers["points"])
-        point_sigma_kernel(*known, rays, *projector.arguments(), out)
-        return self._host(out)
+        # Other fields first: whoever holds the device's lock must not wait for a thread that computes a field.
+        known = (self.surface.unwrapped, self._phase_sigma, self.surface.points)
+        with runtime.lock:
+            return self._read(point_sigma(*known, self.rays.rays, self.rays.projector))
 
-    @cached_property
-    def points(self) -> npt.NDArray[np.float32] | None:
-        """(H, W, 3) float32: mm in the camera's frame; NaN outside the mask; None without a calibration."""
-        return self._read("points") if self.calibrated else None
-
-    @cached_property
-    def range_image(self) -> npt.NDArray[np.float32]:
-        """(H, W) float32: depth in mm with a calibration, else relative, in rad; NaN outside the mask.
+    @field("float32", "range", needs=("points", "mask", "unwrapped_phase"), rounding=RELATIVE_RANGE_DIGITS)
+    def range_image(self) -> Floats:
+        """Depth in mm with a calibration, else relative, in rad; NaN outside the mask.
 
         Relative is the unwrapped phase minus that of the reference, or minus the linear ramp that fits it best.
         """
         if self.points is not None:
             return np.ascontiguousarray(self.points[..., 2])
-        if self._reference is not None:
-            return self.unwrapped_phase - self._reference
+        if self.reference is not None:
+            return self.unwrapped_phase - self.reference
         return self.unwrapped_phase - _best_ramp(self.unwrapped_phase, self.mask)
 
     @cached_property
-    def _phase(self) -> npt.NDArray[np.float32]:
-        return self._read("phase")
+    def _phase(self) -> Floats:
+        return self._read(self.phases.phase)
 
     @cached_property
-    def _phase_sigma(self) -> Any:
+    def _phase_sigma(self) -> F32:
         """`phase_sigma` on the device, stripes along the rows."""
-        mask = np.ascontiguousarray(self.mask.T if self._vertical else self.mask).view(np.uint8)
-        # OFF, PARTLY and WHOLE are 0, 1 and 2.
-        support = mask + cv2.erode(mask, np.ones((1, 2 * self._pairs + 1), np.uint8))
-        known, averaged = (self._buffers["precision"], support), 1 / (2 * self._pairs + 1)
-        height, width = mask.shape
-        step, every = max(2, round((self.period_px or 8) / 4)), max(1, mask.size // _SCATTER_SAMPLES)
-        scatter = 1.0
-        if height > 3 * step:
-            ratio = np.empty((height - 3 * step, -(-width // every)), np.float32)
-            compare_rows_kernel(self._buffers["unwrapped"], *known, averaged, step, every, ratio)
-            ratio = ratio[np.isfinite(ratio)]
-            if len(ratio):
-                scatter = max(_LEAST_SCATTER, float(np.median(ratio)) / 0.6745)
-        empty = 1 - np.minimum(_blurred(mask, _MODEL_WINDOW * (self.period_px or 1)), 1)
-        out = runtime.empty(mask.shape, np.float32)
-        phase_sigma_kernel(*known, empty, averaged, scatter, out)
-        return out
+        surface, pairs = self.surface, self.smoothing_pairs
+        with runtime.lock:
+            return estimate_phase_sigma(
+                surface.unwrapped, self.phases.precision, surface.mask, pairs, self.period_px or 1.0
+            )
+
+    @property
+    def memory(self) -> FrameMemory:
+        """What the next frame of a video may know of this one."""
+        return FrameMemory(self.stripes, self.phase_counts, self.surface, self.orders)
 
     def fetch(self, fields: Iterable[str]) -> None:
-        """Read from the device what these fields are made of: another thread may then look at them."""
-        for name in {part for wanted in fields for part in _MADE_OF[wanted]}:
+        """Read from the device now what these fields are made of; looking at them later asks it nothing more."""
+        for name in {part for wanted in fields for part in FIELDS[wanted].needs}:
             getattr(self, name)
 
-    def _read(self, name: str) -> npt.NDArray[Any]:
-        return self._host(self._buffers[name])
+    def buffers_for(
+        self, shape: tuple[int, int], stripes: str, rays: CameraRays | None
+    ) -> tuple[PhaseBuffers, SurfaceBuffers]:
+        """Return this frame's buffers, to be written again for an image of this shape.
 
-    def _host(self, buffer: Any) -> npt.NDArray[Any]:
-        return runtime.to_host(transpose(buffer) if self._vertical else buffer)
+        Raises
+        ------
+        ShapeError
+            They do not fit.
+        """
+        if (self.surface.mask.shape, self.stripes, self.calibrated) != (shape, stripes, rays is not None):
+            raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
+        return self.phases, self.surface
 
-    def _forget(self) -> None:
-        """Drop what has been read, because the buffers are written again."""
-        for name in list(vars(self)):
-            if isinstance(getattr(type(self), name, None), cached_property):
-                del self.__dict__[name]
+    def become(self, other: "DecodedFrame") -> "DecodedFrame":
+        """Take all that another frame holds, and forget what has been read; return this frame."""
+        vars(self).clear()
+        vars(self).update(vars(other))
+        return self
+
+    def _read(self, buffer: Array[Any]) -> npt.NDArray[Any]:
+        """Return a buffer on the host, turned as the image was."""
+        with runtime.lock:
+            return runtime.to_host(transpose(buffer) if self.stripes == "vertical" else buffer)
 
 
-def _blurred(mask: npt.NDArray[np.uint8], width_px: float) -> npt.NDArray[np.float32]:
-    """(H, W) float32: the share of the neighbourhood that lies in the mask, by a Gaussian of this deviation."""
-    # A wide Gaussian is as smooth on a coarser grid, and costs the less.
-    coarser = max(1, int(width_px / _GRID))
-    share = mask.astype(np.float32)
-    size = share.shape[::-1]
-    if coarser > 1:
-        share = cv2.resize(share, (-(-size[0] // coarser), -(-size[1] // coarser)), interpolation=cv2.INTER_AREA)
-    share = cv2.GaussianBlur(share, (0, 0), width_px / coarser, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(cv2.resize(share, size, interpolation=cv2.INTER_LINEAR) if coarser > 1 else share, np.float32)
+#: Every field of a frame by name: the one table that store, reader, meshes and docs take them from.
+FIELDS = fields_of(DecodedFrame)
 
 
-def _best_ramp(phase: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+def _best_ramp(phase: Floats, mask: npt.NDArray[np.bool_]) -> Floats:
     """(H, W) float32: the least-squares plane through the masked phase, at every pixel."""
     height, width = phase.shape
     y, x = np.nonzero(mask)

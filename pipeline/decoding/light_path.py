@@ -5,20 +5,23 @@ import warnings
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import Calibration, Capture
+from pipeline.calibration import Calibration
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
-from pipeline.models import FloatArray
+from pipeline.models import CameraState, FloatArray
 from pipeline.settings import DecodeSettings
-from tikernels.phase.channel_model import flat_template, known_template
-from tikernels.phase.crosstalk import invert_crosstalk
-from tikernels.phase.equalization import correction_table, pattern_light, prefers_response, response_table
-from tikernels.phase.wrapped_phase import phase_weights
+from tikernels.phase.channel_template import flat_template, known_template
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import correction_table
+from tikernels.phase.projector_response import pattern_light, prefers_response, response_table
 from tikernels.raw.linearization import Transfer
 
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
 # one.
 _HARMONICS_A_PIXEL = 0.8
+# How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
+# a surface, but a code changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
+_CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
 _NO_CORRECTION = np.zeros(2, np.float32)
 # Crosstalk of which nothing is known turns the phase about grey; leaks of up to a fifth do it by some 0.05 rad.
 _UNKNOWN_CONSTANT = 0.05
@@ -33,16 +36,10 @@ class LightPath:
         How the camera encodes light.
     camera_shift_px : (3, 2) float64 or None
         The camera's lateral colour.
-    lag : (3,) float64 or None
-        How far the projector's lateral colour makes the fringe of each colour lag behind its place, rad.
-    balance_first : bool
-        Whether the reflectance acts on the camera's channels, after the crosstalk.
-    matrix, inverse : (3, 3) float32
-        The crosstalk, and what undoes it.
-    weights : (3, 3) float32
-        Of the balanced channels; see `phase_weights`.
-    noise_gain : float
-        The phase vector's noise after the crosstalk has been undone, for a channel's noise of one.
+    crosstalk : Crosstalk
+        The crosstalk, where the surface's colour acts, and the projector's lateral colour.
+    code : {"contrast"} or None
+        The pattern's code.
     constant_known : bool
         Whether the phase is known, not only but for a constant.
     constant_sigma : float
@@ -54,8 +51,9 @@ class LightPath:
     def __init__(self, settings: DecodeSettings, calibration: Calibration | None) -> None:
         self.transfer: Transfer = settings.transfer
         self.camera_shift_px: FloatArray | None = None
-        self.lag: FloatArray | None = None
-        self.balance_first = settings.reflectance_bands == "broad"
+        self._lag: FloatArray | None = None
+        self._balance_first = settings.reflectance_bands == "broad"
+        self.code = settings.code
         self._equalize = settings.equalize
         self._response: FloatArray | None = None  # of a pattern in which it has not been undone, or may not have been
         self._compensated: bool | None = None
@@ -69,6 +67,7 @@ class LightPath:
                         f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
                     )
                 self._compensated = calibration.pattern.compensated
+                self.code = calibration.pattern.code
             self.transfer = _transfer(settings, calibration)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
             if calibration.response is not None and self._compensated is not True:
@@ -77,16 +76,19 @@ class LightPath:
                     light = pattern_light(calibration.response)
             if calibration.color_shift_px is not None:
                 self.camera_shift_px = calibration.color_shift_px.camera
-                self.lag = calibration.projector_lag_rad()
+                self._lag = calibration.projector_lag_rad()
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
-        self.unknown = matrix is None and self.balance_first
+        self.unknown = matrix is None and self._balance_first
         self.constant_known = matrix is not None
         self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
         self._use(np.eye(3) if matrix is None else matrix @ np.diag(light))
 
-    def learn(self, light: LightEstimate) -> None:
-        """Take what a frame told."""
+    def learn(self, light: LightEstimate | None) -> None:
+        """Take what a frame told, if it is better than nothing; None: it told nothing. No other one is asked."""
+        self.unknown = False
+        if light is None or not light.reliable:
+            return
         self._use(light.crosstalk_matrix)
         self._learned = light.correction
         self.constant_known = light.constant_known
@@ -99,7 +101,7 @@ class LightPath:
             response = np.array([[0.0, 1.0]] * 3)
         if response is None:
             return flat_template()
-        return known_template(self.matrix if self.balance_first else np.eye(3), response, self.lag)
+        return known_template(self.crosstalk.matrix if self._balance_first else np.eye(3), response, self._lag)
 
     def correction(self, histogram: FloatArray, period_px: float) -> npt.NDArray[np.float32]:
         """Return what undoes the projector's response, rad to add to the arctangent, as a table over the cycle.
@@ -115,9 +117,14 @@ class LightPath:
             if not self._equalize:
                 return _NO_CORRECTION
             return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
-        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self.lag):
-            return response_table(self._response, self.lag)
+        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self._lag):
+            return response_table(self._response, self._lag)
         return _NO_CORRECTION
+
+    @property
+    def contrast_doubt(self) -> float:
+        """Standard deviation of a pixel's contrast about its neighbourhood's, by the pattern's code."""
+        return _CONTRAST_DOUBT[self.code]
 
     @property
     def response_is_full(self) -> bool:
@@ -125,16 +132,12 @@ class LightPath:
         return self._learned is None and self._response is not None
 
     def _use(self, matrix: FloatArray) -> None:
-        # With the balance first a neutral colour is grey by definition, whatever the rows of the matrix sum up to.
-        inverse = invert_crosstalk(matrix, normalize_rows=self.balance_first)
-        self.inverse, self.matrix = inverse.astype(np.float32), np.linalg.inv(inverse).astype(np.float32)
-        self.weights = phase_weights(inverse if self.balance_first else np.eye(3), self.lag).astype(np.float32)
-        self.noise_gain = float(np.sqrt((phase_weights(inverse)[:2] ** 2).sum() / 2))
+        self.crosstalk = Crosstalk.of(matrix, balance_first=self._balance_first, lag=self._lag)
 
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
     """Return how the camera encodes light, and warn where it stands otherwise than at calibration."""
-    before, now = calibration.capture or Capture(), settings.capture or Capture()
+    before, now = calibration.capture or CameraState(), settings.capture or CameraState()
     chosen: Transfer = settings.transfer
     if before.transfer is not None and "transfer" not in settings.model_fields_set:
         chosen = before.transfer

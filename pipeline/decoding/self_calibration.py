@@ -29,9 +29,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray
+from pipeline.models import FloatArray, ImageArray
 from pipeline.pattern.fringes import CHANNEL_PHASES
 
 _Singles = npt.NDArray[np.float32]
@@ -143,7 +142,7 @@ class _Frame:
     """Samples of one frame, and local averages over them."""
 
     def __init__(
-        self, image: Picture, white_level: float, phase: _Singles, mask: npt.NDArray[np.bool_], period_px: float
+        self, image: ImageArray, white_level: float, phase: _Singles, mask: npt.NDArray[np.bool_], period_px: float
     ) -> None:
         valid = mask.astype(bool) & np.isfinite(phase)
         change = [np.nanmedian(np.abs(np.diff(np.where(valid, phase, np.nan), axis=axis))) for axis in (0, 1)]
@@ -286,7 +285,7 @@ def _regularise(ratios: FloatArray, deviation: FloatArray) -> FloatArray:
 
 
 def estimate_light(
-    images: Sequence[Picture],
+    images: Sequence[ImageArray],
     white_level: float,
     unwrapped_phases: Sequence[_Singles],
     masks: Sequence[npt.NDArray[np.bool_]],

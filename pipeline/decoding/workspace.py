@@ -1,4 +1,6 @@
-"""The device buffers that decoding needs between a frame's image and its result."""
+"""The device buffers that decoding needs between a frame's image and its result: the only thing that it writes to."""
+
+from collections.abc import Callable
 
 import numpy as np
 
@@ -6,16 +8,31 @@ from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.smoothing import rates_buffer
-from tikernels.unwrapping.unwrapper import Unwrapper
+from tikernels.unwrapping import PatchMethod, RegionUnwrapper
 
 
 class Workspace:
-    """Buffers for one image size and fringe period; stripes lie along the rows."""
+    """Buffers for one image size and fringe period; stripes lie along the rows.
 
-    def __init__(self, height: int, width: int, period_px: float, unwrap_method: str) -> None:
-        self.key = (height, width, period_px)
+    Parameters
+    ----------
+    height, width : int
+        Of the image.
+    period_px : float
+        Camera px a cycle.
+    method : callable
+        Makes the unwrapping's method for a height and a width; see `METHODS`.
+    """
+
+    def __init__(self, height: int, width: int, period_px: float, method: Callable[[int, int], PatchMethod]) -> None:
+        self.period_px = period_px
+        self._shape = (height, width)
         self.gains = Gains(height, width, period_px)
         self.model = ChannelModel(self.gains)
         self.rates = rates_buffer(height)
         self.raw_phase = runtime.empty((height, width), np.float32)
-        self.unwrapper = Unwrapper(height, width, unwrap_method)
+        self.unwrapper = RegionUnwrapper(height, width, method(height, width))
+
+    def fits(self, shape: tuple[int, int], period_px: float) -> bool:
+        """Whether these buffers are for frames of this size and period."""
+        return (self._shape, self.period_px) == (shape, period_px)

@@ -1,87 +1,41 @@
 """What footage costs in phase before it is decoded, and what to change; `docs/footage.md` says how each is found."""
 
-import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
-from pipeline.decoder import Decoder
-from pipeline.diagnosis.container import ContainerFacts, container_facts
-from pipeline.diagnosis.frame_evidence import (
-    Kept,
-    Look,
-    Shown,
-    SitingFit,
-    as_light,
-    decoder_settings,
-    fit_siting,
-    look_at,
-    measure_gains,
-    measure_motion,
-    measure_shown,
+from pipeline.diagnosis.container import container_facts
+from pipeline.diagnosis.footage_evidence import gather_evidence
+from pipeline.diagnosis.footage_findings import (
+    GRADES,
+    FootageFinding,
+    Grade,
+    container_findings,
+    frame_findings,
+    fringe_findings,
+    light_findings,
+    not_told,
+    storage_findings,
+    time_findings,
 )
-from pipeline.diagnosis.ripple import Diagnosis, diagnose
-from pipeline.diagnosis.sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
-from pipeline.errors import DecodeWarning, FootageError
-from pipeline.footage.source import BadFrame, StoredAs, StoredFrame
-from pipeline.footage.sources import Source, open_source
+from pipeline.diagnosis.frame_evidence import FrameQuality
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import StoredAs
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
-from tikernels.phase.frame_statistics import measure_frame
-from tikernels.raw.development import develop
-from tikernels.raw.pixel_format import FLOAT_BITS
-from tikernels.transposing import transpose
-
-Grade = Literal["fine", "costs", "spoils"]
-_GRADES: tuple[Grade, ...] = ("fine", "costs", "spoils")
 
 #: Exit code for footage that should not be used as it is.
 NOT_AS_IT_IS = 3
-
-# Pairs of neighbours that are looked at, evenly spaced, and a run of neighbours in the middle.
-_PAIRS, _RUN = 4, MIN_FRAMES
-# Nobody sees less, rad: 0.02 mm on a rig with 0.14 rad a mm. More, RMS, than a dark surface under a bad projector has
-# in good footage with subsampled colours should not be put up with.
-_LEAST_RAD, _MOST_RAD = 0.003, 0.06
-# Below this contrast, blur may have turned the fringe over.
-_MIN_CONTRAST = 0.12
-# Share of the lit pixels whose phase is lost by clipping.
-_LITTLE_LOST, _MUCH_LOST = 0.005, 0.2
-# Part by which all channels, or one beside the others, may have changed from the first frame on.
-_MOST_GAIN, _MOST_TINT = 0.03, 0.015
-# A surface that moves by more in a frame, rad, is on another cycle as far as the next frame tells.
-_THIRD_OF_A_CYCLE = 2 * np.pi / 3
-# The 95th percentile of a change by noise alone, in standard deviations of a phase: 1.96 sqrt(2). Noise is not the same
-# everywhere, so only so many times more is motion.
-_NOISE_CHANGE, _MOVING = 2.8, 1.5
-# Levels matter where what rounding does to the phase is more than this part of what noise does.
-_ROUGH = 0.5
-# So many upper bits are left unused by mistake, or by much too short an exposure.
-_UNUSED_BITS = 2
-# What is the rig's and not the footage's: decoding learns it from a frame, or a calibration tells it.
-_OF_THE_RIG = {"response", "crosstalk", "even crosstalk"}
-_STILL_NOT_TOLD = "frames that are the same may be repeated, or nothing moved: this codec makes them alike either way"
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing that was looked at."""
-
-    topic: str  # a word for programs, as "chroma"
-    found: str
-    cost_rad: float | None = None  # RMS of the phase's error by it; None: it has none, or none that can be told
-    grade: Grade = "fine"
-    advice: str = ""
 
 
 @dataclass(frozen=True)
 class Inspection:
     """What footage is like: every finding, the container's first."""
 
-    findings: tuple[Finding, ...]
+    findings: tuple[FootageFinding, ...]
     not_told: tuple[str, ...]  # what these frames cannot tell, a sentence each
     n_looked_at: int
     n_frames: int
@@ -89,7 +43,7 @@ class Inspection:
     @property
     def grade(self) -> Grade:
         """The worst of all findings."""
-        return max((finding.grade for finding in self.findings), key=_GRADES.index)
+        return max((finding.grade for finding in self.findings), key=GRADES.index)
 
     def topics(self, grade: Grade) -> tuple[str, ...]:
         """Return what has this grade."""
@@ -135,401 +89,26 @@ def inspect_footage(
     try:
         runtime.init(arch)
         facts = container_facts(Path(path), source)
-        seen = _gather(source, says, settings, arch, tell)
+        seen = gather_evidence(source, says, settings, arch, tell)
     finally:
         source.close()
-    findings = [*_of_container(facts, source), *_of_frames(seen, facts, settings)]
-    not_told = []
+    findings = [*container_findings(facts, source), *frame_findings(seen, facts, settings)]
+    open_questions = []
     if facts.missing is None and len(source) > 1:
-        not_told.append("whether frames are missing between others: neither even time stamps nor numbers in names tell")
-    if seen.looks:
-        typical = Shown(*np.median([list(vars(shown).values()) for shown in seen.shown], axis=0).tolist())
+        open_questions.append(
+            "whether frames are missing between others: neither even time stamps nor numbers in names tell"
+        )
+    if seen.kept:
+        typical = FrameQuality(*np.median([list(vars(shown).values()) for shown in seen.qualities], axis=0).tolist())
         findings += [
-            *_of_fringes(seen, typical),
-            *_of_storage(seen, facts, source, typical),
-            *_of_light(seen, typical),
-            *_of_time(seen, typical),
+            *fringe_findings(seen, typical),
+            *storage_findings(seen, facts, source, typical),
+            *light_findings(seen, typical),
+            *time_findings(seen, typical),
         ]
-        not_told += _not_told(seen, facts, source)
+        open_questions += not_told(seen, facts, source)
     if seen.n_frames < len(source):
-        not_told.append(f"what is wrong in frames between the {seen.n_frames} of {len(source)} that were looked at")
-    return Inspection(tuple(findings), tuple(not_told), seen.n_frames, len(source))
-
-
-@dataclass
-class _Seen:
-    """What the frames that were looked at show."""
-
-    settings: DecodeSettings  # as given, with the container's transfer, and the stripes' true direction
-    n_frames: int = 0
-    bad: list[BadFrame] = field(default_factory=list)
-    no_fringes: list[int] = field(default_factory=list)
-    looks: list[Kept] = field(default_factory=list)  # the first with fringes of every run
-    shown: list[Shown] = field(default_factory=list)
-    motion_rad: list[float] = field(default_factory=list)  # of pairs of neighbours, 95th percentile
-    repeats: list[int] = field(default_factory=list)  # frames that are as the one before, value by value
-    n_pairs: int = 0
-    brightest: float = 0.0  # value, of full scale
-    diagnosis: Diagnosis | None = None
-    siting: SitingFit | None = None
-    sequence: SequenceDiagnosis | None = None
-
-
-def _gather(source: Source, says: StoredAs, settings: DecodeSettings, arch: str, tell: Callable[[str], None]) -> _Seen:
-    if source.transfer is not None and "transfer" not in settings.model_fields_set:
-        settings = settings.model_copy(update={"transfer": source.transfer})
-    seen, decoder = _Seen(settings), None
-    runs = _runs(len(source))
-    middle, total = max(runs, key=len), sum(map(len, runs))
-    sequence: list[Kept] = []
-    for run in runs:
-        before: tuple[StoredFrame, Look] | None = None
-        first = True
-        for stored in source.frames(run.start, run.stop):
-            seen.n_frames += 1
-            tell(f"frame {stored.number} ({seen.n_frames} of {total})")
-            if isinstance(stored, BadFrame):
-                seen.bad.append(stored)
-                before = None
-                continue
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", DecodeWarning)
-                try:
-                    if decoder is None:
-                        seen.settings = _turned(stored, seen.settings)
-                        decoder = Decoder(decoder_settings(seen.settings), arch=arch)
-                    look = look_at(stored, decoder, seen.settings)
-                except FootageError as error:
-                    seen.bad.append(BadFrame(stored.number, str(error)))
-                    before = None
-                    continue
-                if before is not None:
-                    seen.n_pairs += 1
-                    if _same(before[0], stored):
-                        seen.repeats.append(stored.number)
-                    elif (change := measure_motion(before[1], look)).size:
-                        seen.motion_rad.append(float(np.quantile(change, 0.95)))
-                before = (stored, look)
-                seen.brightest = max(seen.brightest, float(look.encoded.max()))
-                if look.frame is None:
-                    seen.no_fringes.append(stored.number)
-                    continue
-                seen.shown.append(measure_shown(look, look.frame, _bits(source)))
-                if first:
-                    first = False
-                    kept = Kept.of(look, look.frame)
-                    seen.looks.append(kept)
-                    if seen.diagnosis is None and run.start >= middle.start:
-                        seen.diagnosis = _diagnosed(kept, decoder, look.settings)
-                        if source.format.subsampling[0] == 2 and says.siting is None:
-                            tell("where the colours sit")
-                            seen.siting = fit_siting(stored, seen.settings, arch)
-                if run == middle and len(run) == _RUN:
-                    sequence.append(Kept.of(look, look.frame))
-    if len(sequence) == _RUN:
-        tell("motion and beat")
-        seen.sequence = diagnose_sequence(
-            [kept.light for kept in sequence],
-            1.0,
-            [kept.unwrapped_phase for kept in sequence],
-            [kept.mask for kept in sequence],
-            crosstalk_matrix=_matrix(decoder),
+        open_questions.append(
+            f"what is wrong in frames between the {seen.n_frames} of {len(source)} that were looked at"
         )
-    return seen
-
-
-def _runs(n_frames: int) -> list[range]:
-    """Return which frames to look at: a run in the middle, and pairs before and after it."""
-    starts = np.linspace(0, max(n_frames - 2, 0), _PAIRS + 1).round().astype(int).tolist()
-    runs = [range(start, min(start + 2, n_frames)) for start in starts]
-    begin = max(0, starts[len(starts) // 2] - _RUN // 2)
-    middle = range(begin, min(begin + _RUN, n_frames))
-    clear = [run for run in runs if run.stop <= middle.start or run.start >= middle.stop]
-    return sorted({*clear, middle}, key=lambda run: run.start)
-
-
-def _bits(source: Source) -> int:
-    """Return how many bits tell levels apart; floats are as fine as their mantissa."""
-    return 24 if source.format.bits == FLOAT_BITS else source.format.bits
-
-
-def _turned(stored: StoredFrame, settings: DecodeSettings) -> DecodeSettings:
-    """Return the settings turned to this frame's stripes, if only the other direction shows a fringe."""
-    light = as_light(develop(stored.planes, stored.format, stripes=settings.stripes), settings)[1]
-    other = "vertical" if settings.stripes == "horizontal" else "horizontal"
-    across = {"horizontal": light, "vertical": transpose(light)}
-    if measure_frame(across[settings.stripes]).period_px is not None or measure_frame(across[other]).period_px is None:
-        return settings
-    return settings.model_copy(update={"stripes": other})
-
-
-def _same(one: StoredFrame, other: StoredFrame) -> bool:
-    return all(np.array_equal(a, b) for a, b in zip(one.planes, other.planes, strict=True))
-
-
-def _matrix(decoder: Decoder | None) -> Any:
-    """Return the crosstalk that decoding undoes, as far as anything tells it."""
-    if decoder is None:
-        return None
-    known = decoder.settings.crosstalk_matrix
-    if known is None and decoder.light is not None and decoder.light.reliable:
-        return decoder.light.crosstalk_matrix
-    return known
-
-
-def _diagnosed(kept: Kept, decoder: Decoder, settings: DecodeSettings) -> Diagnosis:
-    return diagnose(kept.encoded, 1.0, kept.unwrapped_phase, kept.mask, _matrix(decoder), settings.transfer)
-
-
-def _finding(
-    topic: str, found: str, cost_rad: float | None = None, advice: str = "", *, grade: Grade | None = None
-) -> Finding:
-    """Return a finding; without a grade its cost gives it."""
-    if grade is None:
-        cost = cost_rad or 0.0
-        grade = "spoils" if cost >= _MOST_RAD else "costs" if cost >= _LEAST_RAD else "fine"
-    return Finding(topic, found, cost_rad, grade, "" if grade == "fine" else advice)
-
-
-def _of_container(facts: ContainerFacts, source: Source) -> Iterator[Finding]:
-    width, height = source.size_px
-    rate = "" if facts.rate_hz is None else f", {facts.rate_hz:.4g} a second"
-    frames = "1 frame" if len(source) == 1 else f"{len(source)} frames"
-    yield _finding("container", f"{facts.container}: {frames} of {width}x{height}{rate}")
-    for note in source.notes:
-        what, _, advice = note.partition(": ")
-        if "cut off" in advice:
-            yield _finding("truncated", what, advice="copy it again, or decode what is there", grade="spoils")
-        elif "not undone" in what:
-            yield _finding("transfer", what, advice=advice, grade="spoils")
-        elif "interlaced" in what:
-            yield _finding("interlaced", note, advice="record whole frames (progressive)", grade="spoils")
-        else:
-            yield _finding("container", note)
-    if facts.missing:
-        places = "1 place" if facts.gaps == 1 else f"{facts.gaps} places"
-        yield _finding(
-            "dropped",
-            f"{facts.missing} frames are missing in {places}",
-            0.0,
-            "the others are as good as ever, but what moves jumps there: record to a faster disk or at a lower rate",
-            grade="costs",
-        )
-
-
-def _of_frames(seen: _Seen, facts: ContainerFacts, given: DecodeSettings) -> Iterator[Finding]:
-    """Yield what makes frames unusable."""
-    if seen.bad:
-        first = seen.bad[0]
-        yield _finding(
-            "damaged",
-            f"{len(seen.bad)} of {seen.n_frames} frames; frame {first.number}: {first.reason}",
-            advice="copy it again; decoding leaves such frames out",
-            grade="spoils",
-        )
-    n_good = seen.n_frames - len(seen.bad)
-    if not seen.looks:
-        yield _finding(
-            "fringes",
-            f"none in {n_good} frames",
-            advice="check that the pattern is projected, in focus and not over-exposed",
-            grade="spoils",
-        )
-    elif seen.no_fringes:
-        yield _finding(
-            "fringes",
-            f"none in {len(seen.no_fringes)} of {n_good} frames, as in frame {seen.no_fringes[0]}",
-            advice="leave such frames out (--start, --stop)",
-            grade="costs",
-        )
-    if seen.looks and seen.settings.stripes != given.stripes:
-        stripes = seen.settings.stripes
-        yield _finding("direction", f"the stripes are {stripes}", None, f'set stripes = "{stripes}"', grade="spoils")
-    if seen.repeats and not (facts.predicts and not _moves(seen)):
-        yield _finding(
-            "repeated",
-            f"{len(seen.repeats)} of {seen.n_pairs} frames are the one before, as frame {seen.repeats[0]}",
-            0.0,
-            "they hold nothing new: record at the rate at which the camera delivers",
-            grade="costs",
-        )
-
-
-def _of_fringes(seen: _Seen, typical: Shown) -> Iterator[Finding]:
-    periods = [look.period_px for look in seen.looks]
-    yield _finding("fringes", f"{seen.settings.stripes}, {np.median(periods):.1f} px a cycle")
-    # A limit that is lower than neighbours differ by shows what it is that costs.
-    faint = typical.contrast < _MIN_CONTRAST
-    yield _finding(
-        "contrast",
-        f"the fringe's amplitude is {typical.contrast:.0%} of the light",
-        typical.limit_rad,
-        "less other light, a sharper focus, less motion blur",
-        grade="costs" if faint and typical.limit_rad < _MOST_RAD else "spoils" if faint else "fine",
-    )
-    yield _finding(
-        "total",
-        "noise of a pixel's phase by all causes together, as neighbours differ by it",
-        typical.sigma_rad,
-        "change what costs most",
-        grade="spoils" if typical.sigma_rad >= _MOST_RAD else "fine",
-    )
-
-
-def _of_storage(seen: _Seen, facts: ContainerFacts, source: Source, typical: Shown) -> Iterator[Finding]:
-    # The codec's part of the noise: what neither the camera's noise, as far as the codec has left it, nor levels make.
-    rest = float(np.sqrt(max(0.0, typical.sigma_rad**2 - typical.limit_rad**2)))
-    x, y = source.format.subsampling
-    subsampled = source.format.layout == "yuv" and (x, y) != (1, 1)
-    name = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (1, 1): "4:4:4"}[x, y]
-    rate = "" if facts.bits_a_pixel is None else f", {facts.bits_a_pixel:.2f} bits a pixel"
-    yield _finding(
-        "codec",
-        f"{facts.codec}, {facts.pixels}, {'with' if facts.lossy else 'without'} loss{rate}",
-        rest if facts.lossy and not subsampled else None,
-        "give it more bits (H.264: crf 10), or record without loss (FFV1)",
-    )
-    if subsampled:
-        yield _finding(
-            "chroma",
-            f"{name}: one colour for {x * y} pixels" + (", what the codec costs included" if facts.lossy else ""),
-            rest,
-            "record RGB, 4:4:4 or raw Bayer" + ("; a lossy codec with more bits" if facts.lossy else ""),
-            grade=None if rest >= _LEAST_RAD else "costs",
-        )
-    if seen.siting is not None:
-        assumed, better = source.format.siting, seen.siting.better
-        if better is None:
-            found = f"{assumed} is assumed; these frames do not tell; if it is the other one, its cost is this"
-            yield _finding("siting", found, seen.siting.differ_rad, grade="fine")
-        elif better == assumed:
-            yield _finding("siting", f"{assumed} fits better than the other", 0.0)
-        else:
-            advice = f"add --siting {better}"
-            found = f"{better} fits better than {assumed}, which is assumed"
-            yield _finding("siting", found, seen.siting.differ_rad, advice, grade="spoils")
-    bits = _bits(source)
-    kind = "floats" if source.format.bits == FLOAT_BITS else f"{bits} bits"
-    if seen.brightest < 2.0**-_UNUSED_BITS:
-        used = max(1, bits + int(np.ceil(np.log2(max(seen.brightest, 2.0**-bits)))))
-        kind += f", but no value uses more than {used} of them"
-        advice = f"if the camera delivers {used} bits, add --bits {used}, or clipping goes unseen; else expose more"
-        yield _finding("depth", kind, typical.level_limit_rad, advice, grade="costs")
-        return
-    rough = typical.level_limit_rad > max(_LEAST_RAD, _ROUGH * typical.limit_rad)
-    advice = "record more bits, or expose more"
-    yield _finding("depth", kind, typical.level_limit_rad, advice, grade=None if rough else "fine")
-
-
-def _of_light(seen: _Seen, typical: Shown) -> Iterator[Finding]:
-    """Yield what is wrong with exposure and transfer, and what the rig itself does."""
-    diagnosed = () if seen.diagnosis is None else seen.diagnosis.findings
-    cut = [_rms(finding.ripple_rad) for finding in diagnosed if finding.causes == ("clipping",)]
-    cost = max(cut, default=0.0)
-    grade: Grade | None = "costs" if typical.lost > _LITTLE_LOST and cost < _LEAST_RAD else None
-    yield _finding(
-        "saturation",
-        f"{typical.clipped:.1%} of the lit pixels have a channel at full scale, {typical.lost:.1%} no phase by it",
-        cost,
-        "expose less, or dim the projector",
-        grade="spoils" if typical.lost > _MUCH_LOST else grade,
-    )
-    transfer, other = seen.settings.transfer, [f for f in diagnosed if f.causes == ("transfer",)]
-    if other:
-        worst = other[0]
-        yield _finding(
-            "transfer", f"taken for {transfer}, but {worst.size}", _rms(worst.ripple_rad), worst.advice, grade="spoils"
-        )
-    elif any("transfer" in finding.causes for finding in diagnosed):
-        yield _finding("transfer", f"{transfer}; or it is the projector's response: these frames do not tell")
-    else:
-        yield _finding("transfer", f"{transfer}; the fringes do not contradict it")
-    rig = [f for f in diagnosed if "clipping" not in f.causes and f.causes != ("transfer",)]
-    for finding in rig:
-        causes = " or ".join(finding.causes)
-        learnt = set(finding.causes) <= _OF_THE_RIG
-        cost = _rms(finding.ripple_rad)
-        yield _finding(
-            "rig",
-            f"{causes} ({finding.size})" + ("; decoding learns it, a calibration knows it" if learnt else ""),
-            cost,
-            finding.advice,
-            # Less than a pixel's noise is what learning the crosstalk from one frame leaves.
-            grade="fine" if learnt or cost < typical.sigma_rad else None,
-        )
-
-
-def _of_time(seen: _Seen, typical: Shown) -> Iterator[Finding]:
-    """Yield what changes from frame to frame."""
-    gains = [measure_gains(seen.looks[0], later) for later in seen.looks[1:]]
-    if any(gain is not None for gain in gains):
-        change = np.log(np.array([gain for gain in gains if gain is not None]))
-        common = change.mean(axis=1)
-        tint = change - common[:, None]
-        gain, shade = float(np.abs(common).max()), float(np.abs(tint).max())
-        grade: Grade = "costs" if gain > _MOST_GAIN or shade > _MOST_TINT else "fine"
-        yield _finding(
-            "drift",
-            f"exposure by up to {np.expm1(gain):.1%}, white balance by up to {np.expm1(shade):.1%}",
-            0.0,  # gains are what the balance undoes
-            "the balance undoes gains, but a calibration holds for one exposure only: lock exposure, gain and "
-            "white balance",
-            grade=grade,
-        )
-    if seen.motion_rad:
-        noise = _NOISE_CHANGE * typical.sigma_rad
-        most = max(seen.motion_rad)
-        moved = float(np.sqrt(most**2 - noise**2)) if most > _MOVING * noise else 0.0
-        # An exposure as long as a frame averages over all of it, and takes this from the contrast.
-        left = float(np.sinc(moved / (2 * np.pi)))
-        cost = typical.sigma_rad * float(np.sqrt(1 / max(left, 0.05) ** 2 - 1))
-        yield _finding(
-            "motion",
-            f"{moved:.2f} rad a frame; at most {1 - left:.0%} of the contrast is blurred away, if exposed all the time"
-            if moved
-            else "none that stands out of the noise",
-            cost,
-            "expose for less time"
-            if moved < _THIRD_OF_A_CYCLE
-            else "more frames a second, or a coded pattern: by "
-            "more than a third of a cycle a frame, orders cannot be followed",
-            grade="spoils" if moved >= _THIRD_OF_A_CYCLE else None,
-        )
-    for finding in () if seen.sequence is None else seen.sequence.findings:
-        yield _finding(
-            "colour fields",
-            f"{finding.causes[0]}: {finding.size}",
-            _rms(finding.ripple_rad),
-            finding.advice,
-            grade="costs",
-        )
-
-
-def _not_told(seen: _Seen, facts: ContainerFacts, source: Source) -> Iterator[str]:
-    if facts.lossy:
-        yield "the camera's own noise: the codec has removed some of it"
-    if seen.diagnosis is not None and np.isnan(seen.diagnosis.limit_rad):
-        yield f"transfer, response and lateral colour: {seen.diagnosis.notes[0]}"
-    elif source.transfer is None:
-        yield "a transfer that the projector's response happens to undo: the footage does not say how it encodes light"
-    if len(source) == 1:
-        yield "motion and drift: it is one frame"
-    elif not seen.motion_rad:
-        yield "how anything moves: no two neighbours with fringes were found"
-    else:
-        yield "how long the camera exposed, and motion along the surface, which changes no phase"
-    if seen.repeats and facts.predicts and not _moves(seen):
-        yield _STILL_NOT_TOLD
-    if seen.sequence is not None:
-        yield from seen.sequence.notes
-
-
-def _moves(seen: _Seen) -> bool:
-    """Whether anything but noise moves between neighbours."""
-    sigma = float(np.median([shown.sigma_rad for shown in seen.shown])) if seen.shown else 0.0
-    return bool(seen.motion_rad) and float(np.median(seen.motion_rad)) > _MOVING * _NOISE_CHANGE * sigma
-
-
-def _rms(ripple_rad: dict[int, float]) -> float:
-    """Return the RMS of harmonics with these amplitudes."""
-    return float(np.sqrt(sum(size**2 for size in ripple_rad.values()) / 2))
+    return Inspection(tuple(findings), tuple(open_questions), seen.n_frames, len(source))

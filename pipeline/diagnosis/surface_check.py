@@ -1,25 +1,18 @@
 """Whether a calibration still holds: a later capture of a plane or ball, against what the calibration predicts."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import Picture
-from pipeline.calibration.model import Calibration, Capture, Geometry
-from pipeline.calibration.multishot import decode_multishot
+from pipeline.calibration.model import Calibration
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.decoding.self_calibration import estimate_light
-from pipeline.diagnosis.ripple import Diagnosis, other_transfer
+from pipeline.diagnosis.check_result import BLIND_SPOTS, CheckResult, Measure
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
+from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
-from tikernels.raw.linearization import Transfer, linearize
-
-_Singles = npt.NDArray[np.float32]
 
 Shape = Literal["plane", "ball"]
 
@@ -29,54 +22,13 @@ _MIN_SURFACE_PX = 2000
 _OUTLIER_SIGMAS = 4.0
 # Averages over blocks of this side, px, are free of noise: what is left there is shape.
 _BLOCK_PX = 24
-# A measured figure may exceed the predicted one by this factor before the calibration is doubted.
-_TOLERANCE = 2.0
-# What is this part of its distance from the shape, in averages, is another shape: no rig turns that far by itself.
+# A surface whose averages depart from the shape by more than this part of its distance is another shape: no rig gets
+# that far out of adjustment by itself.
 _OTHER_SHAPE = 0.01
 # Cycles to either side of the expected order in which a ball is looked for.
 _ORDERS = 5
-# What no calibration promises to be better than: noise-free shape, mm, and a distance to an epipolar line, px.
-_SHAPE_FLOOR_MM, _EPIPOLAR_FLOOR_PX = 0.1, 0.1
-
-
-# What a shape cannot show.
-_BLIND = {
-    "plane": "a plane stays flat, or nearly, whatever the baseline's length and however the projector turns about the "
-    "stripes' direction: a ball of known radius shows that, the captures of calibrate geometry every other turn",
-    "ball": "a ball of unknown radius shows no wrong scale: give its radius",
-    "epipolar": "epipolar lines do not show the baseline's length, nor a turn of the projector towards the camera or "
-    "away from it: a ball of known radius does",
-}
-
-
-@dataclass(frozen=True)
-class Measure:
-    """One figure of a check."""
-
-    name: str
-    measured: float
-    predicted: float  # what the calibration and the frame's noise lead one to expect
-    unit: str
-
-    @property
-    def fine(self) -> bool:
-        """Whether it is within twice the prediction."""
-        return self.measured <= _TOLERANCE * self.predicted
-
-
-@dataclass(frozen=True)
-class CheckResult:
-    """What a check found."""
-
-    measures: tuple[Measure, ...]
-    position_mm: tuple[float, float, float] | None  # a ball's centre, or the plane's point on the camera's axis
-    radius_mm: float | None  # a ball's
-    blind_spot: str = ""  # what this shape cannot show, and what does
-
-    @property
-    def fine(self) -> bool:
-        """Whether every figure is within twice its prediction; if not, calibrate again."""
-        return all(measure.fine for measure in self.measures)
+# A departure from the shape, mm, free of noise, that no calibration promises to be better than.
+_SHAPE_FLOOR_MM = 0.1
 
 
 def check_surface(
@@ -114,17 +66,18 @@ def check_surface(
         # roundest one, tells it.
         rays, projector = geometry.camera.rays(), geometry.for_triangulation()
         for cycles in range(-_ORDERS, _ORDERS + 1):
-            placed[cycles] = triangulate(frame.unwrapped_phase + np.float32(2 * np.pi * cycles), rays, projector)
+            phase = frame.unwrapped_phase + np.float32(2 * np.pi * cycles)
+            placed[cycles] = runtime.to_host(triangulate(phase, rays, projector))
     fits = [
         fit
         for n in (surfaces if shape == "ball" else surfaces[:1])
         for points in placed.values()
-        if (fit := _fit(points, frame.point_sigma, frame.region == n, shape)) is not None
+        if (fit := _fit_shape(points, frame.point_sigma, frame.region == n, shape)) is not None
     ]
     if not fits:
         raise CalibrationError(f"no surface is large enough to tell a {shape}: fill the picture with it")
     if shape == "ball":
-        # A wall behind the ball passes for a huge one.
+        # A wall behind the ball fits a huge one.
         known = [fit for fit in fits if fit.radius is not None and 5 < fit.radius < 1000]
         if not known:
             raise CalibrationError("no surface in view is a ball: show it alone, before something far or dark")
@@ -147,105 +100,12 @@ def check_surface(
         expected = np.hypot(_SHAPE_FLOOR_MM, bias * radius_mm / best.position[2])
         measures.append(Measure("radius", abs(best.radius - radius_mm), float(expected), "mm"))
     x, y, z = (float(value) for value in best.position)
-    blind_spot = _BLIND[shape] if radius_mm is None or shape == "plane" else ""
+    blind_spot = BLIND_SPOTS[shape] if radius_mm is None or shape == "plane" else ""
     return CheckResult(tuple(measures), (x, y, z), best.radius, blind_spot)
 
 
-def check_epipolar(
-    captures: Mapping[str, Picture],
-    calibration: Calibration,
-    where: str = "captures",
-    white_level: float | None = None,
-) -> CheckResult:
-    """Measure how far projector pixels lie from the epipolar lines of the camera pixels that see them.
-
-    Parameters
-    ----------
-    captures : mapping from name to (H, W, 3)
-        The captures of `multishot_sequence`, of anything that holds still.
-    calibration : Calibration
-        The one in doubt.
-    where : str
-        What errors call these captures.
-    white_level : float, optional
-        Full scale; None: the type's.
-
-    Raises
-    ------
-    CalibrationError
-        The captures cannot be decoded, are of another size, or camera and projector are swapped.
-    """
-    geometry = calibration.geometry()
-    height, width = next(iter(captures.values())).shape[:2]
-    refuse_other_camera(calibration, (width, height), where)
-    seen = decode_multishot(captures, geometry.projector.size_px, where, white_level)
-    known = ~np.isnan(seen.position_px[..., 0])
-    uncertainty = calibration.uncertainty
-    rms = (0.0, 0.0) if uncertainty is None or uncertainty.reprojection_px is None else uncertainty.reprojection_px
-    predicted = float(np.hypot(_EPIPOLAR_FLOOR_PX, max(rms)))
-
-    def measure(as_if: Geometry) -> Measure:
-        error = epipolar_error_px(as_if, np.argwhere(known)[:, ::-1].astype(np.float64), seen.position_px[known])
-        return Measure("epipolar error", float(np.median(np.abs(error))), predicted, "px")
-
-    found = measure(geometry)
-    if not found.fine and measure(_swapped(geometry)).fine:
-        raise CalibrationError(f"{where}: {_SWAPPED}")
-    return CheckResult((found,), None, None, _BLIND["epipolar"])
-
-
-_SWAPPED = "camera and projector are swapped in the calibration: calibrate geometry again"
-
-
-def _swapped(geometry: Geometry) -> Geometry:
-    back = geometry.rotation.T
-    return Geometry(geometry.projector, geometry.camera, back, -back @ geometry.translation_mm, geometry.pattern)
-
-
-def refuse_other_camera(calibration: Calibration, size_px: tuple[int, int], where: str) -> None:
-    """Refuse captures of a size that the calibration's camera does not have.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration is for another camera, or camera and projector are swapped in it.
-    """
-    if calibration.camera is None or calibration.projector is None or calibration.camera.size_px == tuple(size_px):
-        return
-    if calibration.projector.size_px == tuple(size_px):
-        raise CalibrationError(f"{where}: {_SWAPPED}")
-    raise CalibrationError(
-        "{} is {}x{} px but the calibration is for a camera of {}x{}: calibrate this one, or crop".format(
-            where, *size_px, *calibration.camera.size_px
-        )
-    )
-
-
-def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: FloatArray) -> FloatArray:
-    """Return how far projector pixels lie beside the epipolar lines of camera pixels, (N,) projector px.
-
-    Parameters
-    ----------
-    geometry : Geometry
-        Where camera and projector stand.
-    camera_px, projector_px : (N, 2)
-        x, y of pixels that see each other.
-    """
-    rays = cv2.undistortPoints(camera_px.reshape(-1, 1, 2), geometry.camera.matrix, geometry.camera.distortion)
-    light = cv2.undistortPoints(
-        projector_px.reshape(-1, 1, 2), geometry.projector.matrix, geometry.projector.distortion
-    )
-    t = geometry.translation_mm / np.linalg.norm(geometry.translation_mm)
-    cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
-    lines = np.insert(rays.reshape(-1, 2), 2, 1.0, axis=1) @ (cross @ geometry.rotation).T
-    distance = (np.insert(light.reshape(-1, 2), 2, 1.0, axis=1) * lines).sum(axis=1) / np.hypot(
-        lines[:, 0], lines[:, 1]
-    )
-    return np.asarray(distance * np.sqrt(geometry.projector.matrix[0, 0] * geometry.projector.matrix[1, 1]))
-
-
 @dataclass(frozen=True)
-class _Fit:
+class _ShapeFit:
     """A shape laid through a surface."""
 
     position: FloatArray  # (3,) mm
@@ -256,7 +116,12 @@ class _Fit:
     spread: float  # mm, RMS of all
 
 
-def _fit(all_points: _Singles, point_sigma: _Singles, surface: npt.NDArray[np.bool_], shape: Shape) -> _Fit | None:
+def _fit_shape(
+    all_points: npt.NDArray[np.float32],
+    point_sigma: npt.NDArray[np.float32],
+    surface: npt.NDArray[np.bool_],
+    shape: Shape,
+) -> _ShapeFit | None:
     """Lay a shape through a surface; None where too little of it is in front of the camera, or in one piece."""
     points, sigma = all_points[surface].astype(np.float64), point_sigma[surface].astype(np.float64)
     keep = np.isfinite(points[:, 2])
@@ -288,7 +153,7 @@ def _fit(all_points: _Singles, point_sigma: _Singles, surface: npt.NDArray[np.bo
     if not whole.any():
         return None
     inside = whole[block]
-    return _Fit(
+    return _ShapeFit(
         position=position,
         radius=radius,
         sigma=across[keep][inside],
@@ -319,58 +184,3 @@ def _predicted_bias(calibration: Calibration) -> float:
     if calibration.uncertainty is None or calibration.uncertainty.depth_bias_mm is None:
         return 0.0
     return calibration.uncertainty.depth_bias_mm
-
-
-def corrected_light(
-    calibration: Calibration,
-    diagnosis: Diagnosis,
-    image: Picture,
-    white_level: float,
-    frame: DecodedFrame,
-    transfer: Transfer = "linear",
-) -> Calibration:
-    """Return the calibration with what a frame tells of the light in place of what it held.
-
-    Crosstalk and response are estimated anew from the frame, where they or what passes for them were found at fault: a
-    response of the pattern as it was projected, so measure the radiometry before making a new pattern. A transfer is
-    set. What needs more than a frame (lateral colour, motion, a black level) stays, as the advice says.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        The one at fault.
-    diagnosis : Diagnosis
-        What was found.
-    image : (H, W, 3)
-        The frame's picture, levels as they came.
-    white_level : float
-        Full scale.
-    frame : DecodedFrame
-        The frame, decoded.
-    transfer : {"linear", "srgb", "bt709"} or (N,) floats
-        What the levels were taken for.
-
-    Raises
-    ------
-    CalibrationError
-        Nothing is at fault that a frame could correct, or the frame tells too little.
-    """
-    if any(finding.causes == ("transfer",) for finding in diagnosis.findings):
-        stood = calibration.capture or Capture()
-        changed = stood.model_copy(update={"transfer": other_transfer(transfer)})
-        return calibration.model_copy(update={"capture": changed})
-    causes = {cause for finding in diagnosis.findings for cause in finding.causes}
-    if not causes & {"response", "crosstalk", "even crosstalk"}:
-        raise CalibrationError("no fault was found that one frame can correct: do what the check advises")
-    if not isinstance(transfer, str) or transfer != "linear":
-        image, white_level = linearize(image, transfer, white_level), 1.0
-    light = estimate_light([image], white_level, [frame.unwrapped_phase], [frame.mask], frame.period_px or 0.0)
-    if not light.reliable:
-        raise CalibrationError("the frame tells too little of the light to correct it: capture a larger smooth surface")
-    update: dict[str, Any] = {"crosstalk_matrix": light.crosstalk_matrix}
-    if "response" in causes or calibration.response is None:
-        update["response"] = np.tile(light.response, (3, 1))
-        if calibration.pattern is not None:
-            # The response that a frame shows is what the pattern has not undone.
-            update["pattern"] = calibration.pattern.model_copy(update={"compensated": False})
-    return calibration.model_copy(update=update)

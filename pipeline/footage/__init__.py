@@ -1,7 +1,7 @@
-"""Frames as they were stored: pictures, folders of them, videos and recordings, read by number."""
+"""Frames as they were stored: image files, folders of them, videos and recordings, read by number."""
 
-from pipeline.footage.image_file import read_picture
+from pipeline.footage.image_file import read_image
+from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
-from pipeline.footage.sources import open_source
 
-__all__ = ["BadFrame", "Source", "StoredAs", "StoredFrame", "open_source", "read_picture"]
+__all__ = ["BadFrame", "Source", "StoredAs", "StoredFrame", "open_source", "read_image"]

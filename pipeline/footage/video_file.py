@@ -1,59 +1,27 @@
 """Frames from a video file, in the planes that its codec stored, by numbers that do not depend on its clock."""
 
-from bisect import bisect_left, bisect_right
-from collections.abc import Iterator, Sequence
+from bisect import bisect_left
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_messages import caught_messages
 from pipeline.footage.ffmpeg_planes import stored_planes, transfer_of
 from pipeline.footage.recording_tags import RecordingTags
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from pipeline.footage.video_index import index_frames
 from tikernels.raw.pixel_format import PixelFormat
 
-# So many frames at the beginning may be damaged before a file counts as unreadable.
+# A file counts as unreadable when its first frames are damaged, this many of them: ten seconds of most footage.
 _MOST_DAMAGED = 300
 _MISSING = "it is missing from the file, or cannot be decoded"
 # An AVI file's index names the head of a coded frame, its reader what comes behind.
 _AVI_HEAD_BYTES = 8
+#: In place of a position and a packet, when there are no more.
 _END: tuple[int, Any] = (-1, None)
-
-
-@dataclass(frozen=True)
-class _Index:
-    """Every coded frame of a file: its position is its place in the file, its number that in time."""
-
-    stamps: Sequence[int]  # by position, in the stream's time base; empty where stamps do not tell frames apart
-    marks: Sequence[int]  # by position: what tells which packet is which
-    mark: Literal["pts", "pos"]  # what that is: a packet's time stamp, or where it begins in the file
-    numbers: Sequence[int]  # by position; -1: decoded, because others need it, but not shown
-    keys: Sequence[int]  # positions at which decoding can begin, ascending
-
-    @property
-    def intra_only(self) -> bool:
-        """Whether every frame can be decoded by itself: without stamps only those before it tell which one it is."""
-        return bool(self.stamps) and len(self.keys) == len(self.numbers)
-
-    def position_before(self, number: int) -> int:
-        """Return the position to decode from, so that a frame comes out whole."""
-        if not self.stamps:
-            return 0
-        if self.intra_only and isinstance(self.numbers, range):
-            return number
-        before = (key for key in self.keys if self.numbers[key] <= number)
-        return max(before, key=lambda key: (self.numbers[key], key), default=0)
-
-    def first_needed(self, position: int) -> int:
-        """Return the first position that a frame may have been predicted from."""
-        k = bisect_right(self.keys, position) - 1
-        # What comes before a key frame in time but after it in the file may be predicted from both sides of it.
-        if k > 0 and self.numbers[position] < self.numbers[self.keys[k]]:
-            k -= 1
-        return self.keys[k] if k >= 0 else 0
 
 
 class VideoFile:
@@ -90,7 +58,7 @@ class VideoFile:
             if recording is not None:
                 self._says = recording.completing(says)
                 self.transfer = recording.transfer
-            self._index = _index_of(container, stream, recording)
+            self._index = index_frames(container, stream, recording)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
             self._note_missing_end(container, stream)
         self._positions = {mark: position for position, mark in enumerate(self._index.marks)}
@@ -291,47 +259,3 @@ class VideoFile:
         frame_s = float((last - first) * stream.time_base) / (len(self) - 1)
         if rest_s > 3 * frame_s:
             self.notes += (f"it ends {rest_s:.1f} s before it says: it may be cut off",)
-
-
-def _index_of(container: Any, stream: Any, recording: RecordingTags | None) -> _Index:
-    if recording is not None:
-        n_frames = recording.n_frames(container.duration or 0)
-        if n_frames > container.size:  # each takes some bytes
-            raise FootageError(f"its head says that it holds {n_frames} frames, but it is too short: copy it again")
-        stamps = [recording.stamp(number) for number in range(n_frames)]
-        return _Index(stamps, stamps, "pts", range(n_frames), range(n_frames))
-    entries = list(stream.index_entries)
-    stamps = [entry.timestamp for entry in entries]
-    everything = len(entries) == stream.frames > 0 and len(set(stamps)) == len(stamps)
-    if everything and all(entry.is_keyframe and not entry.is_discard for entry in entries):
-        # AVI counts its packets for time stamps: where one is lost only the place in the file still tells.
-        return _Index(stamps, [entry.pos for entry in entries], "pos", range(len(stamps)), range(len(stamps)))
-    return _index_by_reading(container, stream)
-
-
-def _index_by_reading(container: Any, stream: Any) -> _Index:
-    """Look at every packet: where the container lists no frames, or frames are predicted from later ones."""
-    import av
-
-    stamps: list[Any] = []
-    keys: list[int] = []
-    hidden = set()
-    with caught_messages():
-        try:
-            for packet in container.demux(stream):
-                if packet.size == 0:
-                    continue
-                if packet.is_keyframe:
-                    keys.append(len(stamps))
-                if packet.is_discard:
-                    hidden.add(len(stamps))
-                stamps.append(packet.pts)
-        except av.error.FFmpegError:
-            pass  # frames end where the file cannot be read any further
-    if None in stamps or len(set(stamps)) < len(stamps):
-        return _Index((), (), "pts", range(len(stamps)), keys)
-    numbers = [-1] * len(stamps)
-    shown = (position for position in range(len(stamps)) if position not in hidden)
-    for number, position in enumerate(sorted(shown, key=stamps.__getitem__)):
-        numbers[position] = number
-    return _Index(stamps, stamps, "pts", numbers, keys)

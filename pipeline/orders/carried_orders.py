@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tikernels.order_evidence.contrast_reading import CANDIDATES, join_parts_kernel
-from tikernels.order_evidence.order_votes import BEFORE, CYCLES, PATCH, REST, SOUND
-from tikernels.unwrapping.unwrapper import PatchGraph
+from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, SOUND
+from tikernels.order_evidence.part_joining import CANDIDATES, join_parts
+from tikernels.unwrapping.patches import PatchGraph
 
 # A region needs so many votes, and this share of them, to keep its order: fewer, and most of it is newly seen.
 _MIN_VOTES, _MIN_SHARE = 6, 0.6
@@ -29,7 +29,7 @@ _EDGE_DOUBT = 0.5
 # share of their votes.
 _MIN_TORN_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
 #: An order that was absolute stays so where it is wrong with a smaller probability than this.
-MAX_ERROR_PROBABILITY = 1e-2
+MAX_CARRIED_ERROR = 1e-2
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class CarriedOrders:
 
 
 def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> CarriedOrders:
-    """Count `vote_orders_kernel`'s votes: the sound ones, and the others of regions that have too few.
+    """Count `vote_orders`'s votes: the sound ones, and the others of regions that have too few.
 
     Parameters
     ----------
@@ -66,9 +66,9 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
         none = np.zeros(0, np.int64)
         return CarriedOrders(False, none, none, none, none.astype(float))
     # A ballot is a region and an offset; those who cast it may come from several regions of the frame before.
-    low, before_span = int(votes[:, CYCLES].min()), int(votes[:, BEFORE].max()) + 1
-    cycles_span = int(votes[:, CYCLES].max()) - low + 1
-    keys = (root * cycles_span + votes[:, CYCLES] - low) * before_span + votes[:, BEFORE]
+    low, before_span = int(votes[:, LACKING].min()), int(votes[:, BEFORE].max()) + 1
+    cycles_span = int(votes[:, LACKING].max()) - low + 1
+    keys = (root * cycles_span + votes[:, LACKING] - low) * before_span + votes[:, BEFORE]
     origins, member, voters = np.unique(keys, return_inverse=True, return_counts=True)
     rest = np.bincount(member, np.abs(votes[:, REST]) / 64)
     ballots, starts = np.unique(origins // before_span, return_index=True)
@@ -110,7 +110,7 @@ def split_by_votes(
     Parameters
     ----------
     votes : (N, 5) int32
-        `vote_orders_kernel`'s.
+        `vote_orders`'s.
     graph : PatchGraph
         The frame's patches.
     known_before : (regions + 1,) bool
@@ -126,7 +126,7 @@ def split_by_votes(
         return graph.root
     # The offsets in use, known ones and others, the commonest first: hardly any frame has more than a few.
     offsets, place, counts = np.unique(
-        2 * votes[:, CYCLES] + known_before[votes[:, BEFORE]], return_inverse=True, return_counts=True
+        2 * votes[:, LACKING] + known_before[votes[:, BEFORE]], return_inverse=True, return_counts=True
     )
     rank = np.empty(len(offsets), np.int64)
     rank[np.argsort(-counts, kind="stable")] = np.arange(len(offsets))
@@ -151,9 +151,8 @@ def split_by_votes(
     differ = (best[ends[0]] != best[ends[1]]) & (np.minimum(best[ends[0]], best[ends[1]]) >= 0)
     order = np.lexsort((np.arange(len(weight)), -weight, differ))
     everywhere = np.tile(np.array([0, 1], np.int32), (len(graph.root), 1))
-    parents = np.zeros(len(graph.root), np.int32)
     if len(order):
         pairs = np.ascontiguousarray(ends[:, order], np.int32)
-        join_parts_kernel(pairs, 0, _MIN_MARGIN, _MIN_MARGIN_SHARE, everywhere, evidence, parents)
+        parents = join_parts(pairs, 0, _MIN_MARGIN, _MIN_MARGIN_SHARE, everywhere, evidence)
         return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
     return graph.root

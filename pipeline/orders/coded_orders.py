@@ -8,28 +8,25 @@ over its offsets.
 """
 
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.orders.posterior import NOTHING_KNOWN, AbsoluteOrders, Floats, Integers, OrderRange, Posterior
-from pipeline.pattern.contrast_code import CYCLES, contrast_steps, modulation_at
+from pipeline.models import FloatArray
+from pipeline.orders.posterior import NOTHING_KNOWN, AbsoluteOrders, Integers, OrderRange, Posterior
+from pipeline.pattern.contrast_code import CYCLES, contrast_steps
 from tikernels.order_evidence.contrast_reading import (
     BACKGROUND,
-    CANDIDATES,
     MODULATION,
+    ORDER_SLOTS,
     PHASE,
-    SLOPE_REACH,
-    SLOTS,
-    TABLED,
     TOTAL,
-    join_parts_kernel,
-    match_stretches_kernel,
+    match_stretches,
 )
-from tikernels.unwrapping.patch_growing import CELL_HEIGHT, CELL_WIDTH
-from tikernels.unwrapping.unwrapper import MIN_REGION_PX, PatchGraph
+from tikernels.order_evidence.part_joining import CANDIDATES, join_parts
+from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
+from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 
 # Below this share of the code's steps the frame does not show the code; a response of gamma 2.4 leaves half of them.
 _MIN_STRENGTH = 0.25
@@ -68,8 +65,6 @@ _FREEDOM = 4.0
 # A median of n values scatters 1.25 / sqrt(n) as much as they do; what a part's own few columns show of their scatter
 # counts as much as the frame's once it has so many.
 _MEDIAN_SCATTER, _SCATTER_PRIOR = 1.2533, 8.0
-# Where the phase bends by more (rad) within a cycle, the surface does.
-_MAX_BEND = 0.3
 
 
 @dataclass(frozen=True)
@@ -79,7 +74,7 @@ class _Steps:
     low: Integers  # (N,) patch that holds most of the lower cycle
     high: Integers  # (N,) and of the higher one
     order: Integers  # (N,) the lower cycle's order in its region
-    rise: Floats  # (N,)
+    rise: FloatArray  # (N,)
     place: Integers  # (N,) steps that follow each other down a column of patches are numbered one by one
     rising: bool  # whether the orders grow with the rows
 
@@ -89,8 +84,8 @@ class _PartSteps:
     """What all columns of a part show of its steps, order by order."""
 
     levels: Integers  # (n,) the lower cycle's order
-    middle: Floats  # (n,) median rise
-    noise: Floats  # (n,) its variance, by the columns' scatter
+    middle: FloatArray  # (n,) median rise
+    noise: FloatArray  # (n,) its variance, by the columns' scatter
 
 
 def find_absolute_orders(
@@ -104,8 +99,8 @@ def find_absolute_orders(
 
     Parameters
     ----------
-    sums : (P, SLOTS, 4) float32
-        What `measure_contrast_kernel` summed.
+    sums : (P, ORDER_SLOTS, 4) float32
+        What `measure_contrast` summed.
     graph : PatchGraph
         The patches, joined to regions.
     width : int
@@ -151,7 +146,7 @@ def _contrast_steps(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int
     """Put the cycles of every column of patches in a row and take the steps between whole ones."""
     patch, slot = np.nonzero(sums[..., TOTAL] > 0)
     values = sums[patch, slot].astype(np.float64)
-    order = graph.offset[patch].astype(np.int64) + slot - SLOTS // 2
+    order = graph.offset[patch].astype(np.int64) + slot - ORDER_SLOTS // 2
     root, first = graph.root[patch], graph.first[patch]
     column, row = first % width // CELL_WIDTH, first // width // CELL_HEIGHT
     sign = 1 if rising else -1
@@ -207,8 +202,7 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
     without = np.eye(_STRETCH) - common / _STRETCH
     windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
     seen = steps.rise[stretches] @ without
-    matches = np.empty((len(seen), 3), np.float32)
-    match_stretches_kernel(seen.astype(np.float32), (strength * windows).astype(np.float32), matches)
+    matches = match_stretches(seen.astype(np.float32), (strength * windows).astype(np.float32))
     best, least, second = matches[:, 0].astype(np.int64), matches[:, 1], matches[:, 2]
     clear = least < 0.25 * second
     sigma = _MIN_SIGMA
@@ -268,15 +262,8 @@ def _split(
     sort = np.lexsort((shuffled, -np.floor(4 * np.log2(np.maximum(weight, 1))), differ))
     parents = np.zeros(len(graph.root), np.int32)
     if len(sort):
-        join_parts_kernel(
-            np.ascontiguousarray(ends[:, sort]),
-            _MIN_SPAN,
-            _MIN_MARGIN,
-            _MARGIN_A_STEP,
-            orders,
-            evidence.astype(np.float32),
-            parents,
-        )
+        pairs = np.ascontiguousarray(ends[:, sort])
+        parents = join_parts(pairs, _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP, orders, evidence.astype(np.float32))
     return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
 
 
@@ -334,11 +321,11 @@ def _seen_steps(steps: _Steps, roots: npt.NDArray[np.int32], parts: Integers) ->
     return found
 
 
-def _scatter(departures: Floats) -> float:
+def _scatter(departures: FloatArray) -> float:
     return 1.4826 * float(np.median(departures)) if len(departures) else 0.0
 
 
-def _log_likelihood(part: _PartSteps) -> tuple[int, Floats]:
+def _log_likelihood(part: _PartSteps) -> tuple[int, FloatArray]:
     """Return the smallest offset, and the (strengths, spreads, offsets) logarithm of how probable a part's steps are.
 
     A step is Student-distributed about the code's. What all steps have in common, and a trend, is the contrast's own
@@ -362,7 +349,7 @@ def _log_likelihood(part: _PartSteps) -> tuple[int, Floats]:
     return int(-levels[0]), -0.5 * (_FREEDOM + 1) * fit - 0.5 * constant[:, None]
 
 
-def _posteriors(likelihoods: list[tuple[int, Floats]], luck: Floats) -> tuple[list[Posterior], bool]:
+def _posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> tuple[list[Posterior], bool]:
     """Return the posterior of every part, and whether the frame shows the code.
 
     Strength and spread of the steps are integrated over. What the other parts say of them is each part's prior; luck is
@@ -388,91 +375,6 @@ def _posteriors(likelihoods: list[tuple[int, Floats]], luck: Floats) -> tuple[li
     return posteriors, bool(without < np.logaddexp.reduce(together[_STRENGTHS > 0], axis=None))
 
 
-def _evidence(likelihood: Floats) -> Floats:
+def _evidence(likelihood: FloatArray) -> FloatArray:
     """Return how probable each strength and spread is by a part whose offset may be any."""
     return np.asarray(np.logaddexp.reduce(likelihood, axis=-1) - np.log(likelihood.shape[-1]))
-
-
-@cache
-def code_departures(usual: float) -> tuple[Floats, Floats]:
-    """Return how the code's modulation departs from the usual one, and the slope of its logarithm.
-
-    Parameters
-    ----------
-    usual : float
-        Fraction of full scale.
-
-    Returns
-    -------
-    two (TABLED (CYCLES - 1) + 1,) float64
-        Departures as a fraction of the usual one, and slopes a cycle, TABLED a cycle from the first cycle's middle on.
-    """
-    place = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
-    low, here, high = (modulation_at(place + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
-    return here / usual - 1, (high - low) / (2 * SLOPE_REACH * here)
-
-
-def modulation_corrections(departures: Floats, tables: npt.NDArray[np.floating]) -> Floats:
-    """Return what the response's correction lacks where the modulation is not the usual one.
-
-    Parameters
-    ----------
-    departures : (N,) float64
-        Of the modulation from the usual one, as a fraction of it, TABLED a cycle from the middle of a cycle on.
-    tables : (2, bins + 1)
-        rad over a cycle from -pi on: what of the correction goes with the modulation, and with its square.
-
-    Returns
-    -------
-    (N,) float64
-        rad.
-    """
-    edges = np.linspace(-0.5, 0.5, tables.shape[1])
-    around = [np.interp(np.arange(TABLED) / TABLED, edges, row, period=1) for row in tables]
-    linear, square = (np.resize(row, len(departures)) for row in around)
-    return np.asarray(departures * (linear + (2 + departures) * square))
-
-
-def blur_shift(
-    unwrapped: npt.NDArray[np.float32],
-    region: npt.NDArray[np.int32],
-    absolute: npt.NDArray[np.bool_],
-    slopes: Floats,
-    period_px: float,
-) -> float:
-    """Return how far blur shifts the phase where the modulation rises e-fold a cycle, rad.
-
-    Blur weakens the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of
-    the phase: by (2 pi s)^2 / (2 pi) of its logarithm's slope, for a Gaussian of s cycles.
-
-    Parameters
-    ----------
-    unwrapped : (H, n) float32
-        rad, absolute; columns of the image.
-    region : (H, n) int32
-        Number of each pixel's region; 0 outside.
-    absolute : (regions + 1,) bool
-        Whether a region's orders are absolute.
-    slopes : (N,) float64
-        Of the modulation's logarithm, a cycle; see `code_departures`.
-    period_px : float
-        Rows a cycle.
-
-    Returns
-    -------
-    float
-        rad; 0 where nothing tells.
-    """
-    half = max(1, round(period_px / 2))
-    # Every fourth row tells enough.
-    middle, above, below = (region[half:-half:4], region[: -2 * half : 4], region[2 * half :: 4])
-    inside = (middle > 0) & (middle == above) & (middle == below) & absolute[middle]
-    if not inside.any():
-        return 0.0
-    rows, columns = np.nonzero(inside)
-    phases = [unwrapped[4 * rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
-    places = [np.clip(np.rint(phase * (TABLED / (2 * np.pi))), 0, len(slopes) - 1).astype(int) for phase in phases]
-    # A smooth surface hardly bends within a cycle; what it bends has nothing to do with the code.
-    bend, expected = (a[0] - 2 * a[1] + a[2] for a in (phases, [slopes[place] for place in places]))
-    smooth = np.abs(bend) < _MAX_BEND
-    return float(bend[smooth] @ expected[smooth] / max(float(expected[smooth] @ expected[smooth]), 1e-9))

@@ -1,30 +1,31 @@
-"""Which whole cycles every surface of a frame has: by the pattern's code, the frame before, or the expected depth."""
+"""Which whole cycles every region of a frame has: by the pattern's code, the frame before, or the expected depth.
 
-from typing import Any
+`place` asks all that tells and gives the regions their offsets, `region_orders` says of each what is known of it, and
+`refine` uses a code that is known now: it takes in pixels at steps, and corrects the phase by each cycle's modulation.
+"""
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
-from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers
+from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.decoding.light_path import LightPath
-from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError
-from pipeline.orders.carried_orders import MAX_ERROR_PROBABILITY as MAX_CARRIED_ERROR
-from pipeline.orders.carried_orders import CarriedOrders, count_votes, split_by_votes
-from pipeline.orders.coded_orders import blur_shift, code_departures, find_absolute_orders, modulation_corrections
-from pipeline.orders.posterior import MAX_ERROR_PROBABILITY, AbsoluteOrders, OrderRange
+from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, count_votes, split_by_votes
+from pipeline.orders.coded_orders import find_absolute_orders
+from pipeline.orders.modulation import blur_shift, code_departures, modulation_corrections
+from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, AbsoluteOrders, OrderRange
 from pipeline.pattern.contrast_code import cycle_modulations
 from tikernels import runtime
-from tikernels.order_evidence.contrast_reading import (
-    SLOTS,
-    adopt_pixels_kernel,
-    correct_by_modulation_kernel,
-    measure_contrast_kernel,
-)
-from tikernels.order_evidence.order_votes import VOTES_A_CELL, vote_orders_kernel
+from tikernels.arrays import F32, LevelsImage
+from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measure_contrast, vote_orders
+from tikernels.phase.color_balance import Gains
 from tikernels.phase.equalization import modulation_tables
-from tikernels.unwrapping.unwrapper import MIN_REGION_PX, PatchGraph
+from tikernels.phase.smoothing import RATE_ACROSS
+from tikernels.unwrapping.patches import MIN_REGION_PX, Patches, PatchGraph, RegionTable
 
 # With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
 # (rad) that is worth a pass over the image.
@@ -32,6 +33,65 @@ _MAX_LOST = 0.02
 _MIN_CORRECTION = 1e-3
 # Every eighth column tells how far blur shifts the phase.
 _EVERY_COLUMN = 8
+# Where a code that nobody has told of places more than this share of the pixels, it is one.
+_MIN_CODED = 0.5
+
+_CODE_NOT_SEEN = "the frame does not show the contrast code: project a pattern made with --code contrast"
+_CODE_NOT_TOLD = 'the frame shows a contrast code: set code = "contrast" to use it'
+_OTHER_SCENE = "nothing of the frame before is seen again: the orders start afresh"
+
+
+@dataclass(frozen=True, eq=False)
+class SeenPhase:
+    """What finding orders sees of a frame; on the device, stripes along the rows."""
+
+    image: LevelsImage  # (H, W, 3) linear light
+    gains: Gains  # of the colour balance
+    phases: PhaseBuffers  # smoothed
+    raw_phase: F32  # (H, W) rad, before smoothing
+    rates: F32  # of `measure_rates`
+    correction: npt.NDArray[np.float32]  # (N,) rad, the response's, over a cycle
+    period_px: float
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """The evidence of a frame's orders, and what it gives reason to doubt."""
+
+    absolute: AbsoluteOrders | None  # by a code, or by the depth range
+    carried: CarriedOrders | None  # by the frame before
+    warning: str | None  # what the user should know
+
+    def region_orders(self, patches: Patches, regions: RegionTable, memory: FrameMemory | None) -> RegionOrders:
+        """Return of every region whether its orders are absolute, and how probably they are not.
+
+        Parameters
+        ----------
+        patches : Patches
+            With the offsets that `OrderFinder.place` has given them.
+        regions : RegionTable
+            The regions that were written.
+        memory : FrameMemory, optional
+            Of the frame that `carried` comes from.
+        """
+        roots = regions.roots
+        known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
+        if memory is not None and self.carried is not None:
+            goes_on = np.isin(roots, self.carried.roots)
+            found = np.searchsorted(self.carried.roots, roots[goes_on])
+            before, number = self.carried.before[found], 1 + np.flatnonzero(goes_on)
+            stays = (1 - memory.orders.error_probability[before]) * (1 - self.carried.error_probability[found])
+            errors[number] = 1 - stays
+            known[number] = memory.orders.known[before] & (errors[number] < MAX_CARRIED_ERROR)
+        if self.absolute is not None and len(self.absolute.parts):
+            part = np.searchsorted(self.absolute.parts, roots)
+            offsets = patches.orders(self.absolute.parts).astype(np.int64)
+            by_itself = self.absolute.error_probability(offsets)[part]
+            absolute = by_itself < MAX_ABSOLUTE_ERROR
+            known[1:] |= absolute
+            errors[1:] = np.where(absolute | ~known[1:], by_itself, errors[1:])
+        errors[0] = np.nan
+        return RegionOrders(known, errors.astype(np.float32))
 
 
 class OrderFinder:
@@ -39,10 +99,8 @@ class OrderFinder:
 
     Parameters
     ----------
-    code : {"contrast"} or None
-        The pattern's code.
     path : LightPath
-        What is known of the light.
+        What is known of the light, and the pattern's code.
     geometry : Geometry, optional
         The rig's; with it, the depth tells what the orders may be.
     depth_range_mm : (2,) float, optional
@@ -56,13 +114,12 @@ class OrderFinder:
 
     def __init__(
         self,
-        code: str | None,
         path: LightPath,
         geometry: Geometry | None,
         depth_range_mm: tuple[float, float] | None,
     ) -> None:
-        self._code = code
-        self._code_looked_for = code is not None
+        self._code = path.code
+        self._code_looked_for = path.code is not None
         self._path = path
         self._geometry = geometry
         self._depth_range_mm = depth_range_mm
@@ -73,189 +130,154 @@ class OrderFinder:
         """Do not look in the first frame for a code that nobody has told of."""
         self._code_looked_for = True
 
-    def find(
-        self,
-        image: Any,
-        work: Workspace,
-        frame: DecodedFrame,
-        previous: DecodedFrame | None,
-        correction: npt.NDArray[np.float32],
-    ) -> str | None:
-        """Place the regions that `work.unwrapper` has joined, and write the unwrapped phase.
+    def place(
+        self, seen: SeenPhase, patches: Patches, rays: CameraRays | None, memory: FrameMemory | None
+    ) -> Placement:
+        """Split the regions that the evidence contradicts, and give each the offset that the evidence names.
+
+        What is said later overrules what was said before: the expected depth, the likeliest offset by the code, the
+        frame before, and last the offsets that are all but certain.
 
         Parameters
         ----------
-        image : (H, W, 3)
-            Linear light, stripes along the rows.
-        work : Workspace
-            What the frame's phase was recovered with.
-        frame : DecodedFrame
-            Its phase is read; `unwrapped`, `mask` and `region` are written.
-        previous : DecodedFrame, optional
-            The frame before.
-        correction : (N,) float32
-            The response's correction of the phase over a cycle, rad.
+        seen : SeenPhase
+            The frame.
+        patches : Patches
+            Its patches, joined to regions; they are split, and their orders set.
+        rays : CameraRays, optional
+            With a calibration.
+        memory : FrameMemory, optional
+            Of the frame before.
+        """
+        coded = self._code == "contrast"
+        absolute, readable = None, True
+        if coded:
+            absolute, readable = self._read_code(seen, patches, rays)
+        carried = None if memory is None else self._carry_orders(seen, patches, memory)
+        if absolute is None and self._depth_range_mm is not None:
+            absolute = self._place_by_depth(seen, patches, rays)
+        if rays is not None:
+            patches.place(seen.phases.phase, rays.rays, rays.projector, self._depth_mm)
+        if absolute is not None:
+            errors = absolute.error_probability(absolute.offsets)
+            # Of what the range alone leaves possible, the order nearest its middle stays.
+            told = (errors < 1) if coded else np.zeros(len(errors), np.bool_)
+            patches.set_orders(absolute.parts[told], absolute.offsets[told])
+        if carried is not None:
+            patches.set_orders(carried.roots, carried.offsets)
+        if absolute is not None:
+            sure = errors < MAX_ABSOLUTE_ERROR
+            patches.set_orders(absolute.parts[sure], absolute.offsets[sure])
+        warning = None if readable else _CODE_NOT_SEEN
+        if carried is not None and not carried.same_scene:
+            warning = _OTHER_SCENE
+        if not self._code_looked_for:
+            self._code_looked_for = True
+            if self._shows_a_code(seen, patches):
+                warning = _CODE_NOT_TOLD
+        return Placement(absolute, carried, warning)
+
+    def refine(
+        self, seen: SeenPhase, patches: Patches, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers
+    ) -> str | None:
+        """With a code, take pixels at steps in, and correct the phases by the modulation that their cycles have.
+
+        Parameters
+        ----------
+        seen : SeenPhase
+            The frame; its smoothed phase is corrected.
+        patches, regions, orders
+            Its regions, written to `out`, and what is known of them.
+        out : SurfaceBuffers
+            What is corrected, too.
 
         Returns
         -------
         str or None
-            What the user should know of the orders.
+            What the user should know.
         """
-        unwrapper, buffers = work.unwrapper, frame._buffers
-        orders, readable = None, True
-        if self._code == "contrast":
-            orders, readable = self._read_code(image, work, frame)
-        carried = None if previous is None else self._carry_orders(previous, work, buffers["phase"])
-        if orders is None and self._depth_range_mm is not None:
-            orders = self._place_by_depth(work, frame)
-        if frame._rig is not None:
-            unwrapper.place(buffers["phase"], *frame._rig, self._depth_mm)
-        if orders is not None:
-            errors = orders.error_probability(orders.offsets)
-            # Of what the range alone leaves possible, the order nearest its middle stays.
-            told = (errors < 1) if self._code else np.zeros(len(errors), np.bool_)
-            unwrapper.set_orders(orders.parts[told], orders.offsets[told])
-        if carried is not None:
-            unwrapper.set_orders(carried.roots, carried.offsets)
-        if orders is not None:
-            absolute = errors < MAX_ERROR_PROBABILITY
-            unwrapper.set_orders(orders.parts[absolute], orders.offsets[absolute])
-        unwrapper.write(buffers["phase"], work.rates, buffers["unwrapped"], buffers["mask"], buffers["region"])
-        _note_orders(orders, carried, previous, work, frame)
-        doubt = None
-        if self._code == "contrast":
-            doubt = self._use_code(readable, correction, work, frame)
-        if carried is not None and not carried.same_scene:
-            doubt = "nothing of the frame before is seen again: the orders start afresh"
-        if not self._code_looked_for:
-            self._code_looked_for = True
-            graph = unwrapper.graph()
-            found, readable = self._find_orders(image, work, frame, graph, None)
-            absolute = found.error_probability(found.offsets) < MAX_ERROR_PROBABILITY
-            share = graph.pixels[np.isin(found.roots, found.parts[absolute])].sum() / graph.pixels.sum()
-            if readable and share > 0.5:
-                doubt = 'the frame shows a contrast code: set code = "contrast" to use it'
-        return doubt
+        if self._code != "contrast":
+            return None
+        known, phases = orders.known, seen.phases
+        if known.any():
+            surface = (out.unwrapped, out.mask, out.region)
+            found = (phases.phase, seen.raw_phase, phases.modulation, seen.rates)
+            adopt_pixels(patches.final, *found, known, out=surface)
+        # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
+        usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
+        departures, slopes = code_departures(usual)
+        columns = (slice(None), slice(None, None, _EVERY_COLUMN))
+        sampled = runtime.to_host(out.unwrapped)[columns], runtime.to_host(out.region)[columns]
+        corrections = modulation_corrections(departures, modulation_tables(seen.correction))
+        corrections -= blur_shift(*sampled, known, slopes, seen.period_px) * slopes
+        if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
+            correct_by_modulation(out.region, known, corrections, out=(phases.phase, out.unwrapped))
+        lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
+        if lost > _MAX_LOST:
+            return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
+        return None
 
-    def _read_code(self, image: Any, work: Workspace, frame: DecodedFrame) -> tuple[AbsoluteOrders, bool]:
+    def _read_code(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None) -> tuple[AbsoluteOrders, bool]:
         """Find the absolute orders, split the regions that the code contradicts, and say whether the code is seen."""
-        graph = work.unwrapper.graph()
-        orders, readable = self._find_orders(image, work, frame, graph, self._order_range(frame, graph))
-        if not np.array_equal(orders.roots, graph.root):
-            work.unwrapper.split(orders.roots)
-        return orders, readable
+        graph = patches.graph()
+        absolute, readable = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
+        if not np.array_equal(absolute.roots, graph.root):
+            patches.split(absolute.roots)
+        return absolute, readable
 
-    def _find_orders(
-        self, image: Any, work: Workspace, frame: DecodedFrame, graph: PatchGraph, order_range: OrderRange | None
+    def _shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
+        """Whether the frame shows the code that nobody has told of."""
+        graph = patches.graph()
+        found, readable = self._find_absolute(seen, patches, graph, None)
+        sure = found.error_probability(found.offsets) < MAX_ABSOLUTE_ERROR
+        share = graph.pixels[np.isin(found.roots, found.parts[sure])].sum() / graph.pixels.sum()
+        return readable and bool(share > _MIN_CODED)
+
+    def _find_absolute(
+        self, seen: SeenPhase, patches: Patches, graph: PatchGraph, order_range: OrderRange | None
     ) -> tuple[AbsoluteOrders, bool]:
-        unwrapper, buffers = work.unwrapper, frame._buffers
-        sums = runtime.empty((unwrapper.patch_count, SLOTS, 4), np.float32)
-        light = (image, self._path.inverse, work.gains.gains, work.gains.cell, buffers["phase"], buffers["modulation"])
-        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits)
-        measure_contrast_kernel(self._path.balance_first)(*light, *patches, sums)
-        width = int(image.shape[1])
-        rising = float(runtime.to_host(work.rates)[-1, 1]) > 0
-        return find_absolute_orders(runtime.to_host(sums), graph, width, rising, order_range)
+        phases = seen.phases
+        sums = measure_contrast(seen.image, self._path.crosstalk, seen.gains, phases.phase, phases.modulation, patches)
+        rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
+        return find_absolute_orders(sums, graph, int(seen.image.shape[1]), rising, order_range)
 
-    def _place_by_depth(self, work: Workspace, frame: DecodedFrame) -> AbsoluteOrders | None:
+    def _place_by_depth(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None) -> AbsoluteOrders | None:
         """Find the orders that the depth range leaves possible."""
-        graph = work.unwrapper.graph()
-        order_range = self._order_range(frame, graph)
+        graph = patches.graph()
+        order_range = self._order_range(seen, graph, rays)
         if order_range is None:
             return None
         parts = np.flatnonzero(np.bincount(graph.root, graph.pixels, len(graph.root)) >= MIN_REGION_PX)
         ranges = order_range.by_part(graph.root, parts, graph.pixels)
         return AbsoluteOrders(graph.root, parts, tuple(within.alone() for within in ranges))
 
-    def _carry_orders(self, previous: DecodedFrame, work: Workspace, phase: Any) -> CarriedOrders:
+    def _carry_orders(self, seen: SeenPhase, patches: Patches, memory: FrameMemory) -> CarriedOrders:
         """Find the orders that agree with the frame before, and split the regions that it contradicts."""
-        unwrapper, before = work.unwrapper, previous._buffers
-        votes = runtime.empty((unwrapper.cells * VOTES_A_CELL, 5), np.int32)
-        patches = (unwrapper.labels, unwrapper.firsts, unwrapper.draft_bits, unwrapper.patches)
-        vote_orders_kernel(phase, *patches, before["unwrapped"], before["region"], votes)
-        counted = runtime.to_host(votes)
+        votes = vote_orders(seen.phases.phase, patches, memory.surface.unwrapped, memory.surface.region)
         if self._code is not None:  # the code has split them already, and knows better
-            return count_votes(counted, unwrapper.patch_roots())
-        graph = unwrapper.graph()
-        roots = split_by_votes(counted, graph, previous.order_is_known)
-        carried = count_votes(counted, roots)
+            return count_votes(votes, patches.roots())
+        graph = patches.graph()
+        roots = split_by_votes(votes, graph, memory.orders.known)
+        carried = count_votes(votes, roots)
         if carried.same_scene and not np.array_equal(roots, graph.root):
-            unwrapper.split(roots)
+            patches.split(roots)
         return carried
 
-    def _order_range(self, frame: DecodedFrame, graph: PatchGraph) -> OrderRange | None:
+    def _order_range(self, seen: SeenPhase, graph: PatchGraph, rays: CameraRays | None) -> OrderRange | None:
         """Return how many cycles every patch may lack: its first pixel's ray in the depth range and the pattern."""
-        if self._geometry is None or frame._rig is None:
+        if self._geometry is None or rays is None:
             return None
-        phase = runtime.to_host(frame._buffers["phase"])  # synchronises
+        phase = runtime.to_host(seen.phases.phase)  # synchronises
         y, x = np.divmod(graph.first, phase.shape[1])
         here = phase[y, x] / (2 * np.pi) + graph.offset
         pattern = self._geometry.pattern
         cycles = self._geometry.projector.size_px[self._geometry.phase_axis] / pattern.period_px
         least, most = np.zeros(len(here)), np.full(len(here), cycles)
         if self._depth_range_mm is not None:
-            rays = np.column_stack([runtime.to_host(frame._rig[0])[y, x], np.ones(len(here))])
-            ends = np.sort([self._geometry.pattern_cycles(z * rays) for z in self._depth_range_mm], axis=0)
+            directions = np.column_stack([runtime.to_host(rays.rays)[y, x], np.ones(len(here))])
+            ends = np.sort([self._geometry.pattern_cycles(z * directions) for z in self._depth_range_mm], axis=0)
             least, most = np.maximum(least, ends[0]), np.minimum(most, ends[1])
         return OrderRange(least - here, most - here, self._depth_range_mm is not None)
-
-    def _use_code(
-        self, readable: bool, correction: npt.NDArray[np.float32], work: Workspace, frame: DecodedFrame
-    ) -> str | None:
-        """Note what is known of each region, and correct the phases by the modulation that their cycles have.
-
-        Returns what the user should know.
-        """
-        buffers, known = frame._buffers, frame.order_is_known
-        if known.any():
-            adopted = runtime.empty((*buffers["region"].shape, 2), np.float32)
-            seen = (buffers["phase"], work.raw_phase, buffers["modulation"], work.rates)
-            outputs = (buffers["unwrapped"], buffers["mask"], buffers["region"])
-            adopt_pixels_kernel(work.unwrapper.final, *seen, known.astype(np.int32), adopted, *outputs)
-        # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
-        usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
-        departures, slopes = code_departures(usual)
-        columns = (slice(None), slice(None, None, _EVERY_COLUMN))
-        sampled = runtime.to_host(buffers["unwrapped"])[columns], runtime.to_host(buffers["region"])[columns]
-        corrections = modulation_corrections(departures, modulation_tables(correction))
-        corrections -= blur_shift(*sampled, known, slopes, frame.period_px or 0.0) * slopes
-        if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
-            arguments = (buffers["region"], known.astype(np.int32), corrections.astype(np.float32))
-            correct_by_modulation_kernel(*arguments, buffers["phase"], buffers["unwrapped"])
-        pixels = work.unwrapper.region_pixels()
-        lost = float(pixels[~known[1:]].sum() / max(pixels.sum(), 1))
-        if not readable:
-            return "the frame does not show the contrast code: project a pattern made with --code contrast"
-        if lost > _MAX_LOST:
-            return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
-        return None
-
-
-def _note_orders(
-    orders: AbsoluteOrders | None,
-    carried: CarriedOrders | None,
-    previous: DecodedFrame | None,
-    work: Workspace,
-    frame: DecodedFrame,
-) -> None:
-    """Note of every region whether its orders are absolute, and how probably they are not."""
-    roots = work.unwrapper.roots
-    known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
-    if previous is not None and carried is not None and previous._placed is not None:
-        known_before, errors_before = previous._placed
-        goes_on = np.isin(roots, carried.roots)
-        found = np.searchsorted(carried.roots, roots[goes_on])
-        before, number = carried.before[found], 1 + np.flatnonzero(goes_on)
-        errors[number] = 1 - (1 - errors_before[before]) * (1 - carried.error_probability[found])
-        known[number] = known_before[before] & (errors[number] < MAX_CARRIED_ERROR)
-    if orders is not None and len(orders.parts):
-        part = np.searchsorted(orders.parts, roots)
-        by_itself = orders.error_probability(work.unwrapper.orders(orders.parts).astype(np.int64))[part]
-        absolute = by_itself < MAX_ERROR_PROBABILITY
-        known[1:] |= absolute
-        errors[1:] = np.where(absolute | ~known[1:], by_itself, errors[1:])
-    errors[0] = np.nan
-    frame._placed = known, errors.astype(np.float32)
 
 
 def _expected_depth(geometry: Geometry, depth_range_mm: tuple[float, float] | None) -> float:

@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
+from pipeline.models import FloatArray
+
 Integers = npt.NDArray[np.int64]
 
 #: An order is absolute where it is wrong with a smaller probability than this.
-MAX_ERROR_PROBABILITY = 1e-3
+MAX_ABSOLUTE_ERROR = 1e-3
 # How far a surface may lie outside the range, as a standard deviation in cycles: 0.2 are 9 mm on a rig whose cycle is
 # 45 mm deep, more than a calibration errs, but ranges are given in round numbers.
 _RANGE_SIGMA = 0.2
@@ -24,8 +25,8 @@ _OUTLIERS = 0.1
 class OrderRange:
     """How many cycles each patch may lack: what the projector's picture and the expected depth leave possible."""
 
-    least: Floats  # (P,)
-    most: Floats  # (P,)
+    least: FloatArray  # (P,)
+    most: FloatArray  # (P,)
     of_depth: bool  # whether a depth range is in it, in which surfaces are rarer towards the ends
 
     def by_part(
@@ -74,7 +75,7 @@ class Posterior:
     """How probable each offset of a part is."""
 
     first: int  # offset
-    probability: Floats  # of that offset and the following ones; empty: nothing is known
+    probability: FloatArray  # of that offset and the following ones; empty: nothing is known
 
     @property
     def best(self) -> int:
@@ -106,14 +107,14 @@ class AbsoluteOrders:
         """(n,) int64: the likeliest offset."""
         return np.array([posterior.best for posterior in self.posteriors], np.int64)
 
-    def error_probability(self, offsets: Integers) -> Floats:
+    def error_probability(self, offsets: Integers) -> FloatArray:
         """Return how probably these offsets of the parts are wrong."""
         return np.array([p.error(int(k)) for p, k in zip(self.posteriors, offsets, strict=True)], np.float64)
 
 
 def _quantiles(
-    values: Floats, share: float, roots: npt.NDArray[np.integer], parts: Integers, pixels: npt.NDArray[np.integer]
-) -> Floats:
+    values: FloatArray, share: float, roots: npt.NDArray[np.integer], parts: Integers, pixels: npt.NDArray[np.integer]
+) -> FloatArray:
     """Return by part the value below which this share of its pixels lies."""
     sort = np.lexsort((values, roots))
     below = np.cumsum(pixels[sort], dtype=np.float64)

@@ -1,6 +1,7 @@
-"""Where results go: stores, meshes, reports, pictures and films."""
+"""Where results go: stores, meshes, reports, images and films."""
 
-from pipeline.output.mesh_files import Mesh, read_mesh, write_mesh
+from pipeline.output.mesh import Mesh
+from pipeline.output.mesh_files import read_mesh, write_mesh
 from pipeline.output.stored_result import StoredResult
 from pipeline.output.surface_mesh import frame_mesh
 

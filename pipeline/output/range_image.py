@@ -1,19 +1,23 @@
-"""Pictures of a range image: in colours with a scale, and shaded as the camera sees it."""
+"""A range image for people: in colours with a scale, and shaded as the camera sees it."""
 
 from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+import numpy.typing as npt
 
 from pipeline.files import write_atomically
-from pipeline.output.mesh_files import Bytes, Floats, Unit
+from pipeline.output.mesh import Unit
 
-_HIDDEN = 48  # grey level of pixels that hold no value
-_CLAY = np.array([236, 228, 216], np.float32)  # RGB of a fully lit surface
+# Grey level of pixels that hold no value.
+_HIDDEN = 48
+#: RGB of a fully lit surface that has no colour of its own.
+CLAY = np.array([236, 228, 216], np.float32)
 
 
-def depth_colors(values: Floats, mask: NDArray[np.bool_], limits: tuple[float, float] | None = None) -> Bytes:
+def depth_colors(
+    values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], limits: tuple[float, float] | None = None
+) -> npt.NDArray[np.uint8]:
     """Colour a range image from blue to red.
 
     Parameters
@@ -36,7 +40,9 @@ def depth_colors(values: Floats, mask: NDArray[np.bool_], limits: tuple[float, f
     return np.where(mask[..., None], _colormap(fractions), np.uint8(_HIDDEN))
 
 
-def write_range_image(path: str | Path, values: Floats, mask: NDArray[np.bool_], unit: Unit) -> None:
+def write_range_image(
+    path: str | Path, values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], unit: Unit
+) -> None:
     """Write a range image as a coloured PNG with a scale beside it.
 
     Parameters
@@ -55,16 +61,18 @@ def write_range_image(path: str | Path, values: Floats, mask: NDArray[np.bool_],
     OutputError
         If the file cannot be written.
     """
-    picture = depth_colors(values, mask)
+    image = depth_colors(values, mask)
     mask = mask & np.isfinite(values)
-    height = max(len(picture), 160)  # room for the scale's numbers beside a small picture
-    canvas = np.full((height, picture.shape[1], 3), _HIDDEN, np.uint8)
-    canvas[: len(picture)] = picture
+    height = max(len(image), 160)  # room for the scale's numbers beside a small image
+    canvas = np.full((height, image.shape[1], 3), _HIDDEN, np.uint8)
+    canvas[: len(image)] = image
     limits = _limits(values, mask) if mask.any() else None
     write_png(path, np.hstack([canvas, _scale_bar(height, limits, unit)]))
 
 
-def shade_range(values: Floats, mask: NDArray[np.bool_], points: Floats | None = None) -> Bytes:
+def shade_range(
+    values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], points: npt.NDArray[np.float32] | None = None
+) -> npt.NDArray[np.uint8]:
     """Shade a range image as seen by the camera, lit from the upper left.
 
     Parameters
@@ -83,7 +91,7 @@ def shade_range(values: Floats, mask: NDArray[np.bool_], points: Floats | None =
 
     Notes
     -----
-    Slopes come from the neighbours on both sides; one that is masked or beyond a depth step has no say.
+    Slopes come from the neighbours on both sides; one that is masked or beyond a depth step does not count.
     """
     surface = values[..., None] if points is None else points
     mask = mask & np.isfinite(values) & np.isfinite(surface).all(axis=-1)
@@ -101,34 +109,34 @@ def shade_range(values: Floats, mask: NDArray[np.bool_], points: Floats | None =
         normals[~normals.any(axis=-1)] = (0, 0, -1)
     light = np.array([-1, -1, -2], np.float32)  # from the surface to the lamp
     cosines = normals @ light / (np.linalg.norm(normals, axis=-1) * np.linalg.norm(light))
-    shaded = (0.15 + 0.85 * cosines.clip(0, 1))[..., None] * _CLAY
+    shaded = (0.15 + 0.85 * cosines.clip(0, 1))[..., None] * CLAY
     return np.where(mask[..., None], shaded, _HIDDEN).astype(np.uint8)
 
 
-def write_png(path: str | Path, picture: Bytes) -> None:
-    """Write an RGB picture, (H, W, 3) uint8, as a PNG file under any name.
+def write_png(path: str | Path, image: npt.NDArray[np.uint8]) -> None:
+    """Write an RGB image, (H, W, 3) uint8, as a PNG file under any name.
 
     Raises
     ------
     OutputError
         If the file cannot be written.
     """
-    write_atomically(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+    write_atomically(path, cv2.imencode(".png", image[..., ::-1])[1].tobytes())
 
 
-def _limits(values: Floats, mask: NDArray[np.bool_]) -> tuple[float, float]:
+def _limits(values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> tuple[float, float]:
     """Return the 1st and the 99th percentile, never equal."""
     low, high = np.percentile(values[mask], (1, 99)).tolist() if mask.any() else (0.0, 1.0)
     return low, max(high, low + 1e-6 * max(abs(low), 1.0))
 
 
-def _colormap(fractions: NDArray[np.floating]) -> Bytes:
+def _colormap(fractions: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
     levels = (20 + 215 * fractions).round().astype(np.uint8)  # the map's ends are too dark to tell apart
-    colors: Bytes = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[..., ::-1]
+    colors: npt.NDArray[np.uint8] = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[..., ::-1]
     return colors
 
 
-def _scale_bar(height: int, limits: tuple[float, float] | None, unit: Unit) -> Bytes:
+def _scale_bar(height: int, limits: tuple[float, float] | None, unit: Unit) -> npt.NDArray[np.uint8]:
     """Draw a colour scale with round numbers, (height, W, 3); without limits there is nothing to tell."""
     size = max(height / 480, 0.75)
     gap, width = round(14 * size), round(110 * size)
@@ -158,7 +166,7 @@ def _round_step(step: float) -> float:
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step)
 
 
-def _slope(surface: Floats, mask: NDArray[np.bool_]) -> Floats:
+def _slope(surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
     """Return the slope a pixel from left to right, (H, W, C); 0 where neither side has one."""
     steps = np.diff(surface, axis=1)
     reach = np.abs(steps[..., -1])

@@ -14,45 +14,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.calibration import Calibration
-from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.frame import FIELDS, DecodedFrame
 from pipeline.errors import OutputError, SettingsError
 from pipeline.files import LEFTOVER, explain, replace_file
 from pipeline.settings import DecodeSettings
 from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codec, chunk_key, encode_chunk
 
-#: Fields of a frame that are stored, in the order of the contract, with their types; points have three values a pixel,
-#: the constant's sigma is one value.
-FIELDS = {
-    "wrapped_phase": "float32",
-    "unwrapped_phase": "float32",
-    "fringe_order": "int32",
-    "mask": "bool",
-    "modulation": "float32",
-    "region": "int32",
-    "absolute": "bool",
-    "order_error_probability": "float32",
-    "phase_sigma": "float32",
-    "constant_sigma": "float32",
-    "points": "float32",
-    "point_sigma": "float32",
-    "range_image": "float32",
-}
-#: Fields that only a calibrated rig has.
-IN_MM = ("points", "point_sigma")
 #: The array that holds the marks.
 DONE = "done"
 
-# A power of two, so that every rounded phase is a float32 with many zeros at its end, which compress away. Photon noise
-# alone leaves more than 6e-4 rad to a pixel with 100,000 electrons and five rows' smoothing: ten steps.
-_PHASE_STEP_RAD = 2.0**-14
-# A modulation is known no better than half the noise of a channel; a tenth of the noise is below a fifth of that, and
-# what rounding adds to it in quadrature is 0.2 %.
-_NOISE_STEP = 0.1
-# A standard deviation is never known to 0.4 %.
-_SIGMA_BITS = 7
 # Of the compressor.
 _LEVEL = 5
 # A mark is its frame's record as JSON, padded with blanks: whoever finds another length finds a mark cut off.
@@ -80,7 +52,7 @@ def chosen_fields(names: Sequence[str] | None, *, in_mm: bool) -> tuple[str, ...
     SettingsError
         There is no such field, or not without a calibration.
     """
-    there = [name for name in FIELDS if in_mm or name not in IN_MM]
+    there = [name for name, field in FIELDS.items() if in_mm or not field.in_mm]
     for name in names or ():
         if name not in FIELDS:
             raise SettingsError(f"no field is called {name!r}: choose of {', '.join(FIELDS)}")
@@ -131,27 +103,27 @@ class ResultStore:
         found = read_attributes(location)
         if found is not None:
             _refuse_mixing(self.location, found, identity)
-        width, height = size_px
+        lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3, "record": _MARK_BYTES}
+        axes: tuple[str, ...]
+        fill: float
         with self._explained():
             group = zarr.open_group(self.location, mode="a", attributes={**identity, **(also or {})})
             for name in (*fields, DONE):
                 if name in group:
                     continue
-                shape: tuple[int, ...] = (height, width, 3) if name == "points" else (height, width)
-                if name == "constant_sigma":
-                    shape = ()
-                axes: tuple[str, ...] = ("y", "x", "xyz")[: len(shape)]
-                dtype = np.dtype(FIELDS.get(name, "uint8"))
-                fill: float = np.nan if dtype.kind == "f" else 0
                 if name == DONE:
-                    shape, axes, fill = (_MARK_BYTES,), ("record",), _BLANK
+                    axes, dtype, fill, codec = ("record",), np.dtype(np.uint8), _BLANK, None
+                else:
+                    axes, dtype, codec = FIELDS[name].axes, np.dtype(FIELDS[name].dtype), chunk_codec(_LEVEL)
+                    fill = np.nan if dtype.kind == "f" else 0
+                shape = tuple(lengths[axis] for axis in axes)
                 group.create_array(
                     name,
                     shape=(n_frames, *shape),
                     chunks=(1, *shape),
                     dtype=dtype,
                     fill_value=fill,
-                    compressors=None if name == DONE else chunk_codec(_LEVEL),
+                    compressors=codec,
                     chunk_key_encoding=CHUNK_KEYS,
                     dimension_names=("frame", *axes),
                 )
@@ -172,7 +144,7 @@ class ResultStore:
         """
         with self._explained():
             for name in self._fields:
-                values = np.asarray(_rounded(name, getattr(frame, name), frame))
+                values = FIELDS[name].stored(frame)
                 # Unlike zarr never into a store that is gone.
                 self._put(name, chunk_key(number, values.ndim), encode_chunk(values, _LEVEL))
             self._put(DONE, chunk_key(number, 1), _mark(frame))
@@ -330,24 +302,6 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     for key, value in values.items():
         flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
     return flat
-
-
-def _rounded(name: str, values: npt.NDArray[Any], frame: DecodedFrame) -> npt.NDArray[Any]:
-    """Return a field without the digits that say nothing: noise does not compress."""
-    step = 0.0
-    if name in ("wrapped_phase", "unwrapped_phase") or (name == "range_image" and not frame.calibrated):
-        step = _PHASE_STEP_RAD
-    elif name == "modulation" and frame.noise_levels > 0:
-        step = float(2 ** np.floor(np.log2(_NOISE_STEP * frame.noise_levels)))
-    if step:
-        rounded = np.rint(values * np.float32(1 / step)) * np.float32(step)
-        end = np.float32(step * np.floor(np.pi / step))  # a wrapped phase stays within its interval
-        return np.clip(rounded, -end, end) if name == "wrapped_phase" else rounded
-    if name in ("phase_sigma", "point_sigma"):
-        dropped = 23 - _SIGMA_BITS
-        bits = values.view(np.uint32) + np.uint32(1 << (dropped - 1))
-        return (bits & np.uint32(0xFFFFFFFF << dropped & 0xFFFFFFFF)).view(np.float32)
-    return values
 
 
 def _mark(frame: DecodedFrame) -> bytes:

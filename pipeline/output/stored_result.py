@@ -7,21 +7,15 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.decoding.frame import FIELDS
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import explain
-from pipeline.output.mesh_files import Mesh, write_mesh
+from pipeline.output.mesh import Mesh
+from pipeline.output.mesh_files import write_mesh
 from pipeline.output.store import DONE, done_frames
 from pipeline.output.surface_mesh import surface_mesh
 
 MeshKind = Literal["ply", "glb"]
-
-# Vertex properties of a mesh, and the fields that they are.
-_PROPERTIES = {
-    "modulation": "modulation",
-    "sigma_rad": "phase_sigma",
-    "order_error_probability": "order_error_probability",
-    "sigma_mm": "point_sigma",
-}
 
 
 def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
@@ -107,9 +101,9 @@ class StoredResult:
         values = self.read("range_image", number) if points is None else points[..., 2]
         mask = self.read("mask", number) & np.isfinite(values)
         properties = {
-            name: self.read(field, number)[mask]
-            for name, field in _PROPERTIES.items()
-            if field in (self.fields if fields is None else self.fields & set(fields))
+            field.vertex: self.read(name, number)[mask]
+            for name, field in FIELDS.items()
+            if field.vertex is not None and name in (self.fields if fields is None else self.fields & set(fields))
         }
         return surface_mesh(values, mask, points, properties)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.decoding.frame import DecodedFrame
-from pipeline.output.mesh_files import Mesh, Unit
+from pipeline.decoding.frame import FIELDS, DecodedFrame
+from pipeline.output.mesh import Mesh, Unit
 from tikernels.depth.meshing import triangulate_mesh
 
 # An edge of the mesh may rise by this many times what neighbouring pixels are apart: steeper surfaces are steps.
@@ -30,13 +30,10 @@ def frame_mesh(frame: DecodedFrame) -> Mesh:
     """
     mask = frame.mask & np.isfinite(frame.range_image)
     properties = {
-        "modulation": frame.modulation,
-        "sigma_rad": frame.phase_sigma,
-        "order_error_probability": frame.order_error_probability,
+        field.vertex: getattr(frame, name)[mask]
+        for name, field in FIELDS.items()
+        if field.vertex is not None and (frame.calibrated or not field.in_mm)
     }
-    if frame.point_sigma is not None:
-        properties["sigma_mm"] = frame.point_sigma
-    properties = {name: values[mask] for name, values in properties.items()}
     return surface_mesh(frame.range_image, mask, frame.points, properties)
 
 

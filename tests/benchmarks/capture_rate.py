@@ -19,7 +19,8 @@ import numpy.typing as npt
 from hardware.protocols import FrameFormat
 from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
-from pipeline.acquisition.session import Plan, Progress, capture
+from pipeline.acquisition.capture_folder import CapturePlan, CaptureProgress
+from pipeline.acquisition.session import capture_bursts
 from pipeline.acquisition.stopping import Stopping
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
@@ -67,9 +68,9 @@ def main() -> None:
     n_bursts = round(options.seconds * options.rate / BLOCK)
     resident: list[float] = []
     latencies: list[float] = []
-    last: list[Progress] = []
+    last: list[CaptureProgress] = []
 
-    def tell(progress: Progress) -> None:
+    def tell(progress: CaptureProgress) -> None:
         last[:] = [progress]
         if progress.n_bursts % 20 == 0:
             resident.append(resident_mb())
@@ -79,11 +80,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory(dir=options.out) as folder:
         out = Path(folder, "captured")
         wall, cpu = time.perf_counter(), time.process_time()
-        summary = capture(
+        summary = capture_bursts(
             settings,
             lambda: (devices.trigger, devices.camera),
             out,
-            Plan(n_bursts, endless=True, suffix=f".{options.format}", live=options.live, arch="cpu"),
+            CapturePlan(n_bursts, endless=True, suffix=f".{options.format}", live=options.live, arch="cpu"),
             calibration=rig if options.live else None,
             decoding=DecodeSettings(),
             stopping=Stopping(),

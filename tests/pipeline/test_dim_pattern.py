@@ -9,7 +9,7 @@ import reference
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Pattern
 from pipeline.errors import SettingsError
-from pipeline.footage.image_file import read_picture
+from pipeline.footage.image_file import read_image
 from pipeline.pattern.fringes import make_pattern, write_pattern
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
@@ -45,7 +45,7 @@ def test_files(tmp_path):
     for kind in ("png", "json"):
         assert (tmp_path / f"bright.{kind}").read_bytes() == (tmp_path / f"plain.{kind}").read_bytes()
     assert json.loads((tmp_path / "dim.json").read_text()) == json.loads((tmp_path / "plain.json").read_text())
-    dim, bright = (read_picture(tmp_path / f"{name}.png").astype(float) for name in ("dim", "bright"))
+    dim, bright = (read_image(tmp_path / f"{name}.png").astype(float) for name in ("dim", "bright"))
     assert np.abs(dim - BRIGHTNESS * bright).max() <= 1  # each rounded by half a level
 
 

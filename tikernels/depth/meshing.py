@@ -1,12 +1,11 @@
 """Turn a picture of points into triangles, cut where the surface steps."""
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import F32Array3, I32Array1, I32Array2, U8Array2, f32, i32, ti
+from tikernels.arrays import F32, Mask
 
 
 @ti.func
@@ -109,7 +108,7 @@ def fill_triangles_kernel(
                         place += 1
 
 
-def triangulate_mesh(points: Any, mask: Any, max_step: float) -> npt.NDArray[np.int32]:
+def triangulate_mesh(points: F32, mask: Mask, max_step: float) -> npt.NDArray[np.int32]:
     """Join neighbouring pixels into triangles.
 
     Parameters

@@ -6,16 +6,18 @@ names is found by one step of Chebyshev's method: of 900 mm that leaves 0.1 um f
 7 um for k1 = 0.15 and 0.1 mm for k1 = 0.3.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.arrays import F32
+from tikernels.phase.phase_vector import PI
+from tikernels.strips import STRIP, strip_at, strip_count
 
-strip_of = ti.types.vector(STRIP, ti.f32)
+strip_of_floats = ti.types.vector(STRIP, ti.f32)
 
 
 class ProjectorGeometry(NamedTuple):
@@ -109,13 +111,13 @@ def triangulate_kernel(
     distorted: Static,
     out_points: F32Array3,  # (H, W, 3) mm
 ):
+    """Place every pixel on its ray."""
     height, width = unwrapped_phase.shape[0], unwrapped_phase.shape[1]
-    strips = (width + STRIP - 1) // STRIP
-    for t in range(height * strips):
-        y, first = t // strips, (t % strips) * STRIP
-        count = ti.min(STRIP, width - first)
+    for t in range(height * strip_count(width, STRIP)):
+        y, first, count = strip_at(t, width, STRIP)
         rotation, translation, lens, focal, center, period = load_projector(projector)
-        row, right, down, depths = strip_of(0.0), strip_of(0.0), strip_of(0.0), strip_of(0.0)
+        row, depths = strip_of_floats(0.0), strip_of_floats(0.0)
+        right, down = strip_of_floats(0.0), strip_of_floats(0.0)
         for k in range(count):
             row[k] = unwrapped_phase[y, first + k] * (period / (2.0 * PI))
             right[k], down[k] = rays[y, first + k, 0], rays[y, first + k, 1]
@@ -130,7 +132,7 @@ def triangulate_kernel(
             out_points[y, first + k, 2] = depths[k]
 
 
-def triangulate(unwrapped_phase: Any, rays: Any, projector: ProjectorGeometry, out: Any | None = None) -> Any:
+def triangulate(unwrapped_phase: F32, rays: F32, projector: ProjectorGeometry, out: F32 | None = None) -> F32:
     """Turn an absolute phase map into points.
 
     Parameters

@@ -6,23 +6,29 @@ the same surface. Where it does not, it votes for anything: at the edges of what
 before shows no edge within reach.
 """
 
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import _checks, runtime
 from tikernels._taichi import F32Array2, I32Array2, i32, ti
+from tikernels.arrays import F32, I32
 from tikernels.phase.phase_vector import PI
-from tikernels.unwrapping.patch_growing import (
+from tikernels.unwrapping.patches import Patches
+from tikernels.unwrapping.tables import (
     CELL_HEIGHT,
     CELL_WIDTH,
-    OFFSET,
     ORDER_BITS,
     ORDER_MASK,
     ORDER_ZERO,
+    Patch,
     patch_number,
 )
 
 #: Pixels of a cell that vote: every fourth both ways.
 VOTES_A_CELL = (CELL_HEIGHT // 4) * (CELL_WIDTH // 4)
-#: Columns of the votes: patch (-1: none), cycles lacking, what is left over in 64ths of a cycle, region there before,
-#: and whether the vote is sound.
-PATCH, CYCLES, REST, BEFORE, SOUND = range(5)
+#: Columns of the votes: patch (-1: none), whole cycles lacking, what is left over in 64ths of a cycle, region there
+#: before, and whether the vote is sound.
+PATCH, LACKING, REST, BEFORE, SOUND = range(5)
 # An edge is looked for at these distances (px): what moves by less from frame to frame votes for its own surface.
 _REACH = (5, 10)
 # Where three pixels in a row bend by more (rad), another surface is so far away that its pixels would vote for another
@@ -50,13 +56,14 @@ def smooth_around(phase: F32Array2, y: i32, x: i32) -> i32:
 def vote_orders_kernel(
     phase: F32Array2,  # (H, W) rad
     labels: I32Array2,  # (H, W) patch and order in it
-    firsts: I32Array2,
+    cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
     draft_bits: i32,
-    patches: I32Array2,
+    patches: I32Array2,  # (12, capacity) see `Patch`; offsets are read
     before: F32Array2,  # (H, W) rad, unwrapped phase of the frame before; NaN outside its mask
     region_before: I32Array2,  # (H, W)
     out_votes: I32Array2,  # (cells * VOTES_A_CELL, 5)
 ):
+    """Ask every fourth pixel both ways what its patch lacks to agree with the frame before."""
     height, width = phase.shape[0], phase.shape[1]
     columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
     for vote in range(out_votes.shape[0]):
@@ -68,14 +75,48 @@ def vote_orders_kernel(
             label = labels[y, x]
             region = region_before[y, x]
             if label >= 0 and region > 0:
-                patch = patch_number(label >> ORDER_BITS, firsts, draft_bits)
-                order = (label & ORDER_MASK) - ORDER_ZERO + patches[OFFSET, patch]
+                patch = patch_number(label >> ORDER_BITS, cells, draft_bits)
+                order = (label & ORDER_MASK) - ORDER_ZERO + patches[Patch.OFFSET, patch]
                 lacking = (before[y, x] - phase[y, x]) / (2.0 * PI) - ti.cast(order, ti.f32)
                 cycles = ti.cast(ti.round(lacking), i32)
                 rest = ti.cast(ti.round(64.0 * (lacking - ti.cast(cycles, ti.f32))), i32)
                 sound = smooth_around(before, y, x)
         out_votes[vote, PATCH] = patch
-        out_votes[vote, CYCLES] = cycles
+        out_votes[vote, LACKING] = cycles
         out_votes[vote, REST] = rest
         out_votes[vote, BEFORE] = region
         out_votes[vote, SOUND] = sound
+
+
+def vote_orders(phase: F32, patches: Patches, unwrapped_before: F32, region_before: I32) -> npt.NDArray[np.int32]:
+    """Let pixels vote for the whole cycles that their patches lack to agree with the frame before.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad in [-pi, pi].
+    patches : Patches
+        The frame's.
+    unwrapped_before : (H, W) float32
+        Unwrapped phase of the frame before, rad; NaN outside its mask.
+    region_before : (H, W) int32
+        Its regions.
+
+    Returns
+    -------
+    (cells * VOTES_A_CELL, 5) int32
+        Patch (-1: no vote), whole cycles lacking, what is left over in 64ths of a cycle, region there before, and 1
+        where the vote is sound.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one.
+    """
+    phase = _checks.read_array("phase", phase, patches.shape, np.float32)
+    before = _checks.read_array("unwrapped_before", unwrapped_before, patches.shape, np.float32)
+    region_before = _checks.read_array("region_before", region_before, patches.shape, np.int32)
+    votes = runtime.empty((patches.cells * VOTES_A_CELL, 5), np.int32)
+    of_patches = (patches.labels, patches.cell_table, patches.draft_bits, patches.table)
+    vote_orders_kernel(phase, *of_patches, before, region_before, votes)
+    return runtime.to_host(votes)  # synchronises

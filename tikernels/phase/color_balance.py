@@ -1,10 +1,15 @@
 """Balance the colours locally, so that the surface's own colour does not bend the phase.
 
-The camera's channel i sees r_i times what a neutral surface would send back, r_i changing slowly. A window of a few
-cycles averages the fringes out and leaves r_i (section 3.1 of Je, Lee and Park 2004); a Gaussian window does so without
-the ripple that a box leaves when it is not a whole number of cycles. At the edge of a surface the window is one-sided
-and 13 % of the fringe passes it, so a second look, which knows the phase by then, compares what each channel sums up to
-with what the phase says it should. A third look gains less than 0.001 rad.
+The camera's channel i sees r_i times what a neutral surface would send back, r_i changing slowly. Over a window that
+averages the fringes out (section 3.1 of Je, Lee and Park, Color-phase analysis for sinusoidal structured light in rapid
+range imaging, 2004), with C_i the channel and P_i what a neutral surface would make of it,
+
+    r_i = sum C_i / sum P_i,    gain_i = mean(r) / r_i.
+
+A Gaussian window does so without the ripple that a box leaves when it is not a whole number of cycles. A first look
+takes every P_i for the same. At the edge of a surface the window is one-sided and 13 % of the fringe passes it, so a
+second look, which knows the phase by then, predicts P_i from it: the channels' waves with the pixel's background and
+the frame's mean visibility. A third look gains less than 0.001 rad.
 """
 
 from functools import cache
@@ -14,87 +19,82 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, Static, U8Array2, f32, i32, mat3, ti, vec3
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2, f32, i32, mat3, ti, vec3
+from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.crosstalk import invert_crosstalk
-from tikernels.phase.phase_vector import channel_waves, matrix_of
+from tikernels.phase.balance_window import BalanceWindow
+from tikernels.phase.crosstalk import Crosstalk, unmixed
+from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
+from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of
+from tikernels.raw.linearization import LEVEL_TYPES
 
-# Window across and along the stripes, as a standard deviation in cycles: at 0.85 cycles a Gaussian passes 1e-6 of the
-# fringe; wider ones blur the reflectance without gaining anything.
-_SIGMA_ACROSS, _SIGMA_ALONG = 0.85, 1.0
-#: Three samples a cycle and a little more is what a camera must see.
-MIN_PERIOD_PX = 4.0
 # Sums below this hold no colour worth measuring.
 _DARK = 1e-6
-
-
-def block_rows(period_px: float) -> int:
-    """Rows of a block: the largest power of two that still samples a cycle two and a half times."""
-    rows = 1
-    while 2 * rows * 2.5 <= period_px and rows < 64:
-        rows *= 2
-    return rows
+# Whoever balances an image alone has chosen its pixels by the mask.
+_ANYTHING_LIT = FrameLevels(white=1.0, read_noise=0.0, noise_gain=0.0, noise=0.0, intensity=_DARK, modulation=_DARK)
+# The visibility is averaged over every eighth row, and is never above this.
+_SPARSE = 8
+_MAX_VISIBILITY = 1.5
 
 
 class Gains:
     """Per-channel gains on a coarse grid, and the buffers to measure them for one image size and period.
 
-    Along the stripes neighbours say the same, so one pixel a row of each block stands for it. A block is `rows` image
-    rows by twice as many columns; the grid has a node in the middle of every two blocks, one above the other, so its
-    cells are squares of `cell` pixels.
+    Parameters
+    ----------
+    height, width : int
+        The image's, stripes along the rows, px.
+    period_px : float
+        Camera px a cycle.
     """
 
     def __init__(self, height: int, width: int, period_px: float) -> None:
-        self.rows = block_rows(period_px)
-        self.cell = 2 * self.rows
-        blocks = (-(-height // self.rows), -(-width // self.cell))
-        self.grid = (-(-blocks[0] // 2), blocks[1])
-        #: Of the channels that the gains belong to, in levels; zero where it is too dark.
+        self.height, self.width = height, width
+        self.window = BalanceWindow(height, width, period_px)
+        #: px between two nodes.
+        self.cell = self.window.cell
+        blocks, grid = self.window.blocks, self.window.grid
+        #: (H, Wb, 3) of the channels that the gains belong to, levels; zero where it is too dark.
         self.samples = runtime.empty((height, blocks[1], 3), np.float32)
-        self.sums = runtime.empty((*blocks, 8), np.float32)
-        self.half = runtime.empty((*self.grid, 8), np.float32)
-        self.smooth = runtime.empty((*self.grid, 8), np.float32)
-        self.gains = runtime.empty((*self.grid, 3), np.float32)
-        self.visibility = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
-        # Across, a node stands between two blocks, so the taps sit at half-integer distances.
-        self.taps_across = _gaussian(_SIGMA_ACROSS * period_px / self.rows, offset=0.5)
-        self.taps_along = _gaussian(_SIGMA_ALONG * period_px / self.cell)
+        #: (Hg, Wg, 8) over the window: the channels, what the phase predicts of them, background, and how many samples.
+        self.smooth = runtime.empty((*grid, 8), np.float32)
+        #: (Hg, Wg, 3) by node.
+        self.gains = runtime.empty((*grid, 3), np.float32)
+        self._sums = runtime.empty((*blocks, 8), np.float32)
+        self._half = runtime.empty((*grid, 8), np.float32)
+        self._visibility = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
 
-    def measure(
-        self,
-        image: Any,
-        inverse: npt.NDArray[np.floating[Any]],
-        matrix: npt.NDArray[np.floating[Any]],
-        min_intensity: float,
-        min_modulation: float,
-        *,
-        balance_first: bool,
-        lag: npt.NDArray[np.float64] | None = None,
-    ) -> Any:
+    def measure(self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels) -> None:
         """Measure the gains of one frame; see `balance_color`.
 
-        `inverse` undoes the crosstalk `matrix`; with `balance_first` the gains belong to the camera's channels, before
-        it, otherwise to the projector's, after it. The thresholds are in levels. `lag` is how far the fringe of each
-        colour lags behind its place, rad.
-        """
-        inverse, matrix = inverse.astype(np.float32), matrix.astype(np.float32)
-        collect_samples, predict_blocks = _sample_kernels(balance_first)
-        collect_samples(image, inverse, min_intensity, self.rows, self.samples)
-        sum_blocks_kernel(self.samples, self.rows, self.sums)
-        self._find_gains(predicted=False)
-        waves = channel_waves(lag)
-        of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
-        args = (self.samples, inverse, matrix, of_phase, to_phase, self.gains, self.rows)
-        predict_blocks(*args, min_modulation, self.visibility, self.sums)
-        self._find_gains(predicted=True)
-        return self.gains
+        Parameters
+        ----------
+        image : (H, W, 3) uint8, uint16 or float32
+            Linear light, levels, stripes along the rows.
+        crosstalk : Crosstalk
+            With `balance_first` the gains belong to the camera's channels, before it is undone, otherwise to the
+            projector's, after that.
+        levels : FrameLevels
+            Darker pixels, and those with less modulation, say nothing of the colour.
 
-    def smooth_sums(self, sums: Any, half: Any, out: Any) -> None:
-        """Add up (Hb, Wb, N) sums of the blocks over a Gaussian window at every node, (Hg, Wg, N)."""
-        smooth_blocks_kernel(int(sums.shape[2]), sums, self.taps_across, self.taps_along, half, out)
+        Raises
+        ------
+        ShapeError
+            The image has another shape or dtype.
+        """
+        image = _checks.read_array("image", image, (self.height, self.width, 3), *LEVEL_TYPES)
+        rows, balance_first = self.window.rows, crosstalk.balance_first
+        _collect_samples_kernel(balance_first)(image, crosstalk.inverse, levels.intensity, rows, self.samples)
+        sum_blocks_kernel(self.samples, rows, self._sums)
+        self._find_gains(predicted=False)
+        waves = channel_waves(crosstalk.lag)
+        of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
+        light = (self.samples, crosstalk.inverse, crosstalk.matrix, of_phase, to_phase, self.gains, rows)
+        _predict_blocks_kernel(balance_first)(*light, levels.modulation, self._visibility, self._sums)
+        self._find_gains(predicted=True)
 
     def _find_gains(self, predicted: bool) -> None:
-        self.smooth_sums(self.sums, self.half, self.smooth)
+        self.window.smooth(self._sums, self._half, self.smooth)
         find_gains_kernel(self.smooth, predicted, self.gains)
 
 
@@ -116,12 +116,46 @@ def gain_at(gains: F32Array3, cell: i32, y: i32, x: i32) -> vec3:
     return result
 
 
-# The visibility is averaged over every eighth row.
-_SPARSE = 8
+@ti.func
+def projected_wave(sample: vec3, gain: vec3, inverse: mat3, to_phase: mat3, balance_first: Static) -> vec3:
+    """Return a, b cos(phi) and b sin(phi) of a sample, as a neutral surface sends the projector's light back."""
+    light = sample * gain
+    if ti.static(balance_first):
+        light = unmixed(light, inverse)
+    return to_phase @ light
+
+
+@ti.func
+def neutral_channels(wave: vec3, share: f32, of_phase: mat3, matrix: mat3, balance_first: Static) -> vec3:
+    """Return what the channels of a neutral surface are, given a pixel's wave.
+
+    Its background, and its phase with the frame's visibility: `share` is that over the pixel's modulation. Cosine and
+    sine come from the wave itself: no arctangent is needed.
+    """
+    light = wave.x * (of_phase @ vec3(1.0, share * wave.y, share * wave.z))
+    if ti.static(balance_first):
+        light = matrix @ light
+    return light
+
+
+@ti.func
+def balancing_gain(seen: vec3, predicted: vec3) -> vec3:
+    """Return the gains that make sums over the window what is predicted, up to a factor; one where nothing is lit."""
+    gain = vec3(1.0)
+    if ti.min(seen.min(), predicted.min()) > _DARK:
+        color = seen / predicted
+        gain = color.sum() / 3.0 / color
+    return gain
+
+
+@ti.func
+def sample_at(samples: F32Array3, y: i32, j: i32) -> vec3:
+    """Load a sample's channels."""
+    return vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
 
 
 @cache
-def _sample_kernels(balance_first: bool) -> tuple[Any, Any]:
+def _collect_samples_kernel(balance_first: bool) -> Any:
     @ti.kernel
     def collect_samples_kernel(
         image: AnyArray3,  # (H, W, 3) levels
@@ -130,31 +164,27 @@ def _sample_kernels(balance_first: bool) -> tuple[Any, Any]:
         rows: i32,
         out_samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to; 0 where left out
     ):
+        """Take one pixel a row of every block."""
         width, blocks = image.shape[1], out_samples.shape[1]
-        for sample in range(out_samples.shape[0] * blocks):
-            y, j = sample // blocks, sample % blocks
+        for number in range(out_samples.shape[0] * blocks):
+            y, j = number // blocks, number % blocks
             inverse = matrix_of(inverse_matrix)
             x = j * 2 * rows + (y & 1) * rows
             kept = vec3(0.0)
             if x < width:
-                light = vec3(
-                    ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32)
-                )
+                light = color_at(image, y, x)
                 if light.sum() > 3.0 * min_intensity:
                     kept = light
                     if ti.static(not balance_first):
-                        kept = inverse @ light
+                        kept = unmixed(light, inverse)
             for k in ti.static(range(3)):
                 out_samples[y, j, k] = kept[k]
 
-    @ti.func
-    def projected_light(sample: vec3, gain: vec3, inverse: mat3) -> vec3:
-        """Return the projector's channels as a neutral surface sends them back."""
-        result = sample * gain
-        if ti.static(balance_first):
-            result = inverse @ result
-        return result
+    return collect_samples_kernel
 
+
+@cache
+def _predict_blocks_kernel(balance_first: bool) -> Any:
     @ti.kernel
     def predict_blocks_kernel(
         samples: F32Array3,  # (H, Wb, 3)
@@ -165,19 +195,19 @@ def _sample_kernels(balance_first: bool) -> tuple[Any, Any]:
         gains: F32Array3,  # (Hg, Wg, 3) of the first look
         rows: i32,
         min_modulation: f32,
-        visibility: F32Array2,  # (H / 8 + 1, 2) scratch: sums of modulation and background a row; last: their totals
+        visibility: F32Array2,  # (H / 8 + 1, 2) scratch: sums of modulation and background a row; last: their ratio
         out_sums: F32Array3,  # (Hb, Wb, 8) what is there, what the phase predicts, the background, and the samples
     ):
+        """Measure the frame's visibility, then sum up every block's channels and what they should be."""
         height, columns = samples.shape[0], 2 * rows
-        sparse_rows = visibility.shape[0] - 1
-        for i in range(sparse_rows):
+        last = visibility.shape[0] - 1
+        for i in range(last):
             inverse, to_phase = matrix_of(inverse_matrix), matrix_of(phase_matrix)
             modulation_sum, background_sum = 0.0, 0.0
             y = i * _SPARSE
             for j in range(samples.shape[1]):
-                sample = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
                 gain = gain_at(gains, columns, y, j * columns + rows)
-                wave = to_phase @ projected_light(sample, gain, inverse)
+                wave = projected_wave(sample_at(samples, y, j), gain, inverse, to_phase, balance_first)
                 modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
                 if modulation > min_modulation:
                     modulation_sum += modulation
@@ -188,31 +218,27 @@ def _sample_kernels(balance_first: bool) -> tuple[Any, Any]:
         ti.loop_config(serialize=True)
         for _ in range(1):
             modulation_sum, background_sum = 0.0, 1e-12
-            for i in range(sparse_rows):
+            for i in range(last):
                 modulation_sum += visibility[i, 0]
                 background_sum += visibility[i, 1]
-            visibility[sparse_rows, 0] = ti.min(modulation_sum / background_sum, 1.5)
+            visibility[last, 0] = ti.min(modulation_sum / background_sum, _MAX_VISIBILITY)
         for block in range(out_sums.shape[0] * out_sums.shape[1]):
             i, j = block // out_sums.shape[1], block % out_sums.shape[1]
             inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
             of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
             seen, predicted = vec3(0.0), vec3(0.0)
             background, count = 0.0, 0.0
-            contrast = visibility[sparse_rows, 0]
+            contrast = visibility[last, 0]
             # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
             gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), j * columns + rows)
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
-                sample = vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
-                wave = to_phase @ projected_light(sample, gain, inverse)
+                sample = sample_at(samples, y, j)
+                wave = projected_wave(sample, gain, inverse, to_phase, balance_first)
                 modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
                 if modulation > min_modulation:
-                    # Cosine and sine of the phase come from the phase vector itself: no arctangent needed.
                     share = contrast / modulation
-                    model = wave.x * (of_phase @ vec3(1.0, share * wave.y, share * wave.z))
-                    if ti.static(balance_first):
-                        model = matrix @ model
                     seen += sample
-                    predicted += model
+                    predicted += neutral_channels(wave, share, of_phase, matrix, balance_first)
                     background += (sample * gain).sum() / 3.0
                     count += 1.0
             for k in ti.static(range(3)):
@@ -221,7 +247,7 @@ def _sample_kernels(balance_first: bool) -> tuple[Any, Any]:
             out_sums[i, j, 6] = background
             out_sums[i, j, 7] = count
 
-    return collect_samples_kernel, predict_blocks_kernel
+    return predict_blocks_kernel
 
 
 @ti.kernel
@@ -230,56 +256,15 @@ def sum_blocks_kernel(
     rows: i32,
     out_sums: F32Array3,  # (Hb, Wb, >= 3)
 ):
+    """Sum up every block's channels."""
     height = samples.shape[0]
     for block in range(out_sums.shape[0] * out_sums.shape[1]):
         i, j = block // out_sums.shape[1], block % out_sums.shape[1]
         total = vec3(0.0)
         for y in range(i * rows, ti.min((i + 1) * rows, height)):
-            total += vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
+            total += sample_at(samples, y, j)
         for k in ti.static(range(3)):
             out_sums[i, j, k] = total[k]
-
-
-@ti.kernel
-def smooth_blocks_kernel(
-    channels: Static,  # N
-    sums: F32Array3,  # (Hb, Wb, N) a block's sums
-    taps_across: F32Array1,  # half a Gaussian, from its middle
-    taps_along: F32Array1,
-    half: F32Array3,  # (Hg, Wg, N) scratch: smoothed across the stripes
-    out: F32Array3,  # (Hg, Wg, N)
-):
-    blocks = sums.shape[0]
-    for node in range(half.shape[0] * half.shape[1]):
-        i, j = node // half.shape[1], node % half.shape[1]
-        total = ti.Vector.zero(f32, channels)
-        for tap in range(taps_across.shape[0]):
-            weight = taps_across[tap]
-            above, below = 2 * i - tap, 2 * i + 1 + tap
-            if above >= 0:
-                for k in ti.static(range(channels)):
-                    total[k] += weight * sums[above, j, k]
-            if below < blocks:
-                for k in ti.static(range(channels)):
-                    total[k] += weight * sums[below, j, k]
-        for k in ti.static(range(channels)):
-            half[i, j, k] = total[k]
-    for node in range(half.shape[0] * half.shape[1]):
-        i, j = node // half.shape[1], node % half.shape[1]
-        total = ti.Vector.zero(f32, channels)
-        for k in ti.static(range(channels)):
-            total[k] = taps_along[0] * half[i, j, k]
-        for tap in range(1, taps_along.shape[0]):
-            weight = taps_along[tap]
-            left, right = j - tap, j + tap
-            if left >= 0:
-                for k in ti.static(range(channels)):
-                    total[k] += weight * half[i, left, k]
-            if right < half.shape[1]:
-                for k in ti.static(range(channels)):
-                    total[k] += weight * half[i, right, k]
-        for k in ti.static(range(channels)):
-            out[i, j, k] = total[k]
 
 
 @ti.kernel
@@ -288,26 +273,15 @@ def find_gains_kernel(
     predicted: i32,  # 0: nothing is predicted yet, and the channels are to be equal
     out_gains: F32Array3,  # (Hg, Wg, 3)
 ):
+    """Find the gains of every node."""
     for node in range(sums.shape[0] * sums.shape[1]):
         i, j = node // sums.shape[1], node % sums.shape[1]
-        color = vec3(sums[i, j, 0], sums[i, j, 1], sums[i, j, 2])
-        least = color.min()
+        model = vec3(1.0)
         if predicted == 1:
             model = vec3(sums[i, j, 3], sums[i, j, 4], sums[i, j, 5])
-            least = ti.min(least, model.min())
-            color = color / model
-        # Where nothing is lit, the gains stay one.
-        gain = vec3(1.0)
-        if least > _DARK:
-            gain = color.sum() / 3.0 / color
+        gain = balancing_gain(sample_at(sums, i, j), model)
         for k in ti.static(range(3)):
             out_gains[i, j, k] = gain[k]
-
-
-def _gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
-    """Half of a Gaussian of this deviation (in samples) from an offset on, cut at three deviations."""
-    reach = np.arange(int(np.ceil(3 * sigma)) + 1) + offset
-    return np.exp(-0.5 * (reach / sigma) ** 2).astype(np.float32)
 
 
 @ti.kernel
@@ -338,13 +312,13 @@ def darken_kernel(
 
 
 def balance_color(
-    image: Any,
+    image: F32,
     period_px: float,
-    mask: Any | None = None,
+    mask: Mask | None = None,
     *,
     crosstalk_matrix: npt.ArrayLike | None = None,
-    out: Any | None = None,
-) -> Any:
+    out: F32 | None = None,
+) -> F32:
     """Balance the colours over a smooth window of about a cycle, twice: the second time the phase is known.
 
     Parameters
@@ -380,10 +354,9 @@ def balance_color(
         mask = _checks.read_mask("mask", mask, (height, width))
         counted = np.empty((height, width, 3), np.float32)
         darken_kernel(image, mask, counted)
-    matrix = np.eye(3) if crosstalk_matrix is None else np.array(crosstalk_matrix, np.float64)
-    inverse = invert_crosstalk(matrix, normalize_rows=True)
+    crosstalk = Crosstalk.of(np.eye(3) if crosstalk_matrix is None else crosstalk_matrix, balance_first=True)
     out = _checks.out_array("out", out, (height, width, 3), np.float32)
     gains = Gains(height, width, period_px)
-    gains.measure(counted, inverse, np.linalg.inv(inverse), _DARK, _DARK, balance_first=True)
+    gains.measure(counted, crosstalk, _ANYTHING_LIT)
     apply_gains_kernel(image, gains.gains, gains.cell, out)
     return out

@@ -4,24 +4,33 @@ In linear light camera = M @ projector, one row of M a camera channel (section 2
 analysis for sinusoidal structured light in rapid range imaging, 2004).
 """
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array3, mat3, ti, vec3
+from tikernels._taichi import F32Array2, F32Array3, mat3, ti, vec3
+from tikernels.arrays import F32
 from tikernels.errors import ShapeError
+from tikernels.phase.phase_vector import color_at, matrix_of, phase_weights
+
+
+@ti.func
+def unmixed(light: vec3, inverse: mat3) -> vec3:
+    """Return the light of the projector's channels, given the camera's."""
+    return inverse @ light
 
 
 @ti.kernel
 def correct_crosstalk_kernel(
     image: F32Array3,  # (H, W, 3) linear light at the camera
-    inverse: mat3,
+    inverse_matrix: F32Array2,  # (3, 3)
     out: F32Array3,  # (H, W, 3) linear light of the projector's channels
 ):
-    for y, x in ti.ndrange(image.shape[0], image.shape[1]):
-        light = inverse @ vec3(image[y, x, 0], image[y, x, 1], image[y, x, 2])
+    for pixel in range(image.shape[0] * image.shape[1]):
+        y, x = pixel // image.shape[1], pixel % image.shape[1]
+        light = unmixed(color_at(image, y, x), matrix_of(inverse_matrix))
         for i in ti.static(range(3)):
             out[y, x, i] = light[i]
 
@@ -55,7 +64,57 @@ def invert_crosstalk(crosstalk_matrix: npt.ArrayLike, *, normalize_rows: bool = 
     return np.asarray(np.linalg.inv(matrix), np.float64)
 
 
-def correct_crosstalk(image: Any, crosstalk_matrix: npt.ArrayLike, out: Any | None = None) -> Any:
+@dataclass(frozen=True, eq=False)
+class Crosstalk:
+    """How the projector's primaries mix in the camera's channels, and where the surface's colour acts."""
+
+    matrix: npt.NDArray[np.float32]
+    """(3, 3): camera = matrix @ projector; each row sums to one where `balance_first`."""
+    inverse: npt.NDArray[np.float32]
+    """(3, 3): undoes it."""
+    weights: npt.NDArray[np.float32]
+    """(3, 3): takes the balanced channels to b cos(phi), b sin(phi) and the background a; see `phase_weights`."""
+    noise_gain: float
+    """Standard deviation of b cos(phi) and of b sin(phi), for a camera channel's of one."""
+    balance_first: bool
+    """Whether the reflectance acts on the camera's channels, after the crosstalk: the colours are balanced first."""
+    lag: npt.NDArray[np.float64] | None
+    """(3,) rad, how far the fringe of R, G, B lags behind its place; None: nowhere."""
+
+    @classmethod
+    def of(
+        cls, matrix: npt.ArrayLike, *, balance_first: bool, lag: npt.NDArray[np.float64] | None = None
+    ) -> "Crosstalk":
+        """Prepare a crosstalk matrix for decoding.
+
+        Parameters
+        ----------
+        matrix : (3, 3)
+            camera = matrix @ projector.
+        balance_first : bool
+            Whether the colours are balanced before the crosstalk is undone. Then a neutral projector gives neutral
+            camera values by definition, whatever the rows of the matrix sum up to.
+        lag : (3,), optional
+            rad; see `channel_delays`.
+
+        Raises
+        ------
+        ShapeError
+            The matrix is not 3x3 or cannot be inverted.
+        """
+        inverse = invert_crosstalk(matrix, normalize_rows=balance_first)
+        weights = phase_weights(inverse if balance_first else np.eye(3), lag)
+        return cls(
+            np.linalg.inv(inverse).astype(np.float32),
+            inverse.astype(np.float32),
+            weights.astype(np.float32),
+            float(np.sqrt((phase_weights(inverse)[:2] ** 2).sum() / 2)),
+            balance_first,
+            lag,
+        )
+
+
+def correct_crosstalk(image: F32, crosstalk_matrix: npt.ArrayLike, out: F32 | None = None) -> F32:
     """Undo the crosstalk: what the projector's channels would have given alone.
 
     Parameters
@@ -89,5 +148,5 @@ def correct_crosstalk(image: Any, crosstalk_matrix: npt.ArrayLike, out: Any | No
     image = _checks.read_array("image", image, (None, None, 3), np.float32)
     inverse = invert_crosstalk(crosstalk_matrix)
     out = _checks.out_array("out", out, tuple(image.shape), np.float32)
-    correct_crosstalk_kernel(image, mat3(inverse.tolist()), out)
+    correct_crosstalk_kernel(image, inverse.astype(np.float32), out)
     return out

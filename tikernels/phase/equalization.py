@@ -15,13 +15,16 @@ import numpy.typing as npt
 
 from tikernels import _checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
+from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.phase_vector import PI, channel_waves, wrap
-from tikernels.phase.wrapped_phase import NO_PHASE, mark_no_phase_kernel
+from tikernels.phase.phase_vector import PI, wrap
+from tikernels.phase.wrapped_phase import has_phase, mark_no_phase_kernel
 
-#: Rows of a histogram that threads add to in parallel, so that they seldom wait for each other.
-SLOTS = 32
-# Fewer counts than this many a bin do not make a distribution.
+# Threads add to one of these histograms each, so that they seldom wait for each other.
+_COPIES = 32
+# A phase this far beyond +-pi still counts: float32 leaves less than that, rad.
+_ROUNDING = 1e-3
+# Fewer counts a bin than this do not make a distribution.
 _MIN_COUNTS_A_BIN = 4
 
 
@@ -56,7 +59,7 @@ def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) 
     correction[:-1] = np.fft.irfft(spectrum, bins)
     correction[-1] = correction[0]
     mean = counts @ (correction[1:] + correction[:-1]) / (2 * total)
-    return (correction - mean).astype(np.float32)
+    return np.asarray(correction - mean, np.float32)
 
 
 def _certainty(parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -105,89 +108,27 @@ def modulation_tables(table: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]
     return (tables / np.maximum(stretch, 0.2)).astype(np.float32)
 
 
-def pattern_light(response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the (3,) mean light of the sinusoids when their codes go through this response, (3, N)."""
-    codes = 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, 4096, endpoint=False))
-    return np.array([np.interp(codes, np.linspace(0, 1, response.shape[1]), row).mean() for row in response])
-
-
-def response_map(
-    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return phases all around the cycle, and what the arctangent makes of them with this response of the projector.
-
-    Parameters
-    ----------
-    response : (3, N)
-        Light of N evenly spaced codes of R, G, B.
-    lag : (3,), optional
-        How far the fringe of R, G, B lags behind its place, rad; see `channel_waves`.
-
-    Returns
-    -------
-    (4097,), (4097,) float64
-        rad; both rise by a whole cycle from the first to the last.
-    """
-    phase = np.linspace(-np.pi, np.pi, 4097)
-    delays = np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag)
-    codes = 0.5 + 0.5 * np.cos(phase[:, None] + delays)
-    light = np.stack([np.interp(codes[:, j], np.linspace(0, 1, response.shape[1]), response[j]) for j in range(3)], 1)
-    light /= light[:-1].mean(axis=0)  # the colours are balanced
-    vector = np.linalg.inv(channel_waves(lag))[1:] @ light.T
-    bare = np.unwrap(np.arctan2(vector[1], vector[0]))
-    return phase, bare - 2 * np.pi * np.round((bare - phase).mean() / (2 * np.pi))
-
-
-def response_table(
-    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, bins: int = 256
-) -> npt.NDArray[np.float32]:
-    """Return what to add to a phase, at the edges of so many bins, to undo a known response; see `response_map`.
-
-    Returns
-    -------
-    (bins + 1,) float32
-        rad.
-    """
-    phase, bare = response_map(response, lag)
-    edges = np.linspace(-np.pi, np.pi, bins + 1)
-    turns = 2 * np.pi * np.array([[-1], [0], [1]])
-    around = np.interp(edges, (bare[:-1] + turns).ravel(), (phase[:-1] + turns).ravel())
-    return np.asarray(around - edges, np.float32)
-
-
-def prefers_response(
-    histogram: npt.NDArray[Any],
-    response: npt.NDArray[np.float64],
-    lag: npt.NDArray[np.float64] | None = None,
-) -> bool:
-    """Whether the phases look as if the response bent them, rather than as if it had been compensated.
-
-    Surfaces show every phase equally often; with the response the density is the slope of `response_map`'s inverse. The
-    likelier of the two wins.
-    """
-    phase, bare = response_map(response, lag)
-    bins = len(histogram)
-    centres = -np.pi + (np.arange(bins) + 0.5) * 2 * np.pi / bins
-    turns = 2 * np.pi * np.array([[-1], [0], [1]])
-    slope = np.interp(centres, ((bare[1:] + bare[:-1]) / 2 + turns).ravel(), np.tile(np.diff(phase) / np.diff(bare), 3))
-    return bool(histogram @ np.log(np.maximum(slope, 1e-3)) > 0)
+@ti.func
+def place_in_cycle(phase: f32, bins: i32) -> f32:
+    """Return where a phase lies among the bins of a cycle, 0 at -pi."""
+    return (phase + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
 
 
 @ti.func
 def equalized(phase: f32, table: F32Array1) -> f32:
     """Add the interpolated correction to a phase in [-pi, pi]; the sum may lie a little beyond."""
     bins = table.shape[0] - 1
-    place = (phase + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI))
+    place = place_in_cycle(phase, bins)
     low = ti.min(ti.max(ti.cast(place, ti.i32), 0), bins - 1)
     fraction = place - low
     return phase + table[low] + fraction * (table[low + 1] - table[low])
 
 
 @ti.kernel
-def count_phases_kernel(
+def measure_distribution_kernel(
     phase: F32Array2,  # (H, W) rad; what lies beyond +-pi, or is NaN, does not count
     step: i32,  # px between two samples along a row
-    out_histogram: I32Array2,  # (SLOTS, bins), to be added to
+    out_histogram: I32Array2,  # (copies, bins), to be added to
 ):
     height, width = phase.shape[0], phase.shape[1]
     bins = out_histogram.shape[1]
@@ -195,9 +136,38 @@ def count_phases_kernel(
     for sample in range(height * columns):
         y, x = sample // columns, (sample % columns) * step
         value = phase[y, x]
-        if not ti.math.isnan(value) and ti.abs(value) < PI + 1e-3:
-            place = ti.cast((value + PI) * (ti.cast(bins, ti.f32) / (2.0 * PI)), ti.i32)
+        if not ti.math.isnan(value) and ti.abs(value) < PI + _ROUNDING:
+            place = ti.cast(place_in_cycle(value, bins), ti.i32)
             out_histogram[y % out_histogram.shape[0], ti.min(ti.max(place, 0), bins - 1)] += 1
+
+
+def measure_distribution(phase: F32, bins: int, step: int = 1) -> npt.NDArray[np.int64]:
+    """Count how often a phase falls into each part of the cycle.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad; what lies beyond [-pi, pi], or is NaN, does not count.
+    bins : int
+        Parts of the cycle.
+    step : int
+        px between two samples along a row.
+
+    Returns
+    -------
+    (bins,) int64
+        From -pi to pi.
+
+    Raises
+    ------
+    ShapeError
+        The shape or dtype is another one.
+    """
+    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    histogram = np.zeros((_COPIES, bins), np.int32)
+    measure_distribution_kernel(phase, step, histogram)
+    runtime.synchronize()
+    return np.asarray(histogram.sum(axis=0), np.int64)
 
 
 @ti.kernel
@@ -210,14 +180,14 @@ def equalize_phase_kernel(
     for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
         y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
         phase = wrapped_phase[y, x]
-        if marked[y, x] < 0.5 * NO_PHASE:
+        if has_phase(marked[y, x]):
             phase = wrap(equalized(wrap(phase), table))
         out[y, x] = phase
 
 
 def equalize_phase(
-    wrapped_phase: Any, mask: Any, bins: int = 256, *, harmonics: int | None = None, out: Any | None = None
-) -> Any:
+    wrapped_phase: F32, mask: Mask, bins: int = 256, *, harmonics: int | None = None, out: F32 | None = None
+) -> F32:
     """Spread the phases of the masked pixels evenly over the cycle.
 
     Parameters
@@ -229,7 +199,7 @@ def equalize_phase(
     bins : int
         Bins of the histogram, of which the table is interpolated.
     harmonics : int, optional
-        Keep only so many harmonics of the correction; see `correction_table`.
+        How many harmonics of the correction are kept; see `correction_table`.
     out : (H, W) float32, optional
         Where the result goes.
 
@@ -261,11 +231,9 @@ def equalize_phase(
     if bins < 8:
         raise ShapeError(f"bins is {bins}: take 8 or more")
     out = _checks.out_array("out", out, shape, np.float32)
-    histogram = np.zeros((SLOTS, bins), np.int32)
-    # Some hundred thousand samples pin the table down to a milliradian; more only cost time.
-    step = max(1, shape[0] * shape[1] // 2**18)
     marked = runtime.empty(shape, np.float32)
     mark_no_phase_kernel(wrapped_phase, mask, marked)
-    count_phases_kernel(marked, step, histogram)
-    equalize_phase_kernel(wrapped_phase, marked, correction_table(histogram.sum(axis=0), harmonics), out)
+    # Some hundred thousand samples pin the table down to a milliradian; more only cost time.
+    histogram = measure_distribution(marked, bins, max(1, shape[0] * shape[1] // 2**18))
+    equalize_phase_kernel(wrapped_phase, marked, correction_table(histogram, harmonics), out)
     return out

@@ -1,17 +1,21 @@
 """What a frame says about itself before it is decoded: the fringe's period, the noise, how bright it is."""
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti, vec3
-from tikernels.phase.color_balance import MIN_PERIOD_PX
-from tikernels.phase.phase_vector import phase_vector
-from tikernels.raw.linearization import WHITE_LEVELS
+from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti
+from tikernels.arrays import LevelsImage
+from tikernels.phase.phase_vector import color_at, phase_vector
+from tikernels.raw.linearization import LEVEL_TYPES, WHITE_LEVELS
 
+#: Three samples a cycle and a little more is what a camera must see.
+MIN_PERIOD_PX = 4.0
+#: Share of full scale beyond which a channel is clipped. A pixel with two such channels has lost its phase; one alone
+#: bends it by 0.03 rad at the most.
+CLIPPED = 0.998
 # Columns that are looked at: enough to meet every object that fills a twentieth of the picture.
 _COLUMNS = 16
 # A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
@@ -36,6 +40,23 @@ class FrameStatistics:
     brightness: float  # 95th percentile of the channels' mean
 
 
+@dataclass(frozen=True)
+class FrameLevels:
+    """Noise and thresholds of a frame, in its levels of linear light."""
+
+    white: float  # full scale
+    read_noise: float  # standard deviation of a dark channel
+    noise_gain: float  # by how much a channel's variance grows with its light
+    noise: float  # standard deviation of a channel at half of the brightest
+    intensity: float  # least mean of the channels of a pixel that counts
+    modulation: float  # least modulation of a pixel that counts
+
+    @property
+    def clipped(self) -> float:
+        """The level from which on a channel is clipped."""
+        return CLIPPED * self.white
+
+
 @ti.kernel
 def probe_frame_kernel(
     image: AnyArray3,  # (H, W, 3) levels
@@ -46,21 +67,17 @@ def probe_frame_kernel(
     for sample in range(columns * height):
         column, y = sample // height, sample % height
         x = ti.min(ti.max((2 * column + 1) * width // (2 * columns), 1), width - 2)
-        total, noise = vec3(0.0), 0.0
-        for k in ti.static(range(3)):
-            left = ti.cast(image[y, ti.max(x - 1, 0), k], ti.f32)
-            here = ti.cast(image[y, ti.max(x, 0), k], ti.f32)
-            right = ti.cast(image[y, ti.min(x + 1, width - 1), k], ti.f32)
-            total[k] = here * scale
-            noise += (left - 2.0 * here + right) * scale
-        vector, mean = phase_vector(total)
+        here = color_at(image, y, ti.max(x, 0))
+        change = color_at(image, y, ti.max(x - 1, 0)) - 2.0 * here + color_at(image, y, ti.min(x + 1, width - 1))
+        change *= scale
+        vector = phase_vector(here * scale)
         out_samples[column, y, 0] = vector.x
         out_samples[column, y, 1] = vector.y
-        out_samples[column, y, 2] = noise
-        out_samples[column, y, 3] = mean
+        out_samples[column, y, 2] = change.x + change.y + change.z
+        out_samples[column, y, 3] = vector.z
 
 
-def measure_frame(image: Any, white_level: float | None = None) -> FrameStatistics:
+def measure_frame(image: LevelsImage, white_level: float | None = None) -> FrameStatistics:
     """Measure period, noise and brightness on a few columns.
 
     Parameters
@@ -80,7 +97,7 @@ def measure_frame(image: Any, white_level: float | None = None) -> FrameStatisti
     ShapeError
         Shape or dtype is another one.
     """
-    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     columns = min(_COLUMNS, int(image.shape[1]))
     samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
     probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), samples)
@@ -158,7 +175,7 @@ def count_out_of_range_kernel(
                 out_count[1] += 1
 
 
-def count_out_of_range(image: Any, white_level: float) -> tuple[int, int]:
+def count_out_of_range(image: LevelsImage, white_level: float) -> tuple[int, int]:
     """Count the values that are NaN, and those outside 0..white_level.
 
     Parameters
@@ -168,7 +185,7 @@ def count_out_of_range(image: Any, white_level: float) -> tuple[int, int]:
     white_level : float
         Full scale.
     """
-    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     counts = np.zeros(2, np.int32)
     count_out_of_range_kernel(image, white_level, counts)
     runtime.synchronize()

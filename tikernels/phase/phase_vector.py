@@ -1,18 +1,19 @@
 """The mathematics of one pixel: three sinusoids a third of a cycle apart, and the angle between two numbers.
 
-Shared by every stage that looks at the phase of a pixel.
+    R, G, B = a + b cos(phi + delay),    delay = (-1, 0, 1) 2 pi/3 less the projector's lag
+
+are linear in a, b cos(phi) and b sin(phi): `channel_waves` is the matrix that makes the channels of them,
+`phase_weights` its inverse after the crosstalk has been undone, and `phase_vector` the same written out for channels
+without lag and crosstalk (equation 2.4 of Je, Lee and Park, Color-phase analysis for sinusoidal structured light in
+rapid range imaging, 2004). Every stage that looks at the phase of a pixel takes it from here.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from tikernels._taichi import F32Array2, f32, mat3, ti, vec2, vec3
+from tikernels._taichi import AnyArray3, F32Array2, f32, i32, mat3, ti, vec3
 
 PI = 3.141592653589793
-
-# Pixels of a row that one thread works on: enough threads for a GPU. A CPU does eight or sixteen at once, if the
-# thread copies them to arrays of its own first: of those alone the compiler knows that they do not overlap.
-STRIP = 32
 
 # Odd minimax polynomial for the arctangent on [-1, 1]; its error is 1.7e-6 rad, where ti.atan2 is exact but costs ten
 # times as much on the CPU.
@@ -30,6 +31,12 @@ def with_sign_of(magnitude: f32, sign: f32) -> f32:
 def matrix_of(array: F32Array2):
     """Load a (3, 3) argument once a thread; as an array it is passed ten times as fast as a matrix."""
     return mat3([[array[i, j] for j in range(3)] for i in range(3)])
+
+
+@ti.func
+def color_at(image: AnyArray3, y: i32, x: i32) -> vec3:
+    """Return a pixel's three channels as numbers."""
+    return vec3(ti.cast(image[y, x, 0], ti.f32), ti.cast(image[y, x, 1], ti.f32), ti.cast(image[y, x, 2], ti.f32))
 
 
 @ti.func
@@ -53,26 +60,52 @@ def cosine_and_sine(angle: f32):
     return cosine * cosine - sine * sine, 2.0 * sine * cosine
 
 
-def channel_waves(lag: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float64]:
-    """Return the (3, 3) matrix that makes R, G, B of a, b cos phi and b sin phi.
+@ti.func
+def wrap(angle: f32) -> f32:
+    """Bring an angle within (-3 pi, 3 pi) back to [-pi, pi]."""
+    return angle - ti.select(ti.abs(angle) > PI, with_sign_of(2.0 * PI, angle), 0.0)
+
+
+@ti.func
+def phase_vector(light: vec3) -> vec3:
+    """Return b cos(phi), b sin(phi) and the background a of R, G, B = a + b cos(phi + (-1, 0, 1) 2 pi/3)."""
+    r, g, b = light.x, light.y, light.z
+    return vec3((2.0 * g - r - b) / 3.0, (r - b) * 0.5773502691896258, (r + g + b) / 3.0)
+
+
+@ti.func
+def modulation_of(vector: vec3) -> f32:
+    """Return b, given b cos(phi), b sin(phi) and the background."""
+    return ti.sqrt(vector.x * vector.x + vector.y * vector.y)
+
+
+def channel_delays(lag: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float64]:
+    """Return (3,) rad: by how much the phase of R, G, B is ahead of the pattern's.
 
     Parameters
     ----------
     lag : (3,), optional
         How far the fringe of R, G, B lags behind its place, rad: the projector's lateral colour.
     """
-    angles = np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag)
+    return np.asarray(np.array([-1, 0, 1]) * 2 * np.pi / 3 - (0 if lag is None else lag))
+
+
+def channel_waves(lag: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float64]:
+    """Return the (3, 3) matrix that makes R, G, B of a, b cos phi and b sin phi; see `channel_delays`."""
+    angles = channel_delays(lag)
     return np.stack([np.ones(3), np.cos(angles), -np.sin(angles)], axis=1)
 
 
-@ti.func
-def phase_vector(light: vec3):
-    """Return b (cos phi, sin phi) and the background a of R, G, B = a + b cos(phi + (-1, 0, 1) 2 pi/3)."""
-    r, g, b = light.x, light.y, light.z
-    return vec2((2.0 * g - r - b) / 3.0, (r - b) * 0.5773502691896258), (r + g + b) / 3.0
+def phase_weights(
+    inverse: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
+) -> npt.NDArray[np.float64]:
+    """Return the (3, 3) weights that take balanced camera channels to b (cos phi, sin phi) and the background a.
 
-
-@ti.func
-def wrap(angle: f32) -> f32:
-    """Bring an angle within (-3 pi, 3 pi) back to [-pi, pi]."""
-    return angle - ti.select(ti.abs(angle) > PI, with_sign_of(2.0 * PI, angle), 0.0)
+    Parameters
+    ----------
+    inverse : (3, 3)
+        Undoes the crosstalk.
+    lag : (3,), optional
+        See `channel_delays`.
+    """
+    return np.asarray(np.linalg.inv(channel_waves(lag))[[1, 2, 0]] @ inverse)

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from tikernels import _checks, runtime
-from tikernels._taichi import F32Array2, f32, ti, u1
+from tikernels._taichi import F32Array2, Static, f32, i32, ti, u1
+from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.phase_vector import PI, STRIP, wrap
-from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, mark_no_phase_kernel
+from tikernels.phase.phase_vector import PI, wrap
+from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
+from tikernels.strips import STRIP, strip_at, strip_count
 
 # A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends less
 # between them than noise makes it, four standard deviations, of which one of three pixels weighs twice; or than the
@@ -29,92 +31,177 @@ NO_NEIGHBOUR = 0.5 * NO_PHASE
 _SAME_SURFACE = 0.3
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
+#: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad a px, and
+#: the mean quality.
+RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = range(3)
+
+
+@ti.func
+def between_surfaces(one: f32, other: f32) -> u1:
+    """Whether a pixel that is this far from its neighbours on either side belongs to neither's surface."""
+    low, high = ti.min(one, other), ti.max(one, other)
+    farthest = ti.select(high < NO_NEIGHBOUR, high, low)
+    return (farthest > MAX_DEPARTURE) & (farthest < NO_NEIGHBOUR) & (low > _SAME_SURFACE)
+
+
+@ti.func
+def from_whole_cycles(change: f32) -> f32:
+    """How far a difference of two phases, less its usual value, is from whole cycles."""
+    size = ti.abs(change)
+    return ti.min(size, ti.abs(size - 2.0 * PI))
+
+
+@ti.func
+def largest_bend(precision: f32) -> f32:
+    """Return how much the phase may bend between two neighbours left and right of a pixel, rad."""
+    return ti.min(ti.max(_BEND_SIGMAS / ti.sqrt(precision + 1e-6), _LEAST_BEND), _MAX_BEND)
+
+
+@ti.func
+def mean_correction(values: Static, middle: i32, pairs: Static, max_bend: f32) -> f32:
+    """Return what to add to a phase of a row to make it the mean with its neighbours.
+
+    They count in pairs, so that a steady slope along the stripe leaves no bias.
+    """
+    total, count = 0.0, 1.0
+    for tap in ti.static(range(1, pairs + 1)):
+        left, right = wrap(values[middle - tap] - values[middle]), wrap(values[middle + tap] - values[middle])
+        near = ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE
+        # Fading, so that rounding decides nothing.
+        counts = ti.min(ti.max(2.5 - 2.0 * ti.abs(left + right) / max_bend, 0.0), 1.0)
+        counts = ti.select(near, counts, 0.0)
+        total += counts * ti.select(near, left + right, 0.0)
+        count += 2.0 * counts
+    return total / count
 
 
 @cache
-def smooth_phase_kernel(pairs: int) -> Any:
+def _smooth_phase_kernel(pairs: int) -> Any:
     """Return the kernel that averages over `pairs` neighbours on either side."""
     reach = max(pairs, 1)
     window = 2 * reach + STRIP
     taps, lanes = ti.types.vector(window, ti.f32), ti.types.vector(STRIP, ti.f32)
 
-    @ti.func
-    def between_surfaces(one: f32, other: f32) -> u1:
-        """Whether a pixel that departs so far from its neighbours on either side belongs to neither's surface."""
-        low, high = ti.min(one, other), ti.max(one, other)
-        farthest = ti.select(high < NO_NEIGHBOUR, high, low)
-        return (farthest > MAX_DEPARTURE) & (farthest < NO_NEIGHBOUR) & (low > _SAME_SURFACE)
-
-    @ti.func
-    def departure(change: f32) -> f32:
-        """How far a difference of two phases, less its usual value, is from whole cycles."""
-        size = ti.abs(change)
-        return ti.min(size, ti.abs(size - 2.0 * PI))
-
     @ti.kernel
-    def smooth_phase(
+    def smooth_phase_kernel(
         phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
         precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
-        rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
+        rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad a px
         out: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask, STEP_PHASE between two surfaces
     ):
         height, width = phase.shape[0], phase.shape[1]
         last = rates.shape[0] - 1
-        strips = (width + STRIP - 1) // STRIP
-        for t in range(height * strips):
-            y, first = t // strips, (t % strips) * STRIP
+        for t in range(height * strip_count(width, STRIP)):
+            y, first, length = strip_at(t, width, STRIP)
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
-            rate_along, rate_across = rates[last, 0], rates[last, 1]
+            rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
             values = taps(0.0)
-            upper, lower, bend, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            upper, lower, certainty, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for k in range(window):
                 values[k] = NO_PHASE
             for k in range(ti.max(0, reach - first), ti.min(window, width - first + reach)):
                 values[k] = phase[y, first - reach + k]
-            for k in range(ti.min(STRIP, width - first)):
+            for k in range(length):
                 upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
-                bend[k] = precision[y, first + k]
+                certainty[k] = precision[y, first + k]
             for k in range(STRIP):
                 centre = values[reach + k]
-                max_bend = ti.min(ti.max(_BEND_SIGMAS / ti.sqrt(bend[k] + 1e-6), _LEAST_BEND), _MAX_BEND)
                 # Without a neighbour the differences stay far beyond any phase.
-                left, right = wrap(values[reach + k - 1] - centre), wrap(values[reach + k + 1] - centre)
-                to_left, to_right = ti.abs(left + rate_along), ti.abs(right - rate_along)
-                to_upper = departure(centre - upper[k] - rate_across)
-                to_lower = departure(lower[k] - centre - rate_across)
+                to_left = ti.abs(wrap(values[reach + k - 1] - centre) + rate_along)
+                to_right = ti.abs(wrap(values[reach + k + 1] - centre) - rate_along)
+                to_upper = from_whole_cycles(centre - upper[k] - rate_across)
+                to_lower = from_whole_cycles(lower[k] - centre - rate_across)
                 to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
                 to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
-                total, count = 0.0, 1.0
-                for tap in ti.static(range(1, pairs + 1)):
-                    # Pairs, so that a steady slope along the stripe leaves no bias.
-                    if ti.static(tap > 1):
-                        left = wrap(values[reach + k - tap] - centre)
-                        right = wrap(values[reach + k + tap] - centre)
-                    near = ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE
-                    # Fading, so that rounding decides nothing.
-                    counts = ti.min(ti.max(2.5 - 2.0 * ti.abs(left + right) / max_bend, 0.0), 1.0)
-                    counts = ti.select(near, counts, 0.0)
-                    total += counts * ti.select(near, left + right, 0.0)
-                    count += 2.0 * counts
                 step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
-                value = ti.select(step, STEP_PHASE, centre + total / count)
-                result[k] = ti.select(centre < 0.5 * NO_PHASE, value, NO_PHASE)
-            for k in range(ti.min(STRIP, width - first)):
+                correction = mean_correction(values, reach + k, pairs, largest_bend(certainty[k]))
+                value = ti.select(step, STEP_PHASE, centre + correction)
+                result[k] = ti.select(has_phase(centre), value, NO_PHASE)
+            for k in range(length):
                 out[y, first + k] = result[k]
 
-    return smooth_phase
+    return smooth_phase_kernel
 
 
-def rates_buffer(height: int) -> Any:
-    """Allocate what `measure_rates_kernel` fills for frames of this height."""
-    return runtime.empty((-(-height // _SAMPLE) + 1, 5), np.float32)
+def rates_buffer(height: int) -> F32:
+    """Allocate what `measure_rates` fills for frames of this height."""
+    return runtime.empty(_rates_shape(height), np.float32)
+
+
+def _rates_shape(height: int) -> tuple[int, int]:
+    return (-(-height // _SAMPLE) + 1, 5)
+
+
+def measure_rates(phase: F32, quality: F32, out: F32 | None = None) -> F32:
+    """Measure the usual change of the phase from pixel to pixel, and the mean quality.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad; NO_PHASE outside the mask.
+    quality : (H, W) float32
+        How sure each pixel is, in any unit, as its modulation.
+    out : (H / 8 + 1, 5) float32, optional
+        Where the result goes; see `rates_buffer`.
+
+    Returns
+    -------
+    (H / 8 + 1, 5) float32
+        In the last row, at RATE_ALONG and RATE_ACROSS, the usual change along and across the stripes, rad a px, and at
+        MEAN_QUALITY the mean quality; the rows before are sums over rows of the image.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    quality = _checks.read_array("quality", quality, phase.shape, np.float32)
+    out = _checks.out_buffer("out", out, _rates_shape(int(phase.shape[0])), np.float32)
+    measure_rates_kernel(phase, quality, out)
+    return out
+
+
+def smooth_phase(phase: F32, precision: F32, rates: F32, pairs: int, out: F32 | None = None) -> F32:
+    """Average the phase over a few pixels along the rows, and mark the pixels between two surfaces.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad, up to 0.6 beyond [-pi, pi]; NO_PHASE outside the mask.
+    precision : (H, W) float32
+        1 / rad^2, one over the phase's variance; 0 where nothing is known of it.
+    rates : (H / 8 + 1, 5) float32
+        What `measure_rates` found of the same phase.
+    pairs : int
+        Neighbours on either side that are averaged, 0 or more.
+    out : (H, W) float32, optional
+        Where the result goes; not the input.
+
+    Returns
+    -------
+    (H, W) float32
+        rad, a little beyond [-pi, pi]; NO_PHASE outside the mask, STEP_PHASE between two surfaces.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    shape = (int(phase.shape[0]), int(phase.shape[1]))
+    precision = _checks.read_array("precision", precision, shape, np.float32)
+    rates = _checks.read_array("rates", rates, _rates_shape(shape[0]), np.float32)
+    out = _checks.out_buffer("out", out, shape, np.float32)
+    _smooth_phase_kernel(pairs)(phase, precision, rates, out)
+    return out
 
 
 @ti.kernel
 def measure_rates_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)
-    out_rates: F32Array2,  # (H / 8 + 1, 5) sums a row; in the last row rate along, rate across (rad), mean quality
+    out_rates: F32Array2,  # (H / 8 + 1, 5) sums a row; in the last row RATE_ALONG ...
 ):
     height, width = phase.shape[0], phase.shape[1]
     rows = out_rates.shape[0] - 1
@@ -124,15 +211,15 @@ def measure_rates_kernel(
         total, count = 0.0, 0.0
         for j in range((width + _SAMPLE - 1) // _SAMPLE):
             x = ti.min(j * _SAMPLE, ti.max(width - 2, 0))
-            if phase[y, x] < 0.5 * NO_PHASE:
+            if has_phase(phase[y, x]):
                 total += quality[y, x]
                 count += 1.0
                 if x + 1 < width:
-                    if phase[y, x + 1] < 0.5 * NO_PHASE:
+                    if has_phase(phase[y, x + 1]):
                         change = phase[y, x + 1] - phase[y, x]
                         along += ti.Vector([ti.cos(change), ti.sin(change)])
                 if y + 1 < height:
-                    if phase[y + 1, x] < 0.5 * NO_PHASE:
+                    if has_phase(phase[y + 1, x]):
                         change = phase[y + 1, x] - phase[y, x]
                         across += ti.Vector([ti.cos(change), ti.sin(change)])
         out_rates[i, 0] = along.x
@@ -151,9 +238,9 @@ def measure_rates_kernel(
             if out_rates[i, 4] > 0.0:
                 total += out_rates[i, 4]
                 count += 1.0
-        out_rates[rows, 0] = ti.atan2(along.y, along.x)
-        out_rates[rows, 1] = ti.atan2(across.y, across.x)
-        out_rates[rows, 2] = ti.max(total / ti.max(count, 1.0), 1e-12)
+        out_rates[rows, RATE_ALONG] = ti.atan2(along.y, along.x)
+        out_rates[rows, RATE_ACROSS] = ti.atan2(across.y, across.x)
+        out_rates[rows, MEAN_QUALITY] = ti.max(total / ti.max(count, 1.0), 1e-12)
 
 
 @ti.kernel
@@ -163,13 +250,11 @@ def restore_kernel(
 ):
     for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
         y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
-        if out[y, x] > 0.5 * NO_PHASE:
-            out[y, x] = wrapped_phase[y, x]
-        else:
-            out[y, x] = wrap(out[y, x])
+        smoothed = out[y, x]
+        out[y, x] = wrap(smoothed) if has_phase(smoothed) else wrapped_phase[y, x]
 
 
-def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *, out: Any | None = None) -> Any:
+def smooth_along_stripes(wrapped_phase: F32, mask: Mask, smoothing_px: int = 5, *, out: F32 | None = None) -> F32:
     """Average the phase over a few pixels along the rows.
 
     Parameters
@@ -202,9 +287,7 @@ def smooth_along_stripes(wrapped_phase: Any, mask: Any, smoothing_px: int = 5, *
     out = _checks.out_array("out", out, shape, np.float32)
     marked = np.empty(shape, np.float32)
     mark_no_phase_kernel(wrapped_phase, mask, marked)
-    rates = rates_buffer(shape[0])
-    measure_rates_kernel(marked, marked, rates)
-    # Of the noise nothing is known.
-    smooth_phase_kernel(smoothing_px // 2)(marked, np.zeros(shape, np.float32), rates, out)
+    of_noise_nothing_is_known = np.zeros(shape, np.float32)
+    smooth_phase(marked, of_noise_nothing_is_known, measure_rates(marked, marked), smoothing_px // 2, out=out)
     restore_kernel(wrapped_phase, out)
     return out

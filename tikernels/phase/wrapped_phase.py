@@ -4,14 +4,12 @@ R, G, B = a + b cos(phi - 2 pi/3), a + b cos(phi), a + b cos(phi + 2 pi/3) gives
 phi = atan2(sqrt(3) (R - B), 2 G - R - B) (equation 2.4 of Je, Lee and Park 2004).
 """
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array2, F32Array3, U8Array2, ti, vec3
-from tikernels.phase.phase_vector import arctangent, channel_waves, phase_vector
+from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, ti, u1
+from tikernels.arrays import F32
+from tikernels.phase.phase_vector import arctangent, color_at, modulation_of, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
@@ -20,19 +18,10 @@ NO_PHASE = 100.0
 STEP_PHASE = 2.0 * NO_PHASE
 
 
-def phase_weights(
-    inverse: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
-) -> npt.NDArray[np.float64]:
-    """Return the (3, 3) weights that take balanced camera channels to b (cos phi, sin phi) and the background a.
-
-    Parameters
-    ----------
-    inverse : (3, 3)
-        Undoes the crosstalk.
-    lag : (3,), optional
-        See `channel_waves`.
-    """
-    return np.asarray(np.linalg.inv(channel_waves(lag))[[1, 2, 0]] @ inverse)
+@ti.func
+def has_phase(phase: f32) -> u1:
+    """Whether this is a phase, and neither NO_PHASE nor STEP_PHASE."""
+    return phase < 0.5 * NO_PHASE
 
 
 @ti.kernel
@@ -58,13 +47,13 @@ def compute_wrapped_phase_kernel(
 ):
     for pixel in range(image.shape[0] * image.shape[1]):
         y, x = pixel // image.shape[1], pixel % image.shape[1]
-        vector, background = phase_vector(vec3(image[y, x, 0], image[y, x, 1], image[y, x, 2]))
+        vector = phase_vector(color_at(image, y, x))
         out_phase[y, x] = arctangent(vector.y, vector.x)
-        out_modulation[y, x] = vector.norm()
-        out_background[y, x] = background
+        out_modulation[y, x] = modulation_of(vector)
+        out_background[y, x] = vector.z
 
 
-def compute_wrapped_phase(image: Any, out: tuple[Any, Any, Any] | None = None) -> tuple[Any, Any, Any]:
+def compute_wrapped_phase(image: F32, out: tuple[F32, F32, F32] | None = None) -> tuple[F32, F32, F32]:
     """Compute wrapped phase, modulation and background.
 
     Parameters

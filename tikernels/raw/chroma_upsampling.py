@@ -11,25 +11,27 @@ Cr = (R - Y) / (2 (1 - kr)) (Rec. ITU-R BT.601-7, BT.709-6, BT.2020-2 without co
 """
 
 from functools import cache
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import _checks
 from tikernels._taichi import AnyArray2, F32Array3, Static, f32, i32, ti, vec2, vec3
+from tikernels.arrays import F32, Plane
 from tikernels.raw.pixel_format import LUMA_WEIGHTS, PixelFormat
 
 #: How far the interpolation reaches, samples to either side.
 _REACH = 3
 # Half the stretch that a sample is the mean of, px: its samples stand there.
 _HALF_STRETCH_PX = 0.5
+#: Weights along one axis: by pixel of a block, of the seven nearest samples.
+Taps: TypeAlias = tuple[tuple[float, ...], ...]
 # Blocks of pixels that share their columns of chroma: more of them pay little and compile slowly.
 _RUN = 4
 
 
 @cache
-def chroma_taps(subsampling: int, on_site: bool) -> tuple[tuple[float, ...], ...]:
+def chroma_taps(subsampling: int, on_site: bool) -> Taps:
     """Return the weights of the seven nearest samples along one axis, for each pixel of a block.
 
     Parameters
@@ -71,7 +73,7 @@ def chroma_gains(format: PixelFormat) -> tuple[float, float, float, float]:
 
 
 @cache
-def _convert_chroma_kernel(rows: Any, columns: Any, interleaved: bool) -> Any:
+def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
     block_y, block_x = len(rows), len(columns)
     reach = _REACH if block_x == 2 else 0
     n_columns = _RUN + 2 * reach
@@ -132,7 +134,7 @@ def _convert_chroma_kernel(rows: Any, columns: Any, interleaved: bool) -> Any:
     return convert_chroma_kernel
 
 
-def convert_chroma(planes: tuple[npt.NDArray[Any], ...], format: PixelFormat, out: Any | None = None) -> Any:
+def convert_chroma(planes: tuple[Plane, ...], format: PixelFormat, out: F32 | None = None) -> F32:
     """Turn luma and chroma planes into RGB.
 
     Parameters
@@ -173,9 +175,7 @@ def convert_chroma(planes: tuple[npt.NDArray[Any], ...], format: PixelFormat, ou
         _checks.read_array(name, plane, shape, format.dtype)
         for name, plane, shape in zip(names, planes[1:], format.plane_shapes(height, width)[1:], strict=True)
     ]
-    if out is None:
-        out = runtime.empty((height, width, 3), np.float32)
-    out = _checks.out_array("out", out, (height, width, 3), np.float32)
+    out = _checks.out_buffer("out", out, (height, width, 3), np.float32)
     black, luma_gain, zero, chroma_gain = ycc_scales(format)
     red, green_of_blue, green_of_red, blue = chroma_gains(format)
     x, y = format.subsampling

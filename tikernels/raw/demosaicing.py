@@ -12,8 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from tikernels import _checks, runtime
+from tikernels import _checks
 from tikernels._taichi import AnyArray2, F32Array3, Static, f32, i32, ti
+from tikernels.arrays import F32, Plane
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -83,7 +84,7 @@ def _demosaic_kernel(stripes: str, red_row: int, red_column: int) -> Any:
     return demosaic_kernel
 
 
-def demosaic(mosaic: Any, format: PixelFormat, stripes: str = "horizontal", out: Any | None = None) -> Any:
+def demosaic(mosaic: Plane, format: PixelFormat, stripes: str = "horizontal", out: F32 | None = None) -> F32:
     """Turn a Bayer mosaic into RGB.
 
     Parameters
@@ -128,9 +129,7 @@ def demosaic(mosaic: Any, format: PixelFormat, stripes: str = "horizontal", out:
     height, width = mosaic.shape
     if min(height, width) < _MIN_SIZE_PX:
         raise ShapeError(f"mosaic is {height}x{width}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
-    if out is None:
-        out = runtime.empty((height, width, 3), np.float32)
-    out = _checks.out_array("out", out, (height, width, 3), np.float32)
+    out = _checks.out_buffer("out", out, (height, width, 3), np.float32)
     red = format.bayer.index("r")
     _demosaic_kernel(stripes, red // 2, red % 2)(mosaic, 1 / format.white_level, out)
     return out

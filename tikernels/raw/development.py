@@ -1,12 +1,11 @@
 """Develop a frame: from the form in which it was stored to RGB."""
 
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
-import numpy.typing as npt
-
-from tikernels import _checks, runtime
+from tikernels import _checks
 from tikernels._taichi import AnyArray2, AnyArray3, f32, ti
+from tikernels.arrays import F32, LevelsImage, Plane
 from tikernels.errors import ShapeError
 from tikernels.raw.chroma_upsampling import convert_chroma
 from tikernels.raw.demosaicing import demosaic
@@ -49,8 +48,8 @@ def _join_planes_kernel(scaled: bool) -> Any:
 
 
 def develop(
-    planes: tuple[npt.NDArray[Any], ...], format: PixelFormat, *, stripes: str = "horizontal", out: Any | None = None
-) -> Any:
+    planes: tuple[Plane, ...], format: PixelFormat, *, stripes: str = "horizontal", out: LevelsImage | None = None
+) -> LevelsImage:
     """Turn a frame's planes into RGB, still encoded as the camera encoded it.
 
     Parameters
@@ -79,18 +78,16 @@ def develop(
     if len(planes) not in n_planes:
         raise ShapeError(f"{format.layout} frame has {len(planes)} planes, expected {' or '.join(map(str, n_planes))}")
     if format.layout == "yuv":
-        return convert_chroma(planes, format, out)
+        return convert_chroma(planes, format, cast(F32 | None, out))
     if format.layout == "bayer":
-        return demosaic(planes[0], format, stripes, out)
+        return demosaic(planes[0], format, stripes, cast(F32 | None, out))
     shape = (None, None, len(format.channels)) if len(planes) == 1 else planes[0].shape[:2]
     planes = tuple(_checks.read_array("plane", plane, shape, format.dtype) for plane in planes)
     scaled = format.rgb_dtype != format.dtype
     if len(planes) == 1 and format.channels == "rgb" and not scaled:
         return planes[0]
     height, width = planes[0].shape[:2]
-    if out is None:
-        out = runtime.empty((height, width, 3), format.rgb_dtype)
-    out = _checks.out_array("out", out, (height, width, 3), format.rgb_dtype)
+    out = _checks.out_buffer("out", out, (height, width, 3), format.rgb_dtype)
     scale = 1 / format.white_level
     if len(planes) == 1:
         _reorder_channels_kernel(format.channels, scaled)(planes[0], scale, out)

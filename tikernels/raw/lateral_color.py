@@ -4,15 +4,14 @@ A lens that refracts red and blue differently shows them beside their places; at
 0.14 rad of ripple. Each channel is read at its place by cubic Lagrange interpolation, right to 0.2 % on such a fringe.
 """
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, f32, ti, vec4
+from tikernels.arrays import F32, LevelsImage
 from tikernels.errors import ShapeError
-from tikernels.raw.linearization import WHITE_LEVELS
+from tikernels.raw.linearization import LEVEL_TYPES
 
 
 @ti.func
@@ -52,7 +51,7 @@ def align_channels_kernel(
             out[y, x, channel] = value
 
 
-def align_channels(image: Any, shift_px: npt.ArrayLike, out: Any | None = None) -> Any:
+def align_channels(image: LevelsImage, shift_px: npt.ArrayLike, out: F32 | None = None) -> F32:
     """Undo lateral colour.
 
     Parameters
@@ -74,7 +73,7 @@ def align_channels(image: Any, shift_px: npt.ArrayLike, out: Any | None = None) 
     ShapeError
         Shape or dtype is another one, or `out` cannot be written.
     """
-    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     shift = np.ascontiguousarray(shift_px, np.float32)
     if shift.shape != (3, 2) or not np.isfinite(shift).all():
         raise ShapeError(f"shift_px must be 3x2 finite numbers, got shape {shift.shape}")

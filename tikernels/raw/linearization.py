@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from tikernels import _checks
 from tikernels._taichi import AnyArray3, F32Array1, F32Array3, f32, ti
+from tikernels.arrays import F32, LevelsImage
 from tikernels.errors import ShapeError
 
 TRANSFERS = ("linear", "srgb", "bt709")
@@ -19,7 +20,8 @@ TRANSFERS = ("linear", "srgb", "bt709")
 #: A name, or the linear light of evenly spaced levels from 0 to full scale.
 Transfer = str | npt.NDArray[np.floating[Any]]
 
-#: Full scale of each input type.
+#: Element types in which frames come, and the full scale of each.
+LEVEL_TYPES = (np.uint8, np.uint16, np.float32)
 WHITE_LEVELS = {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}
 
 
@@ -105,12 +107,12 @@ def linear_values(encoded: npt.ArrayLike, transfer: Transfer) -> npt.NDArray[np.
 
 
 def linearize(
-    image: Any,
+    image: LevelsImage,
     transfer: Transfer = "linear",
     white_level: float | None = None,
     full_scale: float = 1.0,
-    out: Any | None = None,
-) -> Any:
+    out: F32 | None = None,
+) -> F32:
     """Turn grey levels into linear light.
 
     Parameters
@@ -146,7 +148,7 @@ def linearize(
     """
     if isinstance(transfer, str) and transfer not in TRANSFERS:
         raise ShapeError(f"transfer is {transfer!r}: choose {', '.join(TRANSFERS)}")
-    image = _checks.read_array("image", image, (None, None, 3), *WHITE_LEVELS)
+    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     out = _checks.out_array("out", out, tuple(image.shape), np.float32)
     scale = 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)])
     if isinstance(transfer, str):

@@ -1,10 +1,9 @@
 """How a frame's pixels are stored, in the words of cameras and codecs."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 from tikernels.errors import ShapeError
 
@@ -12,6 +11,8 @@ Layout = Literal["rgb", "bayer", "yuv"]
 Bayer = Literal["rggb", "bggr", "grbg", "gbrg"]
 Siting = Literal["left", "centre", "top-left"]
 Matrix = Literal["bt601", "bt709", "bt2020"]
+#: np.uint8, np.uint16 or np.float32: which, no type checker can tell.
+LevelType: TypeAlias = type[Any]
 
 BAYER_PATTERNS: tuple[Bayer, ...] = ("rggb", "bggr", "grbg", "gbrg")
 SITINGS: tuple[Siting, ...] = ("left", "centre", "top-left")
@@ -93,7 +94,7 @@ class PixelFormat:
             raise ShapeError(f"{self.layout} pixels of 32 bits: only RGB may be floats")
 
     @property
-    def dtype(self) -> npt.DTypeLike:
+    def dtype(self) -> LevelType:
         """The element type of every plane."""
         if self.bits == FLOAT_BITS:
             return np.float32
@@ -105,7 +106,7 @@ class PixelFormat:
         return 1.0 if self.bits == FLOAT_BITS else float((2**self.bits - 1) << self.shift)
 
     @property
-    def rgb_dtype(self) -> npt.DTypeLike:
+    def rgb_dtype(self) -> LevelType:
         """What `develop` makes of it: RGB of 8, 16 or 32 bits stays what it is, everything else becomes float32."""
         return self.dtype if self.layout == "rgb" and self.white_level in (255, 65535, 1) else np.float32
 

@@ -1,6 +1,20 @@
 """From wrapped phase to regions whose fringe orders agree, and the filter of single wrong orders."""
 
+from tikernels.unwrapping.given_regions import GivenRegions, UserUnwrapper
 from tikernels.unwrapping.order_filter import correct_fringe_order
-from tikernels.unwrapping.unwrapper import unwrap_phase
+from tikernels.unwrapping.patches import Patches, PatchGraph, RegionTable
+from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
+from tikernels.unwrapping.unwrapper import RegionUnwrapper, unwrap_phase
 
-__all__ = ["correct_fringe_order", "unwrap_phase"]
+__all__ = [
+    "METHODS",
+    "GivenRegions",
+    "PatchGraph",
+    "PatchMethod",
+    "Patches",
+    "RegionTable",
+    "RegionUnwrapper",
+    "UserUnwrapper",
+    "correct_fringe_order",
+    "unwrap_phase",
+]

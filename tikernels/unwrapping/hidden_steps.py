@@ -2,32 +2,30 @@
 
 Where one surface ends whole cycles in front of another, the phase may go on as if nothing were there. A cell in which
 that happens belongs to one of the surfaces as a whole, and part of it wrongly. It shows at the cell's border, where the
-phase of the other surface goes on over many pixels, too, but the orders step by whole cycles.
+phase of the other surface goes on over many pixels, too, but the orders step by whole cycles: such pixels are a seam.
 """
 
 from tikernels._taichi import F32Array2, I32Array2, f32, i32, ti
 from tikernels.phase.smoothing import MAX_DEPARTURE
-from tikernels.unwrapping.patch_growing import (
+from tikernels.unwrapping.continuity import cycles_between, frame_rates, rate_departure
+from tikernels.unwrapping.tables import (
     CELL_HEIGHT,
     CELL_WIDTH,
+    HIDES_STEP,
     ORDER_BITS,
     ORDER_MASK,
+    Final,
+    Seam,
     cell_bounds,
-    cycles_between,
-    departure,
 )
 
-# Pixels on a cell's border, those on its shorter sides counted double: a step that crosses the border shows two or
-# three.
-_MIN_SEAM = 6
-# Rows of the scratch.
-_RIGHT, _BELOW = range(2)
-#: What `final` says of a cell that has a seam.
-TORN = 2
+#: From this many pixels on a cell's border, those on its shorter sides counted double, a seam is none by chance: a step
+#: that crosses the border shows two or three.
+MIN_SEAM_PX = 6
 
 
 @ti.func
-def seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: f32, y: i32, x: i32, y2: i32, x2: i32) -> i32:
+def on_seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: f32, y: i32, x: i32, y2: i32, x2: i32) -> i32:
     """Whether the phase goes on from a pixel to the next, but not the orders."""
     contradicts = 0
     label, label2 = labels[y, x], labels[y2, x2]
@@ -35,45 +33,47 @@ def seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: f32, y: i3
         draft, draft2 = label >> ORDER_BITS, label2 >> ORDER_BITS
         difference = phase[y2, x2] - phase[y, x]
         cycles = cycles_between(difference, rate)
-        jump = (label2 & ORDER_MASK) + final[1, draft2] - (label & ORDER_MASK) - final[1, draft] - cycles
-        goes_on = departure(difference, rate, cycles) < MAX_DEPARTURE
-        if goes_on and jump != 0 and final[0, draft] > 0 and final[0, draft2] > 0:
+        jump = (label2 & ORDER_MASK) + final[Final.ORDER, draft2] - (label & ORDER_MASK) - final[Final.ORDER, draft]
+        goes_on = rate_departure(difference, rate, cycles) < MAX_DEPARTURE
+        if goes_on and jump != cycles and final[Final.REGION, draft] > 0 and final[Final.REGION, draft2] > 0:
             contradicts = 1
     return contradicts
 
 
 @ti.func
 def seam_around(seams: I32Array2, columns: i32, cell: i32) -> i32:
-    """Pixels on the four sides of a cell whose phase goes on, but not their orders."""
-    total = seams[_RIGHT, cell] + seams[_BELOW, cell]
+    """Pixels of a seam on the four sides of a cell."""
+    total = seams[Seam.RIGHT, cell] + seams[Seam.BELOW, cell]
     if cell % columns > 0:
-        total += seams[_RIGHT, cell - 1]
+        total += seams[Seam.RIGHT, cell - 1]
     if cell >= columns:
-        total += seams[_BELOW, cell - columns]
+        total += seams[Seam.BELOW, cell - columns]
     return total
 
 
 @ti.kernel
-def mark_torn_cells_kernel(
+def mark_hidden_steps_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
-    rates: F32Array2,  # last row: usual change along and across the stripes, rad a px
+    rates: F32Array2,  # see `frame_rates`
     labels: I32Array2,  # (H, W)
-    seams: I32Array2,  # (2, cells) scratch
-    final: I32Array2,  # (3, cells << bits) of a torn cell the last row is written
+    seams: I32Array2,  # (2, cells) see `Seam`; scratch
+    final: I32Array2,  # (3, cells << bits) see `Final`; where a cell hides a step, that is written
 ):
-    height, width, last = phase.shape[0], phase.shape[1], rates.shape[0] - 1
+    """Count the pixels of seams around each cell, and mark cells that have too many of them."""
+    height, width = phase.shape[0], phase.shape[1]
     columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
     for cell in range(seams.shape[1]):
+        along, across, _ = frame_rates(rates)
         top, left, bottom, right = cell_bounds(cell, height, width)
         to_right, below = 0, 0
         if right < width:
             for y in range(top, bottom):
-                to_right += seam(phase, labels, final, rates[last, 0], y, right - 1, y, right)
+                to_right += on_seam(phase, labels, final, along, y, right - 1, y, right)
         if bottom < height:
             for x in range(left, right):
-                below += seam(phase, labels, final, rates[last, 1], bottom - 1, x, bottom, x)
-        seams[_RIGHT, cell] = to_right
-        seams[_BELOW, cell] = (CELL_HEIGHT // CELL_WIDTH) * below
+                below += on_seam(phase, labels, final, across, bottom - 1, x, bottom, x)
+        seams[Seam.RIGHT, cell] = to_right
+        seams[Seam.BELOW, cell] = (CELL_HEIGHT // CELL_WIDTH) * below
     for cell in range(seams.shape[1]):
         most = seam_around(seams, columns, cell)
         # At the image's border the side that would tell may be missing, and the step goes on from the next cell.
@@ -84,5 +84,5 @@ def mark_torn_cells_kernel(
         if column == 0 or column == columns - 1:
             most = ti.max(most, seam_around(seams, columns, ti.max(cell - columns, column)))
             most = ti.max(most, seam_around(seams, columns, ti.min(cell + columns, columns * (rows - 1) + column)))
-        if most >= _MIN_SEAM:
-            final[2, cell] = TORN
+        if most >= MIN_SEAM_PX:
+            final[Final.STEPS, cell] = HIDES_STEP

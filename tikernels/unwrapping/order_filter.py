@@ -12,14 +12,14 @@ however the work is divided. A sum may wrap around; its difference from a multip
 while the mean lies within 2^15 / window^2 cycles.
 """
 
-from typing import Any
-
 import numpy as np
 
 from tikernels import _checks, runtime
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, i32, ti
+from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.phase_vector import PI, STRIP
+from tikernels.phase.phase_vector import PI
+from tikernels.strips import STRIP, strip_at, strip_count
 from tikernels.transposing import transpose
 
 _CYCLE = 2**16
@@ -37,22 +37,22 @@ def sum_rows_kernel(
     out_sums: I32Array2,  # (H, W) over the window's row
     out_counts: I32Array2,  # (H, W) valid pixels in it
 ):
+    """Count phases as integers, and sum them over the window's row around every pixel."""
     height, width = unwrapped.shape[0], unwrapped.shape[1]
-    stretches = (width + STRIP - 1) // STRIP
-    for t in range(height * stretches):
-        y, start = t // stretches, (t % stretches) * STRIP
-        for x in range(start, ti.min(start + STRIP, width)):
+    for t in range(height * strip_count(width, STRIP)):
+        y, start, length = strip_at(t, width, STRIP)
+        for x in range(start, start + length):
             phase = 0
             if mask[y, x] != 0:
                 phase = ti.cast(ti.round(unwrapped[y, x] * (_CYCLE / (2.0 * PI))), ti.i32)
             out_phase[y, x] = phase
-    for t in range(height * stretches):
-        y, start = t // stretches, (t % stretches) * STRIP
+    for t in range(height * strip_count(width, STRIP)):
+        y, start, length = strip_at(t, width, STRIP)
         total, count = 0, 0
         for x in range(ti.max(start - reach, 0), ti.min(start + reach, width)):
             total += out_phase[y, x]
             count += ti.cast(mask[y, x] != 0, ti.i32)
-        for x in range(start, ti.min(start + STRIP, width)):
+        for x in range(start, start + length):
             if x + reach < width:
                 total += out_phase[y, x + reach]
                 count += ti.cast(mask[y, x + reach] != 0, ti.i32)
@@ -71,6 +71,39 @@ def rounded_cycles(excess: i32, count: i32) -> i32:
     return ti.select(excess < 0, -cycles, cycles)
 
 
+@ti.func
+def sum_down(
+    row_sums: I32Array2,
+    row_counts: I32Array2,
+    reach: i32,
+    top: i32,
+    start: i32,
+    stop: i32,
+    out_totals: I32Array2,
+    out_counts: I32Array2,
+):
+    """Sum the rows' sums over whole windows, from row to row down a band of columns."""
+    height = row_sums.shape[0]
+    for x in range(start, stop):
+        total, count = 0, 0
+        for y in range(ti.max(top - reach, 0), ti.min(top + reach + 1, height)):
+            total += row_sums[y, x]
+            count += row_counts[y, x]
+        out_totals[top, x] = total
+        out_counts[top, x] = count
+    for y in range(top + 1, ti.min(top + _BAND, height)):
+        for x in range(start, stop):
+            total, count = out_totals[y - 1, x], out_counts[y - 1, x]
+            if y + reach < height:
+                total += row_sums[y + reach, x]
+                count += row_counts[y + reach, x]
+            if y - 1 - reach >= 0:
+                total -= row_sums[y - 1 - reach, x]
+                count -= row_counts[y - 1 - reach, x]
+            out_totals[y, x] = total
+            out_counts[y, x] = count
+
+
 @ti.kernel
 def sum_windows_kernel(
     phase: I32Array2,  # (H, W) 2^16 a cycle
@@ -80,40 +113,23 @@ def sum_windows_kernel(
     reach: i32,
     out_excess: I32Array2,  # (H, W) window sum less the pixel's own phase times the count
     out_counts: I32Array2,  # (H, W)
-    out_cycles: I32Array2,  # (H, W) correction so far: none
+    out_cycles: I32Array2,  # (H, W) corrections: none yet
     out_active: U8Array2,  # (H, W) pixels whose window says that they change
     out_later: U8Array2,  # (H, W) cleared
     out_changed: I32Array1,
 ):
+    """Sum all windows with nothing corrected, and find the pixels that they would change."""
     height, width = phase.shape[0], phase.shape[1]
     bands = (height + _BAND - 1) // _BAND
-    stretches = (width + STRIP - 1) // STRIP
     ti.loop_config(serialize=True)
     for _ in range(1):
         out_changed[0] = 0
-    for t in range(bands * stretches):
-        top, start = (t // stretches) * _BAND, (t % stretches) * STRIP
-        end = ti.min(start + STRIP, width)
-        for x in range(start, end):
-            total, count = 0, 0
-            for y in range(ti.max(top - reach, 0), ti.min(top + reach + 1, height)):
-                total += row_sums[y, x]
-                count += row_counts[y, x]
-            out_excess[top, x] = total
-            out_counts[top, x] = count
-        for y in range(top + 1, ti.min(top + _BAND, height)):
-            for x in range(start, end):
-                total, count = out_excess[y - 1, x], out_counts[y - 1, x]
-                if y + reach < height:
-                    total += row_sums[y + reach, x]
-                    count += row_counts[y + reach, x]
-                if y - 1 - reach >= 0:
-                    total -= row_sums[y - 1 - reach, x]
-                    count -= row_counts[y - 1 - reach, x]
-                out_excess[y, x] = total
-                out_counts[y, x] = count
+    for t in range(bands * strip_count(width, STRIP)):
+        band, start, length = strip_at(t, width, STRIP)
+        top, stop = band * _BAND, start + length
+        sum_down(row_sums, row_counts, reach, top, start, stop, out_excess, out_counts)
         for y in range(top, ti.min(top + _BAND, height)):
-            for x in range(start, end):
+            for x in range(start, stop):
                 out_cycles[y, x] = 0
                 out_later[y, x] = ti.cast(0, ti.u8)
                 active = 0
@@ -142,6 +158,35 @@ def precedes(y: i32, x: i32, y2: i32, x2: i32, middle_y: i32, middle_x: i32) -> 
     return earlier
 
 
+@ti.func
+def cycles_before(cycles: I32Array2, reach: i32, y: i32, x: i32) -> i32:
+    """Sum the corrections of the pixels in a window that the filter comes to before the middle one."""
+    height, width = cycles.shape[0], cycles.shape[1]
+    total = 0
+    for y2 in range(ti.max(y - reach, 0), ti.min(y + reach + 1, height)):
+        for x2 in range(ti.max(x - reach, 0), ti.min(x + reach + 1, width)):
+            if cycles[y2, x2] != 0:
+                if precedes(y2, x2, y, x, height // 2, width // 2):
+                    total += cycles[y2, x2]
+    return total
+
+
+@ti.func
+def look_again(mask: U8Array2, reach: i32, y: i32, x: i32, active: U8Array2, later: U8Array2) -> i32:
+    """Mark the pixels that see a change: those of its row at once, others for later; return 1 if there are any."""
+    height, width = mask.shape[0], mask.shape[1]
+    changed = 0
+    for y2 in range(ti.max(y - reach, 0), ti.min(y + reach + 1, height)):
+        for x2 in range(ti.max(x - reach, 0), ti.min(x + reach + 1, width)):
+            if mask[y2, x2] != 0 and precedes(y, x, y2, x2, height // 2, width // 2):
+                if y2 == y:
+                    active[y2, x2] = ti.cast(1, ti.u8)
+                else:
+                    later[y2, x2] = ti.cast(1, ti.u8)
+                    changed = 1
+    return changed
+
+
 @ti.kernel
 def correct_active_kernel(
     mask: U8Array2,  # (H, W)
@@ -153,34 +198,22 @@ def correct_active_kernel(
     later: U8Array2,  # (H, W) pixels to look at next time
     out_changed: I32Array1,
 ):
+    """Correct the pixels that may change; a thread takes a row, so that what it changes there counts at once."""
     height, width = mask.shape[0], mask.shape[1]
-    middle_y, middle_x = height // 2, width // 2
     ti.loop_config(serialize=True)
     for _ in range(1):
         out_changed[0] = 0
-    # A thread takes a row, in the filter's own order, so that what it changes there counts at once.
     for y in range(height):
         for step in range(width):
-            x = ti.select(step <= middle_x, middle_x - step, step)
+            x = ti.select(step <= width // 2, width // 2 - step, step)  # in the filter's own order
             if active[y, x] != 0:
                 active[y, x] = ti.cast(0, ti.u8)
-                total = 0
-                for y2 in range(ti.max(y - reach, 0), ti.min(y + reach + 1, height)):
-                    for x2 in range(ti.max(x - reach, 0), ti.min(x + reach + 1, width)):
-                        if cycles[y2, x2] != 0:
-                            if precedes(y2, x2, y, x, middle_y, middle_x):
-                                total += cycles[y2, x2]
+                total = cycles_before(cycles, reach, y, x)
                 corrected = rounded_cycles(excess[y, x] + _CYCLE * total, counts[y, x])
                 if corrected != cycles[y, x]:
                     cycles[y, x] = corrected
-                    for y2 in range(ti.max(y - reach, 0), ti.min(y + reach + 1, height)):
-                        for x2 in range(ti.max(x - reach, 0), ti.min(x + reach + 1, width)):
-                            if mask[y2, x2] != 0 and precedes(y, x, y2, x2, middle_y, middle_x):
-                                if y2 == y:
-                                    active[y2, x2] = ti.cast(1, ti.u8)
-                                else:
-                                    later[y2, x2] = ti.cast(1, ti.u8)
-                                    out_changed[0] = 1
+                    if look_again(mask, reach, y, x, active, later) == 1:
+                        out_changed[0] = 1
 
 
 @ti.kernel
@@ -189,14 +222,15 @@ def add_cycles_kernel(
     cycles: I32Array2,  # (H, W)
     out: F32Array2,  # (H, W) rad
 ):
+    """Add whole cycles to every pixel."""
     for pixel in range(unwrapped.shape[0] * unwrapped.shape[1]):
         y, x = pixel // unwrapped.shape[1], pixel % unwrapped.shape[1]
         out[y, x] = unwrapped[y, x] + 2.0 * PI * ti.cast(cycles[y, x], ti.f32)
 
 
 def correct_fringe_order(
-    unwrapped_phase: Any, mask: Any, window_px: int = 11, stripes: str = "horizontal", *, out: Any | None = None
-) -> Any:
+    unwrapped_phase: F32, mask: Mask, window_px: int = 11, stripes: str = "horizontal", *, out: F32 | None = None
+) -> F32:
     """Pull pixels that are whole cycles away from their surroundings back, as the sequential filter does.
 
     Parameters
@@ -224,8 +258,12 @@ def correct_fringe_order(
         A shape or dtype is another one, the window is even or out of range, `stripes` is unknown, or `out` cannot be
         written.
 
-    Notes ----- The filter knows no steps: beside a real one of more than half a cycle it pulls pixels across. Use it on
-    one surface.
+    Notes
+    -----
+    phi2 = phi1 + 2 pi round((mean of phi over the window - phi1) / 2 pi), equation 4.3 of Je, Lee and Park 2004.
+
+    The filter knows no steps: beside a real one of more than half a cycle it pulls pixels across. Use it on one
+    surface.
 
     Examples
     --------

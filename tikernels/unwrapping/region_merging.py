@@ -1,178 +1,215 @@
-"""Join patches to regions in rounds: every region joins along its best supported contact (O. Boruvka, 1926)."""
+"""Join patches to regions in rounds: every region joins along its best supported contact.
+
+That is O. Boruvka's way to a spanning forest (O jistem problemu minimalnim, Prace moravske prirodovedecke spolecnosti
+3, 37, 1926): the best contact that leaves a region belongs to the forest, so all regions may join at once. Between
+equal ones the contacts' names decide, which are the same on every device.
+"""
 
 from tikernels._taichi import I32Array1, I32Array2, Static, i32, ti
-from tikernels.unwrapping.patch_growing import (
-    CHOICE,
-    FROM,
-    GOLDEN,
-    HEAD,
-    KEY,
-    N_CONTACTS,
-    N_MERGED,
-    NAME,
-    OFFSET,
-    PARENT,
-    ROOT,
-    SHIFT,
-    STEP,
-    SUPPORT,
-    TO,
-    TURN,
-    VOTES,
-)
-
-# Rows of the table that contacts are summed in.
-_OWNER, _CONTACT, _SUM = range(3)
+from tikernels.unwrapping.tables import GOLDEN, MOST, Contact, Counter, Match, Patch
 
 
 @ti.func
 def table_place(contacts: I32Array2, e: i32, size: i32) -> i32:
     """Scatter what a contact joins, and the shift, over a table whose size is a power of two."""
-    mixed = (contacts[FROM, e] * GOLDEN) ^ (contacts[TO, e] * 73244475) ^ (contacts[SHIFT, e] * 1540483477)
+    mixed = contacts[Contact.FROM, e] * GOLDEN
+    mixed = mixed ^ (contacts[Contact.TO, e] * 73244475) ^ (contacts[Contact.SHIFT, e] * 1540483477)
     mixed = (mixed ^ ((mixed >> 15) & 0x1FFFF)) * GOLDEN
     return (mixed ^ ((mixed >> 13) & 0x7FFFF)) & (size - 1)
+
+
+@ti.func
+def same_claim(contacts: I32Array2, e: i32, e2: i32) -> i32:
+    """Whether two contacts join the same regions by the same shift."""
+    same = 1
+    for row in ti.static((Contact.FROM, Contact.TO, Contact.SHIFT)):
+        same &= ti.cast(contacts[row, e] == contacts[row, e2], i32)
+    return same
+
+
+@ti.func
+def find_root(patches: I32Array2, patch: i32):
+    """Follow a patch to the root of its region; return it and the cycles between their orders."""
+    root, cycles = patch, 0
+    while patches[Patch.PARENT, root] != root:
+        cycles += patches[Patch.STEP, root]
+        root = patches[Patch.PARENT, root]
+    return root, cycles
+
+
+@ti.func
+def lift_contact(patches: I32Array2, contacts: I32Array2, e: i32) -> i32:
+    """Let a contact join the roots of its regions, the smaller first; return its votes, 0 inside a region."""
+    votes = contacts[Contact.VOTES, e]
+    if votes > 0:
+        a, b, shift = contacts[Contact.FROM, e], contacts[Contact.TO, e], contacts[Contact.SHIFT, e]
+        root_a, cycles_a = find_root(patches, a)
+        patches[Patch.HEAD, a] = root_a
+        patches[Patch.TURN, a] = cycles_a
+        root_b, cycles_b = find_root(patches, b)
+        patches[Patch.HEAD, b] = root_b
+        patches[Patch.TURN, b] = cycles_b
+        shift += cycles_a - cycles_b
+        if root_a > root_b:
+            root_a, root_b, shift = root_b, root_a, -shift
+        contacts[Contact.FROM, e], contacts[Contact.TO, e], contacts[Contact.SHIFT, e] = root_a, root_b, shift
+        if root_a == root_b:
+            votes = 0
+            contacts[Contact.VOTES, e] = 0
+        else:
+            for row in ti.static((Patch.KEY, Patch.CHOICE)):
+                patches[row, root_a] = MOST
+                patches[row, root_b] = MOST
+    return votes
+
+
+@ti.func
+def hand_votes_over(contacts: I32Array2, e: i32, table: I32Array2):
+    """Give a contact's votes to the one that stands for all that claim the same, unless it does so itself."""
+    votes = contacts[Contact.VOTES, e]
+    if votes > 0:
+        place = table_place(contacts, e, table.shape[1])
+        owner = table[Match.CONTACT, place]
+        if owner != e and same_claim(contacts, e, owner):
+            ti.atomic_add(table[Match.VOTES, place], votes)
+            contacts[Contact.VOTES, e] = 0
+
+
+@ti.func
+def take_votes(contacts: I32Array2, e: i32, table: I32Array2) -> i32:
+    """Return a contact's votes, with those that were handed over to it."""
+    votes = contacts[Contact.VOTES, e]
+    if votes > 0:
+        place = table_place(contacts, e, table.shape[1])
+        if table[Match.CONTACT, place] == e:
+            votes += table[Match.VOTES, place]
+            contacts[Contact.VOTES, e] = votes
+    return votes
+
+
+@ti.func
+def choose_contact(patches: I32Array2, contacts: I32Array2, e: i32, adds_votes: Static):
+    """Let both regions choose a contact if it is their best; among equals the smallest name, or the first one."""
+    votes = contacts[Contact.VOTES, e]
+    if votes > 0:
+        for end in ti.static((Contact.FROM, Contact.TO)):
+            root = contacts[end, e]
+            if votes == patches[Patch.SUPPORT, root]:
+                if ti.static(not adds_votes):
+                    ti.atomic_min(patches[Patch.CHOICE, root], e)
+                elif contacts[Contact.NAME, e] == patches[Patch.KEY, root]:
+                    patches[Patch.CHOICE, root] = e
+
+
+@ti.func
+def join_regions(patches: I32Array2, contacts: I32Array2, e: i32, counters: I32Array1):
+    """Hang a region under the other one of the contact that it chose; if both chose it, the smaller stays a root."""
+    if contacts[Contact.VOTES, e] > 0:
+        a, b = contacts[Contact.FROM, e], contacts[Contact.TO, e]
+        if patches[Patch.CHOICE, b] == e:
+            patches[Patch.PARENT, b] = a
+            patches[Patch.STEP, b] = contacts[Contact.SHIFT, e]
+            counters[Counter.MERGED] = 1
+        elif patches[Patch.CHOICE, a] == e:
+            patches[Patch.PARENT, a] = b
+            patches[Patch.STEP, a] = -contacts[Contact.SHIFT, e]
+            counters[Counter.MERGED] = 1
+        patches[Patch.SUPPORT, a] = 0
+        patches[Patch.SUPPORT, b] = 0
 
 
 @ti.kernel
 def merge_patches_kernel(
     serial: Static,  # whether one thread does it
-    sums: Static,  # whether contacts that agree on the shift have their votes added up
+    adds_votes: Static,  # whether contacts that claim the same have their votes added up
     contact_count: i32,
-    patches: I32Array2,  # (12, capacity): whom the root of a region hangs under is written, the rest is scratch
-    contacts: I32Array2,  # (5, capacity); the votes of spent contacts become 0
-    table: I32Array2,  # (3, power of two) scratch
-    counters: I32Array1,
+    patches: I32Array2,  # (12, capacity) see `Patch`: parents of roots are written, the rest is scratch
+    contacts: I32Array2,  # (5, capacity) see `Contact`; the votes of spent contacts become 0
+    table: I32Array2,  # (3, power of two) see `Match`; scratch
+    counters: I32Array1,  # (4,) see `Counter`
 ):
-    """One Boruvka round: every region joins along its best supported contact."""
-    counters[N_MERGED] = 0
-    if ti.static(sums):
-        # Two regions may touch in many places: contacts that agree on the shift become one, with all their votes. Each
-        # asks for a place in the table by what it joins; the smallest name gets it and takes the votes of its like.
+    """One Boruvka round: every region joins along its best supported contact.
+
+    Two regions may touch in many places. Where votes are added up, each contact asks for a place in the table by what
+    it claims; the smallest name gets the place, and the votes of all others that claim the same.
+    """
+    counters[Counter.MERGED] = 0
+    if ti.static(adds_votes):
         ti.loop_config(serialize=serial)
         for place in range(table.shape[1]):
-            table[_OWNER, place] = 2147483647
-            table[_SUM, place] = 0
-    # A contact joins the roots of its regions, the smaller first.
+            table[Match.NAME, place] = MOST
+            table[Match.VOTES, place] = 0
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
-        votes = contacts[VOTES, e]
+        votes = lift_contact(patches, contacts, e)
         if votes > 0:
-            a, b, turn = contacts[FROM, e], contacts[TO, e], contacts[SHIFT, e]
-            for end in ti.static((FROM, TO)):
-                head, offset = contacts[end, e], 0
-                while patches[PARENT, head] != head:
-                    offset += patches[STEP, head]
-                    head = patches[PARENT, head]
-                patches[HEAD, contacts[end, e]] = head
-                patches[TURN, contacts[end, e]] = offset
-                if ti.static(end == FROM):
-                    a, turn = head, turn + offset
-                else:
-                    b, turn = head, turn - offset
-            if a > b:
-                a, b, turn = b, a, -turn
-            contacts[FROM, e], contacts[TO, e], contacts[SHIFT, e] = a, b, turn
-            if a == b:
-                contacts[VOTES, e] = 0
+            if ti.static(adds_votes):
+                place = table_place(contacts, e, table.shape[1])
+                ti.atomic_min(table[Match.NAME, place], contacts[Contact.NAME, e])
             else:
-                for root in ti.static((a, b)):
-                    patches[KEY, root] = 2147483647
-                    patches[CHOICE, root] = 2147483647
-                    if ti.static(not sums):
-                        ti.atomic_max(patches[SUPPORT, root], votes)
-                if ti.static(sums):
-                    ti.atomic_min(table[_OWNER, table_place(contacts, e, table.shape[1])], contacts[NAME, e])
-    if ti.static(sums):
+                for end in ti.static((Contact.FROM, Contact.TO)):
+                    ti.atomic_max(patches[Patch.SUPPORT, contacts[end, e]], votes)
+    if ti.static(adds_votes):
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
+            if contacts[Contact.VOTES, e] > 0:
                 place = table_place(contacts, e, table.shape[1])
-                if table[_OWNER, place] == contacts[NAME, e]:
-                    table[_CONTACT, place] = e
+                if table[Match.NAME, place] == contacts[Contact.NAME, e]:
+                    table[Match.CONTACT, place] = e
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            votes = contacts[VOTES, e]
-            if votes > 0:
-                place = table_place(contacts, e, table.shape[1])
-                owner = table[_CONTACT, place]
-                same = contacts[FROM, owner] == contacts[FROM, e] and contacts[TO, owner] == contacts[TO, e]
-                if owner != e and same and contacts[SHIFT, owner] == contacts[SHIFT, e]:
-                    ti.atomic_add(table[_SUM, place], votes)
-                    contacts[VOTES, e] = 0
+            hand_votes_over(contacts, e, table)
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            votes = contacts[VOTES, e]
+            votes = take_votes(contacts, e, table)
             if votes > 0:
-                place = table_place(contacts, e, table.shape[1])
-                if table[_CONTACT, place] == e:
-                    votes += table[_SUM, place]
-                    contacts[VOTES, e] = votes
-                ti.atomic_max(patches[SUPPORT, contacts[FROM, e]], votes)
-                ti.atomic_max(patches[SUPPORT, contacts[TO, e]], votes)
+                for end in ti.static((Contact.FROM, Contact.TO)):
+                    ti.atomic_max(patches[Patch.SUPPORT, contacts[end, e]], votes)
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            votes = contacts[VOTES, e]
+            votes = contacts[Contact.VOTES, e]
             if votes > 0:
-                for end in ti.static((FROM, TO)):
-                    if votes == patches[SUPPORT, contacts[end, e]]:
-                        ti.atomic_min(patches[KEY, contacts[end, e]], contacts[NAME, e])
-    # The best supported contact of each region; among equals the smallest name, or the first one.
+                for end in ti.static((Contact.FROM, Contact.TO)):
+                    if votes == patches[Patch.SUPPORT, contacts[end, e]]:
+                        ti.atomic_min(patches[Patch.KEY, contacts[end, e]], contacts[Contact.NAME, e])
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
-        votes = contacts[VOTES, e]
-        if votes > 0:
-            for end in ti.static((FROM, TO)):
-                root = contacts[end, e]
-                if votes == patches[SUPPORT, root]:
-                    if ti.static(not sums):
-                        ti.atomic_min(patches[CHOICE, root], e)
-                    elif contacts[NAME, e] == patches[KEY, root]:
-                        patches[CHOICE, root] = e
-    # Hang each region under the one it chose; of two that chose the same contact the smaller stays a root.
+        choose_contact(patches, contacts, e, adds_votes)
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
-        if contacts[VOTES, e] > 0:
-            a, b = contacts[FROM, e], contacts[TO, e]
-            if patches[CHOICE, b] == e:
-                patches[PARENT, b] = a
-                patches[STEP, b] = contacts[SHIFT, e]
-                counters[N_MERGED] = 1
-            elif patches[CHOICE, a] == e:
-                patches[PARENT, a] = b
-                patches[STEP, a] = -contacts[SHIFT, e]
-                counters[N_MERGED] = 1
-            patches[SUPPORT, a] = 0
-            patches[SUPPORT, b] = 0
+        join_regions(patches, contacts, e, counters)
 
 
 @ti.kernel
 def settle_patches_kernel(
-    serial: Static,
+    serial: Static,  # whether one thread does it
     count: i32,
-    patches: I32Array2,  # root and offset of every patch's region are written
+    patches: I32Array2,  # (12, capacity) see `Patch`: root and offset are written
 ):
+    """Follow every patch to the root of its region."""
     ti.loop_config(serialize=serial)
     for i in range(count):
-        root, offset = patches[HEAD, i], patches[TURN, i]
-        while patches[HEAD, root] != root:
-            offset += patches[TURN, root]
-            root = patches[HEAD, root]
-        patches[ROOT, i] = root
-        patches[OFFSET, i] = offset
+        root, offset = patches[Patch.HEAD, i], patches[Patch.TURN, i]
+        while patches[Patch.HEAD, root] != root:
+            offset += patches[Patch.TURN, root]
+            root = patches[Patch.HEAD, root]
+        patches[Patch.ROOT, i] = root
+        patches[Patch.OFFSET, i] = offset
 
 
 @ti.kernel
 def close_gaps_kernel(
     contact_count: i32,
-    contacts: I32Array2,  # (5, capacity); those with votes move to the front, in order
-    out_counters: I32Array1,
+    contacts: I32Array2,  # (5, capacity) see `Contact`; those with votes move to the front, in order
+    out_counters: I32Array1,  # (4,) their number is written
 ):
+    """Drop spent contacts."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         kept = 0
         for e in range(contact_count):
-            if contacts[VOTES, e] > 0:
+            if contacts[Contact.VOTES, e] > 0:
                 for row in ti.static(range(5)):
                     contacts[row, kept] = contacts[row, e]
                 kept += 1
-        out_counters[N_CONTACTS] = kept
+        out_counters[Counter.CONTACTS] = kept

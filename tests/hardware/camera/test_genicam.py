@@ -7,7 +7,6 @@ import pytest
 
 from hardware.camera.genicam import (
     FrameNumbers,
-    Setup,
     Value,
     buffers_for,
     choose,
@@ -17,6 +16,7 @@ from hardware.camera.genicam import (
     storable,
     wait_until_ready,
 )
+from hardware.camera.opened_camera import Setup
 from hardware.errors import CameraError, RigError
 from hardware.protocols import CameraLimits, FrameFormat
 from hardware.settings import CameraSettings

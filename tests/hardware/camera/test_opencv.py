@@ -206,9 +206,9 @@ def test_listing_takes_seconds_at_most(monkeypatch):
         raise CameraError("install it")
 
     monkeypatch.setattr("hardware.camera._PATIENCE_S", 0.2)
-    monkeypatch.setattr(
-        "hardware.camera._LISTS", {"basler": missing, "aravis": lambda: time.sleep(1) or [], "opencv": lambda: []}
-    )
+    monkeypatch.setattr("hardware.camera.basler.list_basler_cameras", missing)
+    monkeypatch.setattr("hardware.camera.aravis.list_aravis_cameras", lambda: time.sleep(1) or [])
+    monkeypatch.setattr("hardware.camera.opencv.list_webcams", lambda: [])
     assert list_cameras() == [
         CameraListing("basler", note="install it"),
         CameraListing("aravis", note="no answer in 0.2 s"),

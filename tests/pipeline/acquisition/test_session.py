@@ -9,11 +9,12 @@ from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
 from support.recorded_footage import command
 
 from hardware.errors import BurstError, CameraError, RigError
-from pipeline.acquisition.session import Plan, capture
+from pipeline.acquisition.capture_folder import CapturePlan
+from pipeline.acquisition.session import capture_bursts
 from pipeline.acquisition.stopping import Stopping
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError
-from pipeline.footage.sources import open_source
+from pipeline.footage.opening import open_source
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulated_rig
@@ -23,7 +24,7 @@ one = frozenset({2})
 
 def captured(bench, folder, plan, **kwargs):
     arguments = {"calibration": None, "decoding": DecodeSettings(), "stopping": Stopping(), **kwargs}
-    return capture(bench.settings, bench.open, folder, plan, **arguments)
+    return capture_bursts(bench.settings, bench.open, folder, plan, **arguments)
 
 
 def log_of(folder):
@@ -50,7 +51,7 @@ def check_folder(bench, folder, n_bursts, suffix=".zarr"):
 def test_bursts_are_recorded_with_their_pulses(tmp_path, suffix):
     bench = Bench(settings(), [Faulty(), Faulty(lost_trigger=one)])
     calibration = simulated_rig((96, 64))
-    summary = captured(bench, tmp_path / "out", Plan(3, suffix=suffix), calibration=calibration)
+    summary = captured(bench, tmp_path / "out", CapturePlan(3, suffix=suffix), calibration=calibration)
     assert (summary.n_bursts, summary.n_frames, summary.n_rejected, summary.stopped) == (3, 3 * FRAMES, 1, False)
     log = check_folder(bench, tmp_path / "out", 3, suffix)
     assert sorted(entry.name for entry in (tmp_path / "out").iterdir()) == [
@@ -74,7 +75,7 @@ def test_bursts_are_recorded_with_their_pulses(tmp_path, suffix):
 
 def test_endless_pulses_are_numbered_on(tmp_path):
     bench = Bench(settings())
-    captured(bench, tmp_path / "out", Plan(4, endless=True))
+    captured(bench, tmp_path / "out", CapturePlan(4, endless=True))
     log = check_folder(bench, tmp_path / "out", 4)
     frames = [line for line in log if line["event"] == "frame"]
     assert [line["pulse"] for line in frames] == list(range(4 * FRAMES))
@@ -84,7 +85,7 @@ def test_endless_pulses_are_numbered_on(tmp_path):
 
 def test_after_a_fault_endless_pulses_are_another_burst(tmp_path):
     bench = Bench(settings(alternating=False), [Faulty(), Faulty(lost_trigger=frozenset({FRAMES + 1}))])
-    captured(bench, tmp_path / "out", Plan(3, endless=True))
+    captured(bench, tmp_path / "out", CapturePlan(3, endless=True))
     frames = [line for line in check_folder(bench, tmp_path / "out", 3) if line["event"] == "frame"]
     assert [(line["burst"], line["pulse"]) for line in frames] == [
         *((0, pulse) for pulse in range(FRAMES)),
@@ -95,7 +96,7 @@ def test_after_a_fault_endless_pulses_are_another_burst(tmp_path):
 def test_only_the_last_seconds_are_recorded(tmp_path):
     bench = Bench(settings(alternating=False))
     burst_s = FRAMES * bench.settings.timing.period_s
-    summary = captured(bench, tmp_path / "out", Plan(7, endless=True, keep_last_s=1.5 * burst_s))
+    summary = captured(bench, tmp_path / "out", CapturePlan(7, endless=True, keep_last_s=1.5 * burst_s))
     assert summary.n_bursts == 2
     frames = [line for line in check_folder(bench, tmp_path / "out", 2) if line["event"] == "frame"]
     assert [line["pulse"] for line in frames] == list(range(5 * FRAMES, 7 * FRAMES))
@@ -104,7 +105,7 @@ def test_only_the_last_seconds_are_recorded(tmp_path):
 def test_more_than_fits_into_memory_is_refused(tmp_path):
     bench = Bench(settings(alternating=False))
     with pytest.raises(SettingsError, match=r"take [0-9]+\.[0-9] GB, and this machine has .*: make timing.frames or"):
-        captured(bench, tmp_path / "out", Plan(None, endless=True, keep_last_s=1e9))
+        captured(bench, tmp_path / "out", CapturePlan(None, endless=True, keep_last_s=1e9))
     assert not (tmp_path / "out").exists()
     assert bench.calls[-2:] == ["trigger.close", "camera.close"]
 
@@ -125,14 +126,14 @@ class Interrupted(Stopping):
 
 def test_ctrl_c_keeps_the_whole_bursts(tmp_path):
     bench = Bench(settings())
-    summary = captured(bench, tmp_path / "out", Plan(None), stopping=Interrupted(3))
+    summary = captured(bench, tmp_path / "out", CapturePlan(None), stopping=Interrupted(3))
     assert summary.stopped and summary.n_bursts == 3
     check_folder(bench, tmp_path / "out", 3)
     assert bench.calls[-4:] == ["trigger.abort", "camera.disarm", "trigger.close", "camera.close"]
 
 
 def test_ctrl_c_in_the_last_burst_stops_nothing(tmp_path):
-    summary = captured(Bench(settings()), tmp_path / "out", Plan(3), stopping=Interrupted(3))
+    summary = captured(Bench(settings()), tmp_path / "out", CapturePlan(3), stopping=Interrupted(3))
     assert (summary.n_bursts, summary.stopped) == (3, False)
 
 
@@ -151,7 +152,7 @@ def test_a_full_disk_keeps_the_whole_bursts(tmp_path, monkeypatch, suffix):
 
     monkeypatch.setattr(Recorder, "add", fills_up)
     with pytest.raises(OutputError, match="the disk is full: free some space"):
-        captured(bench, tmp_path / "out", Plan(5, suffix=suffix))
+        captured(bench, tmp_path / "out", CapturePlan(5, suffix=suffix))
     log = check_folder(bench, tmp_path / "out", 2, suffix)
     assert "the disk is full" in log[-1]["error"]
     assert bench.calls[-2:] == ["trigger.close", "camera.close"]
@@ -162,7 +163,7 @@ def test_a_rig_that_fails_keeps_the_whole_bursts(tmp_path, error):
     fault = Faulty(lost_trigger=one) if error is BurstError else Faulty(unplugged_camera=1)
     bench = Bench(settings(alternating=False), [Faulty(), Faulty(), fault, fault, fault])
     with pytest.raises(error):
-        captured(bench, tmp_path / "out", Plan(5))
+        captured(bench, tmp_path / "out", CapturePlan(5))
     log = check_folder(bench, tmp_path / "out", 2)
     assert [line["attempt"] for line in log if line["event"] == "rejected"] == [1, 2, 3]
     assert log[-1]["event"] == "end" and log[-1]["error"]
@@ -171,7 +172,7 @@ def test_a_rig_that_fails_keeps_the_whole_bursts(tmp_path, error):
 def test_what_was_never_whole_leaves_nothing(tmp_path):
     bench = Bench(settings(alternating=False), 3 * [Faulty(lost_trigger=one)])
     with pytest.raises(BurstError):
-        captured(bench, tmp_path / "out", Plan(1))
+        captured(bench, tmp_path / "out", CapturePlan(1))
     assert not (tmp_path / "out").exists()
 
 
@@ -180,7 +181,7 @@ def test_a_folder_that_exists_is_left_alone(tmp_path):
     for out in (tmp_path, tmp_path / "mine"):
         bench = Bench(settings())
         with pytest.raises(OutputError, match="exists: choose another folder"):
-            captured(bench, out, Plan(1))
+            captured(bench, out, CapturePlan(1))
         assert bench.n_opened == 0
     assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
 
@@ -188,7 +189,7 @@ def test_a_folder_that_exists_is_left_alone(tmp_path):
 def test_a_calibration_of_another_size_is_refused_before_anything_is_fired(tmp_path):
     bench = Bench(settings())
     with pytest.raises(CalibrationError, match=r"frames are 96x64 but the calibration is for 64x48: set camera"):
-        captured(bench, tmp_path / "out", Plan(1), calibration=simulated_rig((64, 48)))
+        captured(bench, tmp_path / "out", CapturePlan(1), calibration=simulated_rig((64, 48)))
     assert not (tmp_path / "out").exists()
     assert "trigger.fire" not in bench.calls
     assert bench.calls[-2:] == ["trigger.close", "camera.close"]
@@ -197,14 +198,14 @@ def test_a_calibration_of_another_size_is_refused_before_anything_is_fired(tmp_p
 def test_how_it_stands_is_told_from_the_start_and_after_every_burst(tmp_path):
     bench = Bench(settings(alternating=False), [Faulty(lost_trigger=one)])
     told = []
-    captured(bench, tmp_path / "out", Plan(2), tell=told.append)
+    captured(bench, tmp_path / "out", CapturePlan(2), tell=told.append)
     assert [(progress.n_bursts, progress.n_rejected) for progress in told] == [(0, 0), (0, 1), (1, 1), (2, 1)]
 
 
 def test_impossible_timing_leaves_nothing(tmp_path):
     bench = Bench(settings(period_s=1e-3))
     with pytest.raises(RigError, match="make the period that long"):
-        captured(bench, tmp_path / "out", Plan(1))
+        captured(bench, tmp_path / "out", CapturePlan(1))
     assert not (tmp_path / "out").exists()
 
 
@@ -214,7 +215,7 @@ def test_the_last_seconds_are_kept_where_a_camera_is_unplugged(tmp_path, suffix)
     bench = Bench(settings(alternating=False), [Faulty(), Faulty(), Faulty(), fault, fault, fault])
     burst_s = FRAMES * bench.settings.timing.period_s
     with pytest.raises(CameraError):
-        captured(bench, tmp_path / "out", Plan(9, keep_last_s=1.5 * burst_s, suffix=suffix))
+        captured(bench, tmp_path / "out", CapturePlan(9, keep_last_s=1.5 * burst_s, suffix=suffix))
     log = check_folder(bench, tmp_path / "out", 2, suffix)
     assert log[-1] == {**log[-1], "event": "end", "frames": 2 * FRAMES, "error": "the cable is out"}
 
@@ -233,7 +234,7 @@ def test_the_log_takes_back_a_burst_that_is_not_recorded_and_tells_why(tmp_path,
 
     monkeypatch.setattr(Recorder, "commit", second_fails)
     with pytest.raises(OutputError):
-        captured(bench, tmp_path / "out", Plan(3, keep_last_s=keep_last_s))
+        captured(bench, tmp_path / "out", CapturePlan(3, keep_last_s=keep_last_s))
     log = check_folder(bench, tmp_path / "out", 1)
     assert log[-1]["frames"] == FRAMES and "the disk is full" in log[-1]["error"]
 
@@ -250,7 +251,7 @@ def test_ctrl_c_while_the_last_seconds_are_written_loses_none(tmp_path, monkeypa
     monkeypatch.setattr(Recorder, "add", pressed)
     stopping = Stopping()
     with stopping.listening():
-        summary = captured(bench, tmp_path / "out", Plan(2, keep_last_s=60.0), stopping=stopping)
+        summary = captured(bench, tmp_path / "out", CapturePlan(2, keep_last_s=60.0), stopping=stopping)
     assert (summary.n_bursts, summary.stopped) == (2, False)
     check_folder(bench, tmp_path / "out", 2)
 

@@ -18,11 +18,12 @@ from support.recorded_footage import command, contents, kill_again_and_again, re
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.batch import job as jobs
-from pipeline.batch.job import Job, Region, chains, runs
+from pipeline.batch.job import Crop, Job, chains, join_ranges
 from pipeline.batch.run import Stopped, decode_footage
+from pipeline.decoding.frame import FIELDS
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.footage.source import StoredAs
-from pipeline.output.store import FIELDS, chosen_fields
+from pipeline.output.store import chosen_fields
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
@@ -59,7 +60,7 @@ def job(folder, rig, tmp_path):
         says=StoredAs(),
         settings=DecodeSettings(),
         calibration=None,
-        region=None,
+        crop=None,
         step=1,
         first=0,
         fields=chosen_fields(None, in_mm=False),
@@ -124,7 +125,7 @@ def test_the_store_is_plain_zarr(job):
         size = () if name == "constant_sigma" else (96, 128)
         assert group[name].shape == (N_FRAMES, *size)
         assert group[name].chunks == (1, *size)
-        assert group[name].dtype == FIELDS[name]
+        assert group[name].dtype == FIELDS[name].dtype
     assert bytes(group["done"][5]).strip() == b""
     assert np.isnan(group["range_image"][5]).all() and not group["mask"][5].any()
 
@@ -169,8 +170,8 @@ def test_which_frames_are_decoded_for_which():
     assert list(chains(range(0, 14), {5, 6, 12})) == [(range(4, 7), {5, 6}), (range(12, 13), {12})]
     assert list(chains(range(9, 40, 3), {15})) == [(range(12, 16, 3), {15})]
     assert list(chains(range(0, 14), set())) == []
-    assert list(runs([range(0, 4), range(4, 8), range(12, 13)])) == [range(0, 8), range(12, 13)]
-    assert list(runs([])) == []
+    assert list(join_ranges([range(0, 4), range(4, 8), range(12, 13)])) == [range(0, 8), range(12, 13)]
+    assert list(join_ranges([])) == []
 
 
 @pytest.mark.long
@@ -218,7 +219,7 @@ def test_a_store_half_made_is_completed(job, undisturbed):
         ({"settings": DecodeSettings(smoothing_px=3)}, "settings.smoothing_px is 5 there, 3 here"),
         ({"fields": ("mask",)}, "fields"),
         ({"step": 2}, "step is 1 there, 2 here"),
-        ({"region": Region(0, 0, 64, 64)}, "region_of_interest"),
+        ({"crop": Crop(0, 0, 64, 64)}, "region_of_interest"),
     ],
 )
 def test_a_run_with_other_settings_does_not_mix(job, change, key):
@@ -231,7 +232,7 @@ def test_a_run_with_other_settings_does_not_mix(job, change, key):
 
 
 def test_a_run_without_the_region_of_interest_does_not_mix(job):
-    decode_footage(replace(job, region=Region(0, 0, 64, 64)), stop=2)
+    decode_footage(replace(job, crop=Crop(0, 0, 64, 64)), stop=2)
     before = contents(Path(job.store))
     with pytest.raises(OutputError, match=r"region_of_interest\.x is 0 there, null here"):
         decode_footage(job)
@@ -412,12 +413,12 @@ def test_a_store_behind_a_url(job, undisturbed):
 
 def test_a_region_of_interest_has_the_same_points(job, rig, folder):
     """The crop's pixels look where they looked in the whole frame."""
-    region = Region(24, 12, 80, 64)
+    region = Crop(24, 12, 80, 64)
     cut = np.s_[12 : 12 + 64, 24 : 24 + 80]
     whole = rig.camera.rays()[cut]
     np.testing.assert_allclose(rig.cropped(24, 12, (80, 64)).camera.rays(), whole, atol=1e-6)
     fields = ("mask", "points", "point_sigma")
-    job = replace(job, calibration=rig, region=region, fields=fields)
+    job = replace(job, calibration=rig, crop=region, fields=fields)
     decode_footage(job, stop=1)
     group = zarr.open_group(job.store, mode="r")
     image = zarr.open_group(folder / "film.zarr", mode="r")["frames"][0]
@@ -431,7 +432,7 @@ def test_a_region_of_interest_has_the_same_points(job, rig, folder):
 
 def test_regions_of_interest_that_are_none(job, rig):
     with pytest.raises(SettingsError, match="sticks out of the 128x96 frame"):
-        decode_footage(replace(job, region=Region(100, 0, 64, 64)))
+        decode_footage(replace(job, crop=Crop(100, 0, 64, 64)))
     with pytest.raises(CalibrationError, match="is 128x96 but the calibration is for 640x480"):
         decode_footage(replace(job, calibration=simulated_rig((640, 480))))
 
@@ -449,7 +450,7 @@ def test_a_region_is_cut_out_of_the_planes(format):
     """What develops of it is what develops of the whole frame there, but for its rim, where neighbours are missing."""
     rng = np.random.default_rng(3)
     planes = tuple(rng.integers(0, 256, shape).astype(np.uint8) for shape in format.plane_shapes(48, 64))
-    region, rim = Region(8, 4, 41, 31), 12
+    region, rim = Crop(8, 4, 41, 31), 12
     region.check((64, 48), format)
     part = runtime.to_host(develop(region.of(planes, format), format))
     whole = runtime.to_host(develop(planes, format))[4 : 4 + 31, 8 : 8 + 41]
@@ -457,7 +458,7 @@ def test_a_region_is_cut_out_of_the_planes(format):
     np.testing.assert_array_equal(part[inside], whole[inside])
     if format.layout != "rgb":
         with pytest.raises(SettingsError, match="between this footage's colour samples"):
-            Region(7, 4, 41, 31).check((64, 48), format)
+            Crop(7, 4, 41, 31).check((64, 48), format)
 
 
 @pytest.mark.filterwarnings("ignore:the colours' fringes differ")
@@ -475,8 +476,8 @@ def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
         with monkeypatch.context() as patch:
             patch.setattr("pipeline.decoding.frame.runtime", SimpleNamespace())
             patch.setattr("pipeline.decoding.frame.transpose", None)
-            for kernel in ("compare_rows", "phase_sigma", "point_sigma"):
-                patch.setattr(f"pipeline.decoding.frame.{kernel}_kernel", None)
+            for launched in ("estimate_phase_sigma", "point_sigma"):
+                patch.setattr(f"pipeline.decoding.frame.{launched}", None)
             np.testing.assert_array_equal(getattr(frame, name), values[name], err_msg=name)
 
 

@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 
 from pipeline import Calibration, Decoder, DecodeSettings, DecodeWarning
-from pipeline.calibration import Capture
-from pipeline.calibration.captures import SEQUENCE_FILE, CapturedFolder, Sequence, write_sequence
+from pipeline.calibration.captures import SEQUENCE_FILE, CapturedFolder, PictureSequence, write_sequence
 from pipeline.calibration.model import ColorShift
 from pipeline.calibration.radiometry import (
     RAMP_CODES,
     measure_radiometry,
-    plot_radiometry,
     radiometry_codes,
     radiometry_sequence,
 )
+from pipeline.calibration.radiometry_plot import plot_radiometry
 from pipeline.errors import CalibrationError, OutputError
-from pipeline.footage.image_file import read_picture
+from pipeline.footage.image_file import read_image
+from pipeline.models import CameraState
 from pipeline.output.report import measure_against_truth
 from pipeline.pattern.fringes import make_pattern
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
@@ -150,9 +150,9 @@ def test_the_sequence_and_its_captures(tmp_path):
     folder = tmp_path / "make"
     small = radiometry_sequence((40, 30))
     write_sequence(folder, small, lambda name: np.broadcast_to(radiometry_codes(name), (30, 40, 3)))
-    assert Sequence.model_validate_json((folder / SEQUENCE_FILE).read_text()) == small
+    assert PictureSequence.model_validate_json((folder / SEQUENCE_FILE).read_text()) == small
     assert len(small.names) == 1 + 4 * len(RAMP_CODES)
-    np.testing.assert_array_equal(read_picture(folder / "16-red-255.png")[0, 0], (255, 0, 0))
+    np.testing.assert_array_equal(read_image(folder / "16-red-255.png")[0, 0], (255, 0, 0))
     with pytest.raises(OutputError, match="not an empty folder"):
         write_sequence(folder, small, lambda name: np.zeros((30, 40, 3)))
     captures = CapturedFolder(folder, small.names)
@@ -169,7 +169,7 @@ def test_a_calibration_of_light_alone(tmp_path):
     """It has no millimetres, but phases; a geometry keeps it; it is never overwritten by accident."""
     found = measure_radiometry(captured())
     path = tmp_path / "calibration.json"
-    light = found.add_to(None, Capture(exposure_s=0.01))
+    light = found.add_to(None, CameraState(exposure_s=0.01))
     light.write(path)
     again = Calibration.read(path)
     assert not again.has_geometry
@@ -179,7 +179,7 @@ def test_a_calibration_of_light_alone(tmp_path):
     with pytest.raises(OutputError, match="exists already"):
         again.write(path, force=False)
     with pytest.warns(DecodeWarning, match="exposure_s is 0.02 but was 0.01"):
-        Decoder(DecodeSettings(capture=Capture(exposure_s=0.02)), again, arch="cpu")
+        Decoder(DecodeSettings(capture=CameraState(exposure_s=0.02)), again, arch="cpu")
     image = simulate_frame(simulated_rig((160, 120), period_px=4 * 768 / 44)).image
     frame = Decoder(DecodeSettings(), again, arch="cpu").decode(image)
     assert frame.points is None and frame.mask.any()

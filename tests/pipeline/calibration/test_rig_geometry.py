@@ -11,9 +11,10 @@ from support.board_rig import BoardCaptures, board_turns
 from pipeline import Calibration
 from pipeline.calibration import ColorShift
 from pipeline.calibration.board import Board
+from pipeline.calibration.board_poses import BoardPose, measure_pose
 from pipeline.calibration.model import Pattern
 from pipeline.calibration.multishot import BLACK, WHITE, decode_multishot, multishot_codes, multishot_sequence
-from pipeline.calibration.rig_geometry import BoardPose, measure_pose, solve_geometry
+from pipeline.calibration.rig_geometry import solve_geometry
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.models import build
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig

@@ -12,10 +12,10 @@ import pytest
 import zarr
 
 from pipeline import Calibration, Decoder, DecodeSettings
-from pipeline.footage.image_file import read_picture
+from pipeline.decoding.frame import FIELDS
+from pipeline.footage.image_file import read_image
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.range_image import write_png
-from pipeline.output.store import FIELDS
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
 
@@ -80,7 +80,7 @@ def test_decode_with_a_calibration(folder):
     mesh = read_mesh(out / "mesh.ply")
     assert len(mesh.vertices) == mask.sum() == np.isfinite(group["points"][0]).all(axis=-1).sum()
     assert mesh.unit == "mm"
-    assert read_picture(out / "range.png").shape[0] == 240
+    assert read_image(out / "range.png").shape[0] == 240
 
 
 def test_decode_without_one_is_relative(folder):
@@ -153,8 +153,8 @@ def test_a_jpeg_is_read_as_footage_is(folder):
     done = colorphase("decode", "frame.jpg", "--out", "jpeg", "--calibration", "calibration.json", cwd=folder)
     assert done.returncode == 0, done.stderr
     decoder = Decoder(DecodeSettings(), Calibration.read(folder / "calibration.json"), arch="cpu")
-    expected = decoder.decode(read_picture(folder / "frame.png"))
-    by_library = decoder.decode(read_picture(folder / "frame.jpg"))
+    expected = decoder.decode(read_image(folder / "frame.png"))
+    by_library = decoder.decode(read_image(folder / "frame.jpg"))
     stored = zarr.open_group(folder / "jpeg" / "result.zarr", mode="r")
     both = expected.mask & by_library.mask & stored["mask"][0]
     assert both.mean() > 0.3
@@ -181,7 +181,7 @@ def test_demo_pattern_and_devices(folder):
     assert (folder / "demo" / "shaded.png").exists()
     assert (folder / "demo" / "render.png").exists() or "install" in done.stderr
     assert colorphase("pattern", "pattern.png", "--size", "320x240", cwd=folder).returncode == 0
-    assert read_picture(folder / "pattern.png").shape == (240, 320, 3)
+    assert read_image(folder / "pattern.png").shape == (240, 320, 3)
     listed = colorphase("devices", cwd=folder)
     assert listed.returncode == 0
     assert "cpu" in listed.stdout
@@ -237,7 +237,7 @@ def test_radiometry_command(folder):
     done = colorphase("calibrate", "radiometry", "--make", "ramps", "--size", "64x48", cwd=folder)
     assert done.returncode == 0, done.stderr
     for path in sorted((folder / "ramps").glob("*.png")):
-        write_png(path, (0.3 * read_picture(path) + 20).astype(np.uint8))
+        write_png(path, (0.3 * read_image(path) + 20).astype(np.uint8))
     done = colorphase("calibrate", "radiometry", "ramps", "--out", "light.json", "--exposure-s", "0.01", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert "camera's transfer: linear" in done.stdout and (folder / "light-radiometry.png").exists()

@@ -9,13 +9,13 @@ import pytest
 from pipeline import Decoder, DecodeSettings
 from pipeline.decoding.self_calibration import estimate_light
 from pipeline.errors import CalibrationError
-from pipeline.footage.image_file import read_picture
+from pipeline.footage.image_file import read_image
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
 
 # Frames of rigs that are not what they are taken for.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
-PLANE = Path(__file__).resolve().parents[3] / "shared" / "data" / "kamino_plane"
+PLANE = Path(__file__).resolve().parents[4] / "shared" / "data" / "kamino_plane"
 
 
 def phase_error(found, truth, mask):
@@ -108,7 +108,7 @@ def test_a_real_plane(name, bound):
     if not PLANE.exists():
         pytest.skip("the real captures are not here (shared/data/kamino_plane)")
     truth = np.load(PLANE / "plane_truth.npz")
-    shrunk = cv2.resize(read_picture(PLANE / f"plane_{name}_rgb.png"), None, fx=0.25, fy=0.25, interpolation=3)
+    shrunk = cv2.resize(read_image(PLANE / f"plane_{name}_rgb.png"), None, fx=0.25, fy=0.25, interpolation=3)
     phase = cv2.resize(truth["phase_abs"].astype(np.float64), shrunk.shape[1::-1], interpolation=cv2.INTER_AREA)
     mask = cv2.resize(truth["mask"].astype(np.float32), shrunk.shape[1::-1], interpolation=cv2.INTER_AREA) > 0.999
     decoder = Decoder(DecodeSettings(stripes="vertical"), arch="cpu")

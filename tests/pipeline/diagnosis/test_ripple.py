@@ -6,8 +6,8 @@ from support.single_faults import FAULTS, diagnosed, photographed, shifted
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration, ColorShift
+from pipeline.diagnosis.corrected_light import correct_light
 from pipeline.diagnosis.ripple import diagnose
-from pipeline.diagnosis.surface_check import corrected_light
 from pipeline.errors import CalibrationError
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
@@ -80,7 +80,7 @@ def test_a_wrong_transfer_is_turned_round():
     )
     found = diagnose(image, white, frame.unwrapped_phase, frame.mask, np.eye(3), "srgb")
     assert [finding.causes for finding in found.findings] == [("transfer",)]
-    fixed = corrected_light(Calibration(crosstalk_matrix=np.eye(3)), found, image, white, frame, "srgb")
+    fixed = correct_light(Calibration(crosstalk_matrix=np.eye(3)), found, image, white, frame, "srgb")
     assert fixed.capture.transfer == "linear"
 
 
@@ -95,7 +95,7 @@ def test_a_fixed_calibration():
     old = truth.rig.model_copy(update={"crosstalk_matrix": np.eye(3)})
     frame = Decoder(DecodeSettings(equalize=False), old, arch="cpu").decode(truth.image)
     found = diagnose(truth.image, 255, frame.unwrapped_phase, frame.mask, np.eye(3))
-    fixed = corrected_light(old, found, truth.image, 255, frame)
+    fixed = correct_light(old, found, truth.image, 255, frame)
     assert isinstance(fixed, Calibration) and fixed.has_geometry
     errors = []
     for rig in (old, fixed):
@@ -106,4 +106,4 @@ def test_a_fixed_calibration():
     assert errors[0] > 0.1 and errors[1] < 0.03
     shifted_frame = photographed("plane", 0, camera_shift_px=shifted(0.5))
     with pytest.raises(CalibrationError, match="what the check advises"):
-        corrected_light(old, diagnosed(*shifted_frame), *shifted_frame, frame)
+        correct_light(old, diagnosed(*shifted_frame), *shifted_frame, frame)

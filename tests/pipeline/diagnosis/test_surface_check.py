@@ -9,7 +9,8 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Uncertainty
 from pipeline.calibration.board import Board
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
-from pipeline.diagnosis.surface_check import check_epipolar, check_surface
+from pipeline.diagnosis.epipolar_check import check_epipolar
+from pipeline.diagnosis.surface_check import check_surface
 from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 

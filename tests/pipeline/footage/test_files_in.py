@@ -11,7 +11,7 @@ import pytest
 from pipeline import Calibration, DecodeSettings
 from pipeline.calibration import Pattern
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
-from pipeline.footage.image_file import read_picture
+from pipeline.footage.image_file import read_image
 from pipeline.pattern.fringes import make_pattern, write_pattern
 from pipeline.simulation import simulated_rig
 
@@ -106,7 +106,7 @@ def test_pictures_are_read_as_they_are(tmp_path, suffix, dtype):
     image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (20, 30, 3)).astype(dtype)
     path = tmp_path / f"Bild ä{suffix}"
     path.write_bytes(cv2.imencode(suffix, image[..., ::-1])[1].tobytes())
-    np.testing.assert_array_equal(read_picture(path), image)
+    np.testing.assert_array_equal(read_image(path), image)
 
 
 def test_pictures_that_are_none(tmp_path):
@@ -122,13 +122,13 @@ def test_pictures_that_are_none(tmp_path):
     for name, (content, message) in bad.items():
         (tmp_path / name).write_bytes(content)
         with pytest.raises(FootageError, match=message) as raised:
-            read_picture(tmp_path / name)
+            read_image(tmp_path / name)
         assert name in str(raised.value)
         assert "\n" not in str(raised.value)
     with pytest.raises(FootageError, match="folder"):
-        read_picture(tmp_path)
+        read_image(tmp_path)
     with pytest.raises(FootageError, match="No such file"):
-        read_picture(tmp_path / "none.png")
+        read_image(tmp_path / "none.png")
 
 
 def test_what_libpng_says_is_not_printed(tmp_path, capfd):
@@ -138,10 +138,10 @@ def test_what_libpng_says_is_not_printed(tmp_path, capfd):
     profile = b"iCCPx\0\0" + zlib.compress(bytes(200))
     profile = struct.pack(">I", len(profile) - 4) + profile + struct.pack(">I", zlib.crc32(profile))
     (tmp_path / "profile.png").write_bytes(data[:33] + profile + data[33:] + b"and more")
-    np.testing.assert_array_equal(read_picture(tmp_path / "profile.png"), image)
+    np.testing.assert_array_equal(read_image(tmp_path / "profile.png"), image)
     (tmp_path / "wrong.png").write_bytes(data[:2000] + bytes(50) + data[2050:])
     with pytest.raises(FootageError, match=r"wrong\.png is damaged: copy it again"):
-        read_picture(tmp_path / "wrong.png")
+        read_image(tmp_path / "wrong.png")
     assert capfd.readouterr().err == ""
 
 
@@ -156,7 +156,7 @@ def test_the_pattern(tmp_path, stripes):
     phase = np.arctan2(np.sqrt(3) * (line[:, 0] - line[:, 2]), 2 * line[:, 1] - line[:, 0] - line[:, 2])
     np.testing.assert_allclose(np.unwrap(phase), 2 * np.pi * np.arange(len(line)) / 16, atol=1e-5)
     write_pattern(tmp_path / "P.png", (64, 48), pattern)
-    assert np.abs(read_picture(tmp_path / "P.png") / 255 - codes).max() <= 0.5 / 255 + 1e-6
+    assert np.abs(read_image(tmp_path / "P.png") / 255 - codes).max() <= 0.5 / 255 + 1e-6
     assert json.loads((tmp_path / "P.json").read_text()) == {"period_px": 16.0, "stripes": stripes, "code": None}
 
 

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from pipeline.errors import FootageError
-from pipeline.footage.image_file import read_picture
+from pipeline.footage.image_file import read_image
 from pipeline.footage.image_folder import natural_key
-from pipeline.footage.sources import BadFrame, StoredFrame, open_source
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import BadFrame, StoredFrame
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -196,7 +197,7 @@ def test_many_tiny_files_are_not_asked_one_by_one(tmp_path, monkeypatch):
 def test_read_picture_reads_what_it_did(tmp_path):
     picture = colors(np.uint16)
     write(tmp_path / "a.png", picture[..., ::-1])
-    np.testing.assert_array_equal(read_picture(tmp_path / "a.png"), picture)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), picture)
     write(tmp_path / "grey.png", picture[..., 0])
     with pytest.raises(FootageError, match="is grey"):
-        read_picture(tmp_path / "grey.png")
+        read_image(tmp_path / "grey.png")

@@ -7,7 +7,7 @@ import reference
 from support.video_files import H264, MJPEG, film
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.footage.sources import open_source
+from pipeline.footage.opening import open_source
 from pipeline.output.report import measure_against_truth
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import WHITE, SimulationSettings, simulate_frame, simulated_rig

@@ -1,14 +1,17 @@
 """Orders that are carried from frame to frame."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline import Decoder, DecodeSettings, DecodeWarning
+from pipeline.decoding.frame import RegionOrders
 from pipeline.errors import SettingsError
-from pipeline.orders.carried_orders import MAX_ERROR_PROBABILITY, count_votes, split_by_votes
+from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, count_votes, split_by_votes
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import ShapeError
-from tikernels.unwrapping.unwrapper import PatchGraph
+from tikernels.unwrapping import PatchGraph
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -156,12 +159,12 @@ def test_doubt_grows_until_the_code_is_seen_again():
         frame = decoders[plain].decode(truth.image, previous=frame)
         doubts.append([frame.order_error_probability[place] for place in (ball, wall)])
         assert frame.absolute[wall]
-        assert frame.absolute[ball] == (doubts[-1][0] < MAX_ERROR_PROBABILITY)
+        assert frame.absolute[ball] == (doubts[-1][0] < MAX_CARRIED_ERROR)
         known = frame.absolute & truth.mask
         assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 1e-3
     of_ball, of_wall = np.array(doubts).T
     assert (np.diff(of_ball[:12]) > 0).all()
-    assert of_ball[11] > MAX_ERROR_PROBABILITY > 100 * of_wall.max()
+    assert of_ball[11] > MAX_CARRIED_ERROR > 100 * of_wall.max()
     assert of_ball[12] < 1e-3
 
 
@@ -173,7 +176,7 @@ def test_a_cut_starts_afresh(scenes):
     before, after = scenes.split()
     previous = decoder.decode(simulate_frame(rig, SimulationSettings(scene=before)).image)
     regions = len(previous.order_is_known)
-    previous._placed = np.ones(regions, bool), np.zeros(regions, np.float32)
+    previous = replace(previous, orders=RegionOrders(np.ones(regions, bool), np.zeros(regions, np.float32)))
     image = simulate_frame(rig, SimulationSettings(scene=after, gamma=1.0)).image
     with pytest.warns(DecodeWarning, match="nothing of the frame before is seen again"):
         frame = decoder.decode(image, previous=previous)

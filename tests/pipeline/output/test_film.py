@@ -9,7 +9,7 @@ import pytest
 import zarr
 
 from pipeline.errors import FootageError, OutputError, RenderError
-from pipeline.footage.sources import open_source
+from pipeline.footage.opening import open_source
 from pipeline.output import film
 from pipeline.output.film import FilmOptions, render_film
 from pipeline.output.mesh_files import read_mesh
@@ -88,7 +88,7 @@ def shown(picture):
 
 @pytest.fixture(scope="module")
 def can_draw(tmp_path_factory):
-    from pipeline.output.mesh_files import Mesh
+    from pipeline.output.mesh import Mesh
 
     mesh = Mesh(np.eye(3, dtype=np.float32), np.array([[0, 1, 2]], np.int32))
     try:
@@ -104,7 +104,7 @@ def test_a_film_shows_each_frame_in_its_turn(tmp_path):
     told = []
     options = FilmOptions("front", fps=12.5, size_px=SIZE)
     made = render_film(path, tmp_path / "film.mp4", options, tell=lambda done, of: told.append((done, of)))
-    assert (made.n_pictures, made.held) == (6, (2,))
+    assert (made.n_images, made.held) == (6, (2,))
     assert told == [(i + 1, 6) for i in range(6)]
     assert [p.name for p in tmp_path.iterdir() if p.suffix == ".mp4" or p.name.startswith(".")] == ["film.mp4"]
     seen, rate = pictures(tmp_path / "film.mp4")
@@ -144,7 +144,7 @@ def test_turning_and_swaying(tmp_path):
 def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
     path = store(tmp_path / "r.zarr", [400.0], in_mm=False)
     options = FilmOptions(colors=colors, fps=10, seconds=0.5, size_px=SIZE)
-    assert render_film(path, tmp_path / "film.mp4", options).n_pictures == 5
+    assert render_film(path, tmp_path / "film.mp4", options).n_images == 5
     seen, _ = pictures(tmp_path / "film.mp4")
     assert shown(seen[0]).mean() > 0.1
 
@@ -153,7 +153,7 @@ def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
 def test_every_second_frame_is_no_gap(tmp_path):
     path = store(tmp_path / "r.zarr", 7 * [400.0], missing=(0, 2, 4, 6), step=2)
     made = render_film(path, tmp_path / "film.mp4", FilmOptions(size_px=SIZE))
-    assert (made.n_pictures, made.held) == (3, ())
+    assert (made.n_images, made.held) == (3, ())
 
 
 @pytest.mark.long

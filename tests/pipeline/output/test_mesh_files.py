@@ -14,7 +14,8 @@ import pyvista
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
-from pipeline.output.mesh_files import Mesh, read_mesh, vertex_normals, write_mesh
+from pipeline.output.mesh import Mesh, vertex_normals
+from pipeline.output.mesh_files import read_mesh, write_mesh
 from pipeline.output.range_image import depth_colors, shade_range, write_range_image
 
 SUFFIXES = (".ply", ".wrl", ".obj", ".stl", ".glb", ".gltf")

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.errors import OutputError, RenderError
 from pipeline.output import render
-from pipeline.output.mesh_files import Mesh
+from pipeline.output.mesh import Mesh
 from pipeline.output.render import render_mesh
 
 SIZE = (240, 180)

@@ -16,8 +16,8 @@ import zarr
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from pipeline.errors import OutputError
-from pipeline.footage.sources import open_source
-from pipeline.recording import recorder as recording
+from pipeline.footage.opening import open_source
+from pipeline.recording import writing_threads
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -223,18 +223,18 @@ def test_nothing_is_kept_in_memory(tmp_path):
     recorder = Recorder(tmp_path / "a.zarr", RGB8)
     add(recorder, 1)
     recorder.commit()
-    may_go, write = threading.Event(), recorder._crew._writer.write
+    may_go, write = threading.Event(), recorder._threads._writer.write
 
     def slowly(number, frame):
         may_go.wait(20)
         return write(number, frame)
 
-    recorder._crew._writer.write = slowly
+    recorder._threads._writer.write = slowly
     adding = threading.Thread(target=add, args=(recorder, 100))
     adding.start()
     time.sleep(0.3)
     assert adding.is_alive()
-    assert recorder.n_frames <= 1 + recording._MOST_IN_HAND
+    assert recorder.n_frames <= 1 + writing_threads._MOST_IN_HAND
     may_go.set()
     adding.join()
     recorder.close()
@@ -244,20 +244,20 @@ def test_nothing_is_kept_in_memory(tmp_path):
 @both
 def test_a_disk_that_never_answers(tmp_path, suffix, monkeypatch):
     """The program goes on, and what was committed can be read where it is."""
-    monkeypatch.setattr(recording, "_PATIENCE_S", 0.1)
-    monkeypatch.setattr(recording, "_END_S", 0.1)
+    monkeypatch.setattr(writing_threads, "_PATIENCE_S", 0.1)
+    monkeypatch.setattr(writing_threads, "_END_S", 0.1)
     recorder = Recorder(tmp_path / f"a{suffix}", RGB8)
     add(recorder, BURST)
     recorder.commit()
     may_go = threading.Event()
-    monkeypatch.setattr(recorder._crew._writer, "write", lambda number, frame: may_go.wait(20))
+    monkeypatch.setattr(recorder._threads._writer, "write", lambda number, frame: may_go.wait(20))
     with pytest.raises(OutputError, match=r"cannot finish .*a\.\w+, see .*\.part\.\w+: the disk does not answer"):
-        add(recorder, 2 * recording._MOST_IN_HAND)
+        add(recorder, 2 * writing_threads._MOST_IN_HAND)
     (left,) = tmp_path.iterdir()
     assert held(left) == BURST
     recorder.close()
     may_go.set()
-    while recorder._crew._running:
+    while recorder._threads._running:
         time.sleep(0.01)
 
 

@@ -13,7 +13,8 @@ import zarr
 from support.video_files import flip, packets
 
 from pipeline.errors import FootageError, OutputError
-from pipeline.footage.sources import BadFrame, StoredFrame, open_source
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import BadFrame, StoredFrame
 from pipeline.recording.recorder import Recorder
 from tikernels import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
@@ -114,7 +115,7 @@ def test_a_full_disk_is_one_clear_error(tmp_path, monkeypatch, suffix):
     def full(number, frame):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(recorder._crew._writer, "write", full)
+    monkeypatch.setattr(recorder._threads._writer, "write", full)
     with pytest.raises(OutputError, match="the disk is full: free some space"):
         recorder.add(frames_of(RGB8)[0])
         recorder.commit()

@@ -5,12 +5,13 @@ import pytest
 import reference
 
 from tikernels import runtime
-from tikernels.phase.channel_model import HARMONICS, ChannelModel, flat_template, known_template
+from tikernels.phase.channel_model import ChannelModel
+from tikernels.phase.channel_template import HARMONICS, flat_template, known_template
 from tikernels.phase.color_balance import Gains
-from tikernels.phase.crosstalk import invert_crosstalk
-from tikernels.phase.equalization import SLOTS, correction_table, count_phases_kernel
-from tikernels.phase.phase_fit import CLIPPED, recover_phase_kernel
-from tikernels.phase.wrapped_phase import phase_weights
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import correction_table, measure_distribution
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_fit import fit_phase
 
 MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
 COLOR = np.array([0.75, 0.52, 0.42])
@@ -35,22 +36,17 @@ def noisy_frame(gamma: float, ambient: float, shape=(120, 160)) -> tuple[np.ndar
 def recover(image: np.ndarray, *, balance_first=True, doubt=0.02, gain=0.0, fitted=True):
     """Run the stages from levels to phase; return phase, modulation, precision and the model."""
     height, width = image.shape[:2]
-    inverse = invert_crosstalk(MATRIX, normalize_rows=balance_first).astype(np.float32)
-    matrix = np.linalg.inv(inverse).astype(np.float32)
-    weights = phase_weights(inverse if balance_first else np.eye(3)).astype(np.float32)
+    crosstalk = Crosstalk.of(MATRIX, balance_first=balance_first)
+    levels = FrameLevels(255.0, NOISE, gain, NOISE, 5.0, 5.0)
     gains = Gains(height, width, PERIOD_PX)
     model = ChannelModel(gains)
-    gains.measure(image, inverse, matrix, 5.0, 5.0, balance_first=balance_first)
-    model.recover_samples(weights, 5.0, 255 * CLIPPED)
-    histogram = np.zeros((SLOTS, 256), np.int32)
-    count_phases_kernel(model.phases, 1, histogram)
-    correction = correction_table(histogram.sum(axis=0), 9)
+    gains.measure(image, crosstalk, levels)
+    model.recover_samples(crosstalk, levels)
+    correction = correction_table(measure_distribution(model.phases, 256), 9)
     model.fit(correction, flat_template())
     if not fitted:
         model.template[:, 1:] *= 0
-    out = [runtime.empty((height, width), np.float32) for _ in range(3)]
-    light = (image, 255.0, inverse, matrix, weights, correction, model.template, model.nodes)
-    recover_phase_kernel(balance_first, gains.cell)(*light, 5.0, 5.0, NOISE, gain, doubt, *out)
+    out = fit_phase(image, gains, model, crosstalk, levels, correction, doubt)
     return *(runtime.to_host(o) for o in out), model, correction
 
 
@@ -98,9 +94,8 @@ def test_as_the_twin(arch, balance_first, gain):
     image, _ = noisy_frame(2.0, 0.05, (36, 48))
     image[20, 30] += 0.6 * (image[14:27, 30].mean(axis=0) - image[20, 30])  # no such contrast in the model
     phase, _, precision, model, correction = recover(image, balance_first=balance_first, gain=gain)
-    start = recover(image, balance_first=balance_first, gain=gain, fitted=False)[
-        0
-    ]  # without a template there is no step
+    # Without a template there is no step.
+    start = recover(image, balance_first=balance_first, gain=gain, fitted=False)[0]
     nodes = runtime.to_host(model.nodes).astype(np.float64)
     cell = model._gains.cell
     y, x = (np.clip((np.arange(n) + 0.5) / cell - 0.5, 0, m - 1) for n, m in ((36, len(nodes)), (48, nodes.shape[1])))

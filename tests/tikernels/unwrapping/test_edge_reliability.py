@@ -3,27 +3,37 @@
 import numpy as np
 import pytest
 import reference
-from test_unwrapper import holes, orders, surface
+from support.wrapped_surfaces import flat_rates, holes, orders, surface, written
 
 import tikernels
 from tikernels import runtime
 from tikernels.phase.wrapped_phase import mark_no_phase_kernel
-from tikernels.unwrapping.unwrapper import Unwrapper
+from tikernels.unwrapping.edge_reliability import MISSING, NO_EDGE, weigh_edges_kernel
+from tikernels.unwrapping.patches import Patches
+from tikernels.unwrapping.tables import Edge
+from tikernels.unwrapping.unwrap_methods import SpanningForest
+from tikernels.unwrapping.unwrapper import RegionUnwrapper
 
 #: No two neighbours depart by so much, rad: with it nothing is a step, as for scikit-image.
 ANYTHING = 10.0
 
 
+def joined(phase: np.ndarray, mask: np.ndarray, max_departure: float, draft_bits: int | None = None) -> tuple:
+    """Return the marked phase, its patches, and rates by which no change is usual."""
+    marked = runtime.empty(phase.shape, np.float32)
+    mark_no_phase_kernel(phase, mask.view(np.uint8), marked)
+    rates = runtime.to_device(flat_rates())
+    method = SpanningForest(*phase.shape, max_departure)
+    method.draft_bits = method.draft_bits if draft_bits is None else draft_bits
+    unwrapper = RegionUnwrapper(*phase.shape, method)
+    patches: Patches = unwrapper.join(marked, runtime.to_device(np.ones(phase.shape, np.float32)), rates)
+    return marked, patches, rates
+
+
 def unwrap_across_steps(phase: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Return what the method makes of a phase where nothing is a step and no change usual, as scikit-image has it."""
-    marked, out = (runtime.empty(phase.shape, np.float32) for _ in range(2))
-    mark_no_phase_kernel(phase, mask.view(np.uint8), marked)
-    rates = runtime.to_device(np.array([[0.0, 0.0, 1.0]], np.float32))
-    unwrapper = Unwrapper(*phase.shape, "reliability", ANYTHING)
-    unwrapper.join(marked, runtime.to_device(np.ones(phase.shape, np.float32)), rates)
-    others = runtime.empty(phase.shape, np.uint8), runtime.empty(phase.shape, np.int32)
-    unwrapper.write(marked, rates, out, *others)
-    return np.array(runtime.to_host(out))
+    marked, patches, rates = joined(phase, mask, ANYTHING)
+    return written(patches, marked, rates)[0]
 
 
 def differing(unwrapped: np.ndarray, phase: np.ndarray, expected: np.ndarray, region: np.ndarray) -> int:
@@ -93,12 +103,33 @@ def test_crowded_cells(arch):
     phase = rng.uniform(-np.pi, np.pi, (96, 128)).astype(np.float32)
     mask = rng.random(phase.shape) > 0.3
     _, region = reference.unwrap_by_reliability(phase, mask, (0.0, 0.0), 1.5)
-    unwrapper = Unwrapper(*phase.shape, "reliability", 1.5)
-    unwrapper._allocate(0)
-    marked = runtime.empty(phase.shape, np.float32)
-    mark_no_phase_kernel(phase, mask.view(np.uint8), marked)
-    rates = runtime.to_device(np.array([[0.0, 0.0, 1.0]], np.float32))
-    unwrapper.join(marked, runtime.to_device(np.ones(phase.shape, np.float32)), rates)
-    sizes = runtime.to_host(unwrapper.regions)[0, : unwrapper.patch_count]
+    _, patches, _ = joined(phase, mask, 1.5, draft_bits=0)
+    sizes = np.bincount(patches.roots(), patches.graph().pixels)
     expected = np.bincount(region[region > 0])
     np.testing.assert_array_equal(np.sort(sizes[sizes > 0]), np.sort(expected[expected > 0]))
+
+
+@pytest.mark.parametrize("shape", [(23, 41), (64, 48), (1, 5)])
+def test_levels_as_the_equation(arch, shape):
+    """H^2 + V^2 + D1^2 + D2^2 of both ends, to what counting in 2^15ths of a cycle leaves of eight differences."""
+    rng = np.random.default_rng(shape[1])
+    phase = reference.wrapped(reference.ramp(*shape, tilt=0.03) + 0.3 * rng.standard_normal(shape))
+    edges = runtime.empty((len(Edge), -(-shape[0] // 16) * 16 + 1, -(-shape[1] // 8) * 8 + 1), np.int32)
+    weigh_edges_kernel(phase, runtime.to_device(flat_rates()), ANYTHING, edges)
+    edges = runtime.to_host(edges)
+    inside = edges[:, 1 : shape[0] + 1, 1 : shape[1] + 1]
+    unit = 2**15 / reference.CYCLE
+    np.testing.assert_array_equal(inside[Edge.COUNTED], (phase * np.float32(unit)).astype(np.int32))
+    assert (edges[Edge.COUNTED, 0] > MISSING).all() and (edges[Edge.RIGHT, 0] == NO_EDGE).all()
+    bend = np.zeros(shape)
+    for rows, columns in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        before, after = (reference.neighbour(phase, side * rows, side * columns) for side in (-1, 1))
+        both = reference.wrapped_difference(before, phase) + reference.wrapped_difference(after, phase)
+        bend += (unit * both / 2) ** 2
+    for plane, (rows, columns) in ((Edge.RIGHT, (0, 1)), (Edge.DOWN, (1, 0))):
+        level = bend + reference.neighbour(bend, rows, columns)
+        known = ~np.isnan(level)
+        assert known.any() == (min(shape) > 3)
+        # A difference counts to one unit, a sum of two bends by its size.
+        error = np.abs(inside[plane][known] - level[known])
+        assert (error <= 8 * np.sqrt(level[known]) + 16).all()

@@ -3,31 +3,11 @@
 import numpy as np
 import pytest
 import reference
+from support.wrapped_surfaces import holes, join, orders, surface
 
 import tikernels
-from tikernels.phase.smoothing import measure_rates_kernel, rates_buffer
-from tikernels.unwrapping.unwrapper import Unwrapper
 
 both_methods = pytest.mark.parametrize("method", ["directional", "reliability"])
-
-
-def surface(height: int = 97, width: int = 131) -> np.ndarray:
-    """Return the phase (rad) of a bump on a plane that a step of 2.2 rad cuts in two."""
-    y, x = np.mgrid[:height, :width]
-    bump = 3 * np.exp(-((y - 50) ** 2 + (x - 60) ** 2) / 800)
-    return reference.ramp(height, width, 12.0, tilt=0.03) + bump + 2.2 * (x > 90)
-
-
-def holes(shape: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    return (rng.random(shape) > 0.02) & ((y - 30) ** 2 + (x - 40) ** 2 > 150)
-
-
-def orders(unwrapped: np.ndarray, wrapped: np.ndarray) -> np.ndarray:
-    """Return whole cycles, 0 where the phase is not unwrapped; the rest must be none of them."""
-    cycles = np.nan_to_num((unwrapped.astype(np.float64) - wrapped) / (2 * np.pi))
-    assert np.abs(cycles - np.rint(cycles)).max() < 1e-5
-    return np.rint(cycles).astype(int)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.1, 0.2, 0.3])
@@ -52,12 +32,7 @@ def test_as_the_twin(arch, noise, seed):
 def test_the_graph_holds_regions_together(arch, method):
     """Every patch can be reached from its region's root: who splits a region by its graph must not find it in bits."""
     phase = reference.wrapped(surface() + 0.1 * np.random.default_rng(4).standard_normal(surface().shape))
-    phase, quality = phase.astype(np.float32), np.ones(phase.shape, np.float32)
-    unwrapper = Unwrapper(*phase.shape, method)
-    rates = rates_buffer(phase.shape[0])
-    measure_rates_kernel(phase, quality, rates)
-    unwrapper.join(phase, quality, rates)
-    graph = unwrapper.graph()
+    graph = join(phase, method=method)[0].graph()
     reached = np.arange(len(graph.root))
     for _ in range(len(reached)):
         before = reached.copy()
@@ -185,7 +160,10 @@ def test_menu(menu):
 
 @pytest.mark.parametrize(
     "arguments, message",
-    [({"stripes": "diagonal"}, "stripes is 'diagonal': choose"), ({"method": "magic"}, "method is 'magic': choose")],
+    [
+        ({"stripes": "diagonal"}, "stripes is 'diagonal': choose"),
+        ({"method": "magic"}, "method is 'magic': choose directional or reliability"),
+    ],
 )
 def test_unknown_choices(arch, arguments, message):
     image = np.zeros((4, 4), np.float32)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.diagnosis.sequence import SequenceDiagnosis, diagnose_sequence, rad_per_mm
+from pipeline.diagnosis.frame_sequence import SequenceDiagnosis, diagnose_sequence, rad_per_mm
 from pipeline.pattern.fringes import make_pattern
 from pipeline.simulation import SKIN, SimulationSettings, simulate_frame, simulated_rig
 

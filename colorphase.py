@@ -1,0 +1,100 @@
+"""Shape from one colour photograph: the way in.
+
+``import colorphase`` gives all public names: decoder, settings, calibration, stored results, meshes, simulation, live
+decoding, the rig, and errors. They live in the packages beside this file: `pipeline`, with one room for each of these
+subjects, `tikernels`, where each stage of decoding is a function of its own, and `hardware`.
+"""
+
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+
+def _refuse_namesakes() -> None:
+    """Refuse a file of somebody else's that would be imported in place of one of the packages.
+
+    Raises
+    ------
+    ImportError
+        There is one; the message names it.
+    """
+    for package in ("tikernels", "pipeline", "hardware"):
+        if package in sys.modules:
+            found = getattr(sys.modules[package], "__file__", None)
+        else:
+            spec = find_spec(package)
+            found = None if spec is None else spec.origin
+        own = Path(__file__).with_name(package)
+        if found is not None and own.is_dir() and not own.samefile(Path(found).parent):
+            raise ImportError(f"{found} is in the way of colorphase's own package {package}: rename it")
+
+
+_refuse_namesakes()
+
+from hardware.errors import BurstError, CameraError, ProjectorError, RigError, TriggerError
+from hardware.instruments import open_instruments
+from hardware.rig import Burst, PairedFrame, Rig
+from hardware.settings import RigSettings
+from pipeline.acquisition import LiveDecoder, read_rig
+from pipeline.calibration import Calibration
+from pipeline.decoder import Decoder
+from pipeline.decoding.frame import DecodedFrame
+from pipeline.errors import (
+    CalibrationError,
+    ClusterError,
+    DecodeWarning,
+    FootageError,
+    OutputError,
+    RenderError,
+    SettingsError,
+)
+from pipeline.footage import StoredAs, open_source, read_image
+from pipeline.output import Mesh, StoredResult, frame_mesh, read_mesh, write_mesh
+from pipeline.settings import DecodeSettings
+from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
+from tikernels.errors import DeviceNotReady, ShapeError
+from tikernels.raw.pixel_format import PixelFormat
+from tikernels.runtime import init, supported_archs
+
+__all__ = [
+    "Burst",
+    "BurstError",
+    "Calibration",
+    "CalibrationError",
+    "CameraError",
+    "ClusterError",
+    "DecodeSettings",
+    "DecodeWarning",
+    "DecodedFrame",
+    "Decoder",
+    "DeviceNotReady",
+    "FootageError",
+    "LiveDecoder",
+    "Mesh",
+    "OutputError",
+    "PairedFrame",
+    "PixelFormat",
+    "ProjectorError",
+    "RenderError",
+    "Rig",
+    "RigError",
+    "RigSettings",
+    "SettingsError",
+    "ShapeError",
+    "SimulatedFrame",
+    "SimulationSettings",
+    "StoredAs",
+    "StoredResult",
+    "TriggerError",
+    "frame_mesh",
+    "init",
+    "open_instruments",
+    "open_source",
+    "read_image",
+    "read_mesh",
+    "read_rig",
+    "simulate_frame",
+    "simulated_rig",
+    "supported_archs",
+    "write_mesh",
+]

@@ -1,0 +1,107 @@
+"""The drivers: what each is called in ``rig.toml``, and where it is.
+
+A new driver is a file of its own and a row here; the names that settings accept, opening, and the listing of cameras
+follow from the row. A place is ``module:name``, and names what is called with its section of the settings and returns
+the opened instrument: the class itself, or a function. It is imported when the instrument is opened. A driver of the
+user's own needs no row: ``rig.toml`` names it as ``module:Class``.
+"""
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from hardware.errors import RigError
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Where a driver is."""
+
+    place: str
+    listing: str | None = None  # what returns the `Identity` of each one that can be seen; None: it cannot look
+
+
+CAMERAS: Mapping[str, Driver] = {
+    "basler": Driver("hardware.camera.basler:BaslerCamera", "hardware.camera.basler:list_basler_cameras"),
+    "aravis": Driver("hardware.camera.aravis:AravisCamera", "hardware.camera.aravis:list_aravis_cameras"),
+    "opencv": Driver("hardware.camera.opencv:OpenCVCamera", "hardware.camera.opencv:list_webcams"),
+}
+TRIGGERS: Mapping[str, Driver] = {
+    "box": Driver("hardware.trigger.box:open_box"),
+    "quantum-composers": Driver("hardware.trigger.quantum_composers:open_quantum_composers"),
+    "dg645": Driver("hardware.trigger.dg645:open_dg645"),
+}
+PROJECTORS: Mapping[str, Driver] = {
+    "pjlink": Driver("hardware.projector.pjlink:open_pjlink"),
+    "infocus": Driver("hardware.projector.infocus:open_infocus"),
+}
+#: The driver of a trigger that is no instrument: this program tells the camera when to expose.
+SOFTWARE = "software"
+#: The driver of trigger and camera of a rig of which nothing is there.
+SIMULATED = "simulated"
+
+
+def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: object, protocol: type) -> Any:
+    """Open an instrument by its driver's name.
+
+    Parameters
+    ----------
+    key : str
+        Where the settings name it, as ``camera.driver``, for messages.
+    name : str
+        A name in the table, or ``module:Class``.
+    table : mapping
+        `CAMERAS`, `TRIGGERS` or `PROJECTORS`.
+    settings : object
+        The section of the settings that the driver is called with.
+    protocol : type
+        What the instrument must have, from `hardware.protocols`.
+
+    Raises
+    ------
+    RigError
+        There is no such module or class, or it lacks what the protocol asks for.
+    TriggerError, CameraError, ProjectorError
+        By the driver: the instrument cannot be reached, or is another one.
+    """
+    place = table[name].place if name in table else name
+    driver = load(key, place)
+    members = {member: vars(protocol)[member] for member in vars(protocol) if not member.startswith("_")}
+    if isinstance(driver, type):  # what a class lacks is told before anything is opened
+        methods = [member for member, value in members.items() if callable(value)]
+        _refuse_lacking(key, place, driver, methods, protocol)
+    elif not callable(driver):
+        what = protocol.__name__.lower()
+        raise RigError(f"{key}: {place} cannot be called: name a class, or a function that opens a {what}")
+    instrument = driver(settings)
+    _refuse_lacking(key, place, instrument, members, protocol)
+    return instrument
+
+
+def load(key: str, place: str) -> Any:
+    """Import what a place ``module:name`` names.
+
+    Raises
+    ------
+    RigError
+        It cannot be imported, or has no such name.
+    """
+    module_name, _, name = place.partition(":")
+    try:
+        module = import_module(module_name)
+    except Exception as error:  # a user's module may raise anything
+        reason = " ".join(str(error).split()) or "it does not say why"
+        cure = "install it, or put its folder on PYTHONPATH" if isinstance(error, ModuleNotFoundError) else "mend it"
+        raise RigError(f"{key}: {module_name} cannot be imported ({type(error).__name__}: {reason}): {cure}") from error
+    if not hasattr(module, name):
+        raise RigError(f"{key}: {module_name} ({getattr(module, '__file__', 'built in')}) has no {name}: correct it")
+    return getattr(module, name)
+
+
+def _refuse_lacking(key: str, place: str, what: object, members: Collection[str], protocol: type) -> None:
+    lacking = [member for member in members if not hasattr(what, member)]
+    if lacking:
+        raise RigError(
+            f"{key}: {place} lacks {', '.join(lacking)}: give it what hardware.protocols.{protocol.__name__} asks for"
+        )

@@ -1,0 +1,135 @@
+"""One frame, decoded into a folder with its mesh, pictures and report: a picture, or one that is simulated."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.calibration import Calibration
+from pipeline.decoder import Decoder
+from pipeline.decoding.frame import DecodedFrame
+from pipeline.errors import FootageError, RenderError
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import BadFrame, StoredAs
+from pipeline.output.folder import output_folder, write_frame
+from pipeline.output.range_image import write_png
+from pipeline.output.render import render_mesh
+from pipeline.output.report import frame_report, measure_against_truth
+from pipeline.output.surface_mesh import frame_mesh
+from pipeline.settings import DecodeSettings
+from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
+from tikernels.raw.development import develop
+
+
+def decode_picture(
+    picture: Path,
+    out: str | Path,
+    settings: DecodeSettings,
+    calibration: Calibration | None,
+    stored_as: StoredAs,
+    arch: str,
+    *,
+    force: bool,
+    tell: Callable[[str], None],
+) -> DecodedFrame:
+    """Decode a picture, and write all that a single frame gives.
+
+    Parameters
+    ----------
+    picture : Path
+        Its file.
+    out : str or Path
+        Output folder.
+    settings : DecodeSettings
+        How to decode it.
+    calibration : Calibration or None
+        The rig.
+    stored_as : StoredAs
+        What is known of its pixels that the file does not say.
+    arch : str
+        Where to compute.
+    force : bool
+        Whether the folder may hold other things.
+    tell : callable
+        Hears what is being done.
+
+    Raises
+    ------
+    FootageError
+        The picture cannot be read.
+    OutputError
+        The folder holds something else, or cannot be written.
+    DeviceNotReady, CalibrationError, ShapeError
+        See `Decoder`.
+    """
+    with output_folder(out, force=force) as folder:
+        tell("reading")
+        (stored,) = open_source(picture, **vars(stored_as)).frames()
+        if isinstance(stored, BadFrame):
+            raise FootageError(stored.reason)
+        tell("decoding")
+        decoder = Decoder(settings, calibration, arch=arch)
+        frame = decoder.decode(develop(stored.planes, stored.format, stripes=settings.stripes))
+        tell("writing")
+        write_frame(folder, frame, settings, calibration, frame_report(frame, settings, calibration, picture.name))
+    return frame
+
+
+@dataclass(frozen=True)
+class SimulatedResult:
+    """What a simulated frame gave."""
+
+    measured: dict[str, float | int]  # against the truth; see `measure_against_truth`
+    picture: Path  # of the surface
+    notes: tuple[str, ...]
+
+
+def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str], None]) -> SimulatedResult:
+    """Simulate a frame of a bust, decode it with the rig's calibration, draw it, and measure it.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder.
+    arch : str
+        Where to compute.
+    force : bool
+        Whether the folder may hold other things.
+    tell : callable
+        Hears what is being done.
+
+    Raises
+    ------
+    DeviceNotReady
+        The machine lacks the arch.
+    OutputError
+        The folder holds something else, or cannot be written.
+    """
+    notes: tuple[str, ...] = ()
+    with output_folder(out, force=force) as folder:
+        tell("simulating one colour frame")
+        runtime.init(arch)
+        simulation = SimulationSettings()
+        rig = simulated_rig()
+        truth = simulate_frame(rig, simulation)
+        calibration = rig.model_copy(update={"crosstalk_matrix": simulation.crosstalk_matrix})
+        tell("decoding it")
+        settings = DecodeSettings()
+        frame = Decoder(settings, calibration, arch=arch).decode(truth.image)
+        tell("measuring it")
+        measured = measure_against_truth(frame, truth)
+        report = {**frame_report(frame, settings, calibration, "simulated bust"), "against_truth": measured}
+        tell("writing")
+        write_png(folder / "frame.png", np.asarray(truth.image, np.uint8))
+        calibration.write(folder / "calibration.json")
+        write_frame(folder, frame, settings, calibration, report)
+        picture = out / "render.png"
+        tell("drawing the mesh")
+        try:
+            render_mesh(frame_mesh(frame), folder / "render.png")
+        except RenderError as error:
+            notes = (str(error),)
+            picture = out / "shaded.png"
+    return SimulatedResult(measured, picture, notes)

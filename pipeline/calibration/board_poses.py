@@ -1,0 +1,186 @@
+"""The corners of a board in one pose, as the camera and the projector see them.
+
+The camera sees the corners, and phase patterns tell which projector pixel every camera pixel sees. A homography between
+the two around a corner gives the corner's place in the projector without interpolating at a black edge (D. Moreno and
+G. Taubin, Simple, accurate, and robust projector-camera calibration, 2012, doi:10.1109/3DIMPVT.2012.77).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipeline.calibration.board import Board
+from pipeline.calibration.multishot import ProjectorMap, decode_multishot
+from pipeline.errors import CalibrationError
+from pipeline.models import FloatArray, ImageArray
+
+# A pose with fewer corners says little of the lenses beside what its own place takes up (six parameters).
+_MIN_CORNERS = 12
+# The radius around a corner in which projector coordinates are fitted, over a square's side on the camera's image:
+# below one, so that it ends before the next corners.
+_RADIUS = 0.9
+# That radius at least, px, for boards far away.
+_MIN_RADIUS_PX = 6
+# Lit pixels within it at least: a homography has eight parameters, and noise must average out.
+_MIN_LIT_PX = 60
+# The half window, px, below which a corner is not refined: OpenCV's fit then sees too few edge pixels.
+_MIN_HALF_WINDOW_PX = 3
+# The half window, px, at most: a lens bends the edges of a longer one.
+_MAX_HALF_WINDOW_PX = 8
+# OpenCV's refinement ends after 60 steps, or when a corner moves by less than 1e-4 px.
+_REFINEMENT_END = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+
+
+@dataclass(frozen=True)
+class BoardPose:
+    """The corners of one pose, as camera and projector see them."""
+
+    name: str
+    corners_mm: FloatArray  # (N, 3)
+    camera_px: FloatArray  # (N, 2)
+    projector_px: FloatArray  # (N, 2)
+    camera_shift_px: FloatArray  # (3, 2) what R, G and B say more than their mean; NaN where squares are too small
+    projector_shift_px: FloatArray  # (3, 2) the same in the projector, at the same camera pixel
+    jacobian: FloatArray  # (2, 2) projector px a camera px, mean
+
+
+def measure_pose(
+    name: str,
+    captures: Mapping[str, ImageArray],
+    board: Board,
+    projector_size_px: tuple[int, int],
+    white_level: float | None = None,
+) -> BoardPose:
+    """Find a board's corners in camera and projector.
+
+    Parameters
+    ----------
+    name : str
+        What the pose is called in messages.
+    captures : mapping from name to (H, W, 3)
+        The captures of `multishot_sequence`.
+    board : Board
+        What stands there.
+    projector_size_px : (width, height)
+        The projector's.
+    white_level : float, optional
+        Full scale; None: the type's.
+
+    Raises
+    ------
+    CalibrationError
+        The board is not seen, or not lit, or the camera's images or the projector's picture are mirrored.
+    """
+    seen = decode_multishot(captures, projector_size_px, name, white_level)
+    grey = seen.white.mean(axis=-1)
+    found = board.find(grey)
+    if found is None:
+        if board.kind == "charuco" and board.find(np.ascontiguousarray(grey[:, ::-1])) is not None:
+            raise CalibrationError(f"{name}: the camera's pictures are mirrored: switch that off")
+        whole = "whole, " if board.kind == "chessboard" else ""
+        columns, rows = board.squares
+        raise CalibrationError(
+            f"{name}: no {columns}x{rows} {board.kind} is seen: it must be {whole}sharp and lit, and as described"
+        )
+    numbers, corners = found
+    side = _square_px(corners, board.corners_mm()[numbers], board.square_mm)
+    window = _half_window(side, board)
+    corners = _refined(grey, corners, window)
+    radius = max(_RADIUS * side, _MIN_RADIUS_PX)
+    projector = np.full(corners.shape, np.nan)
+    jacobians = []
+    for k, corner in enumerate(corners):
+        local = _local_homography(seen, corner, radius)
+        if local is not None:
+            projector[k] = local[:2, 2] / local[2, 2]
+            jacobians.append((local[:2, :2] - np.outer(projector[k], local[2, :2])) / local[2, 2])
+    good = ~np.isnan(projector).any(axis=1)
+    if np.count_nonzero(good) < _MIN_CORNERS or not board.spans(numbers[good]):
+        raise CalibrationError(
+            f"{name}: only {np.count_nonzero(good)} of the board's corners are seen and lit by the projector, "
+            f"{_MIN_CORNERS} are needed: turn the board to both"
+        )
+    jacobian = np.mean(jacobians, axis=0)
+    if np.linalg.det(jacobian) < 0:
+        # A chessboard looks the same in a mirror; a ChArUco board's markers have said that the camera is right.
+        who = "the projector's picture" if board.kind == "charuco" else "the camera's picture or the projector's"
+        raise CalibrationError(f"{name}: {who} is mirrored: switch off mirror, rear-projection or ceiling mode")
+    return BoardPose(
+        name=name,
+        corners_mm=board.corners_mm()[numbers][good],
+        camera_px=corners[good],
+        projector_px=projector[good],
+        camera_shift_px=_channel_corners(seen.white, corners[good], window),
+        projector_shift_px=_projector_shift(seen, corners[good]),
+        jacobian=jacobian,
+    )
+
+
+def _half_window(side_px: float, board: Board) -> int:
+    """Return the half window, px, in which a corner is refined: in it there must be nothing but the corner's edges."""
+    marker = board.marker_mm or 0.75 * board.square_mm
+    free = 0.4 if board.kind == "chessboard" else 0.5 * (1 - marker / board.square_mm)
+    return int(np.clip(free * side_px - 1, 0, _MAX_HALF_WINDOW_PX))
+
+
+def _refined(grey: FloatArray, corners: FloatArray, half: int) -> FloatArray:
+    """Return corners to a few hundredths of a pixel, (N, 2); as they are where there is no room."""
+    if half < _MIN_HALF_WINDOW_PX:
+        return corners
+    # Edges sharper than a pixel pull corners towards pixel centres: smoothed, the error halves.
+    smooth = cv2.GaussianBlur((255 * grey).astype(np.float32), (0, 0), 1.2)
+    start = corners.astype(np.float32).copy()
+    return np.asarray(cv2.cornerSubPix(smooth, start, (half, half), (-1, -1), _REFINEMENT_END), np.float64)
+
+
+def _square_px(corners: FloatArray, corners_mm: FloatArray, square_mm: float) -> float:
+    """Return how long a square's side is in the image, roughly."""
+    to_px, _ = cv2.findHomography(corners_mm[:, :2], corners)
+    middle = corners_mm[:, :2].mean(axis=0)
+    square = middle + square_mm * np.array([[0, 0], [1, 0], [0, 1]])
+    a, b, c = cv2.perspectiveTransform(square[None], to_px)[0]
+    return float(min(np.linalg.norm(b - a), np.linalg.norm(c - a)))
+
+
+def _local_homography(seen: ProjectorMap, corner: FloatArray, radius: float) -> FloatArray | None:
+    """Return the homography from camera px about a corner to projector px, from the pixels around it that are lit."""
+    height, width = seen.position_px.shape[:2]
+    left, right = int(max(corner[0] - radius, 0)), int(min(corner[0] + radius + 2, width))
+    top, bottom = int(max(corner[1] - radius, 0)), int(min(corner[1] + radius + 2, height))
+    y, x = np.mgrid[top:bottom, left:right]
+    values = seen.position_px[top:bottom, left:right]
+    inside = ~np.isnan(values[..., 0]) & (np.hypot(x - corner[0], y - corner[1]) <= radius)
+    # Pixels on both sides of the corner, or the homography is a guess.
+    if np.count_nonzero(inside) < _MIN_LIT_PX:
+        return None
+    from_px = np.stack([x[inside] - corner[0], y[inside] - corner[1]], axis=1).astype(np.float64)
+    to_px = values[inside]
+    for _ in range(2):
+        matrix, _ = cv2.findHomography(from_px, to_px)
+        if matrix is None:
+            return None
+        misfit = np.linalg.norm(cv2.perspectiveTransform(from_px[None], matrix)[0] - to_px, axis=1)
+        keep = misfit < max(3 * 1.4826 * np.median(misfit), 0.02)
+        from_px, to_px = from_px[keep], to_px[keep]
+        if len(from_px) < _MIN_LIT_PX // 2:
+            return None
+    return np.asarray(matrix)
+
+
+def _channel_corners(white: FloatArray, corners: FloatArray, half: int) -> FloatArray:
+    """Return by how much the corners of R, G and B alone lie beside those of their mean, (3, 2) px; NaN: no room."""
+    if half < _MIN_HALF_WINDOW_PX:
+        return np.full((3, 2), np.nan)
+    alone = [_refined(white[..., channel], corners, half) - corners for channel in range(3)]
+    return np.asarray(np.median(alone, axis=1))
+
+
+def _projector_shift(seen: ProjectorMap, corners: FloatArray) -> FloatArray:
+    """Return by how much R, G and B alone decode another projector pixel than their sum, (3, 2) px, on the board."""
+    height, width = seen.position_px.shape[:2]
+    board = np.zeros((height, width), np.uint8)
+    cv2.fillConvexPoly(board, cv2.convexHull(corners.astype(np.int32)), 1)
+    inside = (board > 0) & ~np.isnan(seen.position_px[..., 0])
+    return np.asarray(np.median(seen.channel_shift_px[:, inside], axis=1))

@@ -1,0 +1,117 @@
+"""From the array that a user hands over to linear light with the stripes along the rows, or a line that refuses it."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration import Geometry
+from pipeline.decoding.light_path import LightPath
+from pipeline.errors import CalibrationError, FootageError
+from pipeline.settings import DecodeSettings
+from tikernels import _checks, runtime
+from tikernels.arrays import LevelsImage
+from tikernels.errors import ShapeError
+from tikernels.phase.frame_statistics import count_out_of_range
+from tikernels.raw.lateral_color import align_channels
+from tikernels.raw.linearization import WHITE_LEVELS, linearize
+from tikernels.transposing import transpose
+
+# Smaller pictures hold no surface.
+_MIN_SIZE_PX = 16
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFrame:
+    """A frame in linear light, its colours aligned and its stripes along the rows."""
+
+    image: LevelsImage  # (H, W, 3)
+    white: float  # full scale, levels
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width, px."""
+        return int(self.image.shape[0]), int(self.image.shape[1])
+
+
+class FrameReader:
+    """Check frames of one rig, and bring them into the form that every stage takes.
+
+    Parameters
+    ----------
+    settings : DecodeSettings
+        Full scale and stripes.
+    path : LightPath
+        How the camera encodes light, and its lateral colour.
+    geometry : Geometry, optional
+        The calibrated rig's, for images of one size.
+    reference : (H, W) float32, optional
+        What ranges are measured from, for images of its size.
+    """
+
+    def __init__(
+        self,
+        settings: DecodeSettings,
+        path: LightPath,
+        geometry: Geometry | None,
+        reference: npt.NDArray[np.float32] | None,
+    ) -> None:
+        self._settings = settings
+        self._path = path
+        self._calibrated_px = None if geometry is None else geometry.camera.size_px
+        self._reference_shape = None if reference is None else reference.shape
+
+    def read(self, image: LevelsImage) -> LinearFrame:
+        """Return a frame in linear light.
+
+        Raises
+        ------
+        ShapeError, CalibrationError, FootageError
+            See `Decoder.decode`.
+        """
+        self._check_shape(image)
+        dtype = _checks.dtype_name(image)
+        if dtype not in WHITE_LEVELS:
+            raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
+        image = _checks.read_array("image", image, (None, None, 3), _checks.element_type(image))
+        white = self._settings.white_level or WHITE_LEVELS[dtype]
+        if dtype == "float32" or white < WHITE_LEVELS[dtype]:
+            missing, outside = count_out_of_range(image, white)
+            if missing:
+                raise FootageError(f"image holds NaN in {missing} values: replace them, by 0 for pixels to be masked")
+            if outside:
+                raise FootageError(
+                    f"image has {outside} values outside 0..{white:g}: scale it, or set white_level to its full scale"
+                )
+        transfer = self._path.transfer
+        if not isinstance(transfer, str) or transfer != "linear":
+            image = linearize(image, transfer, white, white)
+        if self._path.camera_shift_px is not None:
+            image = align_channels(image, self._path.camera_shift_px)
+        return LinearFrame(transpose(image) if self._settings.stripes == "vertical" else image, white)
+
+    def _check_shape(self, image: Any) -> None:
+        if not isinstance(image, np.ndarray) and not runtime.is_device_array(image):
+            raise ShapeError(f"image is a {type(image).__name__}: pass a NumPy array of shape (H, W, 3)")
+        shape = tuple(image.shape)
+        if len(shape) == 2 or (len(shape) == 3 and shape[2] == 1):
+            raise ShapeError(f"image is grey ({size_text(shape)}): the phase is in the colours, pass (H, W, 3) RGB")
+        if len(shape) == 3 and shape[2] == 4:
+            raise ShapeError("image has four channels: drop the transparency with image[..., :3]")
+        if len(shape) != 3 or shape[2] != 3:
+            raise ShapeError(f"image has shape {shape}: pass (H, W, 3) RGB")
+        if min(shape[:2]) < _MIN_SIZE_PX:
+            raise ShapeError(f"image is {size_text(shape)}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
+        if self._calibrated_px is not None and self._calibrated_px != (shape[1], shape[0]):
+            width, height = self._calibrated_px
+            raise CalibrationError(
+                f"frame is {size_text(shape)} but the calibration is for {height}x{width}: recalibrate or crop"
+            )
+        if self._reference_shape is not None and self._reference_shape != shape[:2]:
+            raise ShapeError(f"frame is {size_text(shape)} but the reference is {size_text(self._reference_shape)}")
+
+
+def size_text(shape: tuple[int, ...]) -> str:
+    """Return height and width as messages say them."""
+    return f"{shape[0]}x{shape[1]}"

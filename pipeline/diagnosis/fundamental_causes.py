@@ -1,0 +1,235 @@
+"""Causes of contrasts and phases that differ from channel to channel: crosstalk, lenses, black level, motion."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.diagnosis.channel_spectra import (
+    OVERLAP,
+    PHASES,
+    Tiles,
+    neighbours_median,
+    ripple_by_harmonic,
+    robust_fit,
+    waves_of_spectrum,
+)
+from pipeline.diagnosis.ripple_finding import CHANNELS, DECISIVE, SIGMAS, RippleFinding
+from pipeline.models import FloatArray
+
+# Contrast and phase leak into each other a little (curvature, second order): up to this share is not a second fault.
+_LEAKAGE = 0.15
+# The phase, rad, by which crosstalk may turn all channels alike is sought within this, in so fine steps (5 mrad) that
+# none changes a leak by a hundredth.
+_MAX_TURN_RAD, _TURNS = 0.3, 121
+
+
+def ideal(matrix: FloatArray, contrast: Any = 1.0) -> npt.NDArray[np.complex128]:
+    """Return the (3,) fundamentals that the camera sees of a pattern whose channels have this contrast."""
+    return np.asarray(matrix @ (contrast * np.exp(1j * PHASES)))
+
+
+def explain_fundamental(
+    tiles: Tiles, response_contrast: FloatArray, matrix: FloatArray, limit: float, lag_rad: FloatArray
+) -> list[RippleFinding]:
+    """Name what makes the channels' contrasts differ, or their phases, from what is known of the rig."""
+    expected = ideal(matrix, response_contrast / response_contrast.mean() * np.exp(-1j * lag_rad))
+    relative = tiles.spectrum[..., 0] / expected
+    loss = -np.log(abs(relative))  # (T, 3) of contrast; what is common to the channels makes no ripple
+    lag = np.angle(relative * np.conj(relative[:, 1:2]))[:, ::2]  # (T, 2) of R and B against G, rad
+    losses = robust_fit(loss - loss.mean(axis=1, keepdims=True), tiles.weight)
+    lags = robust_fit(lag, tiles.weight)
+    mean_loss, mean_lag = losses.value[0], lags.value[0]
+    # Motion may be in a part of the image only, and a lens's lateral colour changes sign over it: the medians of
+    # neighbouring tiles show it where the mean does not.
+    local = neighbours_median(lag, tiles.place)
+    strength = np.hypot(*local.T)
+    most = local[np.argsort(strength)[int(0.95 * len(strength))]]
+    scale = np.median(abs(relative))
+
+    def ripple_of(change: Any) -> dict[int, float]:
+        return ripple_by_harmonic(waves_of_spectrum((scale * ideal(matrix) * change)[:, None]), matrix)
+
+    def ripple_of_lag(lags: Any) -> dict[int, float]:
+        return ripple_of(np.exp(1j * np.array([lags[0], 0, lags[1]])))
+
+    by_loss, by_lag = ripple_of(np.exp(-mean_loss)), ripple_of_lag(mean_lag)
+    worst_loss, worst_lag = max(by_loss.values()), max(by_lag.values())
+    lossy = worst_loss > max(limit, SIGMAS / 3 * losses.error.max(), _LEAKAGE * worst_lag)
+    lagging = worst_lag > max(limit, SIGMAS / 2 * lags.error.max(), _LEAKAGE * worst_loss)
+    if lossy and lagging:
+        crosstalk = explain_both(scale / response_contrast.mean(), expected, mean_loss, mean_lag, ripple_of)
+        if crosstalk:
+            return [crosstalk]
+    by_most = ripple_of_lag(most)
+    if not lagging and max(by_most.values()) > max(2 * limit, 2 * _LEAKAGE * worst_loss):
+        by_lag, lagging = by_most, True
+    findings = [explain_loss(tiles, loss, mean_loss, by_loss, limit)] if lossy else []
+    return findings + ([explain_lag(tiles, lag, local, by_lag)] if lagging else [])
+
+
+def explain_loss(
+    tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float], limit: float
+) -> RippleFinding:
+    """Explain contrasts alone: of one channel, by how it changes over the image, or of several channels."""
+    others = np.array([[1, 2], [0, 2], [0, 1]])
+    disagreement = abs(mean_loss[others[:, 0]] - mean_loss[others[:, 1]])
+    channel = int(np.argmin(disagreement))
+    two = others[channel]
+    if disagreement[channel] > max(3 * limit, _LEAKAGE * np.ptp(mean_loss)):
+        return explain_losses(tiles, loss, mean_loss, size)
+    # 1 / contrast = mean / amplitude: what is added to the mean weighs most where the amplitude is small.
+    excess = np.exp(loss[:, channel] - loss[:, two].mean(axis=1)) - 1
+    true_mean = tiles.mean[:, channel] * np.exp(loss[:, two].mean(axis=1) - loss[:, channel])
+    shapes = {
+        "contrast": np.ones_like(excess),  # projector amplitude, projector defocus, even leak
+        "offset": 1 / true_mean,  # black level; ambient light too where the surface's colour is the same everywhere
+        "camera blur": tiles.frequency**2 / 2,  # 1 / exp(-sigma**2 f**2 / 2)
+    }
+    fits = {name: robust_fit(excess, tiles.weight, shape[:, None]) for name, shape in shapes.items()}
+    possible, confidence = decide({name: fit.squares for name, fit in fits.items()}, len(excess) / OVERLAP**2)
+    more = mean_loss[channel] < 0  # more contrast than the others have: then those two are blurred, as by demosaicing
+    blurred = "".join(CHANNELS[j] for j in two) if more else CHANNELS[channel]
+    causes, sizes = [], []
+    if "contrast" in possible:
+        causes += ["projector amplitude", "projector defocus"] + (
+            [] if more else ["even crosstalk", "coloured ambient light"]
+        )
+        sizes.append(f"{CHANNELS[channel]}'s modulation {100 * (1 / (1 + fits['contrast'].value[0]) - 1):+.1f} %")
+    if "camera blur" in possible:
+        causes.append("camera defocus")
+        sizes.append(f"{blurred} blurred by {np.sqrt(abs(fits['camera blur'].value[0])):.2f} px")
+    if "offset" in possible:
+        causes += [name for name in ("black level", "coloured ambient light") if name not in causes]
+        sizes.append(f"{fits['offset'].value[0]:+.3f} of full scale added to {CHANNELS[channel]}")
+    return RippleFinding(
+        tuple(causes),
+        " or ".join(sizes),
+        size,
+        confidence,
+        "subtract a frame of black from the same projector; if the ripple stays, refocus or calibrate the crosstalk",
+    )
+
+
+def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float]) -> RippleFinding:
+    """Explain contrasts of several channels: by a black level that they share, or each by itself."""
+    inverse = np.exp(loss)  # of the contrast: 1 + black / mean where that alone is wrong
+    true_mean = tiles.mean / inverse
+    excess = inverse - inverse.mean(axis=1, keepdims=True)
+    shape = 1 / true_mean - np.mean(1 / true_mean, axis=1, keepdims=True)
+    level = robust_fit(excess.ravel(), np.repeat(tiles.weight, 3), shape.reshape(-1, 1))
+    each = robust_fit(excess, tiles.weight)
+    possible, confidence = decide({"level": level.squares, "each": each.squares}, 2 * len(excess) / OVERLAP**2)
+    text = ", ".join(
+        f"{c} {100 * (np.exp(-m) - 1):+.0f} %" for c, m in zip(CHANNELS, mean_loss - mean_loss.min(), strict=True)
+    )
+    causes, sizes = [], []
+    if "level" in possible:
+        causes += ["black level", "coloured ambient light"]
+        sizes.append(f"{level.value[0]:+.3f} of full scale added to all channels")
+    if "each" in possible:
+        causes += ["projector amplitude", "projector defocus", "camera defocus", "even crosstalk"]
+        sizes.append(f"contrasts against the best channel: {text}")
+    return RippleFinding(
+        tuple(causes),
+        " or ".join(sizes),
+        size,
+        0.8 * confidence,
+        "subtract a frame of black from the same projector; then calibrate the crosstalk with each colour alone",
+    )
+
+
+def explain_lag(tiles: Tiles, lag: FloatArray, local: FloatArray, size: dict[int, float]) -> RippleFinding:
+    """Explain phases alone, by how they change over the image."""
+    strength = np.hypot(*local.T)
+    moving = strength > 0.5 * np.quantile(strength, 0.95)
+    one, f = np.ones_like(tiles.frequency), tiles.frequency
+    shapes = {
+        "constant": one[:, None],  # the projector's lens; motion of everything
+        "shift": f[:, None],  # the camera's lens
+        "magnification": np.stack([f, f * tiles.across], axis=1),
+        "part": np.where(moving, one, 0.0)[:, None],  # the rest stands still
+    }
+    fits = {name: robust_fit(lag, tiles.weight, shape) for name, shape in shapes.items()}
+    # Two channels a parameter; which tiles move was chosen from the data, and costs as much as two parameters.
+    parameters = {"constant": 1, "shift": 1, "magnification": 2, "part": 3}
+    count = lag.size / OVERLAP**2
+    penalty = {name: 2 * n * np.log(count) for name, n in parameters.items()}
+    possible, confidence = decide({name: fit.squares for name, fit in fits.items()}, count, penalty)
+    lags = np.median(lag[moving], axis=0)
+    steady = abs(lags.sum()) < 0.2 * np.ptp(lags) and lags[0] * lags[1] < 0  # R to G as G to B: one speed
+    possible = {name for name in possible if np.any(abs(fits[name].value) > SIGMAS * fits[name].error)}
+    causes, sizes = [], []
+    if possible & {"shift", "magnification"}:
+        causes.append("lateral colour of the camera")
+        if "shift" in possible:
+            sizes.append("R {:+.2f} px, B {:+.2f} px of G".format(*-fits["shift"].value[0]))
+        else:
+            r, b = (-fits["magnification"].value.T @ [[1, 1], [tiles.across.min(), tiles.across.max()]]).tolist()
+            sizes.append("R {:+.2f} to {:+.2f} px, B {:+.2f} to {:+.2f} px of G across the picture".format(*r, *b))
+    if "constant" in possible:
+        causes.append("lateral colour of the projector")
+        sizes.append("R {:+.3f} rad, B {:+.3f} rad from G".format(*fits["constant"].value[0]))
+    if steady or "part" in possible or not possible:
+        causes.append("motion between colour fields")
+        sizes.append(
+            f"{np.ptp(lags) / 2:.3f} rad a field" + (" in a part of the picture" if possible <= {"part"} else "")
+        )
+    return RippleFinding(
+        tuple(causes),
+        " or ".join(sizes),
+        size,
+        confidence if possible else 0.5,
+        "photograph the scene at rest: if it stays, calibrate the lateral colour; if not, show all colours at once",
+    )
+
+
+def explain_both(
+    contrast: float,
+    expected: npt.NDArray[np.complex128],
+    loss: FloatArray,
+    lag: FloatArray,
+    ripple_of: Callable[[Any], dict[int, float]],
+) -> RippleFinding | None:
+    """Explain contrasts and phases together by crosstalk, if a matrix without negative entries can make them.
+
+    A row of it, its sum one, puts a channel's fundamental into the triangle of exp(i d_k), its entries the barycentric
+    coordinates. Ambient light shrinks all three towards the centre and a common phase turns them, both unknown: so
+    the least crosstalk is found, at the largest scale at which all three are inside.
+    """
+    change = np.exp(-loss + 1j * np.array([lag[0], 0, lag[1]]))
+    seen = expected * change
+    corners = np.exp(1j * PHASES)
+    solve = np.linalg.inv(np.stack([np.ones(3), corners.real, corners.imag]))
+    best_scale, best = 0.0, np.eye(3)
+    for turn in np.linspace(-_MAX_TURN_RAD, _MAX_TURN_RAD, _TURNS):
+        turned = seen * np.exp(1j * turn)
+        rise = (solve @ np.stack([np.zeros(3), turned.real, turned.imag])).T  # entries are 1/3 + scale * rise
+        scale = np.min(-1 / 3 / np.minimum(rise, -1e-9))
+        if scale > best_scale:
+            best_scale, best = scale, 1 / 3 + scale * rise
+    # A pattern's contrast is at most one: what lies outside even then, no leak can have made.
+    if contrast > 1.02 * best_scale:
+        return None
+    rows = "; ".join(" ".join(f"{entry:.2f}" for entry in row) for row in best)
+    return RippleFinding(
+        ("crosstalk",),
+        f"at least [{rows}], rows' sums one",
+        ripple_of(change),
+        0.9,
+        "calibrate the crosstalk with three single-colour frames; 4:2:0 video looks like this too",
+    )
+
+
+def decide(squares: dict[str, float], count: float, penalty: dict[str, float] | None = None) -> tuple[set[str], float]:
+    """Return the explanations that fit as well as the best, and how surely the rest do not.
+
+    squares holds each one's sum of squares, penalty what its parameters cost.
+    """
+    best = min(squares.values())
+    chi = {name: count * (value / best - 1) + (penalty[name] if penalty else 0.0) for name, value in squares.items()}
+    least = min(chi.values())
+    possible = {name for name, value in chi.items() if value < least + DECISIVE}
+    beaten = [value - least for name, value in chi.items() if name not in possible]
+    return possible, 0.99 if not beaten else float(1 - 0.5 * np.exp(-min(beaten) / 2))

@@ -1,0 +1,91 @@
+"""A triangle mesh, as decoded frames become and files hold."""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+Unit = Literal["mm", "rad"]
+
+#: Names of a vertex's coordinates and of its colour's channels, which no other property of it may have.
+POSITION = ("x", "y", "z")
+COLOR = ("red", "green", "blue")
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """A triangle mesh in the camera frame.
+
+    Parameters
+    ----------
+    vertices : (N, 3) float32
+        In mm; with ``unit="rad"``, x and y in px and z the relative phase in rad.
+    faces : (M, 3) int32
+        Corners of each triangle, in [0, N).
+    colors : (N, 3) uint8, optional
+        sRGB.
+    properties : dict of (N,) float32
+        More about each vertex, such as ``"sigma_mm"`` or ``"modulation"``.
+    unit : {"mm", "rad"}
+        What z is measured in.
+
+    Raises
+    ------
+    ValueError
+        If the arrays do not fit together, or a vertex is not finite.
+    """
+
+    vertices: npt.NDArray[np.float32]
+    faces: npt.NDArray[np.int32]
+    colors: npt.NDArray[np.uint8] | None = None
+    properties: dict[str, npt.NDArray[np.float32]] = field(default_factory=dict)
+    unit: Unit = "mm"
+
+    def __post_init__(self) -> None:
+        count = len(self.vertices)
+        wanted: list[tuple[str, npt.NDArray[Any], tuple[int, ...], type]] = [
+            ("vertices", self.vertices, (count, 3), np.float32),
+            ("faces", self.faces, (len(self.faces), 3), np.int32),
+            *((f"property {name}", values, (count,), np.float32) for name, values in self.properties.items()),
+        ]
+        if self.colors is not None:
+            wanted.append(("colors", self.colors, (count, 3), np.uint8))
+        for name, values, shape, dtype in wanted:
+            if values.shape != shape or values.dtype != dtype:
+                raise ValueError(f"{name}: got {values.shape} {values.dtype}, expected {shape} {np.dtype(dtype)}")
+        for name in self.properties:
+            if not name.isascii() or name.split() != [name] or name in POSITION + COLOR:
+                raise ValueError(f"property {name!r}: expected one plain word other than x, y, z, red, green and blue")
+        if self.unit not in get_args(Unit):
+            raise ValueError(f"unit: got {self.unit!r}, expected 'mm' or 'rad'")
+        if not np.isfinite(self.vertices).all():
+            raise ValueError("vertices: some are not finite; leave masked pixels out of the mesh")
+        if self.faces.size and not (self.faces.min() >= 0 and self.faces.max() < count):
+            raise ValueError(f"faces: got corners {self.faces.min()} to {self.faces.max()} of {count} vertices")
+
+
+def vertex_normals(mesh: Mesh) -> npt.NDArray[np.float32]:
+    """Average the normals of the triangles around each vertex, weighted by their area.
+
+    Returns
+    -------
+    (N, 3) float32
+        Unit vectors on the side from which corners run counter-clockwise; (0, 0, 1) for a vertex without a surface.
+    """
+    corners = mesh.faces.ravel()
+    across = np.repeat(face_normals(mesh), 3, axis=0)
+    sums = np.stack([np.bincount(corners, axis, len(mesh.vertices)) for axis in across.T], axis=1)
+    lengths = np.linalg.norm(sums, axis=1, keepdims=True)
+    return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), (0, 0, 1)).astype(np.float32)
+
+
+def face_normals(mesh: Mesh) -> npt.NDArray[np.float32]:
+    """Return a normal a triangle, (M, 3), as long as twice its area."""
+    first, second, third = (mesh.vertices[corner] for corner in mesh.faces.T)
+    return np.cross(second - first, third - first)
+
+
+def metres_a_unit(mesh: Mesh) -> float:
+    """Return by what to multiply coordinates to get metres; a mesh in rad has none, and keeps its numbers."""
+    return 0.001 if mesh.unit == "mm" else 1.0

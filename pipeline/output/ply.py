@@ -1,0 +1,113 @@
+"""Meshes to PLY and back, with every property of their vertices.
+
+VTK's reader drops those that it does not know, as standard deviations.
+
+References
+----------
+G. Turk, The PLY polygon file format, 1994.
+"""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.output.mesh import COLOR, POSITION, Mesh
+
+_TYPES = dict(
+    zip(
+        "char int8 uchar uint8 short int16 ushort uint16 int int32 uint uint32 float float32 double float64".split(),
+        "i1 i1 u1 u1 i2 i2 u2 u2 i4 i4 u4 u4 f4 f4 f8 f8".split(),
+        strict=True,
+    )
+)
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+
+
+def encode_ply(mesh: Mesh) -> bytes:
+    """Return a mesh as a binary PLY file, its unit in a comment."""
+    columns: dict[str, npt.NDArray[Any]] = dict(zip(POSITION, mesh.vertices.T, strict=True))
+    if mesh.colors is not None:
+        columns |= zip(COLOR, mesh.colors.T, strict=True)
+    columns |= mesh.properties
+    vertices = np.empty(
+        len(mesh.vertices), [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
+    )
+    for name, values in columns.items():
+        vertices[name] = values
+    faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, mesh.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"comment unit {mesh.unit}",
+        f"element vertex {len(vertices)}",
+        *(f"property {'uchar' if values.dtype == np.uint8 else 'float'} {name}" for name, values in columns.items()),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header\n",
+    ]
+    return "\n".join(header).encode() + vertices.tobytes() + faces.tobytes()
+
+
+def decode_ply(data: bytes) -> Mesh:
+    """Return the mesh of triangles that a PLY file holds, binary or ASCII; without a comment on its unit in mm.
+
+    Raises
+    ------
+    ValueError
+        It is truncated, or holds something else.
+    """
+    head, _, body = data.partition(b"end_header")
+    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
+    (vertex_count, vertex), (face_count, face) = _parse_header(lines)
+    names = vertex.names or ()
+    if not {*POSITION} <= {*names} or "corners" not in (face.names or ()):
+        raise ValueError("its vertices have no x, y and z, or its faces no corners")
+    if ["format", "ascii", "1.0"] in lines:
+        vertex, face = _as_doubles(vertex), _as_doubles(face)
+        body = np.array(body.split(), np.float64).tobytes()
+    else:
+        body = body[body.find(b"\n") + 1 :]
+    promised = vertex_count * vertex.itemsize + face_count * face.itemsize
+    if len(body) < promised:
+        raise ValueError(f"it is truncated: its header promises {promised} bytes of data and {len(body)} follow")
+    vertices = np.frombuffer(body, vertex, vertex_count)
+    faces = np.frombuffer(body, face, face_count, vertex_count * vertex.itemsize)
+    if (faces["count"] != 3).any():
+        raise ValueError("it has faces other than triangles: triangulate them first")
+    return Mesh(
+        vertices=np.stack([vertices[name] for name in POSITION], axis=1).astype(np.float32),
+        faces=faces["corners"].astype(np.int32),
+        colors=np.stack([vertices[name] for name in COLOR], axis=1).astype(np.uint8) if "red" in names else None,
+        properties={name: vertices[name].astype(np.float32) for name in names if name not in POSITION + COLOR},
+        unit="rad" if ["comment", "unit", "rad"] in lines else "mm",
+    )
+
+
+def _as_doubles(layout: np.dtype) -> np.dtype:
+    return np.dtype([(name, "f8", layout[name].shape) for name in layout.names or ()])
+
+
+def _parse_header(lines: list[list[str]]) -> list[tuple[int, np.dtype]]:
+    """Return how many vertices and how many faces follow a PLY header, and the layout of each."""
+    order = ""
+    elements: list[tuple[str, int, list[Any]]] = []
+    for line in lines:
+        match line:
+            case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS:
+                order = _BYTE_ORDERS[encoding]
+            case ["element", name, count] if count.isdigit():
+                elements.append((name, int(count), []))
+            case ["property", "list", count, corner, _] if elements and {count, corner} <= _TYPES.keys():
+                record = [("count", order + _TYPES[count]), ("corners", order + _TYPES[corner], 3)]
+                elements[-1][2].extend(record)
+            case ["property", kind, name] if elements and kind in _TYPES:
+                elements[-1][2].append((name, order + _TYPES[kind]))
+            case [] | ["ply"] | ["comment" | "obj_info", *_]:
+                pass
+            case _:
+                raise ValueError(f"its header says {' '.join(line)[:80]!r}")
+    if not order or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
+        raise ValueError("its header does not announce vertices followed by faces")
+    return [(count, np.dtype(fields)) for _, count, fields in elements[:2]]

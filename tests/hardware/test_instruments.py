@@ -1,0 +1,49 @@
+"""What a rig's file names is opened together, or not at all."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+
+from hardware import Rig, open_instruments
+from hardware.errors import RigError
+from hardware.settings import RigSettings
+
+
+def rig_settings(trigger="simulated", camera="simulated", **more):
+    return RigSettings.model_validate(
+        {
+            "trigger": {"driver": trigger, "strobe": True},
+            "timing": {"period_s": 0.02, "frames": 4},
+            "camera": {"driver": camera, "exposure_s": 1 / 120, "size_px": [64, 48]},
+            **more,
+        }
+    )
+
+
+def test_a_simulated_rig_is_opened_as_a_real_one():
+    """The example in docs/rig.md."""
+    settings = rig_settings()
+    with Rig(settings, lambda: open_instruments(settings), tell=print) as rig:
+        numbers = [
+            (burst.number, [paired.pulse for paired in burst.frames], [paired.image.shape for paired in burst.frames])
+            for burst in islice(rig.bursts(), 2)
+        ]
+    assert numbers == [(0, [0, 1, 2, 3], [(48, 64, 3)] * 4), (1, [0, 1, 2, 3], [(48, 64, 3)] * 4)]
+
+
+def test_its_two_pictures_are_told_apart():
+    settings = rig_settings(projector={"alternating": True})
+    with Rig(settings, lambda: open_instruments(settings)) as rig:
+        means = [paired.image.mean() for paired in next(rig.bursts()).frames]
+    steps = np.diff(np.log(means))
+    assert (np.sign(steps[:-1]) == -np.sign(steps[1:])).all()
+    assert np.abs(steps) == pytest.approx(-np.log(0.85), abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("trigger", "camera"), [("simulated", "basler"), ("software", "simulated"), ("box", "simulated")]
+)
+def test_half_a_simulated_rig_is_refused(trigger, camera):
+    with pytest.raises(RigError, match='set driver = "simulated" for both'):
+        open_instruments(rig_settings(trigger, camera))

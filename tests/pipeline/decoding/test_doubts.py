@@ -1,0 +1,42 @@
+"""What a frame gives reason to doubt is said in one line that names the cure."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline.decoding.doubts import fringe_doubt, light_doubts
+from pipeline.decoding.frame_reader import LinearFrame
+
+
+def fringes(axis):
+    """Three sinusoids of 12 px a cycle along an axis."""
+    place = np.indices((96, 96))[axis] * (2 * np.pi / 12)
+    waves = 120 + 80 * np.cos(place[..., None] + np.array([-1, 0, 1]) * 2 * np.pi / 3)
+    return LinearFrame(waves.astype(np.uint8), 255.0)
+
+
+def test_stripes_the_other_way_are_named(cpu):
+    assert "a vertical one does: set stripes to 'vertical'" in fringe_doubt(fringes(axis=1), "horizontal")
+
+
+def test_where_there_are_none_the_projector_is_looked_at(cpu):
+    plain = LinearFrame(np.full((96, 96, 3), 120, np.uint8), 255.0)
+    assert "check that the pattern is projected" in fringe_doubt(plain, "horizontal")
+
+
+@pytest.mark.parametrize(
+    "contrast, mismatch, known, said",
+    [
+        (0.4, 0.01, True, []),
+        (0.05, 0.01, True, ["contrast is only 5%"]),
+        (0.4, 0.3, True, ["differ by 30%"]),
+        (0.4, 0.3, False, []),  # nothing is known that it could contradict
+        (0.05, 0.3, True, ["contrast is only 5%", "differ by 30%"]),
+    ],
+)
+def test_the_light(contrast, mismatch, known, said):
+    doubts = light_doubts(SimpleNamespace(contrast=contrast, mismatch=mismatch), constant_known=known)
+    assert len(doubts) == len(said)
+    for doubt, part in zip(doubts, said, strict=True):
+        assert part in doubt

@@ -1,0 +1,102 @@
+"""A frame holds values: it may be kept, looked at late, and from anywhere."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from pipeline import Decoder, DecodeSettings
+from pipeline.decoding.frame import FIELDS, RegionOrders
+from pipeline.errors import SettingsError
+from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from tikernels import ShapeError
+
+SIZE = (128, 96)
+
+
+def frames(arch, count, **options):
+    """Return decoded frames of a bust that comes nearer, none of which anybody has looked at, and their images."""
+    rig = simulated_rig(SIZE, period_px=2 * 768 / 44).model_copy(update={"crosstalk_matrix": np.eye(3)})
+    decoder = Decoder(DecodeSettings(**options), rig, arch=arch)
+    settings = [
+        SimulationSettings(crosstalk_matrix=np.eye(3), object_motion_mm=(0, 0, -k), seed=k) for k in range(count)
+    ]
+    images = [simulate_frame(rig, setting).image for setting in settings]
+    return decoder, images, [decoder.decode(image) for image in images]
+
+
+def values(frame):
+    return {name: np.array(getattr(frame, name)) for name in FIELDS}
+
+
+def assert_same(one, other):
+    for name in FIELDS:
+        np.testing.assert_array_equal(one[name], other[name], err_msg=name)
+
+
+def test_a_hundred_frames_that_nobody_has_looked_at(arch):
+    """Each has its own values, though buffers of frames that are gone are used again."""
+    decoder, images, some = frames(arch, 4)
+    kept = [decoder.decode(images[k % 4]) for k in range(100)]
+    expected = [values(frame) for frame in some]
+    for k, frame in enumerate(kept):
+        np.testing.assert_array_equal(frame.unwrapped_phase, expected[k % 4]["unwrapped_phase"])
+        np.testing.assert_array_equal(frame.points, expected[k % 4]["points"])
+    assert_same(values(kept[-1]), expected[99 % 4])
+
+
+def test_arrays_outlive_their_frame(cpu):
+    decoder, images, (frame, other) = frames("cpu", 2)
+    mask, depth = frame.mask, frame.points[..., 2]
+    expected = mask.copy(), depth.copy()
+    del frame, other
+    for image in [*images, *images]:
+        decoder.decode(image)
+    np.testing.assert_array_equal(mask, expected[0])
+    np.testing.assert_array_equal(depth, expected[1])
+
+
+def test_another_thread_may_look_while_the_next_frame_is_decoded(arch):
+    decoder, images, (first, *_) = frames(arch, 3)
+    expected = values(decoder.decode(images[0]))
+    with ThreadPoolExecutor(2) as pool:
+        looked = pool.submit(values, first)
+        for k in range(6):
+            decoder.decode(images[k % 3])
+        found = looked.result(timeout=120)
+    assert_same(found, expected)
+
+
+def test_what_travels_to_the_next_frame(cpu):
+    decoder, images, (frame, _) = frames("cpu", 2)
+    memory = frame.memory
+    assert memory.checked((96, 128), "horizontal") is memory
+    with pytest.raises(ShapeError, match="frame is 48x64 but the one before is 96x128"):
+        memory.checked((48, 64), "horizontal")
+    with pytest.raises(SettingsError, match="stripes are vertical"):
+        memory.checked((96, 128), "vertical")
+    # It does not change with the frame that took it.
+    counts = memory.phase_counts.copy()
+    decoder.decode(images[1], previous=frame)
+    np.testing.assert_array_equal(memory.phase_counts, counts)
+
+
+def test_a_frame_without_regions_knows_no_orders():
+    nowhere = RegionOrders.of_no_region()
+    assert nowhere.known.tolist() == [False]
+    assert np.isnan(nowhere.error_probability).all()
+
+
+def test_fetched_is_what_is_needed(cpu):
+    _, _, (frame,) = frames("cpu", 1)
+    frame.fetch(["fringe_order"])
+    assert {"mask", "unwrapped_phase"} <= set(vars(frame))
+    assert "points" not in vars(frame)
+
+
+def test_out_takes_the_new_frame_and_forgets_the_old(cpu):
+    decoder, images, (frame, other) = frames("cpu", 2)
+    expected = values(other)
+    values(frame)
+    assert decoder.decode(images[1], out=frame) is frame
+    assert_same(values(frame), expected)

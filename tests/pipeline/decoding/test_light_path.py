@@ -1,0 +1,89 @@
+"""What is known of the light: settings win over the calibration, and that over what a frame tells."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.decoding.light_path import LightPath
+from pipeline.decoding.self_calibration import LightEstimate
+from pipeline.errors import DecodeWarning, SettingsError
+from pipeline.models import CameraState
+from pipeline.settings import DecodeSettings
+from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
+
+MATRIX = np.array(TYPICAL_CROSSTALK)
+NORMAL = MATRIX / MATRIX.sum(axis=1, keepdims=True)
+UNIFORM = np.ones((36, 256))
+TOLD = LightEstimate(
+    crosstalk_matrix=NORMAL,
+    crosstalk_sigma=np.full((3, 3), 0.01),
+    response=np.linspace(0, 1, 256),
+    correction=np.full(257, 0.1, np.float32),
+    constant_sigma=0.01,
+    constant_known=True,
+    cycles=20.0,
+    ripple=0.1,
+    misfit=0.01,
+    reliable=True,
+)
+
+
+def rig(**values):
+    return simulated_rig((64, 48)).model_copy(update=values)
+
+
+def test_settings_win_over_the_calibration():
+    path = LightPath(DecodeSettings(crosstalk_matrix=np.eye(3)), rig(crosstalk_matrix=MATRIX))
+    np.testing.assert_allclose(path.crosstalk.matrix, np.eye(3), atol=1e-6)
+    path = LightPath(DecodeSettings(), rig(crosstalk_matrix=MATRIX))
+    np.testing.assert_allclose(path.crosstalk.matrix, NORMAL, atol=1e-6)
+
+
+def test_nothing_known_asks_one_frame():
+    path = LightPath(DecodeSettings(), None)
+    assert path.unknown
+    assert not path.constant_known
+    path.learn(TOLD)
+    assert not path.unknown
+    assert path.constant_known
+    assert path.constant_sigma == 0.01
+    np.testing.assert_allclose(path.crosstalk.matrix, NORMAL, atol=1e-6)
+    np.testing.assert_array_equal(path.correction(UNIFORM, 12.0), TOLD.correction)
+
+
+@pytest.mark.parametrize("light", [None, replace(TOLD, reliable=False)])
+def test_what_a_frame_could_not_tell_is_not_asked_again(light):
+    path = LightPath(DecodeSettings(), None)
+    path.learn(light)
+    assert not path.unknown
+    assert not path.constant_known
+    np.testing.assert_allclose(path.crosstalk.matrix, np.eye(3), atol=1e-6)
+
+
+def test_narrow_bands_ask_no_frame():
+    """How bright the camera's channels are to each other matters there, which no frame tells."""
+    assert not LightPath(DecodeSettings(reflectance_bands="narrow"), None).unknown
+
+
+def test_uniform_phases_need_no_correction():
+    path = LightPath(DecodeSettings(crosstalk_matrix=np.eye(3)), None)
+    assert np.abs(path.correction(UNIFORM, 12.0)).max() < 1e-3
+    off = LightPath(DecodeSettings(crosstalk_matrix=np.eye(3), equalize=False), None)
+    assert not off.correction(UNIFORM + np.arange(256), 12.0).any()
+
+
+def test_the_code_is_the_patterns():
+    coded = simulated_rig((64, 48), code="contrast")
+    assert LightPath(DecodeSettings(), coded).code == "contrast"
+    assert LightPath(DecodeSettings(code="contrast"), simulated_rig((64, 48))).code is None
+    plain, told = (LightPath(DecodeSettings(code=code), None) for code in (None, "contrast"))
+    assert told.contrast_doubt > plain.contrast_doubt
+
+
+def test_a_camera_that_stands_otherwise():
+    before = rig(capture=CameraState(gain=2.0))
+    with pytest.warns(DecodeWarning, match=r"gain is 3\.0 but was 2\.0 at calibration"):
+        LightPath(DecodeSettings(capture=CameraState(gain=3.0)), before)
+    with pytest.raises(SettingsError, match="set stripes to 'horizontal'"):
+        LightPath(DecodeSettings(stripes="vertical"), before)

@@ -1,0 +1,100 @@
+"""What is said later overrules what was said before, and what nothing tells stays open."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline import Decoder, DecodeSettings
+from pipeline.decoding.frame import FrameMemory, RegionOrders
+from pipeline.decoding.light_path import LightPath
+from pipeline.errors import CalibrationError
+from pipeline.orders.carried_orders import CarriedOrders
+from pipeline.orders.order_finder import OrderFinder, Placement
+from pipeline.orders.posterior import AbsoluteOrders, Posterior
+from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+
+REGIONS = SimpleNamespace(roots=np.array([4, 9, 2]))  # regions 1, 2 and 3
+
+
+def memory(known, errors):
+    orders = RegionOrders(np.array([False, *known]), np.array([np.nan, *errors], np.float32))
+    return FrameMemory("horizontal", None, None, orders)
+
+
+def patches(offsets):
+    """Patches whose parts have been given these offsets."""
+    return SimpleNamespace(orders=lambda parts: np.array([offsets[int(part)] for part in parts], np.int32))
+
+
+def carried(**values):
+    return CarriedOrders(**{"same_scene": True, **{name: np.array(value) for name, value in values.items()}})
+
+
+def test_nothing_told_is_nothing_known():
+    orders = Placement(None, None, None).region_orders(patches({}), REGIONS, None)
+    assert orders.known.tolist() == [False] * 4
+    np.testing.assert_array_equal(orders.error_probability, [np.nan, 1, 1, 1])
+
+
+def test_orders_that_are_carried_on_err_as_before_and_on_the_way():
+    found = carried(roots=[2, 4], offsets=[1, 0], before=[2, 1], error_probability=[0.5, 0.001])
+    orders = Placement(None, found, None).region_orders(patches({}), REGIONS, memory([True, True], [0.002, 1e-6]))
+    # Region 1 (root 4) goes on from region 1 and region 3 (root 2) from region 2; region 2 is new.
+    np.testing.assert_allclose(orders.error_probability[1:], [1 - 0.998 * 0.999, 1, 1 - (1 - 1e-6) * 0.5], rtol=1e-5)
+    assert orders.known.tolist() == [False, True, False, False]
+
+
+def test_what_was_not_known_before_is_not_known_now():
+    found = carried(roots=[4], offsets=[0], before=[1], error_probability=[1e-9])
+    orders = Placement(None, found, None).region_orders(patches({}), REGIONS, memory([False], [1e-9]))
+    assert not orders.known.any()
+
+
+def test_the_code_speaks_for_itself():
+    sure, open_ = Posterior(7, np.array([1 - 1e-6, 1e-6])), Posterior(3, np.array([0.6, 0.4]))
+    absolute = AbsoluteOrders(np.arange(10), np.array([2, 4, 9]), (open_, sure, Posterior(0, np.zeros(0))))
+    orders = Placement(absolute, None, None).region_orders(patches({2: 3, 4: 7, 9: 0}), REGIONS, None)
+    assert orders.known.tolist() == [False, True, False, False]
+    np.testing.assert_allclose(orders.error_probability[1:], [1e-6, 1, 0.4], rtol=1e-5)
+    # An offset that is not the likeliest is as wrong as the posterior says.
+    orders = Placement(absolute, None, None).region_orders(patches({2: 4, 4: 8, 9: 0}), REGIONS, None)
+    np.testing.assert_allclose(orders.error_probability[1:], [1 - 1e-6, 1, 0.6], rtol=1e-5)
+    assert not orders.known.any()
+
+
+def test_a_carried_order_stands_where_the_code_is_in_doubt():
+    doubt = Posterior(3, np.array([0.6, 0.4]))
+    absolute = AbsoluteOrders(np.arange(10), np.array([2, 4, 9]), (doubt, doubt, doubt))
+    found = carried(roots=[4], offsets=[3], before=[1], error_probability=[1e-4])
+    placement = Placement(absolute, found, None)
+    orders = placement.region_orders(patches({2: 3, 4: 3, 9: 3}), REGIONS, memory([True], [1e-4]))
+    assert orders.known.tolist() == [False, True, False, False]
+    np.testing.assert_allclose(orders.error_probability[1:], [2e-4, 0.4, 0.4], rtol=1e-3)
+
+
+def test_axes_in_parallel_need_a_range():
+    rig = simulated_rig((64, 48))
+    parallel = rig.model_copy(update={"rotation": np.eye(3), "translation_mm": np.array([0.0, 180.0, 0.0])})
+    path = LightPath(DecodeSettings(), parallel)
+    with pytest.raises(CalibrationError, match="give depth_range_mm"):
+        OrderFinder(path, parallel.geometry(), None)
+    OrderFinder(path, parallel.geometry(), (800.0, 1000.0))
+
+
+@pytest.mark.parametrize("depth_range_mm, absolute", [((880.0, 920.0), True), ((300.0, 3000.0), False)])
+def test_a_narrow_range_tells_the_order(cpu, depth_range_mm, absolute):
+    rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
+    settings = SimulationSettings(scene="plane")
+    image = simulate_frame(rig, settings).image
+    known = {"crosstalk_matrix": settings.crosstalk_matrix, "depth_range_mm": depth_range_mm}
+    frame = Decoder(DecodeSettings(), rig.model_copy(update=known), arch="cpu").decode(image)
+    assert frame.absolute[frame.mask].all() == absolute
+
+
+def test_a_code_that_nobody_has_told_of_is_named(cpu):
+    rig = simulated_rig((320, 240), code="contrast")
+    image = simulate_frame(rig, SimulationSettings(scene="plane")).image
+    decoder = Decoder(arch="cpu")
+    with pytest.warns(match='set code = "contrast" to use it'):
+        decoder.decode(image)

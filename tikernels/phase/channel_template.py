@@ -1,0 +1,122 @@
+"""One cycle of each channel: how a balanced channel changes with the phase, the same all over the frame.
+
+    t_i(phi) = 1 + sum over n of c_in cos(n phi) + s_in sin(n phi)
+
+has projector response, crosstalk and lateral colour in it. `channel_model.py` reads it off the frame; here stand what
+is known of it beforehand, and the mathematics of a pixel. Its rows are 1, c_i1, c_i2, s_i1, s_i2.
+"""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels._taichi import F32Array2, Static, f32, ti, vec3
+from tikernels.phase.phase_vector import channel_delays, cosine_and_sine
+
+#: Harmonics of a channel over one cycle: gamma 2 makes two, and a third changes nothing.
+HARMONICS = 2
+#: Numbers of a channel's template.
+TERMS = 1 + 2 * HARMONICS
+
+
+def known_template(
+    matrix: npt.NDArray[np.floating[Any]],
+    response: npt.NDArray[np.float64],
+    lag: npt.NDArray[np.float64] | None = None,
+) -> npt.NDArray[np.float32]:
+    """Return (3, terms) float32: one cycle of each channel of a rig that is known.
+
+    Parameters
+    ----------
+    matrix : (3, 3)
+        What takes the projector's balanced channels to the template's.
+    response : (3, N)
+        Light of N evenly spaced codes of R, G, B.
+    lag : (3,), optional
+        See `channel_delays`.
+    """
+    codes = 0.5 + 0.5 * np.cos(np.linspace(0, 2 * np.pi, 1024, endpoint=False))
+    light = np.stack([np.interp(codes, np.linspace(0, 1, response.shape[1]), row) for row in response])
+    n = np.arange(1, HARMONICS + 1)
+    spectrum = np.fft.rfft(light, axis=1).real
+    waves = 2 * spectrum[:, 1 : HARMONICS + 1] / spectrum[:, :1] * np.exp(1j * n * channel_delays(lag)[:, None])
+    mixed = matrix @ np.concatenate([np.ones((3, 1)), waves.real, -waves.imag], axis=1)
+    return np.asarray(mixed / mixed[:, :1], np.float32)
+
+
+def flat_template() -> npt.NDArray[np.float32]:
+    """Return (3, terms) float32: the template of a rig of which nothing is known."""
+    return np.eye(1, TERMS, dtype=np.float32).repeat(3, axis=0)
+
+
+def template_mismatch(template: npt.NDArray[np.float32], weights: npt.NDArray[np.float32]) -> float:
+    """Return by how much the channels' fundamentals differ from those that `phase_weights` are made for, as a fraction.
+
+    What all three have in common, a phase and a modulation, is the surface's and the response's.
+
+    Parameters
+    ----------
+    template : (3, terms) float32
+        One cycle of each channel.
+    weights : (3, 3) float32
+        `phase_weights`.
+
+    Returns
+    -------
+    float
+        0 or more; NaN for a flat template.
+    """
+    waves = np.linalg.inv(weights.astype(np.float64))
+    ratio = (template[:, 1] - 1j * template[:, 1 + HARMONICS]) / (waves[:, 0] - 1j * waves[:, 1])
+    if abs(ratio.mean()) == 0:
+        return np.nan
+    return float(np.sqrt((np.abs(ratio / ratio.mean() - 1) ** 2).sum() / 2))
+
+
+@ti.func
+def waves_of(phase: f32):
+    """Return 1, cos and sin of the phase and its multiples, in the template's order."""
+    c, s = cosine_and_sine(phase)
+    result = ti.Vector.zero(f32, TERMS)
+    result[0] = 1.0
+    real, imaginary = c, s
+    for n in ti.static(range(1, HARMONICS + 1)):
+        result[n] = real
+        result[HARMONICS + n] = imaginary
+        real, imaginary = real * c - imaginary * s, real * s + imaginary * c
+    return result
+
+
+@ti.func
+def cycle_at(template: F32Array2, waves: Static) -> vec3:
+    """Return the template's three channels, given `waves_of` the phase."""
+    result = vec3(0.0)
+    for n in ti.static(range(TERMS)):
+        result += waves[n] * vec3(template[0, n], template[1, n], template[2, n])
+    return result
+
+
+@ti.func
+def load_harmonics(template: F32Array2):
+    """Load the template without its constants, which are one: (3, 2 harmonics), once a thread."""
+    result = ti.Matrix.zero(f32, 3, TERMS - 1)
+    for channel, n in ti.static(ti.ndrange(3, TERMS - 1)):
+        result[channel, n] = template[channel, 1 + n]
+    return result
+
+
+@ti.func
+def cycle_and_slope(harmonics: Static, phase: f32):
+    """Return the template's three channels at a phase and their derivatives, given `load_harmonics`."""
+    cosine, sine = cosine_and_sine(phase)
+    cycle, slope = vec3(1.0), vec3(0.0)
+    real, imaginary = cosine, sine
+    for n in ti.static(range(1, HARMONICS + 1)):
+        for channel in ti.static(range(3)):
+            of_cosine, of_sine = harmonics[channel, n - 1], harmonics[channel, HARMONICS + n - 1]
+            cycle[channel] += of_cosine * real + of_sine * imaginary
+            slope[channel] += n * (of_sine * real - of_cosine * imaginary)
+        if ti.static(n < HARMONICS):
+            real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+    return cycle, slope

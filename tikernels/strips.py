@@ -1,0 +1,34 @@
+"""Strips: the stretches of a row that one thread works on.
+
+A thread per pixel would be right for a GPU, and a thread per row for a CPU; a strip of some pixels serves both. A CPU
+does eight or sixteen pixels at once, but only where the compiler knows that no two arrays overlap, and it knows that of
+a thread's own small arrays alone. So a kernel that computes much for every pixel copies its strip into vectors of
+constant length, computes on all of them whether the image goes on that far or not, and copies back what lies inside:
+
+    for t in range(height * strip_count(width, STRIP)):
+        y, first, count = strip_at(t, width, STRIP)
+        for k in range(count): copy pixel (y, first + k) into the vectors
+        for k in range(STRIP): compute
+        for k in range(count): copy the results out
+
+A kernel that only adds up a strip, or reads and writes each pixel once, needs no copies.
+"""
+
+from tikernels._taichi import i32, ti
+
+#: Pixels of a strip where nothing asks for another length.
+STRIP = 32
+
+
+@ti.func
+def strip_count(length: i32, size: i32) -> i32:
+    """Return how many strips of this size a row of this length has."""
+    return (length + size - 1) // size
+
+
+@ti.func
+def strip_at(number: i32, length: i32, size: i32):
+    """Return the row of a strip, its first place there, and how many places of the row it holds."""
+    strips = strip_count(length, size)
+    row, first = number // strips, number % strips * size
+    return row, first, ti.min(size, length - first)

@@ -1,0 +1,218 @@
+"""The patches of a frame, sorted into regions: what finding the fringe orders sees of unwrapping."""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import _checks, runtime
+from tikernels.arrays import F32, I32, U8
+from tikernels.depth.triangulation import ProjectorGeometry
+from tikernels.unwrapping.drafts import Drafts
+from tikernels.unwrapping.hidden_steps import mark_hidden_steps_kernel
+from tikernels.unwrapping.region_placing import choose_starts_kernel, place_regions_kernel
+from tikernels.unwrapping.region_writing import finish_patches_kernel, write_unwrapped_kernel
+from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Patch, Region, cells_of, numbers_of
+from tikernels.unwrapping.unwrap_methods import PatchMethod
+
+#: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
+MIN_REGION_PX = 128
+# Below this many patches or contacts one CPU thread is done before others have woken up ten times a round.
+_SERIAL = 12000
+
+
+def one_thread_is_faster(count: int) -> bool:
+    """Whether one thread is done with this many patches or contacts before others have woken up."""
+    return runtime.started() == "cpu" and count < _SERIAL
+
+
+class PatchGraph(NamedTuple):
+    """Patches, and the contacts inside a region that agree with its orders."""
+
+    root: npt.NDArray[np.int32]
+    """(P,) the patch that stands for the region."""
+    offset: npt.NDArray[np.int32]
+    """(P,) what its orders lack to be the region's."""
+    pixels: npt.NDArray[np.int32]
+    """(P,) how many it has."""
+    first: npt.NDArray[np.int32]
+    """(P,) its first pixel, row * width + column."""
+    ends: npt.NDArray[np.int32]
+    """(2, C) the two patches of each contact."""
+    votes: npt.NDArray[np.int32]
+    """(C,) how well each contact is supported."""
+
+
+class RegionTable(NamedTuple):
+    """The regions that were written, from number 1 on: the largest first."""
+
+    roots: npt.NDArray[np.int64]
+    """(regions,) the patch that stands for each."""
+    pixels: npt.NDArray[np.int32]
+    """(regions,) how many pixels each had when it was joined."""
+
+
+class Patches:
+    """The patches of one frame; valid until the next one is joined, for the buffers are the unwrapper's.
+
+    Parameters
+    ----------
+    count : int
+        How many patches there are.
+    drafts : Drafts
+        Labels, and contacts as they were noted; numbered.
+    method : PatchMethod
+        What grew them.
+    table : (12, capacity) int32
+        See `Patch`; roots and offsets are settled.
+    region_table : (4, capacity) int32
+        See `Region`; written.
+    final : (3, capacity) int32
+        See `Final`; what `write` needs, and `adopt_pixels` after it.
+    seams : (2, cells) int32
+        See `Seam`; scratch.
+    """
+
+    def __init__(
+        self, count: int, drafts: Drafts, method: PatchMethod, table: I32, region_table: I32, final: I32, seams: I32
+    ) -> None:
+        self.count = count
+        self.cells = drafts.cells
+        self.labels = drafts.labels
+        self.cell_table = drafts.cell_table
+        self.draft_bits = drafts.bits
+        self.table = table
+        self.final = final
+        self._draft_contacts = drafts.contacts
+        self._method = method
+        self._regions = region_table
+        self._seams = seams
+        self._choose_starts()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width of the frame."""
+        return int(self.labels.shape[0]), int(self.labels.shape[1])
+
+    def roots(self) -> npt.NDArray[np.int32]:
+        """Return (P,) int32: the patch that stands for the region of each patch."""
+        return np.array(runtime.to_host(self.table)[Patch.ROOT, : self.count], np.int32)  # synchronises
+
+    def graph(self) -> PatchGraph:
+        """Return the patches, and where they touch inside their regions."""
+        table = runtime.to_host(self.table)[:, : self.count]  # synchronises
+        cells, contacts = runtime.to_host(self.cell_table), runtime.to_host(self._draft_contacts)
+        counts = np.diff(cells[Cell.CONTACTS])
+        within = np.arange(cells[Cell.CONTACTS, -1]) - np.repeat(cells[Cell.CONTACTS, :-1], counts)
+        cell = np.repeat(np.arange(self.cells), counts)
+        noted = contacts[:, (cell << (self.draft_bits + CONTACT_BITS)) + within]
+        ends = numbers_of(noted[[Contact.FROM, Contact.TO]], cells, self.draft_bits)
+        offset, root = table[Patch.OFFSET].copy(), table[Patch.ROOT].copy()
+        agree = offset[ends[1]] == offset[ends[0]] + noted[Contact.SHIFT]
+        agree &= (root[ends[0]] == root[ends[1]]) & (ends[0] != ends[1])
+        ends, votes = self._method.complete_graph(table[Patch.HEAD], ends[:, agree], noted[Contact.VOTES, agree])
+        return PatchGraph(root, offset, table[Patch.PIXELS].copy(), table[Patch.FIRST].copy(), ends, votes)
+
+    def split(self, roots: npt.NDArray[np.int32]) -> None:
+        """Make regions of the patches that share a root, which is one of them; their orders stay.
+
+        Parameters
+        ----------
+        roots : (P,) int32
+            The patch that stands for each patch's region.
+        """
+        table = runtime.to_host(self.table)
+        table[Patch.ROOT, : self.count] = roots
+        _write_back(self.table, table)
+        self._choose_starts()
+
+    def set_orders(self, roots: npt.NDArray[np.integer], orders: npt.NDArray[np.integer]) -> None:
+        """Add these whole cycles to the orders that the regions with these roots had when they were joined."""
+        regions = runtime.to_host(self._regions)
+        regions[Region.ORDER, roots] = -orders
+        _write_back(self._regions, regions)
+
+    def orders(self, roots: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
+        """Return the whole cycles that are added to the orders of the regions with these roots."""
+        return np.array(-runtime.to_host(self._regions)[Region.ORDER, roots], np.int32)  # synchronises
+
+    def place(self, phase: F32, rays: F32, projector: ProjectorGeometry, depth_mm: float) -> None:
+        """Give every region the orders that bring it nearest to a depth, instead of 0 at its start.
+
+        Parameters
+        ----------
+        phase : (H, W) float32
+            rad in [-pi, pi].
+        rays : (H, W, 2) float32
+            x and y of every camera pixel's ray at unit depth.
+        projector : ProjectorGeometry
+            Where the projector stands.
+        depth_mm : float
+            Where the object is expected.
+
+        Raises
+        ------
+        ShapeError
+            A shape or dtype is another one.
+        """
+        phase = _checks.read_array("phase", phase, self.shape, np.float32)
+        rays = _checks.read_array("rays", rays, (*self.shape, 2), np.float32)
+        packed, axis, _ = projector.arguments()
+        arguments = (self.count, phase, self.labels, rays, depth_mm, packed, axis)
+        place_regions_kernel(one_thread_is_faster(self.count), *arguments, self.table, self._regions)
+
+    def write(self, phase: F32, rates: F32, out_unwrapped: F32, out_mask: U8, out_region: I32) -> RegionTable:
+        """Write the unwrapped phase, the mask, and the region.
+
+        The last pixel before a step is left out, and so are cells that hide a step; see `region_writing.py`.
+
+        Parameters
+        ----------
+        phase : (H, W) float32
+            rad in [-pi, pi].
+        rates : (N, 5) float32
+            What `measure_rates` found.
+        out_unwrapped : (H, W) float32
+            rad; NaN outside the mask.
+        out_mask : (H, W) uint8
+            1 inside.
+        out_region : (H, W) int32
+            The region's number, from 1, the largest; 0 outside.
+
+        Returns
+        -------
+        RegionTable
+            The regions, by number.
+
+        Raises
+        ------
+        ShapeError
+            A shape or dtype is another one, or an output cannot be written.
+        """
+        phase = _checks.read_array("phase", phase, self.shape, np.float32)
+        rates = _checks.read_array("rates", rates, (None, 5), np.float32)
+        out_unwrapped = _checks.out_array("out_unwrapped", out_unwrapped, self.shape, np.float32)
+        out_mask = _checks.out_array("out_mask", out_mask, self.shape, np.uint8)
+        out_region = _checks.out_array("out_region", out_region, self.shape, np.int32)
+        # Numbering a handful of regions by their size is the host's work; ties go to the start's place in the image.
+        regions = runtime.to_host(self._regions)[:, : self.count]  # synchronises
+        roots = np.flatnonzero(regions[Region.PIXELS] >= MIN_REGION_PX)
+        roots = roots[np.lexsort((regions[Region.START, roots], -regions[Region.PIXELS, roots]))]
+        numbers = np.zeros(max(self.count, 1), np.int32)
+        numbers[roots] = np.arange(1, len(roots) + 1)
+        pixels = regions[Region.PIXELS, roots]
+        tables = (self.table, self._draft_contacts, self._regions, numbers)
+        cells = (self.cells, cells_of(*self.shape)[1], self.cell_table, self.draft_bits)
+        finish_patches_kernel(one_thread_is_faster(self.count), *cells, *tables, self.final)
+        mark_hidden_steps_kernel(phase, rates, self.labels, self._seams, self.final)
+        write_unwrapped_kernel(phase, rates, self.labels, self.final, out_unwrapped, out_mask, out_region)
+        return RegionTable(roots, pixels)
+
+    def _choose_starts(self) -> None:
+        serial = one_thread_is_faster(self.count)
+        choose_starts_kernel(serial, self.count, self.labels, self.table, self._regions)
+
+
+def _write_back(buffer: I32, host: npt.NDArray[np.int32]) -> None:
+    if not isinstance(buffer, np.ndarray):
+        buffer.from_numpy(host)

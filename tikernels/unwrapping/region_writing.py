@@ -1,0 +1,179 @@
+"""Write the unwrapped phase, the mask and the regions; leave out what contradicts itself beside a step.
+
+The last pixel before a step is left out where the step has a pixel that belongs to neither side, or where only the
+orders show it: at the rim of a round object it can pass for the other surface. So are cells that hide a step.
+"""
+
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, U8Array2, f32, i32, ti
+from tikernels.phase.phase_vector import PI
+from tikernels.phase.smoothing import MAX_DEPARTURE
+from tikernels.strips import STRIP, strip_at, strip_count
+from tikernels.unwrapping.continuity import frame_rates
+from tikernels.unwrapping.tables import (
+    BETWEEN,
+    CELL_HEIGHT,
+    CELL_WIDTH,
+    CONTACT_BITS,
+    HAS_STEPS,
+    HIDES_STEP,
+    ORDER_BITS,
+    ORDER_MASK,
+    ORDER_ZERO,
+    Cell,
+    Contact,
+    Final,
+    Patch,
+    Region,
+    patch_number,
+)
+
+strip_of_integers = ti.types.vector(STRIP, ti.i32)
+strip_of_floats = ti.types.vector(STRIP, ti.f32)
+
+
+@ti.func
+def mark_overruled(cell: i32, cells: I32Array2, draft_bits: i32, patches: I32Array2, draft_contacts: I32Array2):
+    """Mark the cells at both ends of each contact that the orders of its patches have not followed."""
+    for k in range(cells[Cell.CONTACTS, cell + 1] - cells[Cell.CONTACTS, cell]):
+        e = (cell << (draft_bits + CONTACT_BITS)) + k
+        draft_a, draft_b = draft_contacts[Contact.FROM, e], draft_contacts[Contact.TO, e]
+        a, b = patch_number(draft_a, cells, draft_bits), patch_number(draft_b, cells, draft_bits)
+        if patches[Patch.OFFSET, b] != patches[Patch.OFFSET, a] + draft_contacts[Contact.SHIFT, e]:
+            cells[Cell.STEPS, draft_a >> draft_bits] = 1
+            cells[Cell.STEPS, draft_b >> draft_bits] = 1
+
+
+@ti.kernel
+def finish_patches_kernel(
+    serial: Static,  # whether one thread does it
+    cell_total: i32,
+    columns: i32,  # cells a row
+    cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered; steps are marked
+    draft_bits: i32,
+    patches: I32Array2,  # (12, capacity) see `Patch`
+    draft_contacts: I32Array2,  # (5, 4 cells << bits) see `Contact`
+    regions: I32Array2,  # (4, capacity) see `Region`
+    numbers: I32Array1,  # number of the region of each root; 0: too small
+    out_final: I32Array2,  # (3, cells << bits) see `Final`
+):
+    """Collect what is needed to write the result, and find the cells that have steps or lie beside one that has."""
+    ti.loop_config(serialize=serial)
+    for cell in range(cell_total):
+        for k in range(cells[Cell.PATCHES, cell + 1] - cells[Cell.PATCHES, cell]):
+            draft, patch = (cell << draft_bits) + k, cells[Cell.PATCHES, cell] + k
+            root = patches[Patch.ROOT, patch]
+            out_final[Final.REGION, draft] = numbers[root]
+            out_final[Final.ORDER, draft] = patches[Patch.OFFSET, patch] - regions[Region.ORDER, root] - ORDER_ZERO
+            if numbers[root] == 0:
+                cells[Cell.STEPS, cell] = 1
+        mark_overruled(cell, cells, draft_bits, patches, draft_contacts)
+    ti.loop_config(serialize=serial)
+    for cell in range(cell_total):
+        column = cell % columns
+        steps = cells[Cell.STEPS, cell]
+        if column > 0:
+            steps |= cells[Cell.STEPS, cell - 1]
+        if column < columns - 1:
+            steps |= cells[Cell.STEPS, cell + 1]
+        if cell >= columns:
+            steps |= cells[Cell.STEPS, cell - columns]
+        if cell + columns < cell_total:
+            steps |= cells[Cell.STEPS, cell + columns]
+        out_final[Final.STEPS, cell] = steps * HAS_STEPS
+
+
+@ti.func
+def beyond_step(
+    phase: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32, y2: i32, x2: i32, rate: f32
+) -> i32:
+    """Whether a neighbour's region is too small, or the same one whole cycles away."""
+    label, label2 = labels[y, x], labels[y2, x2]
+    draft, draft2 = label >> ORDER_BITS, label2 >> ORDER_BITS
+    beyond = 0
+    if final[Final.REGION, draft2] == 0:
+        beyond = 1
+    if final[Final.REGION, draft2] == final[Final.REGION, draft]:
+        cycles = (label2 & ORDER_MASK) - (label & ORDER_MASK)
+        cycles += final[Final.ORDER, draft2] - final[Final.ORDER, draft]
+        change = phase[y2, x2] - phase[y, x] + 2.0 * PI * ti.cast(cycles, ti.f32)
+        if ti.abs(change - rate) > 2.0 * MAX_DEPARTURE:
+            beyond = 1
+    return beyond
+
+
+@ti.func
+def beside_step(phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I32Array2, y: i32, x: i32) -> i32:
+    """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
+    along, across, _ = frame_rates(rates)
+    beside = 0
+    for side in ti.static(range(4)):
+        dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+        y2 = ti.min(ti.max(y + dy, 0), labels.shape[0] - 1)
+        x2 = ti.min(ti.max(x + dx, 0), labels.shape[1] - 1)
+        label2 = labels[y2, x2]
+        if label2 == BETWEEN:
+            beside = 1
+        if label2 >= 0 and label2 >> ORDER_BITS != labels[y, x] >> ORDER_BITS:
+            beside |= beyond_step(phase, labels, final, y, x, y2, x2, dx * along + dy * across)
+    return beside
+
+
+@ti.func
+def leave_out_steps(
+    phase: F32Array2,
+    rates: F32Array2,
+    labels: I32Array2,
+    final: I32Array2,
+    steps: i32,
+    y: i32,
+    first: i32,
+    start: i32,
+    stop: i32,
+    region: Static,
+):
+    """Take pixels of a strip that lie in one cell out of their regions: all of them, or those beside a step."""
+    if steps == HIDES_STEP:
+        for k in range(start, stop):
+            region[k] = 0
+    elif steps == HAS_STEPS:
+        for k in range(start, stop):
+            if region[k] > 0:
+                if beside_step(phase, rates, labels, final, y, first + k):
+                    region[k] = 0
+
+
+@ti.kernel
+def write_unwrapped_kernel(
+    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+    rates: F32Array2,  # see `frame_rates`
+    labels: I32Array2,  # (H, W)
+    final: I32Array2,  # (3, cells << bits) see `Final`
+    out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
+    out_mask: U8Array2,  # (H, W) 1 inside
+    out_region: I32Array2,  # (H, W) region's number from 1; 0 outside
+):
+    """Write every pixel's phase with its order, unless it lies outside the regions or beside a step."""
+    height, width = phase.shape[0], phase.shape[1]
+    for t in range(height * strip_count(width, STRIP)):
+        y, first, count = strip_at(t, width, STRIP)
+        label, region, unwrapped = strip_of_integers(0), strip_of_integers(0), strip_of_floats(0.0)
+        for k in range(count):
+            label[k] = labels[y, first + k]
+            unwrapped[k] = phase[y, first + k]
+        for k in range(count):
+            if label[k] >= 0:
+                draft = label[k] >> ORDER_BITS
+                region[k] = final[Final.REGION, draft]
+                label[k] = (label[k] & ORDER_MASK) + final[Final.ORDER, draft]
+        cell = (y // CELL_HEIGHT) * ((width + CELL_WIDTH - 1) // CELL_WIDTH) + first // CELL_WIDTH
+        for c in range((count + CELL_WIDTH - 1) // CELL_WIDTH):
+            start, stop = c * CELL_WIDTH, ti.min((c + 1) * CELL_WIDTH, count)
+            steps = final[Final.STEPS, cell + c]
+            leave_out_steps(phase, rates, labels, final, steps, y, first, start, stop, region)
+        for k in range(STRIP):
+            value = unwrapped[k] + 2.0 * PI * ti.cast(label[k], ti.f32)
+            unwrapped[k] = ti.select(region[k] > 0, value, ti.math.nan)
+        for k in range(count):
+            out_unwrapped[y, first + k] = unwrapped[k]
+            out_mask[y, first + k] = ti.cast(region[k] > 0, ti.u8)
+            out_region[y, first + k] = region[k]
