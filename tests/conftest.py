@@ -1,8 +1,13 @@
 """The backends that kernels run on, and what every host function must refuse."""
 
+import os
 import warnings
 from collections.abc import Callable
 from typing import Any
+
+# Before NumPy comes: its BLAS splits even small matrices over threads that wait for each other, which takes many times
+# as long as one thread does, most of all on a busy machine. Processes that tests start inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import numpy.typing as npt

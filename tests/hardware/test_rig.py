@@ -360,7 +360,15 @@ def suffer(seed: int, strobe: bool, n_bursts: int) -> tuple[int, int, int]:
     return wrong, lost, n_faults
 
 
-@pytest.mark.parametrize("strobe, n_bursts", [(True, 1000), (False, 200)])
+@pytest.mark.parametrize(
+    "strobe, n_bursts",
+    [
+        (True, 120),
+        (False, 40),
+        pytest.param(True, 1000, marks=pytest.mark.long),
+        pytest.param(False, 200, marks=pytest.mark.long),
+    ],
+)
 def test_random_faults_neither_mispair_nor_cost_a_good_burst(strobe, n_bursts, monkeypatch):
     """Every burst that is kept is right, every run without a fault is kept."""
     monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.3)

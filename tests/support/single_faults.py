@@ -17,9 +17,9 @@ def shifted(px):
     return np.array([[0, -px], [0, 0], [0, px]])
 
 
-def photographed(scene, seed, *, modulation=None, offset=None, gain=None, **settings):
-    """Return a frame of a rig without faults but those that are named, and full scale."""
-    rig = simulated_rig(tilt_deg=(-12.0, 0.0, 9.0)[seed % 3])
+def photographed(scene, seed, *, size_px=(640, 480), modulation=None, offset=None, gain=None, **settings):
+    """Return a frame of a rig without faults but those that are named, and full scale; its fringes have 12 px."""
+    rig = simulated_rig(size_px, period_px=640 / size_px[0] * 768 / 44, tilt_deg=(-12.0, 0.0, 9.0)[seed % 3])
     chosen = {"gamma": 1.0, "crosstalk_matrix": np.eye(3), "reflectance": (SKIN, WHITE)[seed % 2], "seed": seed}
     codes = None
     if modulation is not None:

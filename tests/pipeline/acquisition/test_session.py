@@ -267,7 +267,7 @@ def test_a_closed_terminal_is_nothing_to_nohup():
 
 
 @pytest.mark.usefixtures("kernels_on_disk")
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.long)])
 def test_the_command_stops_when_told_to(tmp_path, number):
     """Whatever moment it comes at, and however often: exit code, folder and pulses fit together."""
     out = tmp_path / "out"

@@ -174,6 +174,7 @@ def test_which_frames_are_decoded_for_which():
     assert list(join_ranges([])) == []
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("kernels_on_disk")
 def test_killed_again_and_again(folder, rig, tmp_path, monkeypatch):
     """The command's own chains, and its own process; `tests/benchmarks/kills.py` does it twenty times."""

@@ -71,9 +71,9 @@ def clip(cpu):
         (2, {}),
         (3, WHITE_SURFACE),
         (4, {"scene": "waves", **WHITE_SURFACE}),
-        (5, {"scene": "objects"}),
-        (6, {"scene": "ball", "gamma": 1.5}),
         (7, {"scene": "plane", "bits": 12}),
+        pytest.param(5, {"scene": "objects"}, marks=pytest.mark.long),
+        pytest.param(6, {"scene": "ball", "gamma": 1.5}, marks=pytest.mark.long),
     ],
 )
 def test_good_footage_has_no_fault(tmp_path, seed, settings):
@@ -125,6 +125,7 @@ def test_drift_of_exposure_and_of_white_balance(tmp_path, clip):
         assert faults(record(tmp_path / f"{name}.mkv", frames)) == {"drift": "costs"}
 
 
+@pytest.mark.long
 def test_an_object_that_turns_is_no_drift(tmp_path):
     frames = [shoot(1, seed=i, object_turn_deg=4.0 * i)[0] for i in range(14)]
     assert "drift" not in faults(record(tmp_path / "turns.mkv", frames))
@@ -143,7 +144,7 @@ def test_dropped_frames(tmp_path, clip):
     assert faults(film(tmp_path / "whole.mkv", clip, FULL, "ffv1", "yuv444p")) == {}
 
 
-@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+@pytest.mark.parametrize("stripes", ["horizontal", pytest.param("vertical", marks=pytest.mark.long)])
 def test_subsampled_chroma_and_where_it_sits(tmp_path, stripes):
     settings = DecodeSettings(stripes=stripes)
     frames = shoot(3, stripes, seed=14)
@@ -210,6 +211,7 @@ def test_frames_that_are_missing_from_a_folder(tmp_path, clip):
     assert faults(tmp_path) == {"dropped": "costs"}
 
 
+@pytest.mark.long
 def test_few_frames_of_long_footage_are_looked_at(tmp_path, clip):
     path = record(tmp_path / "long.zarr", [clip[i % 14] for i in range(120)])
     found = inspect_footage(path, arch="cpu")
@@ -244,6 +246,7 @@ def test_colours_that_are_shown_one_after_another(tmp_path):
     assert faults(record(tmp_path / "three.mkv", swinging(0.3)))["colour fields"] == "costs"
 
 
+@pytest.mark.long
 def test_the_command(tmp_path, clip):
     good, bad = record(tmp_path / "good.mkv", clip[:3]), record(tmp_path / "bad.mkv", 3 * [clip[0] * 0])
 

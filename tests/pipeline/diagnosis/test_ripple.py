@@ -15,11 +15,15 @@ from pipeline.simulation import SimulationSettings, simulate_frame, simulated_ri
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 
+HALF = (320, 240)  # of the usual picture, its fringes as fine
+
+
+@pytest.mark.parametrize("size_px", [HALF, pytest.param((640, 480), marks=pytest.mark.long)])
 @pytest.mark.parametrize(("cause", "fault"), FAULTS)
-def test_one_fault_is_named(cause, fault):
+def test_one_fault_is_named(cause, fault, size_px):
     """Alone, or in a set of what one frame cannot tell apart, which holds at most four."""
     for seed, scene in enumerate(("plane", "ball")):
-        found = diagnosed(*photographed(scene, seed, **fault))
+        found = diagnosed(*photographed(scene, seed, size_px=size_px, **fault))
         assert len(found.findings) == 1, (scene, [finding.causes for finding in found.findings])
         finding = found.findings[0]
         assert cause in finding.causes and len(finding.causes) <= 4
@@ -31,7 +35,7 @@ def test_one_fault_is_named(cause, fault):
 @pytest.mark.parametrize("gain", [None, (1.1, 1.0, 1.0)])
 def test_a_clean_frame_is_fine(scene, gain):
     """So is one whose colours are not balanced: that is what a surface's colour looks like."""
-    assert not diagnosed(*photographed(scene, 3, gain=gain)).findings
+    assert not diagnosed(*photographed(scene, 3, size_px=HALF, gain=gain)).findings
 
 
 @pytest.mark.parametrize("exposure", [1.4, 2.5])

@@ -138,7 +138,9 @@ def test_turning_and_swaying(tmp_path):
 
 
 @pytest.mark.usefixtures("can_draw")
-@pytest.mark.parametrize("colors", ["depth", "modulation", "sigma", "shaded"])
+@pytest.mark.parametrize(
+    "colors", ["depth", *(pytest.param(colors, marks=pytest.mark.long) for colors in ("modulation", "sigma", "shaded"))]
+)
 def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
     path = store(tmp_path / "r.zarr", [400.0], in_mm=False)
     options = FilmOptions(colors=colors, fps=10, seconds=0.5, size_px=SIZE)
@@ -154,6 +156,7 @@ def test_every_second_frame_is_no_gap(tmp_path):
     assert (made.n_images, made.held) == (3, ())
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_frames_without_a_surface(tmp_path):
     path = store(tmp_path / "r.zarr", [None, 400.0, None])
@@ -265,6 +268,7 @@ def test_an_export_of_nothing_leaves_no_folder(tmp_path, lost, message):
     assert not (tmp_path / "meshes").exists()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_the_commands(tmp_path):
     path = store(tmp_path / "r.zarr", [400.0, 401.0, 402.0], missing=(1,))
