@@ -9,9 +9,9 @@ import zarr
 from support.command_line import colorphase
 
 from pipeline import Calibration, Decoder, DecodeSettings
+from pipeline.decoding.frame import FIELDS
 from pipeline.footage.image_file import read_image
 from pipeline.output.mesh_files import read_mesh
-from pipeline.decoding.frame import FIELDS
 
 
 def test_decode_with_a_calibration(folder):
