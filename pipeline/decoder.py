@@ -54,7 +54,7 @@ class Decoder:
         Where to compute; a named one never falls back.
     unwrapper : UserUnwrapper, optional
         Your own unwrapping instead of the settings' `unwrap_method`: an object with a method
-        ``unwrap(phase, quality) -> (unwrapped, region)``, stripes along the rows; see `tikernels.GivenRegions`.
+        ``unwrap(phase, quality) -> (unwrapped, region)``, stripes along the rows; see `tikernels.unwrapping.UserUnwrapper`.
 
     Attributes
     ----------
