@@ -1,4 +1,4 @@
-"""What can go wrong between a picture and a mesh; each message is one line that says what to do."""
+"""What can go wrong between an image and a mesh; each message is one line that says what to do."""
 
 
 class SettingsError(ValueError):
@@ -10,7 +10,7 @@ class CalibrationError(ValueError):
 
 
 class FootageError(OSError):
-    """A picture cannot be read, or holds no values that can be decoded."""
+    """An image or a video cannot be read, or holds no values that can be decoded."""
 
 
 class OutputError(OSError):

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, Validat
 from pydantic_core import core_schema
 
 FloatArray = npt.NDArray[np.float64]
-#: A colour image in any element type that cameras and files give, (H, W, 3).
+#: Levels in any element type that cameras and files give: a colour image (H, W, 3), or one plane of a stored frame.
 ImageArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 
 Positive = Annotated[float, Field(gt=0)]

@@ -149,7 +149,7 @@ def simulate_frame(
     Returns
     -------
     SimulatedFrame
-        The picture, and the truth it was made from.
+        The image, and the truth that it was made from.
 
     Raises
     ------

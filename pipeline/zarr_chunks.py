@@ -1,4 +1,4 @@
-"""Chunks of Zarr arrays, one a frame, as zarr itself writes them, without the 1.5 ms and more that each takes it."""
+"""Chunks of Zarr arrays, one a frame, as zarr writes them, but without the 1.5 ms and more that it takes for each."""
 
 import functools
 from typing import Any, Literal
@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 #: Keys without folders of their own: three folders a chunk otherwise.
 CHUNK_KEYS: Any = {"name": "default", "separator": "."}
-# A quarter of the time of zarr's default, and smaller: `docs/video.md` has the table for results, `docs/footage.md` for
-# recordings.
+# It takes a quarter of the time of zarr's default, for smaller chunks: `docs/video.md` has the table for results,
+# `docs/footage.md` for recordings.
 _NAME: Literal["lz4"] = "lz4"
 
 
@@ -21,7 +21,7 @@ def chunk_codec(level: int) -> Any:
 
 
 def chunk_key(number: int, n_axes: int) -> str:
-    """Return the name of a frame's chunk, in an array with so many axes beside the frames'."""
+    """Return the name of a frame's chunk, in an array of `n_axes` axes beside the frames'."""
     return f"c.{number}" + ".0" * n_axes
 
 
@@ -36,5 +36,5 @@ def encode_chunk(values: npt.NDArray[Any], level: int) -> bytes:
 def _compressor(level: int) -> Any:
     from numcodecs import Blosc
 
-    chunk_codec(level)  # its import keeps blosc to the thread that calls
+    chunk_codec(level)  # importing zarr's codecs makes blosc work in the thread that calls it
     return Blosc(_NAME, clevel=level, shuffle=Blosc.BITSHUFFLE)

@@ -13,7 +13,7 @@ from pipeline.files import explain
 
 
 class CaptureLog:
-    """The log of one capture. What was said of a burst can be taken back as long as no other was said.
+    """The log of one capture. What it says of the last burst can be taken back.
 
     Parameters
     ----------

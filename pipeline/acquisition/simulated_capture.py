@@ -1,4 +1,4 @@
-"""A swinging bust before a rig of which nothing is there."""
+"""A capture without hardware: a simulated rig before a bust that turns to and fro."""
 
 from collections.abc import Callable
 
@@ -23,9 +23,11 @@ SETTINGS = RigSettings.model_validate(
     }
 )
 _SIZE_PX = (640, 480)
-# The bust turns to one side and back.
+# The bust turns by this to either side ...
 _SWING_DEG = 5.0
+# ... and back in this time.
 _SWING_S = 2.0
+# Poses that are rendered, from one side to the other.
 _POSES = 6
 # How much dimmer the second picture is; see `hardware.alternating_pictures`.
 _DIM = 0.85

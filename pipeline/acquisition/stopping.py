@@ -7,7 +7,7 @@ from types import FrameType
 
 
 class Stopping:
-    """Turn the first request to stop into a KeyboardInterrupt, and ignore others: then everything is being put away.
+    """Turn the first request to stop into a KeyboardInterrupt, and ignore others: everything is being closed by then.
 
     Ctrl-C, a request to terminate and a terminal that is closed are all the same to it.
     """
@@ -41,7 +41,7 @@ class Stopping:
         self._raise()
 
     def ignore(self) -> None:
-        """Ignore requests from now on: everything is being put away."""
+        """Ignore requests from now on: everything is being closed."""
         self._raised = True
 
     def _take(self, number: int, frame: FrameType | None) -> None:

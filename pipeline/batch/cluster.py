@@ -16,12 +16,16 @@ from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import ClusterError
 from pipeline.processes import block_interrupts
 
-# Tasks a worker: more of them even out how long each takes, fewer let footage be read in one go.
+# Tasks a worker: more even out the time that each takes, fewer let footage be read in one go.
 _TASKS_A_WORKER = 8
+# Time that a scheduler may take to answer: on a busy network it takes a few seconds.
 _TIMEOUT_S = 20
+# Time that processes here may take to start: each imports Dask and compiles nothing yet.
 _START_S = 120
-# So often the scheduler is asked for its workers, and so long it may have none.
-_LOOK_S, _ALONE_S = 5, 60
+# Between two looks at whether the scheduler still has workers.
+_LOOK_S = 5
+# Time without any worker after which the run ends: a worker that is restarted is back sooner.
+_ALONE_S = 60
 
 # In a worker's process: all its kernels run in one thread, and one job's decoder and buffers serve all its tasks.
 _kernels = ThreadPoolExecutor(1, "kernels")
@@ -37,9 +41,9 @@ def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: C
     job : Job
         What to decode and how; its store must be there.
     todo : sequence of (range, frozenset)
-        Which frames lean on each other, and which of them are to be stored.
+        The chains: frames of which each is decoded with the one before, and which of them are to be stored.
     where : int or str
-        So many processes here, or the address of a scheduler.
+        The number of processes to start here, or the address of a scheduler.
     tell : callable
         Told of every stored and every bad frame, not in order.
 
@@ -139,7 +143,12 @@ def _client(where: int | str) -> Iterator[tuple[Any, Any]]:
 
 @contextmanager
 def local_cluster(n_workers: int) -> Iterator[Any]:
-    """Start so many processes here, among which the cores are shared out; on the loopback interface.
+    """Start processes here, among which the cores are shared out; on the loopback interface.
+
+    Parameters
+    ----------
+    n_workers : int
+        How many.
 
     Raises
     ------

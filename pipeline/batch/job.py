@@ -8,35 +8,37 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
-from pipeline.footage.opening import Source, open_source
-from pipeline.footage.source import StoredAs, StoredFrame
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import Source, StoredAs, StoredFrame
+from pipeline.models import ImageArray
 from pipeline.output.store import ResultStore, result_attributes
 from pipeline.settings import DecodeSettings
+from tikernels.arrays import LevelsImage
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
-#: So many frames lean on each other, the first of them on none: what is missing of them is decoded from there.
+#: Frames a chain. In a chain each frame is decoded with the one before, the first one without: so a missing frame is
+#: decoded anew from the beginning of its chain.
 CHAIN_FRAMES = 64
-# So many frames, evenly spaced, are asked for the light before nothing is taken to be known of it.
+# Frames, evenly spaced, that are asked for the light before it counts as unknown.
 _MOST_ASKED = 64
 
 
 @dataclass(frozen=True)
 class Crop:
-    """The part of every frame that is decoded, px."""
+    """The part of every frame that is decoded, px: a region of interest."""
 
     x: int
     y: int
     width: int
     height: int
 
-    def of(self, planes: tuple[npt.NDArray[Any], ...], format: PixelFormat) -> tuple[npt.NDArray[Any], ...]:
+    def of(self, planes: tuple[ImageArray, ...], format: PixelFormat) -> tuple[ImageArray, ...]:
         """Return this part of a frame's planes, as views."""
         cut = []
         for plane, chroma in zip(planes, (False, True, True), strict=False):
@@ -54,7 +56,7 @@ class Crop:
         Raises
         ------
         SettingsError
-            It sticks out of the frame, or begins between the samples of a color.
+            It sticks out of the frame, or begins between the samples of a colour.
         """
         width, height = size_px
         if min(self.x, self.y) < 0 or self.x + self.width > width or self.y + self.height > height:
@@ -79,8 +81,8 @@ class Job:
     settings: DecodeSettings
     calibration: Calibration | None  # of the whole frame
     crop: Crop | None
-    step: int  # every so many frames ...
-    first: int  # ... from this one on, below the step
+    step: int  # from one frame that is decoded to the next
+    first: int  # the first frame that is decoded, below the step
     fields: tuple[str, ...]
     store: str
     arch: str
@@ -151,10 +153,11 @@ class Job:
             calibration = calibration.cropped(self.crop.x, self.crop.y, size_px)
         return Decoder(self.settings, calibration, arch=self.arch)
 
-    def develop(self, stored: StoredFrame, out: Any | None) -> Any:
+    def develop(self, stored: StoredFrame, out: LevelsImage | None) -> LevelsImage:
         """Return what is decoded of a frame, as RGB, in a buffer that can be handed in as `out` again."""
         planes = stored.planes if self.crop is None else self.crop.of(stored.planes, stored.format)
-        return develop(planes, stored.format, stripes=self.settings.stripes, out=out)
+        image: LevelsImage = develop(planes, stored.format, stripes=self.settings.stripes, out=out)
+        return image
 
     def learn_light(self, source: Source) -> tuple[LightEstimate | None, tuple[str, ...]]:
         """Ask the footage for its light, where neither settings nor calibration say anything of it.

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pipeline.batch.job import Job, chains
 from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import FootageError, SettingsError
-from pipeline.footage.source import BadFrame
-from pipeline.output.store import read_attributes
+from pipeline.footage.source import BadFrame, Source
+from pipeline.output.store import ResultStore, read_attributes
 from tikernels import runtime
 
 
@@ -47,7 +47,7 @@ def decode_footage(
     strict : bool
         Whether a bad frame ends the run, instead of being left out.
     workers : int
-        So many processes here, each with a decoder of its own; 0: this process.
+        The number of processes to start here, each with a decoder of its own; 0: this process decodes.
     cluster : str, optional
         Address of a Dask scheduler, ``tcp://...``, whose workers see footage and store under the same names.
     tell : callable
@@ -71,18 +71,8 @@ def decode_footage(
     """
     source = job.open()
     job = job.with_transfer_of(source)
-    wanted = range(len(source))[start : stop : job.step]
-    if not wanted:
-        raise SettingsError(
-            f"{source.name} has {len(source)} frames, none of which is asked for: look at --start, --stop"
-        )
-    notes, light = source.notes, None
-    if read_attributes(job.store) is None:
-        runtime.init(job.arch)
-        light, doubts = job.learn_light(source)
-        notes += doubts
-    store = job.open_store(source, light)
-    store.remove_leftovers()
+    wanted = _wanted(source, start, stop, job.step)
+    store, notes = _ready_store(job, source)
     missing = set(wanted) - store.done()
     summary = DecodeSummary(len(wanted), len(wanted) - len(missing), notes=notes)
     done = summary.n_before
@@ -101,14 +91,7 @@ def decode_footage(
     tell(done, summary.n_frames)
     todo: list[Chain] = list(chains(wanted, missing))
     try:
-        if not todo:
-            pass
-        elif workers or cluster:
-            from pipeline.batch.cluster import decode_on_cluster
-
-            decode_on_cluster(job, todo, workers if cluster is None else cluster, note)
-        else:
-            Worker(job).decode(todo, note)
+        _decode_chains(job, todo, workers if cluster is None else cluster, note)
     except KeyboardInterrupt:
         store.remove_leftovers()
         n_done = len(set(wanted) & store.done())
@@ -120,3 +103,37 @@ def decode_footage(
     store.remove_leftovers()  # of workers that died
     summary.bad.sort(key=lambda frame: frame.number)
     return summary
+
+
+def _wanted(source: Source, start: int, stop: int | None, step: int) -> range:
+    """Return the numbers of the frames that are asked for; refuse none."""
+    wanted = range(len(source))[start:stop:step]
+    if not wanted:
+        raise SettingsError(
+            f"{source.name} has {len(source)} frames, none of which is asked for: look at --start, --stop"
+        )
+    return wanted
+
+
+def _ready_store(job: Job, source: Source) -> tuple[ResultStore, tuple[str, ...]]:
+    """Open the store, a new one with the light that the footage tells; and return what the user should know."""
+    notes, light = source.notes, None
+    if read_attributes(job.store) is None:
+        runtime.init(job.arch)
+        light, doubts = job.learn_light(source)
+        notes += doubts
+    store = job.open_store(source, light)
+    store.remove_leftovers()
+    return store, notes
+
+
+def _decode_chains(job: Job, todo: list[Chain], where: int | str, note: Callable[[Outcome], None]) -> None:
+    """Decode chains of frames: in this process (0), in processes that are started here, or on a scheduler's workers."""
+    if not todo:
+        return
+    if where:
+        from pipeline.batch.cluster import decode_on_cluster  # slow to import, and of the extra `cluster`
+
+        decode_on_cluster(job, todo, where, note)
+    else:
+        Worker(job).decode(todo, note)

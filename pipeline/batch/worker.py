@@ -13,16 +13,16 @@ from pipeline.batch.job import Job, join_ranges
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, FootageError, OutputError
-from pipeline.footage.opening import Source
-from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
 from pipeline.output.store import read_attributes
 from tikernels import runtime
 
-# Frames read ahead, and results in hand: being decoded, the one before, and one for each thread that writes. Those
-# mostly wait for the interpreter, which kernels keep to themselves while they run: with four of them storing all fields
-# was 5 % faster than with two.
+# Frames read ahead; more of them only take memory.
 _AHEAD = 4
+# Threads that write results. They mostly wait for the interpreter, which kernels keep to themselves while they run:
+# with four, storing all fields was 5 % faster than with two.
 _WRITERS = 4
+# Results in hand: the one being decoded, the one before, and one for each thread that writes.
 _RESULTS = 2 + _WRITERS
 
 
@@ -71,7 +71,8 @@ class Worker:
         Parameters
         ----------
         todo : sequence of (range, frozenset)
-            Which frames lean on each other, and which of them are to be stored; see `chains`.
+            The chains: frames of which each is decoded with the one before, and which of them are to be stored; see
+            `chains`.
         tell : callable
             Told of every stored and every bad frame, of a bad one sooner than of those that are still being written.
 
@@ -140,6 +141,13 @@ class _Result:
             tell(GoodFrame(self.number, self.frame.warnings))
 
 
+def _frames_of(source: Source, ranges: Sequence[range]) -> Frames:
+    """Yield the frames of one range of numbers after another."""
+    for numbers in ranges:
+        with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
+            yield from frames
+
+
 @contextmanager
 def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[StoredFrame | BadFrame]]:
     """Read frames in a thread of their own, a few ahead."""
@@ -148,12 +156,11 @@ def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[St
 
     def run() -> None:
         try:
-            for numbers in ranges:
-                with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
-                    for frame in frames:
-                        read.put(frame)
-                        if stopped.is_set():
-                            return
+            with closing(_frames_of(source, ranges)) as frames:
+                for frame in frames:
+                    read.put(frame)
+                    if stopped.is_set():
+                        return
             read.put(None)
         except BaseException as error:
             read.put(error)  # raised where the frames are waited for

@@ -45,12 +45,12 @@ class Board(Model):
         x, y = np.meshgrid(np.arange(1, columns + 1), np.arange(1, rows + 1))
         return np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
 
-    def find(self, picture: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.intp], FloatArray] | None:
-        """Find the inner corners in a picture.
+    def find(self, image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.intp], FloatArray] | None:
+        """Find the inner corners in an image.
 
         Parameters
         ----------
-        picture : (H, W) float
+        image : (H, W) float
             Grey, 0..1.
 
         Returns
@@ -59,7 +59,7 @@ class Board(Model):
             Which of `corners_mm`, and where, px; None if the board is not there.
         """
         # Fringes and shading go: corners are black and white wherever they lie.
-        grey = np.clip(255 * picture / max(float(np.percentile(picture, 99.5)), 1e-6), 0, 255).astype(np.uint8)
+        grey = np.clip(255 * image / max(float(np.percentile(image, 99.5)), 1e-6), 0, 255).astype(np.uint8)
         if self.kind == "chessboard":
             size = (self.squares[0] - 1, self.squares[1] - 1)
             flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
@@ -79,7 +79,7 @@ class Board(Model):
         return int(np.count_nonzero(np.bincount(rows) >= 2)) >= 2
 
     def _front_side(self, places: FloatArray) -> npt.NDArray[np.intp]:
-        """Return the numbers of a chessboard's corners, so that x right, y down turns as it does in the picture."""
+        """Return the numbers of a chessboard's corners, so that from x to y is clockwise, as on the front."""
         columns, rows = self.squares[0] - 1, self.squares[1] - 1
         grid = places.reshape(rows, columns, 2)
         right, down = grid[0, -1] - grid[0, 0], grid[-1, 0] - grid[0, 0]
@@ -92,7 +92,7 @@ class Board(Model):
         return cv2.aruco.CharucoBoard(self.squares, self.square_mm, marker, dictionary)
 
     def draw(self, pixels_per_square: int = 40) -> npt.NDArray[np.uint8]:
-        """Return the board as a picture, (rows, columns) squares of so many pixels, without a margin."""
+        """Draw the board as it is printed, without a margin: each square is `pixels_per_square` px wide."""
         columns, rows = self.squares
         size = (columns * pixels_per_square, rows * pixels_per_square)
         if self.kind == "charuco":
@@ -114,12 +114,12 @@ class Board(Model):
         kind = path.suffix.lower().lstrip(".")
         if kind not in ("pdf", "svg", "png"):
             raise OutputError(f"a board is written as PDF, SVG or PNG: name it {path.stem}.pdf")
-        picture = np.pad(self.draw(64), 64, constant_values=255)
-        height, width = np.array(picture.shape) / 64 * self.square_mm / _MM_PER_INCH
+        drawing = np.pad(self.draw(64), 64, constant_values=255)
+        height, width = np.array(drawing.shape) / 64 * self.square_mm / _MM_PER_INCH
         figure = Figure(figsize=(width, height))
         FigureCanvasAgg(figure)
         axes = figure.add_axes((0, 0, 1, 1))
-        axes.imshow(picture, cmap="gray", interpolation="nearest", aspect="auto", vmin=0, vmax=255)
+        axes.imshow(drawing, cmap="gray", interpolation="nearest", aspect="auto", vmin=0, vmax=255)
         axes.set_axis_off()
         buffer = io.BytesIO()
         figure.savefig(buffer, format=kind, dpi=300)

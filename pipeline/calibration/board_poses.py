@@ -71,7 +71,7 @@ def measure_pose(
     Raises
     ------
     CalibrationError
-        The board is not seen, or not lit, or the pictures are mirrored.
+        The board is not seen, or not lit, or the camera's images or the projector's picture are mirrored.
     """
     seen = decode_multishot(captures, projector_size_px, name, white_level)
     grey = seen.white.mean(axis=-1)
@@ -130,13 +130,13 @@ def _refined(grey: FloatArray, corners: FloatArray, half: int) -> FloatArray:
     if half < _MIN_HALF_WINDOW_PX:
         return corners
     # Edges sharper than a pixel pull corners towards pixel centres: smoothed, the error halves.
-    picture = cv2.GaussianBlur((255 * grey).astype(np.float32), (0, 0), 1.2)
+    smooth = cv2.GaussianBlur((255 * grey).astype(np.float32), (0, 0), 1.2)
     start = corners.astype(np.float32).copy()
-    return np.asarray(cv2.cornerSubPix(picture, start, (half, half), (-1, -1), _REFINEMENT_END), np.float64)
+    return np.asarray(cv2.cornerSubPix(smooth, start, (half, half), (-1, -1), _REFINEMENT_END), np.float64)
 
 
 def _square_px(corners: FloatArray, corners_mm: FloatArray, square_mm: float) -> float:
-    """Return how long a square's side is on the picture, roughly."""
+    """Return how long a square's side is in the image, roughly."""
     to_px, _ = cv2.findHomography(corners_mm[:, :2], corners)
     middle = corners_mm[:, :2].mean(axis=0)
     square = middle + square_mm * np.array([[0, 0], [1, 0], [0, 1]])

@@ -121,12 +121,12 @@ class BundleAdjustment:
         turn, place = p[at : at + 3], p[at + 3 : at + 6]
         count = len(pose.corners_mm)
         residual, jacobian = np.zeros((count, 2, 2)), np.zeros((count, 2, 2, len(p)))
-        pixels, slopes = project(pose.corners_mm, turn, place, p[:9])
+        pixels, slopes = project_points(pose.corners_mm, turn, place, p[:9])
         residual[:, 0] = pixels - pose.camera_px
         jacobian[:, 0, :, at : at + 6], jacobian[:, 0, :, :9] = slopes[..., :6], slopes[..., 6:]
         turn3, place3, *chain = cv2.composeRT(turn, place, self.stereo[:3], self.stereo[3:])
         dr_dr1, dr_dt1, dr_dr2, dr_dt2, dt_dr1, dt_dt1, dt_dr2, dt_dt2 = chain
-        pixels, slopes = project(pose.corners_mm, turn3.ravel(), place3.ravel(), p[9:18])
+        pixels, slopes = project_points(pose.corners_mm, turn3.ravel(), place3.ravel(), p[9:18])
         residual[:, 1] = pixels - pose.projector_px
         by_turn, by_place = slopes[..., :3], slopes[..., 3:6]
         jacobian[:, 1, :, at : at + 3] = by_turn @ dr_dr1 + by_place @ dt_dr1
@@ -164,7 +164,7 @@ class BundleAdjustment:
         """Return how far depth moves the light in the projector, across and along the pattern's stripes."""
         depth = float(np.median(self.depths_mm()))
         points = np.array([[0, 0, depth - 0.5], [0, 0, depth + 0.5]])
-        pixels, _ = project(points, self.stereo[:3], self.stereo[3:], self.parameters[9:18])
+        pixels, _ = project_points(points, self.stereo[:3], self.stereo[3:], self.parameters[9:18])
         column, row = np.abs(pixels[1] - pixels[0])
         return (float(row), float(column)) if pattern.stripes == "horizontal" else (float(column), float(row))
 
@@ -181,7 +181,9 @@ class BundleAdjustment:
         return np.concatenate(depths)
 
 
-def project(points: FloatArray, turn: FloatArray, place: FloatArray, lens: FloatArray) -> tuple[FloatArray, FloatArray]:
+def project_points(
+    points: FloatArray, turn: FloatArray, place: FloatArray, lens: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return pixels, and their derivatives by rotation, translation and the lens, (N, 2, 15)."""
     matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     pixels, slopes = cv2.projectPoints(points, turn, place, matrix, lens[4:])

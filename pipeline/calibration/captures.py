@@ -20,7 +20,7 @@ from tikernels.raw.linearization import WHITE_LEVELS
 #: What a sequence is called in its folder.
 SEQUENCE_FILE = "sequence.json"
 _SUFFIXES = (".png", ".tif", ".tiff")
-# Full scales of cameras whose 10, 12 or 14 bits come in 16-bit files.
+# Full scales, levels, of cameras whose 10, 12 or 14 bits come in 16-bit files.
 _PART_SCALES = (2**10 - 1, 2**12 - 1, 2**14 - 1)
 #: What to say where the camera's part of a calibration is the projector's.
 SWAPPED = "camera and projector are swapped in the calibration: calibrate geometry again"
@@ -101,7 +101,7 @@ def full_scale(white: ImageArray, white_level: float | None = None) -> float:
 
 
 def captured_files(folder: Path) -> dict[str, Path]:
-    """Return the pictures in a folder by their names without suffix."""
+    """Return the captures in a folder by their names without suffix."""
     return {path.stem: path for path in sorted(folder.glob("*")) if path.suffix.lower() in _SUFFIXES}
 
 
@@ -137,15 +137,15 @@ class CapturedFolder(Mapping[str, ImageArray]):
         FootageError
             It cannot be read.
         """
-        picture = read_image(self._paths[name])
-        shape = (picture.shape, picture.dtype.name)
+        image = read_image(self._paths[name])
+        shape = (image.shape, image.dtype.name)
         if self._shape is not None and shape != self._shape:
             raise CalibrationError(
-                f"{self._paths[name]} is {picture.shape[1]}x{picture.shape[0]} {picture.dtype}, others are "
+                f"{self._paths[name]} is {image.shape[1]}x{image.shape[0]} {image.dtype}, others are "
                 f"{self._shape[0][1]}x{self._shape[0][0]} {self._shape[1]}: do not change the camera in between"
             )
         self._shape = shape
-        return picture
+        return image
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names in order."""

@@ -220,7 +220,7 @@ class Calibration(Model):
         """
         if self.camera is None:
             return self
-        # The lens stays: its distortion counts from the axis, which moves in the picture.
+        # The lens stays: its distortion counts from the axis, which moves in the image.
         matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
         camera = self.camera.model_copy(update={"size_px": size_px, "matrix": matrix})
         return self.model_copy(update={"camera": camera})

@@ -1,4 +1,4 @@
-"""Projector coordinates of every camera pixel of a scene that holds still, from many pictures.
+"""Projector coordinates of every camera pixel of a scene that holds still, from captures of many pictures.
 
 Sinusoids along columns and rows, each at three periods: the coarsest spans the projector, and every finer one is
 unwrapped by the one before. Six steps at the finest cancel the harmonics of the projector's response up to the fourth,
@@ -16,16 +16,23 @@ from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray, ImageArray
 
 WHITE, BLACK = "00-white", "01-black"
+#: The finest period, projector px.
 FINE_PX = 16.0
-_RATIO = 8  # between a period and the next finer one
+# Between a period and the next finer one: the coarser phase need only be known to a sixteenth of a cycle.
+_RATIO = 8
 _STEPS = {"coarse": 4, "middle": 4, "fine": 6}
 _AXES = ("column", "row")
-# A pixel counts where the fine fringe's amplitude is this part of the best, and stands out of rounding.
-_MIN_AMPLITUDE, _MIN_LEVELS = 0.25, 4.0
+# A pixel counts where the fine fringe's amplitude is at least this part of that of the best pixels.
+_MIN_AMPLITUDE = 0.25
+# And where it exceeds three times this, of 255 levels: it then stands out of rounding.
+_MIN_LEVELS = 4.0
 # Between two periods the phases may disagree by this part of a cycle before the choice of the cycle becomes unsafe.
 _UNSURE = 0.3
-# Of captures in order, of what stands still, noise and steps make but a few per cent of the pixels unsure.
-_MAX_UNSURE, _MAX_UNEVEN = 0.1, 0.12
+# A greater share of pixels with an unsafe cycle is refused: in captures in order, of a scene that stands still, noise
+# and depth steps make but a few per cent of the pixels so.
+_MAX_UNSURE = 0.1
+# What captures out of order add to the fine fringes, over their amplitude, beyond which they are refused.
+_MAX_UNEVEN = 0.12
 
 
 @dataclass(frozen=True)
@@ -34,7 +41,7 @@ class ProjectorMap:
 
     position_px: FloatArray  # (H, W, 2) column, row; NaN where unknown
     channel_shift_px: FloatArray  # (3, H, W, 2) what R, G and B alone say more than their sum
-    white: FloatArray  # (H, W, 3) the fully lit picture, 0..1
+    white: FloatArray  # (H, W, 3) the capture of all white, 0..1
 
 
 def multishot_sequence(size_px: tuple[int, int]) -> PictureSequence:
@@ -105,8 +112,8 @@ def decode_multishot(
 def _period(level: str, axis: str, size_px: tuple[int, int]) -> float:
     """Return a level's period in px.
 
-    The coarsest spans the projector, so every place has a phase of its own, and just so: read with another projector's
-    size the periods contradict each other.
+    The coarsest spans the projector, so that every place has a phase of its own; and only just, so that read with
+    another projector's size the periods contradict each other.
     """
     length = size_px[0 if axis == "column" else 1]
     if level == "fine":
@@ -165,10 +172,10 @@ def _unevenness(
 ) -> float:
     """Return what captures out of order add to the fine fringes, over their amplitude.
 
-    In order, the second harmonic is the response's, in phase with the first (a fourth makes a twentieth of it at
-    most); and the third is a thirtieth of the first at most. Steps of one parity that change places leave the third as
-    it is, steps of both leave neither. Taken is what a quarter of the pixels exceed: a black picture in place of one
-    step bends only those that are bright there.
+    In order, the second harmonic is the response's and in phase with the first (but for a twentieth of it at most,
+    which a fourth adds), and the third is a thirtieth of the first at most. Two steps of one parity that change places
+    leave the third as it is, two of different parity neither. The result is what a quarter of the pixels exceed, as a
+    black picture in place of one step bends only those that are bright there.
     """
     amplitude = np.maximum(np.abs(fine), 1e-9)
     second, third = (_phase_vector(captures, axis, "fine", full, harmonic).sum(axis=-1) for harmonic in (2, 3))

@@ -8,8 +8,6 @@ matrix of rank one. Grey must be the sum of the three, which also tells how the 
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -23,19 +21,24 @@ from tikernels.raw.linearization import TRANSFERS, Transfer, linear_values
 #: Codes of the ramps, 0..255. Sixteen steps follow any smooth response to a thousandth.
 RAMP_CODES = (*range(16, 256, 16), 255)
 _COLORS = {"red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "grey": (1, 1, 1)}
-_PRIMARIES = ("red", "green", "blue")
+#: Names of the projector's primaries, and of the camera channels that see most of each.
+PRIMARIES = ("red", "green", "blue")
 _BLACK = "00-black"
-# Pixels that are at least this bright a part of the brightest count: the projector lights them fully.
+# Pixels count that are at least this part as bright as the brightest: the projector lights them fully.
 _LIT_FRACTION = 0.3
+# Pixels that count, at least: their mean is then twenty times less noisy than one of them.
 _MIN_LIT_PX = 400
-# Full scale, less what a camera's noise takes off; a share of such pixels, of those that count, spoils a mean.
-_SATURATED, _MAX_SATURATED = 0.99, 0.002
-# A ramp's top must stand this many of its own standard errors and this part of full scale above black.
+# From this part of full scale on a pixel may be saturated: a camera's noise takes some off.
+_SATURATED = 0.99
+# A greater share of saturated pixels, of those that count, spoils the mean.
+_MAX_SATURATED = 0.002
+# A ramp's top must be brighter than black by this part of full scale.
 _MIN_SIGNAL = 0.04
 # Grey may differ by this part of its white from red + green + blue.
 _MAX_NOT_ADDITIVE = 0.02
-# A named transfer whose sums are this good is taken for the camera's, before a curve of its own is fitted.
+# A named transfer by which grey differs by less is the camera's; only else is a curve fitted.
 _ADDITIVE = 0.01
+# Knots of that curve, denser where it is dark.
 _KNOTS = 24
 
 
@@ -57,14 +60,14 @@ class Radiometry:
         known = {} if calibration is None else {name: getattr(calibration, name) for name in Calibration.model_fields}
         old = (known.get("uncertainty") or Uncertainty()).model_dump()
         uncertainty = {**old, "crosstalk_matrix": self.crosstalk_sigma, "response": self.response_sigma}
-        stood = (camera or known.get("capture") or CameraState()).model_dump()
+        before = (camera or known.get("capture") or CameraState()).model_dump()
         return Calibration(
             **{
                 **known,
                 "crosstalk_matrix": self.crosstalk_matrix,
                 "response": self.response,
                 "uncertainty": Uncertainty(**uncertainty),
-                "capture": CameraState(**{**stood, "transfer": self.transfer}),
+                "capture": CameraState(**{**before, "transfer": self.transfer}),
             }
         )
 
@@ -144,7 +147,7 @@ def _all_names() -> list[str]:
     return [_name(color, code) for color in _COLORS for code in RAMP_CODES]
 
 
-# Levels that a picture is sorted into: sixteen to each of 8 bits, so that those stay exact.
+# Levels that captures are sorted into: sixteen to each of 8 bits, so that those stay exact.
 _LEVELS = 16 * 255 + 1
 
 
@@ -153,9 +156,9 @@ def _light_of_levels(transfer: Transfer) -> FloatArray:
     return linear_values(np.arange(_LEVELS) / (_LEVELS - 1), transfer)
 
 
-def _histograms(name: str, picture: ImageArray, lit: npt.NDArray[np.bool_], full: float) -> FloatArray:
+def _histograms(name: str, image: ImageArray, lit: npt.NDArray[np.bool_], full: float) -> FloatArray:
     """Return how the lit pixels' levels are distributed, (3, _LEVELS), each row's sum one."""
-    values = picture[lit].astype(np.float64) / full
+    values = image[lit].astype(np.float64) / full
     saturated = (values >= _SATURATED).mean(axis=0).max()
     if saturated > _MAX_SATURATED:
         raise CalibrationError(f"{name} has {saturated:.1%} of its lit pixels at full scale: expose shorter")
@@ -203,9 +206,9 @@ def _check_order(ramps: FloatArray) -> None:
                 "and automatic exposure off"
             )
     shares = ramps[:3, -1] / ramps[:3, -1].sum(axis=0)  # [primary, channel]
-    for k, color in enumerate(_PRIMARIES):
+    for k, color in enumerate(PRIMARIES):
         if np.argmax(shares[:, k]) != k:
-            most = _PRIMARIES[int(np.argmax(shares[:, k]))]
+            most = PRIMARIES[int(np.argmax(shares[:, k]))]
             raise CalibrationError(
                 f"the camera's {color} channel sees {most} light more than {color}: the captures are in the wrong "
                 "order, or the pictures are BGR"
@@ -232,7 +235,7 @@ def _additive_curve(histograms: dict[str, FloatArray]) -> FloatArray:
     basis[np.arange(_LEVELS), low + 1] = at - low
     means = {name: counts @ basis for name, counts in histograms.items()}  # (3, knots)
     rows = [
-        means[_name("grey", code)] + 2 * means[_BLACK] - sum(means[_name(color, code)] for color in _PRIMARIES)
+        means[_name("grey", code)] + 2 * means[_BLACK] - sum(means[_name(color, code)] for color in PRIMARIES)
         for code in RAMP_CODES
     ]
     slopes = np.diff(np.eye(_KNOTS), axis=0) / np.diff(knots)[:, None]
@@ -258,7 +261,7 @@ def _factorise(ramps: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, F
         sigma = float(np.hypot(np.sqrt((residual**2).sum() / (2 * (len(codes) - 2))), misfit))
         top = curve[-1]
         matrix[:, k] = column * top
-        # The top capture alone sets the column's length; every capture its direction.
+        # The top capture alone sets the column's length, all captures its direction: this is the top one's deviation.
         matrix_sigma[:, k] = sigma
         knots = np.clip(np.maximum.accumulate(curve / top), 0, 1)
         knots[0], knots[-1] = 0.0, 1.0
@@ -286,29 +289,3 @@ def monotone_curve(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
     t = (at - x[i]) / step[i]
     rise, start, end = y[i + 1] - y[i], inner[i] * step[i], inner[i + 1] * step[i]
     return np.asarray(y[i] + t * (start + t * (3 * rise - 2 * start - end + t * (start + end - 2 * rise))))
-
-
-def plot_radiometry(radiometry: Radiometry, path: str | Path) -> None:
-    """Draw what each camera channel sees of red, green and blue, and the three responses (figure 2.2 of the paper).
-
-    Raises
-    ------
-    OutputError
-        The place cannot be written.
-    """
-    from pipeline.calibration.plots import draw_panels
-
-    codes = np.array([0, *RAMP_CODES])
-
-    def draw(axes: Any) -> None:
-        for k, color in enumerate(_PRIMARIES):
-            axes[k].set_title(f"camera's response to {color}")
-            for i, channel in enumerate(_PRIMARIES):
-                axes[k].plot(codes, radiometry.ramps[k, :, i], color=channel, marker="o", markersize=3)
-            axes[3].plot(np.arange(256), radiometry.response[k], color=color)
-        axes[3].set_title("the projector's responses")
-        for axis in axes:
-            axis.set_xlabel("projector code")
-            axis.set_ylabel("linear light")
-
-    draw_panels(path, 4, draw)

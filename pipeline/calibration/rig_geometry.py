@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from pipeline.calibration.board_poses import BoardPose
-from pipeline.calibration.bundle_adjustment import BundleAdjustment, project
+from pipeline.calibration.bundle_adjustment import BundleAdjustment, project_points
 from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, Uncertainty
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
@@ -279,7 +279,7 @@ def depth_bias_mm(
         matrix = np.array([[p[0], 0, p[2]], [0, p[1], p[3]], [0, 0, 1]])
         rays = cv2.undistortPoints(grid, matrix, p[4:9]).reshape(-1, 2)
         points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) * depth[:, None]
-        return project(points, p[18:21], p[21:24], p[9:18])[0][:, axis]
+        return project_points(points, p[18:21], p[21:24], p[9:18])[0][:, axis]
 
     depth = np.full(len(grid), depth_mm)
     # A pixel's projector coordinate is measured, so an error of the parameters that changes it shows as depth.

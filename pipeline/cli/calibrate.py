@@ -17,10 +17,10 @@ from pipeline.calibration.pose_folders import measure_poses
 from pipeline.calibration.radiometry import (
     Radiometry,
     measure_radiometry,
-    plot_radiometry,
     radiometry_codes,
     radiometry_sequence,
 )
+from pipeline.calibration.radiometry_plot import plot_radiometry
 from pipeline.calibration.rig_geometry import GeometryFit, solve_geometry
 from pipeline.cli.console import Arch, check_target, read_calibration, read_settings, say, size_of, stdout
 from pipeline.errors import SettingsError

@@ -16,8 +16,9 @@ from hardware.projector import open_projector
 from hardware.protocols import Camera, Trigger
 from hardware.settings import RigSettings
 from pipeline.acquisition import session
+from pipeline.acquisition.capture_folder import CALIBRATION, LOG, CapturePlan, CaptureProgress
 from pipeline.acquisition.rig_file import read_rig
-from pipeline.acquisition.session import CALIBRATION, LOG, CapturePlan, CaptureProgress, CaptureSummary
+from pipeline.acquisition.session import CaptureSummary
 from pipeline.acquisition.stopping import Stopping
 from pipeline.calibration import Calibration
 from pipeline.cli.console import Arch, above_zero, read_calibration, read_settings, remark, say, stderr, steps

@@ -9,15 +9,12 @@ import numpy.typing as npt
 from pipeline.models import FloatArray
 from pipeline.pattern.fringes import CHANNEL_PHASES
 
-_Bools = npt.NDArray[np.bool_]
-_Complexes = npt.NDArray[np.complex128]
-
 PHASES = np.array(CHANNEL_PHASES)
-#: Where the ripples of a three-channel arctangent are.
+#: Harmonics of the phase at which the ripples of a three-channel arctangent are.
 RIPPLE_HARMONICS = (1, 2, 3, 6)
-# Enough to tell harmonics from a slowly changing mean, few enough to follow a surface.
+# Cycles a tile: enough to tell harmonics from a slowly changing mean, few enough to follow a surface.
 _TILE_CYCLES = 3
-#: Tiles start every half a tile, so only one in four is news.
+#: Tiles start every half a tile along both axes, so that only one in four is independent of the others.
 OVERLAP = 2
 # Six slopes that the mean and the fundamental may have in a tile: 1, u, v, uv, u**2, v**2.
 _SLOPES = 6
@@ -26,24 +23,26 @@ _SLOPES = 6
 class Tiles(NamedTuple):
     """Spectra of T tiles against the phase."""
 
-    mean: Any  # (T, 3) of full scale
-    spectrum: Any  # (T, 3, K) harmonics 1..K over the mean, their common phase taken out
-    noise: Any  # (T,) residual, of full scale
-    frequency: Any  # (T,) rad a px
-    place: Any  # (T, 2) row, column of the tile
-    across: Any  # (T,) distance from the picture's centre across the stripes, in half diagonals
-    weight: Any  # (T,) inverse variance of the contrasts
+    mean: FloatArray  # (T, 3) of full scale
+    spectrum: npt.NDArray[np.complex128]  # (T, 3, K) harmonics 1..K over the mean, their common phase taken out
+    noise: FloatArray  # (T,) residual, of full scale
+    frequency: FloatArray  # (T,) rad a px
+    place: npt.NDArray[np.int64]  # (T, 2) row, column of the tile
+    across: FloatArray  # (T,) distance from the image's centre across the stripes, in half diagonals
+    weight: FloatArray  # (T,) inverse variance of the contrasts
 
 
 class RobustFit(NamedTuple):
     """What `robust_fit` finds, (N, ...) for N shapes."""
 
-    value: Any
-    error: Any
+    value: Any  # real or complex, as the values
+    error: Any  # standard deviation
     squares: float  # sum of the squared residuals, outliers cut
 
 
-def smooth_phase(unwrapped_phase: npt.NDArray[np.float32], mask: _Bools) -> tuple[FloatArray, _Bools, float]:
+def smooth_phase(
+    unwrapped_phase: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]
+) -> tuple[FloatArray, npt.NDArray[np.bool_], float]:
     """Return a phase without ripple (H, W), where it holds (H, W), and the period in px.
 
     A ripple repeats every cycle or faster: a Gaussian of 0.75 cycles leaves 2e-5 of it. What smoothing does to the
@@ -72,7 +71,13 @@ def tile_side(period: float) -> int:
     return max(16, round(_TILE_CYCLES * period))
 
 
-def fit_tiles(light: FloatArray, phase: FloatArray, usable: _Bools, period: float, keep: _Bools | None = None) -> Tiles:
+def fit_tiles(
+    light: FloatArray,
+    phase: FloatArray,
+    usable: npt.NDArray[np.bool_],
+    period: float,
+    keep: npt.NDArray[np.bool_] | None = None,
+) -> Tiles:
     """Regress every channel on the phase in tiles: mean and fundamental may change quadratically over a tile.
 
     light (H, W, 3) and phase (H, W) where usable (H, W), channel by channel only where keep (H, W, 3).
@@ -116,7 +121,15 @@ def fit_tiles(light: FloatArray, phase: FloatArray, usable: _Bools, period: floa
     tiles = Tiles(*(np.array(values) for values in zip(*results, strict=True)))
     # What fits much worse than its fellows holds an edge or fine detail; what is much less certain is of no use.
     good = (tiles.noise <= 2 * np.median(tiles.noise)) & (tiles.weight >= 0.1 * np.median(tiles.weight))
-    return Tiles(*(values[good] for values in tiles))
+    return Tiles(
+        tiles.mean[good],
+        tiles.spectrum[good],
+        tiles.noise[good],
+        tiles.frequency[good],
+        tiles.place[good],
+        tiles.across[good],
+        tiles.weight[good],
+    )
 
 
 def _fit_channels(basis: FloatArray, values: FloatArray) -> tuple[Any, Any, Any, Any]:
@@ -162,18 +175,18 @@ def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None
     return RobustFit(np.array(fitted).T.reshape(to), np.array(errors).T.reshape(to), float(squares))
 
 
-def mean_spectrum(tiles: Tiles) -> _Complexes:
-    """Return the (3, K) spectrum of the picture."""
+def mean_spectrum(tiles: Tiles) -> npt.NDArray[np.complex128]:
+    """Return the (3, K) spectrum of the whole image."""
     return np.asarray(robust_fit(tiles.spectrum, tiles.weight).value[0])
 
 
-def neighbours_median(values: FloatArray, place: FloatArray) -> FloatArray:
+def neighbours_median(values: FloatArray, place: npt.NDArray[np.int64]) -> FloatArray:
     """Return the (T, ...) medians over every tile and those around it."""
     near = np.abs(place[:, None] - place[None]).max(axis=-1) <= 1
     return np.array([np.median(values[row], axis=0) for row in near])
 
 
-def channel_waves(spectrum: _Complexes) -> FloatArray:
+def waves_of_spectrum(spectrum: npt.NDArray[np.complex128]) -> FloatArray:
     """Return (3, 256) one cycle of the channels, their means one."""
     turns = np.outer(np.arange(1, spectrum.shape[1] + 1), np.arange(256) * 2 * np.pi / 256)
     return np.asarray(1 + (spectrum @ np.exp(1j * turns)).real)
@@ -188,16 +201,21 @@ def ripple_by_harmonic(waves: FloatArray, matrix: FloatArray) -> dict[int, float
 
 
 def clipping_ripple(
-    too_bright: _Bools, too_dark: _Bools, usable: _Bools, period: float, spectrum: _Complexes, matrix: FloatArray
+    too_bright: npt.NDArray[np.bool_],
+    too_dark: npt.NDArray[np.bool_],
+    usable: npt.NDArray[np.bool_],
+    period: float,
+    spectrum: npt.NDArray[np.complex128],
+    matrix: FloatArray,
 ) -> dict[int, float]:
-    """Return the ripple by harmonic from cutting the waves where so many pixels are clipped, in the worst twentieth."""
+    """Return the ripple by harmonic that clipping makes of the waves, exceeded in a twentieth of the places."""
     size = (2 * round(period),) * 2
     weight = np.maximum(cv2.blur(np.float64(usable), size), 1e-9)[..., None]
     bright, dark = (
         (cv2.blur(np.float64(cut & usable[..., None]), size) / weight)[:: round(period), :: round(period)]
         for cut in (too_bright, too_dark)
     )
-    waves = channel_waves(spectrum)
+    waves = waves_of_spectrum(spectrum)
     clean = ripple_by_harmonic(waves, matrix)
     ripples = []
     for place in np.argwhere(usable[:: round(period), :: round(period)]):
@@ -210,7 +228,9 @@ def clipping_ripple(
     return dict(zip(RIPPLE_HARMONICS, np.quantile(ripples, 0.95, axis=0).tolist(), strict=True))
 
 
-def seen_ripple(unwrapped_phase: npt.NDArray[np.float32], phase: FloatArray, usable: _Bools) -> dict[int, float]:
+def seen_ripple(
+    unwrapped_phase: npt.NDArray[np.float32], phase: FloatArray, usable: npt.NDArray[np.bool_]
+) -> dict[int, float]:
     """Return the ripple's amplitude by harmonic in the phase that was handed in, rad."""
     rest, wave = (unwrapped_phase - phase)[usable], np.exp(-1j * phase[usable])
     return {k: float(2 * abs(np.mean((rest - rest.mean()) * wave**k))) for k in RIPPLE_HARMONICS}

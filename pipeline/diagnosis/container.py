@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.footage.image_folder import ImageFolder
-from pipeline.footage.opening import Source
+from pipeline.footage.source import Source
 from pipeline.footage.video_file import VideoFile
 
 _NUMBER = re.compile(r"\d+")
-_LOSSY_PICTURES = (".jpg", ".jpeg", ".jpe")
-# A step beyond this many usual ones holds a frame that is not there; shorter ones are a clock that is uneven.
+_LOSSY_SUFFIXES = (".jpg", ".jpeg", ".jpe")
+# A step longer than this many usual ones hides a missing frame; shorter ones are those of an uneven clock.
 _GAP = 1.5
 
 
@@ -23,9 +23,9 @@ class ContainerFacts:
 
     container: str
     codec: str
-    pixels: str  # in FFmpeg's words, or ours
-    lossy: bool  # whether the codec drops what it takes for invisible
-    predicts: bool  # whether frames are made of others, so that a still picture is repeated exactly
+    pixels: str  # in FFmpeg's words, or those of `PixelFormat`
+    lossy: bool  # whether the codec drops what it considers invisible
+    predicts: bool  # whether frames are made of others, so that one that does not change is repeated exactly
     rate_hz: float | None  # frames a second
     bits_a_pixel: float | None
     missing: int | None  # frames that are not there between others; None: nothing tells
@@ -55,7 +55,7 @@ def container_facts(path: Path, source: Source) -> ContainerFacts:
                 gaps=gaps,
             )
     if isinstance(source, ImageFolder):
-        lossy = source.names[0].lower().endswith(_LOSSY_PICTURES)
+        lossy = source.names[0].lower().endswith(_LOSSY_SUFFIXES)
         # The number that changes from name to name: the last one.
         numbers = [int(found[-1]) for name in source.names if (found := _NUMBER.findall(Path(name).stem))]
         missing, gaps = _missing(numbers) if len(numbers) == len(source) else (None, 0)

@@ -1,7 +1,6 @@
 """What frames show of how they were taken: contrast, clipping, drift, motion, and where their colours sit."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import cv2
 import numpy as np
@@ -12,22 +11,29 @@ from pipeline.decoding.frame import DecodedFrame
 from pipeline.footage.source import StoredFrame
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
+from tikernels.arrays import LevelsImage
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import WHITE_LEVELS, linearize
 from tikernels.raw.pixel_format import Siting
 
-_Singles = npt.NDArray[np.float32]
-
 # Share of full scale from which on a value counts as clipped: a codec leaves clipped ones a little below it.
 _FULL = 0.995
-# Windows of so many chroma samples along a row hold an edge where their chroma changes so many times more than in most.
-_EDGE_SAMPLES, _EDGE_STRENGTH, _MIN_EDGES = 8, 20.0, 100
-# One siting fits better than another where it leaves so much less; noise makes a difference of up to 3 %.
+# Chroma samples of a window along a row in which an edge is sought.
+_EDGE_SAMPLES = 8
+# A window holds an edge where its chroma changes by this factor more than in most.
+_EDGE_STRENGTH = 20.0
+# Windows with an edge, at least, that tell where chroma sits.
+_MIN_EDGES = 100
+# One siting fits better than another where it leaves less than this part of it; noise makes a difference of up to 3 %.
 _CLEARLY = 0.95
-# Of a frame that is kept, px.
+# Rows and columns of the middle of a frame that are kept.
 _KEPT_PX = (768, 1024)
-# Places that are this deep in what is lit tell its colour; a drift of the camera is alike in most of them.
-_INSIDE, _EVEN, _MIN_PLACES = 0.95, 0.5, 12
+# A place tells the colour of what is lit where the lit share around it is at least this.
+_INSIDE = 0.95
+# A drift of the camera is alike in most places: a quarter of them may change by less than this part of the median.
+_EVEN = 0.5
+# Places at least that tell a drift.
+_MIN_PLACES = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +41,8 @@ class InspectedFrame:
     """One frame: light, and what decoding makes of it."""
 
     number: int
-    encoded: _Singles  # (H, W, 3) as stored, 0..1 of full scale
-    light: _Singles  # (H, W, 3) linear, 0..1
+    encoded: npt.NDArray[np.float32]  # (H, W, 3) as stored, 0..1 of full scale
+    light: npt.NDArray[np.float32]  # (H, W, 3) linear, 0..1
     frame: DecodedFrame | None  # None: no fringes
     settings: DecodeSettings
 
@@ -54,7 +60,7 @@ def inspect_frame(stored: StoredFrame, decoder: Decoder, settings: DecodeSetting
     return InspectedFrame(stored.number, encoded, light, frame if frame.mask.any() else None, settings)
 
 
-def as_light(image: Any, settings: DecodeSettings) -> tuple[_Singles, _Singles]:
+def as_light(image: LevelsImage, settings: DecodeSettings) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
     """Return a developed frame as it is encoded, and as linear light, (H, W, 3) in 0..1."""
     levels = np.array(runtime.to_host(image))
     white = settings.white_level or WHITE_LEVELS[levels.dtype.name]
@@ -76,7 +82,7 @@ class FrameQuality:
 
 
 def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> FrameQuality:
-    """Measure a frame with fringes whose levels have so many bits; medians over the fringes."""
+    """Measure a frame with fringes, whose levels have `bits` bits; medians over the fringes."""
     part = _middle(frame.mask.shape)  # tells enough of the fringes, at a quarter of the time for a large frame
     inside, light = frame.mask[part], look.light[part]
     along, across = 1.0, 0.75 * look.period_px
@@ -86,8 +92,8 @@ def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> Fra
     noise = frame.noise_levels
     variance = cv2.GaussianBlur(light**2, (0, 0), along, sigmaY=across)[inside] - mean**2 - noise**2
     variance = np.maximum(variance, 1e-9)
-    # The information, sum_i (dI_i / dphi)^2 over noise^2, is half the sum of the squared amplitudes, and that their
-    # waves' variances.
+    # The information on the phase, sum_i (dI_i / dphi)^2 over noise^2, is half the sum of the squared amplitudes over
+    # noise^2; and half a squared amplitude is its wave's variance.
     power = np.sqrt(np.median(variance.sum(axis=-1)) * max(look.settings.smoothing_px, 1))
     at_full = np.count_nonzero(look.encoded >= _FULL, axis=-1)
     lit = at_full[frame.mask | (at_full > 1)]
@@ -109,11 +115,11 @@ def _middle(shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 @dataclass(frozen=True, eq=False)
 class KeptFrame:
-    """What is kept of a frame with fringes while others are looked at: the middle of a large one."""
+    """What is kept of a frame with fringes while others are looked at: of a large one, the middle."""
 
-    encoded: _Singles  # (H, W, 3) as stored, 0..1 of full scale
-    light: _Singles  # (H, W, 3) linear, 0..1
-    unwrapped_phase: _Singles  # (H, W) rad
+    encoded: npt.NDArray[np.float32]  # (H, W, 3) as stored, 0..1 of full scale
+    light: npt.NDArray[np.float32]  # (H, W, 3) linear, 0..1
+    unwrapped_phase: npt.NDArray[np.float32]  # (H, W) rad
     mask: npt.NDArray[np.bool_]  # (H, W)
     period_px: float
 
@@ -126,7 +132,7 @@ class KeptFrame:
 
 
 def measure_gains(first: KeptFrame, later: KeptFrame) -> npt.NDArray[np.float64] | None:
-    """Return by how much R, G and B have become brighter, (3,), where the same factor holds for most of the picture.
+    """Return by how much R, G and B have become brighter, (3,), where the same factor holds for most of the image.
 
     1 where it does not: then an object that moves has changed it here and there. None: too little is lit in both.
     """
@@ -206,7 +212,7 @@ def _left_of_edges(stored: StoredFrame) -> tuple[float, float]:
     lefts = ((padded[:, :-2] + 6 * luma + padded[:, 2:]) / np.float32(8))[:, : 2 * columns : 2]
     centres = (luma[:, : 2 * columns : 2] + luma[:, 1 : 2 * columns : 2]) / np.float32(2)
 
-    def windows(values: _Singles) -> _Singles:
+    def windows(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         change = np.diff(values[:rows, :columns], axis=1)
         whole = change.shape[1] // _EDGE_SAMPLES * _EDGE_SAMPLES
         return np.asarray(change[:, :whole].reshape(-1, _EDGE_SAMPLES))

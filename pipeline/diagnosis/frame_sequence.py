@@ -2,7 +2,7 @@
 
 A projector with a colour wheel, or with sequential LEDs, shows red, green and blue one after another. If the exposure
 is no whole number of its cycles, each frame catches another share of each colour, which beats from frame to frame: in
-every part of the picture alike, where an object that passes changes the colours of some parts only. And what moves is
+every part of the image alike, where an object that passes changes the colours of some parts only. And what moves is
 in another place in each colour: the channels' phases differ by the speed times the time between two fields, which one
 frame cannot tell from lateral colour. Lateral colour stays where it is, so the change of the one with the other, tile
 by tile, is motion.
@@ -19,27 +19,35 @@ from pipeline.calibration.model import Geometry
 from pipeline.diagnosis.channel_spectra import (
     OVERLAP,
     PHASES,
-    channel_waves,
     fit_tiles,
     ripple_by_harmonic,
     robust_fit,
     smooth_phase,
     tile_side,
+    waves_of_spectrum,
 )
 from pipeline.diagnosis.ripple_finding import RippleFinding
 from pipeline.models import FloatArray, ImageArray
 
-#: Fewer frames tell nothing.
+#: Frames at least: fewer tell nothing.
 MIN_FRAMES = 12
-_MIN_TILES, _MIN_PIXELS = 8, 1000
+# Tiles that stay in view, at least, for a beat or a motion to be told from what passes.
+_MIN_TILES = 8
+# Pixels with a phase, at least, for a frame to show fringes.
+_MIN_PIXELS = 1000
 # A peak of a spectrum of noise exceeds its mean by this factor once in a thousand sequences.
 _PEAK = 12.0
 # A beat has one strength everywhere; its weaker quarter of tiles stays above this part of the median.
 _EVEN = 0.5
-# Below this part a beat is not worth a word; a step from colour to colour of 3 mrad nobody sees.
-_LEAST_BEAT, _LEAST_STEP_RAD = 0.01, 0.003
-# Speeds that vary by less, rad a frame, tell nothing, and neither do fewer tiles of any frame.
-_LEAST_SPEED_RAD, _MIN_MOVING = 0.01, 20
+# A beat of a smaller part of the colours is not worth a word.
+_LEAST_BEAT = 0.01
+# Nobody sees a smaller step of the phase from colour to colour, rad.
+_LEAST_STEP_RAD = 0.003
+# Speeds that vary by less, rad a frame, do not tell motion from lateral colour.
+_LEAST_SPEED_RAD = 0.01
+# Tiles of all frames together, at least, whose speed varies by more.
+_MIN_MOVING = 20
+# A motion must exceed its own standard error by this factor.
 _SIGMAS = 5.0
 
 
@@ -206,7 +214,7 @@ def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> 
     return RippleFinding(
         causes=("motion between colour fields",),
         size=f"green {green:+.3f} and blue {blue:+.3f} frames after red: up to {text} of bias from red's time",
-        ripple_rad=ripple_by_harmonic(channel_waves(lagging[:, None]), np.eye(3)),
+        ripple_rad=ripple_by_harmonic(waves_of_spectrum(lagging[:, None]), np.eye(3)),
         confidence=min(0.99, 1 - float(np.exp(-surest / 5))),
         advice="show all colours at once, or a faster cycle; what is left when nothing moves is lateral colour",
     )

@@ -10,10 +10,10 @@ from pipeline.diagnosis.channel_spectra import (
     OVERLAP,
     PHASES,
     Tiles,
-    channel_waves,
     neighbours_median,
     ripple_by_harmonic,
     robust_fit,
+    waves_of_spectrum,
 )
 from pipeline.diagnosis.ripple_finding import CHANNELS, DECISIVE, SIGMAS, RippleFinding
 from pipeline.models import FloatArray
@@ -41,7 +41,7 @@ def explain_fundamental(
     losses = robust_fit(loss - loss.mean(axis=1, keepdims=True), tiles.weight)
     lags = robust_fit(lag, tiles.weight)
     mean_loss, mean_lag = losses.value[0], lags.value[0]
-    # Motion may be in a part of the picture only, and a lens's lateral colour changes sign over it: the medians of
+    # Motion may be in a part of the image only, and a lens's lateral colour changes sign over it: the medians of
     # neighbouring tiles show it where the mean does not.
     local = neighbours_median(lag, tiles.place)
     strength = np.hypot(*local.T)
@@ -49,7 +49,7 @@ def explain_fundamental(
     scale = np.median(abs(relative))
 
     def ripple_of(change: Any) -> dict[int, float]:
-        return ripple_by_harmonic(channel_waves((scale * ideal(matrix) * change)[:, None]), matrix)
+        return ripple_by_harmonic(waves_of_spectrum((scale * ideal(matrix) * change)[:, None]), matrix)
 
     def ripple_of_lag(lags: Any) -> dict[int, float]:
         return ripple_of(np.exp(1j * np.array([lags[0], 0, lags[1]])))
@@ -72,7 +72,7 @@ def explain_fundamental(
 def explain_loss(
     tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float], limit: float
 ) -> RippleFinding:
-    """Contrast alone: one channel's, by its way over the picture, or several channels'."""
+    """Explain contrasts alone: of one channel, by how it changes over the image, or of several channels."""
     others = np.array([[1, 2], [0, 2], [0, 1]])
     disagreement = abs(mean_loss[others[:, 0]] - mean_loss[others[:, 1]])
     channel = int(np.argmin(disagreement))
@@ -113,7 +113,7 @@ def explain_loss(
 
 
 def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: dict[int, float]) -> RippleFinding:
-    """Contrast of more than one channel: a black level that all of them share, or several contrasts."""
+    """Explain contrasts of several channels: by a black level that they share, or each by itself."""
     inverse = np.exp(loss)  # of the contrast: 1 + black / mean where that alone is wrong
     true_mean = tiles.mean / inverse
     excess = inverse - inverse.mean(axis=1, keepdims=True)
@@ -141,7 +141,7 @@ def explain_losses(tiles: Tiles, loss: FloatArray, mean_loss: FloatArray, size: 
 
 
 def explain_lag(tiles: Tiles, lag: FloatArray, local: FloatArray, size: dict[int, float]) -> RippleFinding:
-    """Phase alone: by its way over the picture."""
+    """Explain phases alone, by how they change over the image."""
     strength = np.hypot(*local.T)
     moving = strength > 0.5 * np.quantile(strength, 0.95)
     one, f = np.ones_like(tiles.frequency), tiles.frequency
@@ -192,11 +192,11 @@ def explain_both(
     lag: FloatArray,
     ripple_of: Callable[[Any], dict[int, float]],
 ) -> RippleFinding | None:
-    """Contrast and phase: crosstalk, if a matrix without negative entries can do it.
+    """Explain contrasts and phases together by crosstalk, if a matrix without negative entries can make them.
 
     A row of it, its sum one, puts a channel's fundamental into the triangle of exp(i d_k), its entries the barycentric
-    coordinates. Ambient light shrinks all three towards the centre and a common phase turns them, both unknown: taken
-    is the least crosstalk, the largest scale at which all three are inside.
+    coordinates. Ambient light shrinks all three towards the centre and a common phase turns them, both unknown: so
+    the least crosstalk is found, at the largest scale at which all three are inside.
     """
     change = np.exp(-loss + 1j * np.array([lag[0], 0, lag[1]]))
     seen = expected * change

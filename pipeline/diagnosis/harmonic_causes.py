@@ -9,7 +9,14 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.diagnosis.channel_spectra import PHASES, RobustFit, Tiles, channel_waves, ripple_by_harmonic, robust_fit
+from pipeline.diagnosis.channel_spectra import (
+    PHASES,
+    RobustFit,
+    Tiles,
+    ripple_by_harmonic,
+    robust_fit,
+    waves_of_spectrum,
+)
 from pipeline.diagnosis.ripple_finding import DECISIVE, MIN_TILES, SIGMAS, RippleFinding
 from pipeline.models import FloatArray
 
@@ -79,7 +86,7 @@ def explain_harmonics(
 
     def size_of(harmonics: npt.NDArray[np.complex128]) -> dict[int, float]:
         pure = np.hstack([np.ones((3, 1)), harmonics]) * contrast * np.exp(1j * turns * PHASES[:, None])
-        return ripple_by_harmonic(channel_waves(matrix @ pure), matrix)
+        return ripple_by_harmonic(waves_of_spectrum(matrix @ pure), matrix)
 
     size = size_of(own)
     # Harmonics that the decoder undoes are no fault, and neither are none: what is known need not be in the pattern.
@@ -104,7 +111,18 @@ def explain_harmonics(
         advice = "look at the camera's picture profile (contrast, sharpening) and at interreflections"
         found = RippleFinding(("unknown harmonics",), "neither a power law nor a transfer", size, 0.5, advice)
         return [found], tiles, np.ones(3)
-    words = {
+    words = _words(gamma, other)
+    causes = tuple(name for name, value in left.items() if value < 4 * best + DECISIVE * floor)
+    sizes, advice = (" or ".join(words[cause][i] for cause in causes) for i in (0, 1))
+    finding = RippleFinding(causes, sizes, size, float(min(explained, 0.99)), advice)
+    if causes == ("transfer",):
+        return [finding], otherwise, np.ones(3)
+    return [finding], tiles, 2 * gamma / (gamma + 1)
+
+
+def _words(gamma: FloatArray, other: str) -> dict[str, tuple[str, str]]:
+    """Say of each cause how large it is, and what to do."""
+    return {
         "response": (
             f"projector gamma R {gamma[0]:.2f}, G {gamma[1]:.2f}, B {gamma[2]:.2f}",
             "calibrate the response, or equalise",
@@ -114,9 +132,3 @@ def explain_harmonics(
             f"decode with transfer={other!r}",
         ),
     }
-    causes = tuple(name for name, value in left.items() if value < 4 * best + DECISIVE * floor)
-    sizes, advice = (" or ".join(words[cause][i] for cause in causes) for i in (0, 1))
-    finding = RippleFinding(causes, sizes, size, float(min(explained, 0.99)), advice)
-    if causes == ("transfer",):
-        return [finding], otherwise, np.ones(3)
-    return [finding], tiles, 2 * gamma / (gamma + 1)

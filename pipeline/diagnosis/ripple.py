@@ -17,13 +17,13 @@ import numpy.typing as npt
 
 from pipeline.diagnosis.channel_spectra import (
     Tiles,
-    channel_waves,
     clipping_ripple,
     fit_tiles,
     mean_spectrum,
     ripple_by_harmonic,
     seen_ripple,
     smooth_phase,
+    waves_of_spectrum,
 )
 from pipeline.diagnosis.fundamental_causes import explain_fundamental
 from pipeline.diagnosis.harmonic_causes import explain_harmonics
@@ -129,7 +129,7 @@ def diagnose(
     lag = np.zeros(3) if projector_lag_rad is None else projector_lag_rad
     findings += found + explain_fundamental(tiles, contrast, matrix, limit, lag)
     findings.sort(key=lambda finding: -max(finding.ripple_rad.values()))
-    everything = ripple_by_harmonic(channel_waves(mean_spectrum(seen)), matrix)
+    everything = ripple_by_harmonic(waves_of_spectrum(mean_spectrum(seen)), matrix)
     seen_rad = seen_ripple(unwrapped_phase, phase, usable)
     return Diagnosis(tuple(findings), everything, seen_rad, float(limit), (_color_note(tiles),))
 

@@ -75,7 +75,7 @@ def check_surface(
     if not fits:
         raise CalibrationError(f"no surface is large enough to tell a {shape}: fill the picture with it")
     if shape == "ball":
-        # A wall behind the ball passes for a huge one.
+        # A wall behind the ball fits a huge one.
         known = [fit for fit in fits if fit.radius is not None and 5 < fit.radius < 1000]
         if not known:
             raise CalibrationError("no surface in view is a ball: show it alone, before something far or dark")

@@ -1,4 +1,4 @@
-"""Frames as they were stored: pictures, folders of them, videos and recordings, read by number."""
+"""Frames as they were stored: image files, folders of them, videos and recordings, read by number."""
 
 from pipeline.footage.image_file import read_image
 from pipeline.footage.opening import open_source

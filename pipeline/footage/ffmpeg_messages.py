@@ -4,9 +4,9 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# What it calls errors in streams that decode well.
+# How messages begin that FFmpeg calls errors, in streams that decode well.
 _HARMLESS = ("mmco:", "co located POCs")
-# What nobody catches is not printed.
+# Messages that nobody catches are not printed.
 _SILENT = logging.NullHandler()
 
 

@@ -1,4 +1,4 @@
-"""What the frames of FFmpeg hold: its names of pixel formats, and its numbers for colour, in our words."""
+"""What the frames of FFmpeg hold: its names of pixel formats, and its numbers for colour, in `PixelFormat`'s words."""
 
 import re
 from dataclasses import dataclass, replace
@@ -6,10 +6,10 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.errors import FootageError
 from pipeline.footage.source import GREY, StoredAs
+from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import BAYER_PATTERNS, Bayer, Matrix, PixelFormat, Siting
 
 # ITU-T H.273: matrix coefficients, and transfer characteristics.
@@ -20,7 +20,7 @@ _OTHER_TRANSFERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SM
 _FULL_RANGE, _UNKNOWN_RANGE = 2, 0
 # Codecs whose chroma sits in the middle of its block (JFIF, MPEG-1); all others' sits left, as H.264's does.
 _CENTRED = ("mjpeg", "mjpegb", "mpeg1video")
-# Where a picture of this many rows or more says nothing of its matrix, players take BT.709.
+# Rows from which on players take BT.709 where a frame says nothing of its matrix; with fewer, BT.601.
 _HD_ROWS = 720
 
 _SUBSAMPLING = {"420": (2, 2), "422": (2, 1), "440": (1, 2), "444": (1, 1)}
@@ -50,7 +50,7 @@ def transfer_of(frame: Any) -> tuple[str | None, str | None]:
 
 def stored_planes(
     frame: Any, codec: str, says: StoredAs
-) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat, tuple[str, ...]]:
+) -> tuple[tuple[ImageArray, ...], PixelFormat, tuple[str, ...]]:
     """Return views of a frame's planes, how they are stored, and what of that had to be assumed.
 
     Raises

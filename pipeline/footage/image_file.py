@@ -1,4 +1,4 @@
-"""Read a colour picture, or say in one line why it is none."""
+"""Read a colour image, or say in one line why it is none."""
 
 import struct
 import zlib
@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
+from pipeline.models import ImageArray
 
 # How each kind of file begins and how a whole one ends; OpenCV decodes the rest of a truncated one as grey.
 _PNG = b"\x89PNG\r\n\x1a\n"
@@ -32,7 +33,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def check_whole(path: Path, data: bytes) -> None:
-    """Check that a picture's end is there.
+    """Check that an image file's end is there.
 
     Raises
     ------
@@ -45,12 +46,12 @@ def check_whole(path: Path, data: bytes) -> None:
 
 
 def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
-    """Return a picture's levels as they are stored: (H, W) grey, or (H, W, 3 or 4) blue, green, red and alpha.
+    """Return an image's levels as they are stored: (H, W) grey, or (H, W, 3 or 4) blue, green, red and alpha.
 
     Raises
     ------
     FootageError
-        It is no picture, or its values are neither of 8 or 16 bits nor float32.
+        It is no image, or its values are neither of 8 or 16 bits nor float32.
     """
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     image: npt.NDArray[Any] | None = None
@@ -69,7 +70,10 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
 
 
 def _only_pixels(path: Path, data: bytes) -> bytes:
-    """Return a PNG without what does not change its levels; libpng prints what it thinks of that, and of damage.
+    """Return a PNG with nothing but the chunks that make its levels, each checked.
+
+    OpenCV decodes damaged chunks as far as it can, and libpng prints warnings of them, and of colour profiles and
+    texts, past everything that could catch them.
 
     Raises
     ------
@@ -96,7 +100,7 @@ def read_codes(path: str | Path) -> npt.NDArray[np.uint8]:
     Returns
     -------
     (H, W, 3) uint8
-        Codes of R, G, B; of a grey picture three times the same.
+        Codes of R, G, B; of a grey image three times the same.
 
     Raises
     ------
@@ -118,7 +122,7 @@ def read_codes(path: str | Path) -> npt.NDArray[np.uint8]:
     return np.ascontiguousarray(image[..., ::-1])
 
 
-def read_image(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]:
+def read_image(path: str | Path) -> ImageArray:
     """Read an image file as RGB.
 
     Returns
@@ -129,7 +133,7 @@ def read_image(path: str | Path) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint1
     Raises
     ------
     FootageError
-        The file cannot be read, is truncated, is no picture, or has no three colours.
+        The file cannot be read, is truncated, is no image, or has no three colours.
     """
     path = Path(path)
     data = read_bytes(path)

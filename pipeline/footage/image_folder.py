@@ -1,4 +1,4 @@
-"""Frames from pictures: a folder of them in their natural order, or a single one."""
+"""Frames from image files: a folder of them in their natural order, or a single one."""
 
 import os
 import re
@@ -8,31 +8,31 @@ from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy.typing as npt
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_messages import caught_messages
 from pipeline.footage.ffmpeg_planes import stored_planes
 from pipeline.footage.image_file import check_whole, decode_levels, read_bytes
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
-#: Names of files that are pictures.
+#: How the names of image files end.
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".webp", *_JPEG_SUFFIXES)
 _DIGITS = re.compile(r"(\d+)")
 
 
-def natural_key(name: str) -> tuple[Any, ...]:
+def natural_key(name: str) -> tuple[list[int | str], str]:
     """Return what sorts names as people do: frame2 before frame10."""
     # Digits stand at every odd place, so numbers never meet letters; the name itself settles 1 and 01.
-    parts = [int(part) if i % 2 else part.casefold() for i, part in enumerate(_DIGITS.split(name))]
+    parts: list[int | str] = [int(part) if i % 2 else part.casefold() for i, part in enumerate(_DIGITS.split(name))]
     return (parts, name)
 
 
 class ImageFolder:
-    """ImageFolder of one folder, each read when its turn comes; a `Source`.
+    """Image files of one folder, each read when its turn comes; a `Source`.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ class ImageFolder:
         None of them can be read.
     """
 
-    transfer: str | None = None  # pictures do not say
+    transfer: str | None = None  # image files do not say
 
     def __init__(self, name: str, folder: Path, names: Sequence[str], says: StoredAs) -> None:
         self.name = name
@@ -74,7 +74,7 @@ class ImageFolder:
 
     @classmethod
     def in_folder(cls, folder: Path, says: StoredAs) -> "ImageFolder":
-        """Take every picture of a folder, in the natural order of their names.
+        """Take every image file of a folder, in the natural order of their names.
 
         Raises
         ------
@@ -108,7 +108,7 @@ class ImageFolder:
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""
 
-    def _read(self, number: int) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat]:
+    def _read(self, number: int) -> tuple[tuple[ImageArray, ...], PixelFormat]:
         path = self._folder / self.names[number]
         data = read_bytes(path)
         check_whole(path, data)
@@ -127,7 +127,7 @@ class ImageFolder:
             text = str(error)
             raise FootageError(text if text.startswith(str(path)) else f"{path}: {text}") from None
 
-    def _read_jpeg(self, data: bytes) -> tuple[tuple[npt.NDArray[Any], ...], PixelFormat]:
+    def _read_jpeg(self, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat]:
         """Read a JPEG's planes: libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)."""
         import av  # slow to import, and only needed here
 

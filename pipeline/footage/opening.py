@@ -1,4 +1,4 @@
-"""Where frames come from: one protocol for image folders, video files and our own recordings.
+"""Where frames come from: one protocol for image folders, video files and recordings.
 
 A frame leaves its source in the form in which it was stored; `tikernels.develop` turns that into RGB.
 """
@@ -7,13 +7,11 @@ from pathlib import Path
 
 from pipeline.errors import FootageError
 from pipeline.footage.image_folder import IMAGE_SUFFIXES, ImageFolder
-from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
+from pipeline.footage.source import Source, StoredAs
 from pipeline.footage.video_file import VideoFile
 from pipeline.footage.zarr_recording import ZarrRecording
 from tikernels.errors import ShapeError
-from tikernels.raw.pixel_format import Bayer, Matrix, PixelFormat, Siting
-
-__all__ = ["BadFrame", "PixelFormat", "Source", "StoredFrame", "open_source"]
+from tikernels.raw.pixel_format import Bayer, Matrix, Siting
 
 
 def open_source(
@@ -25,7 +23,7 @@ def open_source(
     matrix: Matrix | None = None,
     full_range: bool | None = None,
 ) -> Source:
-    """Open footage: a folder of pictures, a single picture, a video file, or a recording of ours.
+    """Open footage: a folder of images, a single image, a video file, or a recording.
 
     Parameters
     ----------
@@ -44,7 +42,7 @@ def open_source(
     path = Path(path)
     try:
         if path.is_dir():
-            # Both kinds of Zarr group; what is not ours is refused there, by name.
+            # Any kind of Zarr group: those that are no recordings are refused there, by name.
             if path.suffix == ".zarr" or (path / "zarr.json").exists() or (path / ".zgroup").exists():
                 return ZarrRecording(path, says)
             return ImageFolder.in_folder(path, says)

@@ -1,4 +1,4 @@
-"""What a Matroska recording of ours says of itself (`docs/footage.md`)."""
+"""What a recording in Matroska says of itself (`docs/footage.md`)."""
 
 import re
 from collections.abc import Mapping
@@ -55,7 +55,7 @@ class RecordingTags:
 
     @classmethod
     def read(cls, metadata: Mapping[str, str]) -> "RecordingTags | None":
-        """Return the tags of a recording, or None if this is none of ours.
+        """Return the tags of a recording, or None if it is another video.
 
         Raises
         ------

@@ -2,11 +2,10 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
-
-import numpy.typing as npt
+from typing import Protocol
 
 from pipeline.errors import FootageError
+from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import Bayer, Matrix, PixelFormat, Siting
 
 #: Why grey footage cannot be decoded.
@@ -18,7 +17,7 @@ class StoredFrame:
     """One frame as it was stored."""
 
     number: int  # in its source, from 0
-    planes: tuple[npt.NDArray[Any], ...]  # see PixelFormat; views that keep what they look at alive; do not write
+    planes: tuple[ImageArray, ...]  # see PixelFormat; views that keep what they look at alive; do not write
     format: PixelFormat
 
 
@@ -64,7 +63,7 @@ class Source(Protocol):
         """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one."""
 
     def close(self) -> None:
-        """Let go of files; harmless twice."""
+        """Let go of files; a second call does nothing."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,7 @@ class StoredAs:
 
 
 def other_than_first(format: PixelFormat, size_px: tuple[int, int], source: "Source") -> str | None:
-    """Say how a frame differs from its source's first in what the decoder cannot take in its stride."""
+    """Say how a frame differs from its source's first in what all frames of a store must share; None: in nothing."""
     for here, first in zip(_kind(format, size_px), _kind(source.format, source.size_px), strict=True):
         if here != first:
             return f"it is {here}, the first is {first}"

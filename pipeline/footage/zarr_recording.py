@@ -16,7 +16,7 @@ FRAMES = "frames"
 
 
 class ZarrRecording:
-    """A recording of ours in a Zarr group; a `Source`.
+    """A recording in a Zarr group; a `Source`.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """A film of the meshes of a ``result.zarr``, drawn without a screen.
 
-Meshes, drawing and encoding are the child's, one frame at a time, so that a film takes no more memory than a picture.
+A child process makes the meshes, draws and encodes them, one frame at a time, so that a film takes no more memory than
+one image.
 """
 
 import json
@@ -19,7 +20,7 @@ import numpy.typing as npt
 from pipeline.errors import FootageError, OutputError, RenderError
 from pipeline.files import write_atomically
 from pipeline.output.mesh import Mesh
-from pipeline.output.range_image import depth_colors
+from pipeline.output.range_image import CLAY, depth_colors
 from pipeline.output.render import VIEWS, Renderer, View, draw_apart
 from pipeline.output.stored_result import StoredResult, mesh_fields
 from tikernels import runtime
@@ -27,11 +28,12 @@ from tikernels import runtime
 Colors = Literal["depth", "shaded", "modulation", "sigma"]
 
 _COMMAND = [sys.executable, "-P", "-m", "pipeline.output.film"]
-# Frames that tell the camera's place and the colours' limits for all, and every so many of their points.
-_ASKED, _EVERY = 16, 16
-# Points further out than this share are stray ones.
+# Frames, evenly spaced, that tell the eye's place and the colours' limits for the whole film.
+_ASKED = 16
+# Of their points every sixteenth is enough for that.
+_EVERY = 16
+# Share of the points on each side that may be stray ones, and does not move the eye away.
 _STRAY = 0.002
-_CLAY = (236, 228, 216)
 # Quality of H.264 and of MPEG-4 that shows no blocks.
 _X264, _MPEG4 = {"crf": "18", "preset": "medium"}, {"qmin": "2", "qmax": "5"}
 
@@ -45,14 +47,14 @@ class FilmOptions:
     view : {"three-quarter", "front"}
         From where at its beginning: the camera's side, from its upper left or straight on.
     turn_deg : float
-        By how much the eye goes round the surface, about the upright axis, from the first to the last picture.
+        By how much the eye goes round the surface, about the upright axis, from the first to the last image.
     sway_deg : float
         By how much it swings to either side, once to and fro.
     colors : {"depth", "shaded", "modulation", "sigma"}
         What the colours show, with the same limits all along: depth, nothing (clay), the fringe's modulation, or the
         standard deviation of phase or depth.
     fps : float
-        Pictures a second.
+        Images a second.
     seconds : float
         How long a store of one frame is shown.
     size_px : (int, int)
@@ -96,9 +98,9 @@ def render_film(
     options : FilmOptions, optional
         View, motion, colours and rate.
     timeout_s : float
-        After how long without a new picture drawing is given up, in s.
+        Time without a new image after which drawing is given up, s.
     tell : callable
-        Is told how many of how many pictures are drawn.
+        Is told how many of how many images are drawn.
 
     Raises
     ------
@@ -148,7 +150,7 @@ def _sigma(result: StoredResult) -> str:
 
 
 class _FilmSetup:
-    """What all pictures share: proportions, colours' limits, and where the eye is."""
+    """What all images of a film share: proportions, colours' limits, and where the eye is."""
 
     def __init__(self, meshes: Sequence[Mesh], options: FilmOptions) -> None:
         self.options = options
@@ -186,7 +188,7 @@ class _FilmSetup:
         """Return a colour a vertex, (N, 3)."""
         shown = self._shown(mesh)
         if shown is None:
-            return np.full((len(mesh.vertices), 3), _CLAY, np.uint8)
+            return np.full((len(mesh.vertices), 3), CLAY, np.uint8)
         return depth_colors(shown[:, None], np.ones((len(shown), 1), bool), self.limits)[:, 0]
 
     def towards_eye(self, part: float) -> tuple[float, float, float]:
@@ -205,7 +207,7 @@ def _draw_film(location: str, options: FilmOptions, path: str) -> None:
     meshes = [mesh for number in asked if len((mesh := result.mesh(number, needed)).faces)]
     if not meshes:
         raise RenderError("no frame shows a surface")
-    scene, stage = _FilmSetup(meshes, options), Renderer(options.size_px)
+    setup, renderer = _FilmSetup(meshes, options), Renderer(options.size_px)
     del meshes
     numbers: Sequence[int] = result.wanted
     if len(numbers) == 1:
@@ -216,18 +218,18 @@ def _draw_film(location: str, options: FilmOptions, path: str) -> None:
             if number != shown:
                 now = result.mesh(number, needed) if number in done else None
                 if now is not None and len(now.faces):
-                    stage.show(now.vertices * scene.stretch, now.faces, scene.colors(now))
+                    renderer.show(now.vertices * setup.stretch, now.faces, setup.colors(now))
                     shown = number
                 else:
                     held.append(number)
-            stage.aim(scene.corners, scene.towards_eye(i / max(len(numbers) - 1, 1)))
-            encoder.add(stage.picture())
+            renderer.aim(setup.corners, setup.towards_eye(i / max(len(numbers) - 1, 1)))
+            encoder.add(renderer.image())
             _say({"done": i + 1, "of": len(numbers)})
         _say({"held": held, "codec": encoder.codec})
 
 
 class _Encoder:
-    """Pictures to an MP4 file: H.264 where FFmpeg can make it, else MPEG-4."""
+    """Images to an MP4 file: H.264 where FFmpeg can make it, else MPEG-4."""
 
     def __init__(self, path: str, options: FilmOptions) -> None:
         import av  # slow to import, and only needed here
@@ -251,10 +253,10 @@ class _Encoder:
             self._container.mux(self._stream.encode())
         self._container.close()
 
-    def add(self, picture: npt.NDArray[np.uint8]) -> None:
+    def add(self, image: npt.NDArray[np.uint8]) -> None:
         import av
 
-        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), "rgb24")
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), "rgb24")
         self._container.mux(self._stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
 
 

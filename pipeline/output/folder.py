@@ -18,7 +18,7 @@ from pipeline.output.store import holds_footage, write_store
 from pipeline.output.surface_mesh import frame_mesh
 from pipeline.settings import DecodeSettings
 
-#: What we put into an output folder, and may therefore replace.
+#: What decoding puts into an output folder, and may therefore replace.
 NAMES = (
     "result.zarr",
     "mesh.ply",

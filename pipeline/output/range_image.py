@@ -1,4 +1,4 @@
-"""Pictures of a range image: in colours with a scale, and shaded as the camera sees it."""
+"""A range image for people: in colours with a scale, and shaded as the camera sees it."""
 
 from pathlib import Path
 
@@ -9,8 +9,10 @@ import numpy.typing as npt
 from pipeline.files import write_atomically
 from pipeline.output.mesh import Unit
 
-_HIDDEN = 48  # grey level of pixels that hold no value
-_CLAY = np.array([236, 228, 216], np.float32)  # RGB of a fully lit surface
+# Grey level of pixels that hold no value.
+_HIDDEN = 48
+#: RGB of a fully lit surface that has no colour of its own.
+CLAY = np.array([236, 228, 216], np.float32)
 
 
 def depth_colors(
@@ -59,11 +61,11 @@ def write_range_image(
     OutputError
         If the file cannot be written.
     """
-    picture = depth_colors(values, mask)
+    image = depth_colors(values, mask)
     mask = mask & np.isfinite(values)
-    height = max(len(picture), 160)  # room for the scale's numbers beside a small picture
-    canvas = np.full((height, picture.shape[1], 3), _HIDDEN, np.uint8)
-    canvas[: len(picture)] = picture
+    height = max(len(image), 160)  # room for the scale's numbers beside a small image
+    canvas = np.full((height, image.shape[1], 3), _HIDDEN, np.uint8)
+    canvas[: len(image)] = image
     limits = _limits(values, mask) if mask.any() else None
     write_png(path, np.hstack([canvas, _scale_bar(height, limits, unit)]))
 
@@ -89,7 +91,7 @@ def shade_range(
 
     Notes
     -----
-    Slopes come from the neighbours on both sides; one that is masked or beyond a depth step has no say.
+    Slopes come from the neighbours on both sides; one that is masked or beyond a depth step does not count.
     """
     surface = values[..., None] if points is None else points
     mask = mask & np.isfinite(values) & np.isfinite(surface).all(axis=-1)
@@ -107,19 +109,19 @@ def shade_range(
         normals[~normals.any(axis=-1)] = (0, 0, -1)
     light = np.array([-1, -1, -2], np.float32)  # from the surface to the lamp
     cosines = normals @ light / (np.linalg.norm(normals, axis=-1) * np.linalg.norm(light))
-    shaded = (0.15 + 0.85 * cosines.clip(0, 1))[..., None] * _CLAY
+    shaded = (0.15 + 0.85 * cosines.clip(0, 1))[..., None] * CLAY
     return np.where(mask[..., None], shaded, _HIDDEN).astype(np.uint8)
 
 
-def write_png(path: str | Path, picture: npt.NDArray[np.uint8]) -> None:
-    """Write an RGB picture, (H, W, 3) uint8, as a PNG file under any name.
+def write_png(path: str | Path, image: npt.NDArray[np.uint8]) -> None:
+    """Write an RGB image, (H, W, 3) uint8, as a PNG file under any name.
 
     Raises
     ------
     OutputError
         If the file cannot be written.
     """
-    write_atomically(path, cv2.imencode(".png", picture[..., ::-1])[1].tobytes())
+    write_atomically(path, cv2.imencode(".png", image[..., ::-1])[1].tobytes())
 
 
 def _limits(values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> tuple[float, float]:

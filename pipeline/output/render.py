@@ -1,4 +1,4 @@
-"""Pictures of meshes, drawn without a screen.
+"""Images of meshes, drawn without a screen.
 
 The drawing library ends the whole process where the machine has no graphics library, so it runs in a child process.
 """
@@ -58,9 +58,9 @@ def render_mesh(
     view : {"three-quarter", "front"}
         From where: the camera's side, upright, from its upper left or straight on.
     size_px : (int, int)
-        Width and height of the picture in px.
+        Width and height of the image in px.
     timeout_s : float
-        After how long drawing is given up, in s.
+        Time after which drawing is given up, s.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def draw_apart(
     timeout_s: float,
     tell: Callable[[str], None] = lambda _: None,
 ) -> None:
-    """Draw in a child process; a mishap there becomes one line here.
+    """Draw in a child process; what goes wrong there becomes one line here.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def draw_apart(
     made : str
         The file there that shows that it has succeeded.
     timeout_s : float
-        After how long without a word from it it is given up, in s.
+        Time without a line from it after which it is given up, s.
     tell : callable
         Is given each line that it prints.
 
@@ -151,19 +151,19 @@ def _listen(
             except (queue.Empty, subprocess.TimeoutExpired) as error:
                 raise RenderError(f"drawing took more than {timeout_s:g} s: {_GRAPHICS_CURE}") from error
             finally:
-                child.kill()  # harmless to one that has ended
+                child.kill()  # does nothing to one that has ended
                 reader.join()
         errors.seek(0)
         return code, errors.read().decode(errors="replace")
 
 
 class Renderer:
-    """A lit scene off screen; only for a child process.
+    """A lit surface off screen; only for a child process.
 
     Parameters
     ----------
     size_px : (int, int)
-        Width and height of its pictures.
+        Width and height of its images.
     """
 
     def __init__(self, size_px: tuple[int, int]) -> None:
@@ -190,10 +190,10 @@ class Renderer:
         )
 
     def aim(self, points: npt.NDArray[np.floating], back: tuple[float, float, float]) -> None:
-        """Look against a direction, so that all points just fill the picture."""
+        """Look against a direction, so that all points just fill the image."""
         _aim(self._plotter.camera, points, back, self.size_px)
 
-    def picture(self) -> npt.NDArray[np.uint8]:
+    def image(self) -> npt.NDArray[np.uint8]:
         """Return what is seen, (H, W, 3) RGB."""
         self._plotter.render()  # a screenshot alone is of what was rendered last
         return np.asarray(self._plotter.screenshot(return_img=True))
@@ -203,10 +203,10 @@ def _draw(mesh: Mesh, path: str, view: str, size_px: tuple[int, int]) -> None:
     vertices = proportioned(mesh)
     depth = vertices[:, 2:]
     colors = depth_colors(depth, np.ones(depth.shape, bool))[:, 0] if mesh.colors is None else mesh.colors
-    stage = Renderer(size_px)
-    stage.show(vertices, mesh.faces, colors)
-    stage.aim(vertices[mesh.faces].reshape(-1, 3), VIEWS[view])
-    write_png(path, stage.picture())
+    renderer = Renderer(size_px)
+    renderer.show(vertices, mesh.faces, colors)
+    renderer.aim(vertices[mesh.faces].reshape(-1, 3), VIEWS[view])
+    write_png(path, renderer.image())
 
 
 def proportioned(mesh: Mesh) -> npt.NDArray[np.float32]:
@@ -221,7 +221,7 @@ def proportioned(mesh: Mesh) -> npt.NDArray[np.float32]:
 def _aim(
     camera: Any, points: npt.NDArray[np.floating], direction: tuple[float, float, float], size_px: tuple[int, int]
 ) -> None:
-    """Place a camera so that all points just fill its picture."""
+    """Place a camera so that all points just fill its image."""
     back = np.array(direction) / np.linalg.norm(direction)
     right = np.cross((0, 1, 0), -back)
     right /= np.linalg.norm(right)
@@ -241,5 +241,5 @@ def _aim(
 
 
 if __name__ == "__main__":
-    mesh_path, picture_path, chosen_view, width, height = sys.argv[1:]
-    _draw(read_mesh(mesh_path), picture_path, chosen_view, (int(width), int(height)))
+    mesh_path, image_path, chosen_view, width, height = sys.argv[1:]
+    _draw(read_mesh(mesh_path), image_path, chosen_view, (int(width), int(height)))

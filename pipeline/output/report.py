@@ -14,11 +14,14 @@ from pipeline.simulation import SimulatedFrame
 from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
 
-# "Lit" for measuring: brighter than this (8-bit levels), and so far inside the lit area's rim.
+# Pixels count for measuring that are brighter than this, 8-bit levels; with the rim below, the convention of
+# `docs/accuracy.md`.
 _LIT_LEVELS = 20.0
+# And that lie further than this inside the rim of what is lit: filters see nothing on one side there.
 _RIM_PX = 4
 # Two neighbouring points further apart lie on different surfaces.
 _SURFACE_STEP_MM = 4.0
+# Pixels of a surface, at least, for its commonest order to mean anything.
 _MIN_SURFACE_PX = 500
 
 

@@ -71,7 +71,7 @@ def make_pattern(
 
 
 def codes_for_light(light: npt.NDArray[np.float64], response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the codes, 0..1, that make so much light, 0..1, with this response."""
+    """Return the codes, 0..1, by which a projector of this response makes the light asked for, 0..1."""
     codes = np.linspace(0, 1, len(response))
     rising = np.concatenate([[True], np.diff(response) > 0])  # where it is flat, the smallest code does
     return np.asarray(np.interp(light, response[rising], codes[rising]))

@@ -1,4 +1,4 @@
-"""FFV1 in Matroska, so written that what was committed can be read whatever happens later.
+"""FFV1 in Matroska, written so that what was committed can be read whatever happens later.
 
 FFmpeg's own muxer keeps a file's length to itself until the end. Here the head, which tells it, is always of one size,
 and a commit writes it anew in place: that needs no room, and what comes behind the length it tells is not in the file.
@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.footage.recording_tags import RecordingTags
+from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -101,7 +102,7 @@ class MatroskaWriter:
             path.unlink()
             raise
 
-    def write(self, number: int, frame: npt.NDArray[Any]) -> int:
+    def write(self, number: int, frame: ImageArray) -> int:
         """Append a frame, one after another, and return how many bytes that took."""
         import av
 
@@ -128,7 +129,7 @@ class MatroskaWriter:
         self.n_frames, self._end = n_frames, self._n_bytes
 
     def close(self) -> None:
-        """Cut off what was not committed, and list where frames are, for players; harmless twice."""
+        """Cut off what was not committed, and list where frames are, for players; a second call does nothing."""
         if self._file.closed:
             return
         try:
@@ -224,7 +225,7 @@ def _write(file: Any, position: int, data: bytes) -> None:
         rest = rest[file.write(rest) :]
 
 
-def _plane(frame: Any, plane: int, shape: tuple[int, ...], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+def _plane(frame: Any, plane: int, shape: tuple[int, ...], dtype: npt.DTypeLike) -> ImageArray:
     """Return a plane of a frame of FFmpeg to write into."""
     size = np.dtype(dtype).itemsize
     strides = (frame.planes[plane].line_size, size * (shape[2] if len(shape) == 3 else 1), size)

@@ -6,13 +6,11 @@ import shutil
 from contextlib import suppress
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
-
-import numpy.typing as npt
 
 from pipeline.errors import OutputError
 from pipeline.files import explain
 from pipeline.footage.recording_tags import RecordingTags
+from pipeline.models import ImageArray
 from pipeline.recording.matroska import MatroskaWriter
 from pipeline.recording.writing_threads import FrameWriter, WritingThreads
 from pipeline.recording.zarr_writer import ZarrWriter
@@ -96,7 +94,7 @@ class Recorder:
         """How many bytes have been written."""
         return 0 if self._threads is None else self._threads.n_bytes
 
-    def add(self, frame: npt.NDArray[Any]) -> None:
+    def add(self, frame: ImageArray) -> None:
         """Hand over a frame, which is copied; waits where the disk falls behind.
 
         Parameters

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.footage.recording_tags import RecordingTags
+from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import PixelFormat
 
 # Frames in hand at most, waiting and being written: 0.3 s at 200 frames a second, for which a busy disk may stall.
@@ -37,7 +37,7 @@ class FrameWriter(Protocol):
 
     def __init__(self, path: Path, size_px: tuple[int, int], format: PixelFormat, tags: RecordingTags, /) -> None: ...
 
-    def write(self, number: int, frame: npt.NDArray[Any]) -> int:
+    def write(self, number: int, frame: ImageArray) -> int:
         """Write a frame by its number, and return how many bytes that took."""
 
     def commit(self, n_frames: int) -> None:
@@ -68,7 +68,7 @@ class WritingThreads:
         A frame, for its shape and type.
     """
 
-    def __init__(self, open: Callable[[], FrameWriter], n_threads: int, like: npt.NDArray[Any]) -> None:
+    def __init__(self, open: Callable[[], FrameWriter], n_threads: int, like: ImageArray) -> None:
         self.n_added = 0  # frames
         self.n_bytes = 0
         self._open = open
@@ -76,7 +76,7 @@ class WritingThreads:
         n_slots = min(_MOST_IN_HAND, max(n_threads + 1, _IN_HAND_BYTES // like.nbytes))
         # The last one that came back is taken first: memory that is not needed is never touched.
         self._free = [np.empty(like.shape, like.dtype) for _ in range(n_slots)]
-        self._waiting: SimpleQueue[npt.NDArray[Any] | _Commit | None] = SimpleQueue()  # None: wake up
+        self._waiting: SimpleQueue[ImageArray | _Commit | None] = SimpleQueue()  # None: wake up
         self._taking, self._done = threading.Lock(), threading.Condition()
         self._n_taken = 0  # frames, whose numbers this gives
         self._n_in_work = 0
@@ -96,7 +96,7 @@ class WritingThreads:
         threading.Thread(target=self._run, daemon=True).start()
         self._wait(lambda: self._writer is not None)
 
-    def add(self, frame: npt.NDArray[Any]) -> None:
+    def add(self, frame: ImageArray) -> None:
         """Copy a frame to be written; wait while too many are in hand."""
         self._wait(lambda: bool(self._free))
         slot = self._free.pop()
@@ -167,7 +167,7 @@ class WritingThreads:
             if isinstance(job, np.ndarray):
                 self._write(writer, number, job)
 
-    def _write(self, writer: FrameWriter, number: int, slot: npt.NDArray[Any]) -> None:
+    def _write(self, writer: FrameWriter, number: int, slot: ImageArray) -> None:
         n_bytes, failure = 0, None
         try:
             n_bytes = writer.write(number, slot)

@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.files import replace_file
 from pipeline.footage.recording_tags import VERSION, RecordingTags
 from pipeline.footage.zarr_recording import ATTRIBUTE, FRAMES
+from pipeline.models import ImageArray
 from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codec, chunk_key, encode_chunk
 from tikernels.raw.pixel_format import PixelFormat
 
 _KEY = re.compile(r"c\.(\d+)[.0]*")
-# Of the compressor: a higher one takes up to a half longer, and what it makes is 2 % smaller.
+# The compressor's level: a higher one takes up to half as long again, for chunks that are 2 % smaller.
 _LEVEL = 1
-# Each compresses and writes a frame by itself, and lets go of the interpreter meanwhile.
+# Threads at most; each compresses and writes a frame by itself, without the interpreter.
 _MOST_THREADS = 4
 
 
@@ -73,7 +73,7 @@ class ZarrWriter:
         self._checksum = google_crc32c.value
         self.n_frames = 0  # of those committed
 
-    def write(self, number: int, frame: npt.NDArray[Any]) -> int:
+    def write(self, number: int, frame: ImageArray) -> int:
         """Write a frame's chunk, and return how many bytes that took."""
         chunk = encode_chunk(frame, _LEVEL)  # of black frames, too: one that is not there is a frame that is missing
         with (self._folder / chunk_key(number, frame.ndim)).open("xb") as file:
@@ -88,7 +88,7 @@ class ZarrWriter:
         self.n_frames = n_frames
 
     def close(self) -> None:
-        """Remove what was not committed; harmless twice."""
+        """Remove what was not committed; a second call does nothing."""
         for name in os.listdir(self._folder):
             key = _KEY.fullmatch(name)
             if key is not None and int(key[1]) >= self.n_frames:

@@ -19,7 +19,8 @@ import numpy.typing as npt
 from hardware.protocols import FrameFormat
 from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
-from pipeline.acquisition.session import CapturePlan, CaptureProgress, capture_bursts
+from pipeline.acquisition.capture_folder import CapturePlan, CaptureProgress
+from pipeline.acquisition.session import capture_bursts
 from pipeline.acquisition.stopping import Stopping
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig

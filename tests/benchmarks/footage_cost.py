@@ -21,7 +21,8 @@ from support.video_files import H264, MJPEG, encode, film
 
 from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
-from pipeline.footage.opening import StoredFrame, open_source
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import StoredFrame
 from pipeline.output.report import measure_against_truth
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import WHITE, SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig

@@ -9,7 +9,8 @@ from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
 from support.recorded_footage import command
 
 from hardware.errors import BurstError, CameraError, RigError
-from pipeline.acquisition.session import CapturePlan, capture_bursts
+from pipeline.acquisition.capture_folder import CapturePlan
+from pipeline.acquisition.session import capture_bursts
 from pipeline.acquisition.stopping import Stopping
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError

@@ -12,10 +12,10 @@ from pipeline.calibration.model import ColorShift
 from pipeline.calibration.radiometry import (
     RAMP_CODES,
     measure_radiometry,
-    plot_radiometry,
     radiometry_codes,
     radiometry_sequence,
 )
+from pipeline.calibration.radiometry_plot import plot_radiometry
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.footage.image_file import read_image
 from pipeline.models import CameraState

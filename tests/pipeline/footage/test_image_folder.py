@@ -9,7 +9,8 @@ import pytest
 from pipeline.errors import FootageError
 from pipeline.footage.image_file import read_image
 from pipeline.footage.image_folder import natural_key
-from pipeline.footage.opening import BadFrame, StoredFrame, open_source
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import BadFrame, StoredFrame
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 

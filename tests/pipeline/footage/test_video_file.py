@@ -8,8 +8,8 @@ import pytest
 from support.video_files import H264, MJPEG, encode, erase, moving_planes, packets
 
 from pipeline.errors import FootageError
-from pipeline.footage.opening import BadFrame, StoredFrame, open_source
-from pipeline.footage.source import StoredAs
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import BadFrame, StoredAs, StoredFrame
 from tikernels.raw.pixel_format import PixelFormat
 
 YUV420 = PixelFormat("yuv", subsampling=(2, 2))

@@ -13,7 +13,8 @@ import zarr
 from support.video_files import flip, packets
 
 from pipeline.errors import FootageError, OutputError
-from pipeline.footage.opening import BadFrame, StoredFrame, open_source
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import BadFrame, StoredFrame
 from pipeline.recording.recorder import Recorder
 from tikernels import ShapeError
 from tikernels.raw.pixel_format import PixelFormat

@@ -1,0 +1,36 @@
+"""Ctrl-C does not reach processes that are started while it is blocked, and reaches this one afterwards."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from pipeline.processes import block_interrupts
+
+pytestmark = pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals cannot be blocked here")
+BLOCKED = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
+
+
+def child_is_deaf():
+    return (
+        subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True, check=True).stdout == "True\n"
+    )
+
+
+def test_children_inherit_the_block():
+    assert not child_is_deaf()
+    with block_interrupts() as unblock:
+        assert child_is_deaf()
+        unblock()
+        assert not child_is_deaf()
+    assert not child_is_deaf()
+
+
+def test_an_interrupt_waits_until_the_end():
+    reached = False
+    with pytest.raises(KeyboardInterrupt), block_interrupts():
+        os.kill(os.getpid(), signal.SIGINT)
+        reached = True
+    assert reached
