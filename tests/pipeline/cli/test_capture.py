@@ -5,7 +5,7 @@ import json
 import pytest
 from support.command_line import colorphase
 
-from pipeline.acquisition.session import CaptureProgress
+from pipeline.acquisition.capture_folder import CaptureProgress
 from pipeline.cli.capture import _frames, _line
 
 SIMULATED = """
