@@ -13,6 +13,7 @@ import av
 import numpy as np
 import pytest
 import zarr
+from support.numbered_frames import BURST, RGB8, add, frame_of
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from pipeline.errors import OutputError
@@ -21,21 +22,9 @@ from pipeline.recording import writing_threads
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat
 
-RGB8, RGB12, BAYER8 = PixelFormat("rgb"), PixelFormat("rgb", 12), PixelFormat("bayer", bayer="gbrg")
-BURST = 5
+RGB12 = PixelFormat("rgb", 12)
 
 both = pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
-
-
-def frame_of(number, format=RGB8):
-    """Return a frame that tells its number, and does not compress."""
-    (shape,) = format.plane_shapes(22, 34)
-    return np.random.default_rng(number).integers(0, 2**format.bits, shape).astype(format.dtype)
-
-
-def add(recorder, n_frames):
-    for _ in range(n_frames):
-        recorder.add(frame_of(recorder.n_frames))
 
 
 def held(path):
@@ -180,7 +169,8 @@ def test_ctrl_c_at_any_moment(tmp_path, suffix):
 RECORD_FOR_EVER = """
 import sys
 sys.path[:0] = sys.argv[2:]
-from test_bursts import BURST, RGB8, Recorder, add
+from support.numbered_frames import BURST, RGB8, add
+from pipeline.recording.recorder import Recorder
 recorder = Recorder(sys.argv[1], RGB8)
 while True:
     add(recorder, BURST)
