@@ -3,13 +3,41 @@
 import ast
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from support.import_graph import circles, imported_modules, module_paths, room_of
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("tikernels", "pipeline", "hardware")
+#: The rooms of each package, from the ground up: one imports those to the left of it, and what lies in it.
+FLOORS = {
+    "tikernels": (
+        "_taichi errors arrays runtime _checks strips transposing raw phase depth unwrapping order_evidence scene"
+    ),
+    "pipeline": (
+        "errors models settings files processes zarr_chunks footage recording calibration pattern decoding orders "
+        "decoder simulation output diagnosis batch acquisition cli"
+    ),
+    "hardware": (
+        "errors drivers settings pulses protocols link display colour_cycle pairing alternating_pictures simulated "
+        "camera trigger projector instruments rig"
+    ),
+}
+#: Modules without a test of their name, and where what they do is tested.
+UNTESTED = {
+    "hardware.errors": "names only",
+    "hardware.protocols": "names only",
+    "pipeline.errors": "names only",
+    "tikernels.errors": "names only",
+    "tikernels.arrays": "names only",
+    "tikernels._taichi": "which language is chosen: .ci/run runs all kernels in both",
+    "tikernels._checks": "what is refused: every kernel's `menu`",
+}
+#: Names that several folders may have.
+SHARED_NAMES = {"__init__", "conftest", "errors", "settings"}
 LANGUAGES = {"taichi", "quadrants"}
 #: Heavy, or only needed by some: taken where they are used.
 LATE = (
@@ -68,6 +96,67 @@ def test_one_file_takes_the_kernel_language(package):
 def test_imports_run_one_way(package, allowed):
     for path in sources(package):
         assert imported(path) & {*PACKAGES, "tests"} <= allowed, path
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_no_import_runs_up(package):
+    """From room to room; a package's own face imports from all of them."""
+    modules = module_paths(ROOT)
+    floors = {f"{package}.{room}": floor for floor, room in enumerate(FLOORS[package].split())}
+    rooms = {room_of(name, modules) for name in modules if name.startswith(f"{package}.")}
+    assert rooms == floors.keys()
+    for name in modules:
+        here = room_of(name, modules)
+        for other in imported_modules(name, modules[name], modules):
+            there = room_of(other, modules)
+            if here in floors and there in floors:
+                assert floors[there] <= floors[here], f"{name} imports {other}, which lies above it"
+
+
+def test_no_imports_run_in_a_circle():
+    modules = module_paths(ROOT)
+    assert circles({name: imported_modules(name, path, modules) for name, path in modules.items()}) == []
+
+
+def test_every_module_has_a_test_of_its_name():
+    modules = {name: path for name, path in module_paths(ROOT).items() if path.stem != "__init__"}
+    tests = {
+        name: ROOT / "tests" / path.relative_to(ROOT).parent / f"test_{path.stem.lstrip('_')}.py"
+        for name, path in modules.items()
+    }
+    assert {name for name, test in tests.items() if not test.exists()} == UNTESTED.keys()
+
+
+def test_no_two_modules_have_one_name():
+    folders = (ROOT / folder for folder in (*PACKAGES, "tests", "docs"))
+    names = Counter(path.stem for folder in folders for path in folder.rglob("*.py"))
+    assert {name for name, count in names.items() if count > 1} <= SHARED_NAMES
+
+
+def test_tests_import_neither_benchmarks_nor_each_other():
+    """What they share lies in `tests/support`; that goes for the programs that they start, too."""
+    for path in (ROOT / "tests").rglob("*.py"):
+        if path.parent.name == "benchmarks":
+            continue
+        programs = [
+            node.value
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+            if isinstance(node, ast.Constant) and isinstance(node.value, str)
+        ]
+        names = {word for text in programs for line in text.splitlines() for word in imported_in(line)}
+        for name in {*imports(path), *names}:
+            assert not any(part == "benchmarks" or part.startswith("test_") for part in name.split(".")), (path, name)
+
+
+def imported_in(line: str) -> list[str]:
+    """Return what a line of a program imports."""
+    try:
+        (node,) = ast.parse(line.strip()).body
+    except (SyntaxError, ValueError):
+        return []
+    if isinstance(node, ast.ImportFrom):
+        return [node.module or ""]
+    return [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
 
 
 def test_the_kernel_language_stays_in_its_package():

@@ -24,10 +24,9 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import _tests_path  # noqa: F401
 import cv2
 import numpy as np
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from support.import_graph import circles, imported_modules, module_paths, ranks_of, rooms_of
 from support.room_figure import draw_rooms
 

@@ -18,7 +18,7 @@ from support.recorded_footage import command, contents, kill_again_and_again, re
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.batch import job as jobs
-from pipeline.batch.job import Crop, Job, chains, join_ranges
+from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import Stopped, decode_footage
 from pipeline.decoding.frame import FIELDS
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
@@ -26,8 +26,6 @@ from pipeline.footage.source import StoredAs
 from pipeline.output.store import chosen_fields
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
-from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
 pytestmark = pytest.mark.usefixtures("cpu")
@@ -164,14 +162,6 @@ def test_no_frames_are_asked_for(job):
     with pytest.raises(SettingsError, match="has 14 frames, none of which is asked for"):
         decode_footage(job, start=20)
     assert not Path(job.store).exists()
-
-
-def test_which_frames_are_decoded_for_which():
-    assert list(chains(range(0, 14), {5, 6, 12})) == [(range(4, 7), {5, 6}), (range(12, 13), {12})]
-    assert list(chains(range(9, 40, 3), {15})) == [(range(12, 16, 3), {15})]
-    assert list(chains(range(0, 14), set())) == []
-    assert list(join_ranges([range(0, 4), range(4, 8), range(12, 13)])) == [range(0, 8), range(12, 13)]
-    assert list(join_ranges([])) == []
 
 
 @pytest.mark.long
@@ -437,30 +427,6 @@ def test_regions_of_interest_that_are_none(job, rig):
         decode_footage(replace(job, calibration=simulated_rig((640, 480))))
 
 
-@pytest.mark.parametrize(
-    "format",
-    [
-        PixelFormat("yuv", subsampling=(2, 2)),
-        PixelFormat("yuv", subsampling=(2, 1), interleaved=True),
-        PixelFormat("bayer", bayer="grbg"),
-        PixelFormat("rgb", channels="bgr0"),
-    ],
-)
-def test_a_region_is_cut_out_of_the_planes(format):
-    """What develops of it is what develops of the whole frame there, but for its rim, where neighbours are missing."""
-    rng = np.random.default_rng(3)
-    planes = tuple(rng.integers(0, 256, shape).astype(np.uint8) for shape in format.plane_shapes(48, 64))
-    region, rim = Crop(8, 4, 41, 31), 12
-    region.check((64, 48), format)
-    part = runtime.to_host(develop(region.of(planes, format), format))
-    whole = runtime.to_host(develop(planes, format))[4 : 4 + 31, 8 : 8 + 41]
-    inside = np.s_[rim:-rim, rim:-rim]
-    np.testing.assert_array_equal(part[inside], whole[inside])
-    if format.layout != "rgb":
-        with pytest.raises(SettingsError, match="between this footage's colour samples"):
-            Crop(7, 4, 41, 31).check((64, 48), format)
-
-
 @pytest.mark.filterwarnings("ignore:the colours' fringes differ")
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
 def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
@@ -491,14 +457,6 @@ def test_the_light_survives_being_stored(folder, rig):
         assert np.asarray(getattr(again, name)).dtype == np.asarray(value).dtype
     vague = replace(light, constant_sigma=float("inf"))
     assert np.isnan(type(light).from_json(json.loads(json.dumps(vague.as_json(), allow_nan=False))).constant_sigma)
-
-
-def test_fields_that_are_none():
-    with pytest.raises(SettingsError, match="no field is called 'depth': choose of wrapped_phase"):
-        chosen_fields(("depth",), in_mm=False)
-    with pytest.raises(SettingsError, match="points needs a calibration"):
-        chosen_fields(("points",), in_mm=False)
-    assert chosen_fields(("range_image", "mask"), in_mm=False) == ("mask", "range_image")
 
 
 def test_a_picture_does_not_replace_footage(job, tmp_path):

@@ -7,46 +7,25 @@ import cv2
 import numpy as np
 import pytest
 from support.board_rig import BoardCaptures, board_turns
+from support.posed_boards import (
+    CAMERA_PX,
+    CHESSBOARD,
+    PATTERN,
+    PROJECTOR_PX,
+    RIG_PX,
+    captured,
+    rig,
+)
 
 from pipeline import Calibration
 from pipeline.calibration import ColorShift
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import BoardPose, measure_pose
 from pipeline.calibration.model import Pattern
-from pipeline.calibration.multishot import BLACK, WHITE, decode_multishot, multishot_codes, multishot_sequence
+from pipeline.calibration.multishot import multishot_codes, multishot_sequence
 from pipeline.calibration.rig_geometry import solve_geometry
-from pipeline.errors import CalibrationError, OutputError, SettingsError
-from pipeline.models import build
+from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
-
-CAMERA_PX, PROJECTOR_PX = RIG_PX = (640, 480), (1024, 768)
-SEQUENCE = multishot_sequence(PROJECTOR_PX)
-CHESSBOARD = Board(kind="chessboard", squares=(10, 7), square_mm=26.0)
-CHARUCO = Board(kind="charuco", squares=(9, 6), square_mm=30.0)
-PATTERN = Pattern(period_px=768 / 44)
-
-
-def rig():
-    return simulated_rig(
-        CAMERA_PX,
-        camera_distortion=(-0.12, 0.08, 0.001, -0.0008, 0),
-        projector_distortion=(-0.06, 0.05, -0.001, 0.0005, 0),
-    )
-
-
-def codes(name):
-    return multishot_codes(name, PROJECTOR_PX)
-
-
-def captured(board, turn=(0.3, -0.3, 0.1), place=(0.0, 0.0, 900.0), **options):
-    options = {"samples": 2, "noise": 1.5, **options}
-    return BoardCaptures(rig(), board, turn, place, SEQUENCE.names, codes, **options)
-
-
-@pytest.fixture(scope="module")
-def of_charuco():
-    """Return the captures of one pose of the board with markers."""
-    return captured(CHARUCO)
 
 
 def exact_poses(count=10, noise_px=0.03, board=CHESSBOARD, seed=3, turns=None, places=None, geometry=None):
@@ -72,27 +51,6 @@ def exact_poses(count=10, noise_px=0.03, board=CHESSBOARD, seed=3, turns=None, p
 
 def lens_values(lens):
     return np.array([lens.matrix[0, 0], lens.matrix[1, 1], *lens.matrix[:2, 2], *lens.distortion])
-
-
-@pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
-def test_corners_of_one_pose(board, of_charuco):
-    """In camera and projector to 0.15 px; a chessboard may be numbered from either end."""
-    captures = of_charuco if board is CHARUCO else captured(board)
-    pose = measure_pose("pose", captures, board, PROJECTOR_PX)
-    geometry = rig().geometry()
-    truth = captures.corners_camera
-    camera, _ = cv2.projectPoints(truth, np.zeros(3), np.zeros(3), geometry.camera.matrix, geometry.camera.distortion)
-    projector, _ = cv2.projectPoints(
-        truth, cv2.Rodrigues(geometry.rotation)[0], geometry.translation_mm, geometry.projector.matrix,
-        geometry.projector.distortion,
-    )  # fmt: skip
-    nearest = np.linalg.norm(pose.camera_px[:, None] - camera.reshape(-1, 2), axis=-1).argmin(axis=1)
-    assert len(set(nearest)) == len(pose.corners_mm) >= 0.9 * len(truth)
-    for found, true in ((pose.camera_px, camera), (pose.projector_px, projector)):
-        off = np.linalg.norm(found - true.reshape(-1, 2)[nearest], axis=1)
-        assert np.sqrt((off**2).mean()) < 0.15
-    if board.kind == "charuco":
-        np.testing.assert_array_equal(board.corners_mm()[nearest], pose.corners_mm)
 
 
 def test_the_solver_on_noise_alone():
@@ -179,66 +137,6 @@ def test_a_projector_upside_down():
     assert abs(np.linalg.norm(found.translation_mm) - 180) < 0.2
 
 
-def test_boards_that_cannot_be():
-    with pytest.raises(SettingsError, match=r"DICT_4X4_50 has 50 markers, the board needs 300"):
-        build(Board, {"squares": (30, 20), "dictionary": "DICT_4X4_50"}, SettingsError, "board")
-    assert CHARUCO.spans(np.array([0, 1, 8, 9]))
-    assert not CHARUCO.spans(np.arange(8)) and not CHARUCO.spans(np.array([0, 1, 2, 8]))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"mirror": True}, "mirrored"),
-        ({"place": (400.0, 0.0, 900.0)}, "no 9x6 charuco is seen|hardly a pixel|hardly brighter"),
-        ({"hide": (slice(None), slice(100, None))}, "corners are seen|no 9x6 charuco is seen"),
-        ({"blur_px": 9.0}, "washed out"),
-    ],
-)
-def test_refused_captures(options, message):
-    with pytest.raises(CalibrationError, match=message) as raised:
-        measure_pose("pose_07", captured(CHARUCO, **options), CHARUCO, PROJECTOR_PX)
-    assert "pose_07" in str(raised.value) and "\n" not in str(raised.value)
-
-
-def test_a_board_that_is_partly_hidden():
-    """A ChArUco board still serves."""
-    pose = measure_pose("p", captured(CHARUCO, hide=(slice(None), slice(0, 160))), CHARUCO, PROJECTOR_PX)
-    assert 12 <= len(pose.corners_mm) < 40
-
-
-def test_captures_in_the_wrong_order(of_charuco):
-    captures = dict(of_charuco)
-    names = [name for name in SEQUENCE.names if "column-fine" in name]
-    for a, b in ((WHITE, BLACK), (names[0], "05-column-coarse-3"), (names[0], names[2]), (BLACK, names[1])):
-        swapped = {**captures, a: captures[b], b: captures[a]}
-        with pytest.raises(CalibrationError, match=r"order|contradict"):
-            decode_multishot(swapped, PROJECTOR_PX)
-    # Steps turned round in a circle are fringes, too, of another place: the coarser ones contradict them.
-    turned = {a: captures[b] for a, b in zip(names, names[3:] + names[:3], strict=True)}
-    with pytest.raises(CalibrationError, match="contradict"):
-        decode_multishot({**captures, **turned}, PROJECTOR_PX)
-
-
-def test_a_projector_of_another_size(of_charuco):
-    captures = dict(of_charuco)
-    with pytest.raises(CalibrationError, match="800x600 is not the projector's size"):
-        decode_multishot(captures, (800, 600))
-    with pytest.raises(CalibrationError, match=r"640x480 is .* but the camera's: camera and projector are swapped"):
-        decode_multishot(captures, CAMERA_PX)
-
-
-def test_sixteen_bit_files_of_a_twelve_bit_camera(of_charuco):
-    captures = {name: 16 * picture.astype(np.uint16) for name, picture in of_charuco.items()}
-    known = decode_multishot(captures, PROJECTOR_PX, white_level=4095)
-    assert np.isfinite(known.position_px).all(axis=-1).mean() > 0.2
-    captures[WHITE][:2] = 4095
-    with pytest.raises(CalibrationError, match="end at 4095"):
-        decode_multishot(captures, PROJECTOR_PX)
-    with pytest.raises(CalibrationError, match="white_level is -1"):
-        decode_multishot(captures, PROJECTOR_PX, white_level=-1)
-
-
 @pytest.mark.parametrize("shown", [(0,), pytest.param((0, 4), marks=pytest.mark.long)])
 def test_lateral_colour_is_found(shown):
     """To 0.05 px, though the camera's channels see each other's light."""
@@ -260,19 +158,6 @@ def test_lateral_colour_is_found(shown):
     found = solve_geometry(poses, CAMERA_PX, PROJECTOR_PX, PATTERN, base).calibration
     np.testing.assert_allclose(found.color_shift_px.camera, camera - camera.mean(axis=0), atol=0.05)
     np.testing.assert_allclose(found.color_shift_px.projector, projector - projector.mean(axis=0), atol=0.05)
-
-
-def test_a_printed_board(tmp_path):
-    for name in ("board.pdf", "board.svg", "board.png"):
-        CHARUCO.write(tmp_path / name)
-    picture = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
-    # 11 x 8 squares of 30 mm with the margin, at 300 dots an inch.
-    assert abs(picture.shape[1] - 11 * 30 / 25.4 * 300) < 3 and abs(picture.shape[0] - 8 * 30 / 25.4 * 300) < 3
-    numbers, places = CHARUCO.find(picture / 255.0)
-    assert len(numbers) == 40
-    np.testing.assert_allclose(places, (CHARUCO.corners_mm()[numbers, :2] + 30) / 25.4 * 300, atol=3)
-    with pytest.raises(OutputError, match="PDF, SVG or PNG"):
-        CHARUCO.write(tmp_path / "board.jpg")
 
 
 @pytest.mark.long

@@ -7,72 +7,18 @@ import av
 import numpy as np
 import pytest
 import zarr
+from support.stored_planes import store
 
 from pipeline.errors import FootageError, OutputError, RenderError
 from pipeline.footage.opening import open_source
 from pipeline.output import film
 from pipeline.output.film import FilmOptions, render_film
-from pipeline.output.mesh_files import read_mesh
 from pipeline.output.render import render_mesh
-from pipeline.output.stored_result import StoredResult, export_frames
 from tikernels.raw.development import develop
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
 SIZE = (160, 120)
-HEIGHT, WIDTH = 60, 80
-
-
-def plane(distance_mm):
-    """Return the points of a plane, 1 mm a pixel, with a hole in its lower right corner."""
-    y, x = np.indices((HEIGHT, WIDTH), np.float32)
-    points = np.stack([x - WIDTH / 2, y - HEIGHT / 2, np.full_like(x, distance_mm)], axis=-1)
-    mask = (y < HEIGHT - 15) | (x < WIDTH - 20)
-    points[~mask] = np.nan
-    return points, mask
-
-
-def store(path, distances, missing=(), in_mm=True, step=1, leave_out=()):
-    """Write a store as a run over footage does; None stands for a frame without any surface."""
-    n_frames = len(distances)
-    group = zarr.open_group(
-        path, mode="w", attributes={"settings": {}, "step": step, "range_unit": "mm" if in_mm else "rad"}
-    )
-    arrays = {}
-
-    def put(name, number, values):
-        if name in leave_out:
-            return
-        if name not in arrays:
-            fill = np.nan if values.dtype.kind == "f" else 0
-            arrays[name] = group.create_array(
-                name, shape=(n_frames, *values.shape), chunks=(1, *values.shape), dtype=values.dtype, fill_value=fill
-            )
-        arrays[name][number] = values
-
-    done = group.create_array(
-        "done",
-        shape=(n_frames, 1024),
-        chunks=(1, 1024),
-        dtype="u1",
-        fill_value=0x20,
-        compressors=None,
-        chunk_key_encoding={"name": "default", "separator": "."},
-    )
-    for number, distance in enumerate(distances):
-        if number in missing:
-            continue
-        points, mask = plane(distance or 400.0)
-        mask &= distance is not None
-        put("mask", number, mask)
-        put("modulation", number, np.where(mask, np.float32(50), np.float32(0)))
-        put("phase_sigma", number, np.where(mask, np.float32(0.02), np.float32(np.nan)))
-        put("range_image", number, points[..., 2] if in_mm else points[..., 2] / 100)
-        if in_mm:
-            put("points", number, points)
-            put("point_sigma", number, np.where(mask, np.float32(0.1), np.float32(np.nan)))
-        done[number] = np.frombuffer(b"{}".ljust(1024), np.uint8)
-    return path
 
 
 def pictures(path):
@@ -196,34 +142,6 @@ def test_what_is_refused(tmp_path):
         render_film(path, tmp_path / "film.mp4")
 
 
-def test_what_is_no_store(tmp_path):
-    (tmp_path / "other").mkdir()
-    zarr.open_group(tmp_path / "group.zarr", mode="w").create_array("a", shape=(3,), dtype="f4")
-    zarr.open_group(tmp_path / "old.zarr", mode="w", zarr_format=2, attributes={"settings": {}})
-    for name, reason in (
-        ("none", "not a result.zarr that can be read"),
-        ("other", "not a result.zarr that can be read"),
-        ("group.zarr", "not a result of colorphase decode"),
-        ("old.zarr", "not a result.zarr that can be read"),  # codecs of that format may unpickle
-    ):
-        with pytest.raises(FootageError, match=f"{name} is {reason}"):
-            StoredResult(tmp_path / name)
-
-
-def test_a_mark_that_was_cut_off_is_none(tmp_path):
-    path = store(tmp_path / "r.zarr", [400.0, 401.0])
-    (path / "done" / "c.0.0").write_bytes(b"{}")
-    assert StoredResult(path).done == (1,)
-
-
-def test_a_damaged_chunk_is_named(tmp_path):
-    path = store(tmp_path / "r.zarr", [400.0, 401.0])
-    chunk = next(p for p in (path / "points").rglob("*") if p.is_file() and p.name != "zarr.json")
-    chunk.write_bytes(b"nothing")
-    with pytest.raises(FootageError, match=r"points of frame \d is damaged"):
-        export_frames(path, tmp_path / "out", "ply")
-
-
 def test_a_child_that_dies_leaves_nothing(tmp_path, monkeypatch):
     path = store(tmp_path / "r.zarr", [400.0, 401.0])
     monkeypatch.setattr(film, "_COMMAND", [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), 11)"])
@@ -233,39 +151,6 @@ def test_a_child_that_dies_leaves_nothing(tmp_path, monkeypatch):
     with pytest.raises(RenderError, match=r"more than 0\.5 s"):
         render_film(path, tmp_path / "film.mp4", timeout_s=0.5)
     assert [p.name for p in tmp_path.iterdir()] == ["r.zarr"]
-
-
-@pytest.mark.parametrize("in_mm", [True, False])
-def test_export(tmp_path, in_mm):
-    path = store(tmp_path / "r.zarr", [400.0, None, 402.0, 403.0], missing=(3,), in_mm=in_mm)
-    assert export_frames(path, tmp_path / "out", "ply") == (2, (1,))
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["frame_000000.ply", "frame_000002.ply"]
-    mesh = read_mesh(tmp_path / "out" / "frame_000002.ply")
-    assert len(mesh.vertices) == plane(402.0)[1].sum()
-    assert np.all(mesh.vertices[:, 2] == np.float32(402.0 if in_mm else 4.02))
-    assert mesh.unit == ("mm" if in_mm else "rad")
-    assert mesh.properties.keys() == {"modulation", "sigma_rad"} | ({"sigma_mm"} if in_mm else set())
-    assert export_frames(path, tmp_path / "glb", "glb")[0] == 2
-    assert (tmp_path / "glb" / "frame_000000.glb").read_bytes()[:4] == b"glTF"
-
-
-def test_ranges_in_mm_make_no_mesh_without_points(tmp_path):
-    """Depths in mm over columns and rows in px would be no shape at all."""
-    path = store(tmp_path / "r.zarr", [400.0], leave_out=("points",))
-    with pytest.raises(FootageError, match="holds no points: decode with that field"):
-        export_frames(path, tmp_path / "out", "ply")
-
-
-@pytest.mark.parametrize(
-    "lost, message", [("done/c.*", "holds no frame that is done: decode first"), ("mask", "holds no mask")]
-)
-def test_an_export_of_nothing_leaves_no_folder(tmp_path, lost, message):
-    path = store(tmp_path / "r.zarr", [400.0, 401.0])
-    for place in path.glob(lost):
-        place.rename(tmp_path / place.name)
-    with pytest.raises(FootageError, match=message):
-        export_frames(path, tmp_path / "meshes", "ply")
-    assert not (tmp_path / "meshes").exists()
 
 
 @pytest.mark.long

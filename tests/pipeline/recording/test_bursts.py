@@ -9,11 +9,9 @@ import threading
 import time
 from contextlib import contextmanager
 
-import av
 import numpy as np
 import pytest
-import zarr
-from zarr.codecs import BloscCodec, Crc32cCodec
+from support.numbered_frames import BURST, RGB8, add, frame_of
 
 from pipeline.errors import OutputError
 from pipeline.footage.opening import open_source
@@ -21,21 +19,9 @@ from pipeline.recording import writing_threads
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat
 
-RGB8, RGB12, BAYER8 = PixelFormat("rgb"), PixelFormat("rgb", 12), PixelFormat("bayer", bayer="gbrg")
-BURST = 5
+RGB12 = PixelFormat("rgb", 12)
 
 both = pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
-
-
-def frame_of(number, format=RGB8):
-    """Return a frame that tells its number, and does not compress."""
-    (shape,) = format.plane_shapes(22, 34)
-    return np.random.default_rng(number).integers(0, 2**format.bits, shape).astype(format.dtype)
-
-
-def add(recorder, n_frames):
-    for _ in range(n_frames):
-        recorder.add(frame_of(recorder.n_frames))
 
 
 def held(path):
@@ -180,7 +166,8 @@ def test_ctrl_c_at_any_moment(tmp_path, suffix):
 RECORD_FOR_EVER = """
 import sys
 sys.path[:0] = sys.argv[2:]
-from test_bursts import BURST, RGB8, Recorder, add
+from support.numbered_frames import BURST, RGB8, add
+from pipeline.recording.recorder import Recorder
 recorder = Recorder(sys.argv[1], RGB8)
 while True:
     add(recorder, BURST)
@@ -259,43 +246,6 @@ def test_a_disk_that_never_answers(tmp_path, suffix, monkeypatch):
     may_go.set()
     while recorder._threads._running:
         time.sleep(0.01)
-
-
-def test_chunks_are_those_of_zarr(tmp_path):
-    for format in (RGB8, RGB12):
-        path = tmp_path / f"{format.bits}.zarr"
-        with Recorder(path, format) as recorder:
-            for number in range(3):
-                recorder.add(frame_of(number, format))
-        array = zarr.create_array(
-            tmp_path / f"{format.bits} by zarr",
-            data=np.array([frame_of(number, format) for number in range(3)]),
-            chunks=(1, 22, 34, 3),
-            compressors=[BloscCodec(cname="lz4", clevel=1, shuffle="bitshuffle"), Crc32cCodec()],
-            chunk_key_encoding={"name": "default", "separator": "."},
-        )
-        ours = zarr.open_group(path, mode="r")["frames"]
-        assert ours.metadata == array.metadata
-        for number in range(3):
-            chunks = [folder / f"c.{number}.0.0.0" for folder in (path / "frames", tmp_path / f"{format.bits} by zarr")]
-            assert chunks[0].read_bytes() == chunks[1].read_bytes()
-
-
-def test_other_programs_read_it(tmp_path):
-    """By FFmpeg, which finds the length, the list of frames and each frame's time."""
-    with Recorder(tmp_path / "a.mkv", RGB8, rate_hz=200, transfer="srgb") as recorder:
-        add(recorder, 50)
-    with av.open(str(tmp_path / "a.mkv")) as container:
-        (stream,) = container.streams
-        assert container.duration == 250_000
-        assert stream.average_rate == 200
-        assert stream.codec_context.name == "ffv1"
-        assert container.metadata["COLORPHASE_TRANSFER"] == "srgb"
-        container.seek(145, stream=stream)
-        assert [entry.timestamp for entry in stream.index_entries] == list(range(0, 250, 5))
-        frame = next(container.decode(stream))
-        assert frame.pts == 145
-        np.testing.assert_array_equal(frame.to_ndarray(format="rgb24"), frame_of(29))
 
 
 @both

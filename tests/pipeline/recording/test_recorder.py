@@ -1,7 +1,6 @@
 """Our own recordings: nothing is lost, and nothing half-written looks whole."""
 
 import errno
-import shutil
 import signal
 from contextlib import contextmanager
 from fractions import Fraction
@@ -10,32 +9,17 @@ import av
 import numpy as np
 import pytest
 import zarr
-from support.video_files import flip, packets
+from support.numbered_frames import RGB8, frames_of, record
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame, StoredFrame
 from pipeline.recording.recorder import Recorder
 from tikernels import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 
-RGB8, RGB12, RGB16 = PixelFormat("rgb"), PixelFormat("rgb", 12), PixelFormat("rgb", 16)
+RGB12, RGB16 = PixelFormat("rgb", 12), PixelFormat("rgb", 16)
 BAYER8, BAYER12 = PixelFormat("bayer", bayer="gbrg"), PixelFormat("bayer", 12, bayer="grbg")
 FORMATS = [RGB8, RGB12, RGB16, BAYER8, BAYER12]
-
-
-def frames_of(format, n_frames=9, size=(22, 34)):
-    rng = np.random.default_rng(6)
-    (shape,) = format.plane_shapes(*size)
-    return [rng.integers(0, 2**format.bits, shape).astype(format.dtype) for _ in range(n_frames)]
-
-
-def record(path, format=RGB8, n_frames=9, **options):
-    frames = frames_of(format, n_frames)
-    with Recorder(path, format, **options) as recorder:
-        for frame in frames:
-            recorder.add(frame)
-    return frames
 
 
 def retagged(path, target, tags, last_ms=None):
@@ -79,14 +63,6 @@ def test_there_and_back(tmp_path, format, suffix):
         for frame in got:
             np.testing.assert_array_equal(rgb(frame.planes, frame.format), frames[frame.number])
     source.close()
-
-
-@pytest.mark.parametrize("rate_hz", [1, 7, 30, 240, 500, Fraction(24000, 1001)])
-def test_any_rate(tmp_path, rate_hz):
-    record(tmp_path / "a.mkv", n_frames=25, rate_hz=rate_hz)
-    frames = list(open_source(tmp_path / "a.mkv").frames())
-    assert [frame.number for frame in frames] == list(range(25))
-    assert all(isinstance(frame, StoredFrame) for frame in frames)
 
 
 def test_black_frames_are_frames(tmp_path):
@@ -177,64 +153,6 @@ def test_what_a_recorder_refuses(tmp_path):
             recorder.add(frames_of(RGB8)[0][:-1])
 
 
-def test_one_wrong_bit_is_found(tmp_path):
-    """FFmpeg conceals it; the checksum of each slice tells."""
-    record(tmp_path / "a.mkv")
-    flip(tmp_path / "a.mkv", 5)
-    frames = list(open_source(tmp_path / "a.mkv").frames())
-    assert [frame.number for frame in frames if isinstance(frame, BadFrame)] == [5]
-    assert "CRC" in frames[5].reason
-
-
-def test_one_wrong_bit_is_found_in_zarr(tmp_path):
-    record(tmp_path / "a.zarr")
-    chunk = tmp_path / "a.zarr" / "frames" / "c.5.0.0.0"
-    data = bytearray(chunk.read_bytes())
-    data[len(data) // 2] ^= 4
-    chunk.write_bytes(data)
-    (tmp_path / "a.zarr" / "frames" / "c.7.0.0.0").unlink()
-    frames = list(open_source(tmp_path / "a.zarr").frames())
-    reasons = {frame.number: frame.reason for frame in frames if isinstance(frame, BadFrame)}
-    assert list(reasons) == [5, 7]
-    assert "damaged" in reasons[5]
-    assert "missing" in reasons[7]
-
-
-def test_a_recording_that_was_cut_off_still_knows_its_numbers(tmp_path):
-    record(tmp_path / "a.mkv")
-    begin, size = packets(tmp_path / "a.mkv")[6]
-    (tmp_path / "a.mkv").write_bytes((tmp_path / "a.mkv").read_bytes()[: begin + size // 2])
-    source = open_source(tmp_path / "a.mkv")
-    frames = list(source.frames())
-    assert len(source) == 9
-    assert [isinstance(frame, StoredFrame) for frame in frames] == 6 * [True] + 3 * [False]
-    assert [frame.number for frame in source.frames(4, 7)] == [4, 5, 6]
-
-
-def test_a_recording_with_a_hole_still_knows_its_numbers(tmp_path):
-    """Where the container itself is damaged its reader skips frames without a word."""
-    frames = record(tmp_path / "a.mkv", n_frames=12)
-    found = packets(tmp_path / "a.mkv")
-    data = bytearray((tmp_path / "a.mkv").read_bytes())
-    data[found[4][0] - 8 : found[6][0] + 20] = bytes(found[6][0] + 20 - found[4][0] + 8)
-    (tmp_path / "a.mkv").write_bytes(data)
-    got = list(open_source(tmp_path / "a.mkv").frames())
-    assert [frame.number for frame in got] == list(range(12))
-    good = [frame for frame in got if isinstance(frame, StoredFrame)]
-    assert len(good) < 12
-    for frame in good:
-        np.testing.assert_array_equal(rgb(frame.planes, frame.format), frames[frame.number])
-
-
-def test_what_is_no_recording(tmp_path):
-    zarr.open_group(tmp_path / "other.zarr", mode="w")
-    (tmp_path / "empty.zarr").mkdir()
-    zarr.create_array(tmp_path / "array.zarr", shape=(3, 3), dtype="u1")
-    for name in ("other.zarr", "empty.zarr", "array.zarr"):
-        with pytest.raises(FootageError, match=rf"{name} is not a recording of frames"):
-            open_source(tmp_path / name)
-
-
 @pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
 @pytest.mark.parametrize(
     "key, value, reason",
@@ -257,37 +175,6 @@ def test_what_no_recorder_writes(tmp_path, suffix, key, value, reason):
         open_source(path)
 
 
-def test_a_length_that_cannot_be(tmp_path):
-    """How many frames there are is told by the length: of a wrong one no list is made."""
-    record(tmp_path / "a.mkv")
-    with pytest.raises(FootageError, match=r"says that it holds \d+ frames"):
-        open_source(retagged(tmp_path / "a.mkv", tmp_path / "b.mkv", {}, last_ms=10**12))
-
-
-def test_frames_of_another_shape(tmp_path):
-    for name, shape in (("line", (3,)), ("none", None)):
-        path = tmp_path / f"{name}.zarr"
-        record(path)
-        group = zarr.open_group(path)
-        del group["frames"]
-        if shape is None:
-            group.create_group("frames")
-        else:
-            group.create_array("frames", shape=shape, dtype="u1")
-        with pytest.raises(FootageError, match=rf"{name}\.zarr is damaged"):
-            open_source(path)
-
-
-def test_an_older_zarr_is_no_recording(tmp_path):
-    """Its arrays may name codecs that unpickle."""
-    record(tmp_path / "a.zarr")
-    about = zarr.open_group(tmp_path / "a.zarr").attrs.asdict()
-    group = zarr.open_group(tmp_path / "old.zarr", mode="w", zarr_format=2, attributes=about)
-    group.create_array("frames", shape=(9, 22, 34, 3), chunks=(1, 22, 34, 3), dtype="u1")
-    with pytest.raises(FootageError, match=r"old\.zarr is not a recording"):
-        open_source(tmp_path / "old.zarr")
-
-
 def test_a_recording_of_a_later_version(tmp_path):
     record(tmp_path / "a.zarr")
     group = zarr.open_group(tmp_path / "a.zarr")
@@ -302,13 +189,6 @@ def test_a_recording_of_a_later_version(tmp_path):
         container.mux(stream.encode())
     with pytest.raises(FootageError, match=r"later\.mkv: it is a recording of version 2"):
         open_source(tmp_path / "later.mkv")
-
-
-def test_a_recording_may_be_copied(tmp_path):
-    frames = record(tmp_path / "a.zarr")
-    shutil.move(tmp_path / "a.zarr", tmp_path / "renamed folder")
-    (frame,) = open_source(tmp_path / "renamed folder").frames(3, 4)
-    np.testing.assert_array_equal(frame.planes[0], frames[3])
 
 
 def test_the_user_knows_better(tmp_path):

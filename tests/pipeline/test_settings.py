@@ -1,0 +1,33 @@
+"""Settings from a file: each mistake is one line that names the key."""
+
+import pytest
+
+from pipeline import DecodeSettings
+from pipeline.errors import SettingsError
+
+
+def test_settings_from_toml(tmp_path):
+    path = tmp_path / "settings.toml"
+    path.write_text('stripes = "vertical"\nsmoothing_px = 7\nnoise = [1.5, 0.0]\n')
+    settings = DecodeSettings.read(path)
+    assert (settings.stripes, settings.smoothing_px, settings.noise) == ("vertical", 7, (1.5, 0.0))
+    assert settings.equalize  # what is left out is the default
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("stripe = 'vertical'", "stripe: is not a known key"),
+        ("stripes = 'diagonal'", "stripes: "),
+        ("smoothing_px = 4", "smoothing_px: must be 0 or odd"),
+        ("camera_period_px = 2.0", "camera_period_px"),
+        ("unwrap_method = 'magic'", "unwrap_method"),
+        ("crosstalk_matrix = [[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "crosstalk_matrix cannot be inverted"),
+        ("a = [", "not what it should be"),
+    ],
+)
+def test_wrong_settings_are_refused_by_their_key(tmp_path, text, message):
+    path = tmp_path / "settings.toml"
+    path.write_text(text)
+    with pytest.raises(SettingsError, match=message):
+        DecodeSettings.read(path)
