@@ -5,7 +5,7 @@ import pytest
 import reference
 
 import tikernels
-from pipeline.orders.coded_orders import modulation_corrections
+from pipeline.orders.modulation import modulation_corrections
 from tikernels.order_evidence import correct_by_modulation
 from tikernels.order_evidence.modulation_correction import SLOPE_REACH, TABLED
 from tikernels.phase.equalization import modulation_tables
