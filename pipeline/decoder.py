@@ -53,7 +53,7 @@ class Decoder:
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         Where to compute; a named one never falls back.
     unwrapper : UserUnwrapper, optional
-        Your own unwrapping instead of `unwrap_method`: an object with ``unwrap(phase, quality) -> (unwrapped, region)``,
+        Your own unwrapping: an object with ``unwrap(phase, quality) -> (unwrapped, region)``,
         stripes along the rows; see `tikernels.unwrapping.UserUnwrapper`.
 
     Attributes
