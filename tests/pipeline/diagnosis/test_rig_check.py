@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from pipeline.diagnosis import rig_check
 from pipeline.diagnosis.rig_check import check_picture, check_sequence, holds_captures
+from pipeline.diagnosis.ripple import Diagnosis
 from pipeline.errors import CalibrationError
 from pipeline.models import CameraState
 from pipeline.output.range_image import write_png
@@ -16,7 +18,7 @@ from tikernels import runtime
 def plane():
     """Return a simulated plane, and its rig as it was calibrated."""
     runtime.init("cpu")
-    truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
+    truth = simulate_frame(simulated_rig((320, 240), period_px=2 * 768 / 44), SimulationSettings(scene="plane"))
     crosstalk = SimulationSettings().crosstalk_matrix
     return truth.image, truth.rig.model_copy(update={"crosstalk_matrix": crosstalk})
 
@@ -38,17 +40,27 @@ def test_a_plane_is_flat_and_a_wrong_crosstalk_can_be_corrected(plane, tmp_path)
     np.testing.assert_allclose(found.corrected().crosstalk_matrix, parts, atol=0.05)
 
 
-def test_what_the_settings_leave_open_the_calibration_says(plane, tmp_path):
+def test_what_the_settings_leave_open_the_calibration_says(plane, tmp_path, monkeypatch):
     image, rig = plane
-    path = tmp_path / "turned.png"
-    write_png(path, np.ascontiguousarray(np.zeros_like(image)))
+    asked = []
+
+    def diagnosed(*arguments):
+        asked.append(arguments)
+        return Diagnosis((), {}, {}, np.nan)
+
+    monkeypatch.setattr(rig_check, "diagnose", diagnosed)
+    path = tmp_path / "plane.png"
     rig = rig.model_copy(update={"capture": CameraState(transfer="srgb")})
+    write_png(path, np.zeros_like(image))
     with pytest.warns(match="no fringe stands out"):
         assert check_picture(path, rig, DecodeSettings(), "cpu") is None
+    assert not asked
     write_png(path, image)
     assert check_picture(path, rig, DecodeSettings(), "cpu").transfer == "srgb"
     with pytest.warns(match="transfer is linear but was srgb at calibration"):
         assert check_picture(path, rig, DecodeSettings(transfer="linear"), "cpu").transfer == "linear"
+    assert [arguments[5] for arguments in asked] == ["srgb", "linear"]
+    np.testing.assert_array_equal(asked[0][4], rig.crosstalk_matrix)
 
 
 def test_frames_in_a_row(plane, tmp_path):
