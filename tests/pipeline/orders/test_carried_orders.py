@@ -9,7 +9,7 @@ from pipeline.orders.carried_orders import MAX_ERROR_PROBABILITY, count_votes, s
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
 from tikernels.errors import ShapeError
-from tikernels.unwrapping.unwrapper import PatchGraph
+from tikernels.unwrapping import PatchGraph
 
 SIZE = (320, 240)
 
