@@ -72,7 +72,7 @@ def test_cells_without_room_are_grown_again(arch, method):
 
 def test_settings_know_the_methods():
     assert DecodeSettings(unwrap_method="reliability").unwrap_method in METHODS
-    with pytest.raises(SettingsError, match="unwrap_method.*must be directional or reliability, got 'magic'"):
+    with pytest.raises(SettingsError, match=r"unwrap_method.*must be directional or reliability, got 'magic'"):
         DecodeSettings.of(unwrap_method="magic")
 
 
