@@ -6,6 +6,8 @@ import reference
 from support.wrapped_surfaces import join, orders, written
 
 import tikernels
+from pipeline import DecodeSettings
+from pipeline.errors import SettingsError
 from tikernels import runtime
 from tikernels.unwrapping import METHODS, PatchMethod, RegionUnwrapper
 from tikernels.unwrapping.tables import NOTHING, ORDER_BITS, ORDER_ZERO
@@ -66,6 +68,12 @@ def test_cells_without_room_are_grown_again(arch, method):
     found, _ = join(phase, method=tight)
     for one, other in zip(found.graph(), expected.graph(), strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_settings_know_the_methods():
+    assert DecodeSettings(unwrap_method="reliability").unwrap_method in METHODS
+    with pytest.raises(SettingsError, match=r"unwrap_method.*must be directional or reliability, got 'magic'"):
+        DecodeSettings.of(unwrap_method="magic")
 
 
 def test_what_join_refuses(arch):
