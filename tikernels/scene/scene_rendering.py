@@ -107,17 +107,16 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
     trace, shadowed, normal_at = ray_casting(scene)
 
     @ti.func
-    def shade_at(p: vec3, pose: vec4, centre: vec3, pixel: vec2, light: F32Array3, falloff: f32) -> f32:
-        """Share of the projector's light that a point gets; zero in a shadow and outside the frame."""
+    def light_on(p: vec3, pose: vec4, centre: vec3, pixel: vec2, light: F32Array3, falloff: f32):
+        """Return whether the projector lights a point, and which share of its light arrives if it does."""
         towards = centre - p
         distance = towards.norm()
         direction = towards / distance
         slope = normal_at(p, pose).dot(direction)
-        shade = 0.0
+        lit = 0
         if slope > 0.0 and inside_frame(pixel, light):
-            if shadowed(p, direction, pose) == 0:
-                shade = slope * (falloff / distance) ** 2
-        return shade
+            lit = 1 - shadowed(p, direction, pose)
+        return lit, slope * (falloff / distance) ** 2
 
     @ti.kernel
     def render_scene_kernel(
@@ -156,9 +155,9 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
                         p = ray * depth
                         reflectance = surface_color(at_rest(p, pose), surface)
                         pixel = projector_pixel(p, rotation, translation, optics)
-                        shade = shade_at(p, pose, centre, pixel, light, falloff_mm)
+                        lit, shade = light_on(p, pose, centre, pixel, light, falloff_mm)
                         irradiance = vec3(ambient)
-                        if shade > 0.0:
+                        if lit == 1:
                             irradiance += shade * light_at(light, pixel, optics)
                         irradiance = only_field(irradiance, field, fields)
                         seen = sent_back(irradiance, reflectance, crosstalk, narrow_band)
@@ -166,7 +165,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
                             if views == 1 or i == view:
                                 radiance[i] += seen[i]
                         if field == 0 and (views == 1 or view == 1):
-                            write_truth(y, x, pixel, p, reflectance, ti.cast(shade > 0.0, i32), *truth)
+                            write_truth(y, x, pixel, p, reflectance, lit, *truth)
             for i in ti.static(range(3)):
                 out_light[y, x, i] = radiance[i]
 
