@@ -23,7 +23,13 @@ def test_the_command_is_sent_until_it_is_taken_and_then_no_more():
 
     switch_power(True, lambda: next(states), command, said.append)
     assert sent == [0, 1, 2]
-    assert said == ["waiting to switch it on", "waiting to switch it on", "off", "warming up", "waiting to switch it on"]
+    assert said == [
+        "waiting to switch it on",
+        "waiting to switch it on",
+        "off",
+        "warming up",
+        "waiting to switch it on",
+    ]
 
 
 def test_what_is_on_already_is_left_alone():
