@@ -1,6 +1,10 @@
 """Meshes as glTF: y up, in metres, colours in linear light."""
 
+import base64
+import json
+import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,3 +49,16 @@ def test_gltf_never_calls_radians_metres(tmp_path: Path, mesh: Mesh) -> None:
     scene, _ = load_gltf(tmp_path / "mesh.glb")
     assert scene["asset"]["extras"]["unit"] == "x and y in px, z in rad"
     assert scene["accessors"][0]["max"][0] == mesh.vertices[:, 0].max()
+
+
+def load_gltf(path: Path) -> tuple[dict[str, Any], bytes]:
+    data = path.read_bytes()
+    if path.suffix == ".gltf":
+        scene = json.loads(data)
+        return scene, base64.b64decode(scene["buffers"][0]["uri"].split(",")[1])
+    magic, version, length, text_length, kind = struct.unpack_from("<4sII I4s", data)
+    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
+    buffer_length, kind = struct.unpack_from("<I4s", data, 20 + text_length)
+    assert (kind, 28 + text_length + buffer_length) == (b"BIN\0", len(data))
+    assert text_length % 4 == buffer_length % 4 == 0
+    return json.loads(data[20 : 20 + text_length]), data[28 + text_length :]

@@ -1,10 +1,6 @@
 """Meshes and range images, each file read back by a reader that is not ours."""
 
-import base64
-import json
-import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -68,19 +64,6 @@ def test_vrml_lists_points_colors_and_faces(tmp_path: Path, mesh: Mesh) -> None:
     np.testing.assert_allclose(table("point", 3), mesh.vertices, rtol=1e-6)
     np.testing.assert_array_equal((table("color", 3) * 255).round(), mesh.colors)
     np.testing.assert_array_equal(table("coordIndex", 4), np.pad(mesh.faces, ((0, 0), (0, 1)), constant_values=-1))
-
-
-def load_gltf(path: Path) -> tuple[dict[str, Any], bytes]:
-    data = path.read_bytes()
-    if path.suffix == ".gltf":
-        scene = json.loads(data)
-        return scene, base64.b64decode(scene["buffers"][0]["uri"].split(",")[1])
-    magic, version, length, text_length, kind = struct.unpack_from("<4sII I4s", data)
-    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
-    buffer_length, kind = struct.unpack_from("<I4s", data, 20 + text_length)
-    assert (kind, 28 + text_length + buffer_length) == (b"BIN\0", len(data))
-    assert text_length % 4 == buffer_length % 4 == 0
-    return json.loads(data[20 : 20 + text_length]), data[28 + text_length :]
 
 
 def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
