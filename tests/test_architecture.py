@@ -30,6 +30,9 @@ FLOORS = {
 UNTESTED = {
     "hardware.errors": "names only",
     "hardware.protocols": "names only",
+    "hardware.settings": "what rig.toml may say: pipeline/acquisition/test_rig_file.py, hardware/test_drivers.py",
+    "pipeline.acquisition.live_process": "what runs in the process of `live`: pipeline/acquisition/test_live.py",
+    "pipeline.diagnosis.ripple_finding": "names only",
     "pipeline.errors": "names only",
     "tikernels.errors": "names only",
     "tikernels.arrays": "names only",

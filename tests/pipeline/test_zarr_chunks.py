@@ -6,6 +6,7 @@ from support.numbered_frames import RGB8, frame_of
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from pipeline.recording.recorder import Recorder
+from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codec, chunk_key, encode_chunk
 from tikernels.raw.pixel_format import PixelFormat
 
 RGB12 = PixelFormat("rgb", 12)
@@ -29,3 +30,24 @@ def test_chunks_are_those_of_zarr(tmp_path):
         for number in range(3):
             chunks = [folder / f"c.{number}.0.0.0" for folder in (path / "frames", tmp_path / f"{format.bits} by zarr")]
             assert chunks[0].read_bytes() == chunks[1].read_bytes()
+
+
+def test_a_chunk_is_little_endian_whatever_the_array_is(tmp_path):
+    values = np.arange(12, dtype=np.uint16).reshape(3, 4)
+    chunk = encode_chunk(values, 1)
+    assert encode_chunk(values.astype(">u2"), 1) == chunk
+    assert encode_chunk(np.asfortranarray(values), 1) == chunk
+    array = zarr.create_array(
+        tmp_path / "a.zarr",
+        shape=(1, 3, 4),
+        chunks=(1, 3, 4),
+        dtype="<u2",
+        compressors=chunk_codec(1),
+        chunk_key_encoding=CHUNK_KEYS,
+    )
+    (tmp_path / "a.zarr" / chunk_key(0, 2)).write_bytes(chunk)
+    np.testing.assert_array_equal(array[0], values)
+
+
+def test_a_key_has_a_zero_for_every_other_axis():
+    assert [chunk_key(7, n_axes) for n_axes in range(4)] == ["c.7", "c.7.0", "c.7.0.0", "c.7.0.0.0"]

@@ -2,11 +2,14 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 
 from pipeline import Calibration
-from pipeline.errors import CalibrationError
+from pipeline.calibration import ColorShift, Pattern
+from pipeline.calibration.model import choose_pattern
+from pipeline.errors import CalibrationError, SettingsError
 from pipeline.simulation import simulated_rig
 
 
@@ -63,3 +66,60 @@ def test_a_missing_key_and_a_broken_file(tmp_path):
         Calibration.read(path)
     with pytest.raises(CalibrationError, match="No such file"):
         Calibration.read(tmp_path / "none.json")
+
+
+def test_rays_are_the_pixels_of_a_pinhole():
+    """And with lateral colour those of a channel that lands beside its place."""
+    lens = simulated_rig((64, 48)).camera
+    focal, centre = lens.matrix[0, 0], lens.matrix[:2, 2]
+    rays = lens.rays()
+    assert rays.shape == (48, 64, 2)
+    np.testing.assert_allclose(rays[10, 50], (np.array([50, 10]) - centre) / focal, atol=1e-6)
+    np.testing.assert_allclose(
+        lens.rays(np.array([0.5, -1.0]))[10, 50], (np.array([49.5, 11]) - centre) / focal, atol=1e-6
+    )
+
+
+def test_a_distorted_ray_comes_back_to_its_pixel():
+    lens = simulated_rig((64, 48), camera_distortion=(-0.2, 0.05, 1e-3, -1e-3, 0.0)).camera
+    rays = lens.rays()[::9, ::9].reshape(-1, 2)
+    points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1).astype(np.float64)
+    pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, lens.distortion)
+    y, x = np.mgrid[:48:9, :64:9]
+    np.testing.assert_allclose(pixels[:, 0], np.stack([x.ravel(), y.ravel()], axis=1), atol=1e-3)
+
+
+def test_the_axes_meet_where_the_rig_is_turned_to():
+    assert simulated_rig().geometry().working_distance_mm() == pytest.approx(900, abs=1e-6)
+    parallel = {"rotation": np.eye(3), "translation_mm": np.array([0.0, 180.0, 0.0])}
+    assert simulated_rig().model_copy(update=parallel).geometry().working_distance_mm() is None
+
+
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+def test_a_point_on_the_projectors_axis_has_the_phase_of_its_middle(stripes):
+    rig = simulated_rig(stripes=stripes, period_px=16)
+    axis = 1 if stripes == "horizontal" else 0
+    cycles = rig.geometry().pattern_cycles(np.array([[0.0, 0.0, 900.0]]))
+    assert cycles == pytest.approx(rig.projector.matrix[axis, 2] / 16)
+
+
+def test_a_crop_looks_where_the_whole_frame_looked():
+    rig = simulated_rig((64, 48), camera_distortion=(-0.2, 0.0, 0.0, 0.0, 0.0))
+    part = rig.cropped(20, 8, (30, 16)).camera.rays()
+    np.testing.assert_allclose(part, rig.camera.rays()[8:24, 20:50], atol=1e-6)
+
+
+def test_lateral_colour_of_the_projector_is_a_lag_of_the_phase():
+    shift = ColorShift(camera=np.zeros((3, 2)), projector=np.array([[9.0, -1.0], [9.0, 0.0], [9.0, 2.0]]))
+    rig = simulated_rig(period_px=16).model_copy(update={"color_shift_px": shift})
+    np.testing.assert_allclose(rig.projector_lag_rad(), np.array([-1, 0, 2]) * 2 * np.pi / 16)
+    assert simulated_rig().projector_lag_rad() is None
+
+
+def test_the_pattern_that_was_named_wins_over_the_calibrations():
+    known = simulated_rig(period_px=20, stripes="vertical")
+    assert choose_pattern(known, None, None) == known.pattern
+    assert choose_pattern(known, 12, None, "contrast") == Pattern(period_px=12, stripes="vertical", code="contrast")
+    assert choose_pattern(None, None, None) == Pattern(period_px=768 / 44)
+    with pytest.raises(SettingsError, match="period_px"):
+        choose_pattern(None, 1, None)

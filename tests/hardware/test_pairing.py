@@ -1,0 +1,112 @@
+"""Which pulse a frame belongs to, from evidence written down by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hardware.pairing import Evidence, find_faults
+from hardware.protocols import CameraFrame, Strobe, TriggerStatus
+from hardware.pulses import Pulse, PulseTrain
+
+PERIOD_S, COUNT, EXPOSURE_S = 0.02, 5, 5e-3
+TRAIN = PulseTrain(PERIOD_S, COUNT, Pulse(0.0, 1e-4), Pulse(1e-3, 1e-4))
+
+
+def frame_of(number, **changed):
+    """Return the frame of a pulse: exposed 1 ms after it, there 10 ms later."""
+    exposed_s = number * PERIOD_S + 1e-3
+    image = np.random.default_rng(number).integers(90, 110, (4, 4, 3), np.uint8)
+    return replace(CameraFrame(image, 100.0 + exposed_s + 0.01, 40 + number, 7.0 + exposed_s), **changed)
+
+
+def evidence(frames=None, strobes=None, **changed):
+    """Return what is known of a burst in which all went well, but for what is changed."""
+    frames = [frame_of(number) for number in range(COUNT)] if frames is None else frames
+    strobes = [Strobe(number, number * PERIOD_S + 1e-3) for number in range(COUNT)] if strobes is None else strobes
+    return Evidence(
+        **{
+            "train": TRAIN,
+            "by_software": False,
+            "first_pulse": 0,
+            "count": COUNT,
+            "exposure_s": EXPOSURE_S,
+            "jitter_s": 0.0,
+            "fired_at_s": 100.0,
+            "clock": 1e-4,
+            "latencies_s": None,
+            "frames": frames,
+            "previous": None,
+            "armed": TriggerStatus(False, boot=1),
+            "ended": TriggerStatus(False, COUNT, len(strobes), boot=1),
+            "strobe_wired": True,
+            "strobes": strobes,
+            "picture_a_pulse": False,
+            **changed,
+        }
+    )
+
+
+def said(seen):
+    return [str(fault) for fault in find_faults(seen)]
+
+
+@pytest.mark.parametrize("wired", [True, False])
+def test_a_whole_burst_is_beyond_doubt(wired):
+    assert said(evidence(strobe_wired=wired, **({} if wired else {"strobes": None}))) == []
+
+
+def test_the_missing_exposure_names_the_pulse_and_the_cable():
+    frames = [frame_of(number) for number in (0, 1, 3, 4)]
+    strobes = [Strobe(number, number * PERIOD_S + 1e-3) for number in (0, 1, 3, 4)]
+    assert said(evidence(frames, strobes))[0] == "pulse 2: 4 exposures to 5 pulses: check the camera's trigger cable"
+
+
+def test_an_exposure_whose_frame_is_missing_is_the_data_cables():
+    (fault,) = said(evidence([frame_of(number) for number in (0, 1, 3, 4)]))[:1]
+    assert fault.startswith("pulse 2: only 4 frames of 5 exposures arrived: check the camera's data cable")
+
+
+def test_an_exposure_between_two_pulses_was_made_by_something_else():
+    strobes = [Strobe(number, number * PERIOD_S + 1e-3 + 0.4 * PERIOD_S * (number == 3)) for number in range(COUNT)]
+    (fault,) = said(evidence(strobes=strobes))
+    assert fault.startswith("pulse 3: its exposure is off by 0.40 periods: check the shields")
+
+
+def test_a_frame_by_another_clock_than_its_neighbours_is_named():
+    frames = [frame_of(number) for number in range(COUNT)]
+    frames[2] = replace(frames[2], device_time_s=frames[2].device_time_s + 0.2 * PERIOD_S)
+    assert any(fault.startswith("pulse 2: its frame is 1.20 periods after") for fault in said(evidence(frames)))
+
+
+def test_frames_that_are_broken_skipped_or_shown_twice():
+    frames = [frame_of(number) for number in range(COUNT)]
+    frames[1] = replace(frames[1], image=None, fault="missing packets")
+    frames[3] = replace(frames[3], frame_id=50)
+    frames[4] = replace(frames[4], image=frames[3].image, frame_id=51)
+    assert said(evidence(frames)) == [
+        "pulse 1: its frame is not whole (missing packets): check the camera's data cable and its bandwidth",
+        "pulse 3: frame 50 follows frame 42: check the camera's data cable and its bandwidth",
+        "pulse 4: its frame is the one before once more, to the last bit: is the lens covered?",
+    ]
+
+
+def test_a_trigger_source_that_restarted_or_complains_comes_first():
+    status = TriggerStatus(False, 3, COUNT, boot=2, complaints=("an output did not follow",))
+    assert said(evidence(ended=status))[:2] == [
+        "the trigger source restarted in mid-burst: check its power supply",
+        "the trigger source says: an output did not follow",
+    ]
+
+
+def test_pictures_that_were_not_shown():
+    status = TriggerStatus(False, COUNT, COUNT, 3, boot=1)
+    assert "the projector reported 3 pictures to 5 pulses: check its trigger cable" in said(
+        evidence(ended=status, picture_a_pulse=True)
+    )
+
+
+def test_jitter_widens_what_is_allowed_but_not_to_a_period():
+    assert evidence().tolerance == pytest.approx(0.05)
+    assert evidence(jitter_s=1e-3).tolerance == pytest.approx(0.15)
+    assert evidence(jitter_s=1.0).tolerance == pytest.approx(0.45)

@@ -1,0 +1,38 @@
+"""One process's share of a run: what it decodes, what it stores, and what it is told of a store that is not there."""
+
+import pytest
+from support.recorded_footage import record
+
+from pipeline import DecodeSettings
+from pipeline.batch.job import Job
+from pipeline.batch.worker import GoodFrame, Worker
+from pipeline.errors import OutputError
+from pipeline.footage.source import BadFrame, StoredAs
+from pipeline.output.store import done_frames
+
+N_FRAMES = 6
+
+
+@pytest.fixture
+def job(tmp_path, cpu):
+    rig = record(tmp_path / "film.zarr", N_FRAMES)
+    film, store = str(tmp_path / "film.zarr"), str(tmp_path / "result.zarr")
+    return Job(film, StoredAs(), DecodeSettings(), rig, None, 1, 0, ("mask", "phase_sigma"), store, "cpu")
+
+
+def test_every_worker_must_see_the_store(job):
+    with pytest.raises(OutputError, match=r"is not there: every worker must see it under this name"):
+        Worker(job)
+
+
+def test_only_what_is_missing_is_stored_and_bad_frames_are_told(job, tmp_path):
+    """Frame 1 is decoded for frame 2, which leans on it."""
+    source = job.open()
+    job.open_store(source, None)
+    (tmp_path / "film.zarr" / "frames" / "c.4.0.0.0").unlink()
+    told = []
+    Worker(job).decode([(range(0, 3), frozenset({0, 2})), (range(4, 6), frozenset({4, 5}))], told.append)
+    assert done_frames(job.store) == {0, 2, 5}
+    assert sorted(each.number for each in told if isinstance(each, GoodFrame)) == [0, 2, 5]
+    (bad,) = (each for each in told if isinstance(each, BadFrame))
+    assert bad.number == 4 and "missing" in bad.reason

@@ -1,0 +1,99 @@
+"""Pictures to project, and the captures of them under the same names."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.calibration.captures import (
+    CapturedFolder,
+    PictureSequence,
+    captured_files,
+    full_scale,
+    refuse_other_camera,
+    write_sequence,
+)
+from pipeline.errors import CalibrationError, OutputError
+from pipeline.footage.image_file import read_image
+from pipeline.simulation import simulated_rig
+
+SEQUENCE = PictureSequence(kind="radiometry", size_px=(6, 4), names=("00-black", "01-red"))
+
+
+def codes(name):
+    picture = np.zeros((4, 6, 3))
+    picture[..., 0] = 0.5 if name == "01-red" else 0.0
+    return picture
+
+
+def test_a_sequence_is_written_whole(tmp_path):
+    write_sequence(tmp_path / "new" / "ramps", SEQUENCE, codes)
+    folder = tmp_path / "new" / "ramps"
+    assert {entry.name for entry in folder.iterdir()} == {"00-black.png", "01-red.png", "sequence.json"}
+    assert json.loads((folder / "sequence.json").read_text())["names"] == ["00-black", "01-red"]
+    np.testing.assert_array_equal(read_image(folder / "01-red.png")[0, 0], (128, 0, 0))
+
+
+def test_a_sequence_that_fails_leaves_nothing(tmp_path):
+    def broken(name):
+        if name == "01-red":
+            raise OSError(28, "No space left on device")
+        return codes(name)
+
+    with pytest.raises(OutputError, match="the disk is full"):
+        write_sequence(tmp_path / "ramps", SEQUENCE, broken)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_holds_something_is_left_alone(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    with pytest.raises(OutputError, match="is not an empty folder"):
+        write_sequence(tmp_path, SEQUENCE, codes)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mine"]
+
+
+def test_captures_may_be_tiff_and_each_is_read_when_asked_for(tmp_path):
+    write_sequence(tmp_path / "ramps", SEQUENCE, codes)
+    folder = tmp_path / "ramps"
+    red = read_image(folder / "01-red.png")
+    (folder / "01-red.png").unlink()
+    (folder / "01-red.TIF").write_bytes(cv2.imencode(".tif", red[..., ::-1])[1].tobytes())
+    (folder / "notes.txt").write_text("")
+    assert captured_files(folder).keys() == {"00-black", "01-red"}
+    captures = CapturedFolder(folder, SEQUENCE.names)
+    assert list(captures) == list(SEQUENCE.names) and len(captures) == 2
+    np.testing.assert_array_equal(captures["01-red"], red)
+
+
+def test_a_missing_capture_is_named(tmp_path):
+    with pytest.raises(CalibrationError, match=r"lacks the capture 00-black\.png and 1 more"):
+        CapturedFolder(tmp_path, SEQUENCE.names)
+
+
+def test_captures_of_two_cameras_do_not_mix(tmp_path):
+    write_sequence(tmp_path / "ramps", SEQUENCE, codes)
+    cv2.imwrite(str(tmp_path / "ramps" / "01-red.png"), np.zeros((5, 6, 3), np.uint16))
+    captures = CapturedFolder(tmp_path / "ramps", SEQUENCE.names)
+    assert captures["00-black"].shape == (4, 6, 3)
+    with pytest.raises(CalibrationError, match=r"01-red\.png is 6x5 uint16, others are 6x4 uint8: do not change"):
+        captures["01-red"]
+
+
+def test_full_scale_is_the_types_where_nobody_knows_better():
+    assert full_scale(np.full((2, 2, 3), 200, np.uint8)) == 255
+    assert full_scale(np.full((2, 2, 3), 0.4, np.float32)) == 1.0
+    assert full_scale(np.full((2, 2, 3), 900, np.uint16), 1023) == 1023
+    with pytest.raises(CalibrationError, match="end at 4095: the camera has fewer bits, give 4095"):
+        full_scale(np.full((2, 2, 3), 4095, np.uint16))
+    with pytest.raises(CalibrationError, match="white_level is 0"):
+        full_scale(np.zeros((2, 2, 3), np.uint16), 0)
+
+
+def test_another_camera_and_a_swapped_one():
+    rig = simulated_rig((64, 48))
+    refuse_other_camera(rig, (64, 48), "a.png")
+    with pytest.raises(CalibrationError, match=r"a\.png is 32x24 px but the calibration is for a camera of 64x48"):
+        refuse_other_camera(rig, (32, 24), "a.png")
+    with pytest.raises(CalibrationError, match="camera and projector are swapped"):
+        refuse_other_camera(rig, (1024, 768), "a.png")

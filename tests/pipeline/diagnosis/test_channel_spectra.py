@@ -1,0 +1,104 @@
+"""Spectra of channels whose waves are known."""
+
+import numpy as np
+import pytest
+
+from pipeline.diagnosis.channel_spectra import (
+    PHASES,
+    fit_tiles,
+    mean_spectrum,
+    neighbours_median,
+    ripple_by_harmonic,
+    robust_fit,
+    seen_ripple,
+    smooth_phase,
+    waves_of_spectrum,
+)
+
+PERIOD_PX = 12.0
+
+
+def fringes(second=0.0, noise=0.0, shape=(120, 160)):
+    """Return channels with a second harmonic, and their phase; the mean falls from the left to the right."""
+    rows, columns = np.indices(shape)
+    phase = 2 * np.pi * rows / PERIOD_PX + 0.01 * columns
+    wave = np.cos(phase[..., None] + PHASES) + second * np.cos(2 * (phase[..., None] + PHASES))
+    light = (0.6 - 0.001 * columns[..., None]) * (1 + 0.5 * wave)
+    light += noise * np.random.default_rng(0).standard_normal(light.shape)
+    return light, phase
+
+
+def test_a_tile_tells_mean_contrast_and_harmonics():
+    light, phase = fringes(second=0.1)
+    tiles = fit_tiles(light, phase, np.ones(phase.shape, bool), PERIOD_PX)
+    spectrum = mean_spectrum(tiles)
+    np.testing.assert_allclose(np.abs(spectrum[:, 0]), 0.5, atol=2e-3)
+    np.testing.assert_allclose(np.abs(spectrum[:, 1]), 0.05, atol=1e-3)
+    np.testing.assert_allclose(np.angle(spectrum[:, 0] * np.exp(-1j * PHASES)), 0, atol=1e-3)
+    np.testing.assert_allclose(tiles.frequency, np.hypot(2 * np.pi / PERIOD_PX, 0.01), rtol=1e-3)
+
+
+def test_what_no_wave_explains_is_noise():
+    light, phase = fringes(noise=1e-3)
+    tiles = fit_tiles(light, phase, np.ones(phase.shape, bool), PERIOD_PX)
+    np.testing.assert_allclose(tiles.noise, 1e-3, rtol=0.1)
+
+
+def test_too_little_of_a_picture_has_no_tiles():
+    light, phase = fringes(shape=(20, 20))
+    assert len(fit_tiles(light, phase, np.ones(phase.shape, bool), PERIOD_PX).mean) == 0
+
+
+@pytest.mark.parametrize("second", [0.02, 0.1])
+def test_a_second_harmonic_ripples_three_times_a_cycle(second):
+    """By its part of the first, to the third order: the phase error of three steps is -c_2 sin(3 phi)."""
+    waves = waves_of_spectrum(0.5 * np.stack([np.exp(1j * PHASES), second * np.exp(2j * PHASES)], axis=1))
+    ripple = ripple_by_harmonic(waves, np.eye(3))
+    assert ripple[3] == pytest.approx(second, rel=0.02)
+    assert max(ripple[1], ripple[2]) < 1e-9
+    assert ripple[6] == pytest.approx(second**2 / 2, rel=0.05)
+
+
+def test_a_channel_with_less_contrast_ripples_twice_a_cycle():
+    """By a third of what it lacks, where the other two agree."""
+    contrast = np.array([1.0, 0.9, 1.0])
+    ripple = ripple_by_harmonic(waves_of_spectrum((0.5 * contrast * np.exp(1j * PHASES))[:, None]), np.eye(3))
+    assert ripple[2] == pytest.approx(0.1 / 3, rel=0.05)
+    assert ripple[3] < 1e-3
+
+
+def test_smoothing_leaves_the_surface_and_no_ripple():
+    _, phase = fringes()
+    bent = phase + 0.3 * np.sin(np.indices(phase.shape)[1] / 40)
+    rippled = (bent + 0.1 * np.sin(3 * bent)).astype(np.float32)
+    smooth, valid, period = smooth_phase(rippled, np.ones(phase.shape, bool))
+    assert period == pytest.approx(PERIOD_PX, rel=0.02)
+    inside = np.s_[20:-20, 20:-20]
+    assert valid[inside].all()
+    # What smoothing takes from the surface itself is slow: a sine of 251 px loses 2 % of its 0.3 rad.
+    assert np.abs(smooth - bent)[inside].max() < 0.02
+    seen = seen_ripple(rippled, smooth, valid)
+    assert seen[3] == pytest.approx(0.1, rel=0.05)
+    assert max(seen[1], seen[2], seen[6]) < 5e-3
+
+
+def test_a_step_is_no_ripple():
+    _, phase = fringes()
+    stepped = np.where(np.indices(phase.shape)[1] > 80, phase + 3, phase).astype(np.float32)
+    _, valid, _ = smooth_phase(stepped, np.ones(phase.shape, bool))
+    assert not valid[:, 79:82].any() and valid[30:-30, 30:60].all()
+
+
+def test_outliers_do_not_move_a_fit():
+    values = np.full(100, 2.0) + 0.01 * np.random.default_rng(1).standard_normal(100)
+    values[:10] = 50.0
+    fit = robust_fit(values[:, None], np.ones(100))
+    assert fit.value[0, 0] == pytest.approx(2.0, abs=0.01)
+    assert 0 < fit.error[0, 0] < 0.01
+    turned = robust_fit((values * np.exp(0.5j))[:, None], np.ones(100))
+    assert np.angle(turned.value[0, 0]) == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_median_is_of_a_tile_and_its_neighbours():
+    place = np.array([[0, 0], [0, 1], [0, 2], [5, 5]])
+    np.testing.assert_array_equal(neighbours_median(np.array([1.0, 2.0, 9.0, 4.0]), place), [1.5, 2.0, 5.5, 4.0])

@@ -1,0 +1,73 @@
+"""What is said of footage by what was seen of it: grades, costs and advice, from evidence written down by hand."""
+
+from dataclasses import replace
+
+import pytest
+from support.numbered_frames import record
+
+from pipeline.diagnosis.container import ContainerFacts
+from pipeline.diagnosis.footage_evidence import FootageEvidence
+from pipeline.diagnosis.footage_findings import (
+    container_findings,
+    frame_findings,
+    light_findings,
+    storage_findings,
+    time_findings,
+)
+from pipeline.diagnosis.frame_evidence import FrameQuality
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import BadFrame
+from pipeline.settings import DecodeSettings
+
+GOOD = FrameQuality(0.5, 0.012, 0.001, 0.013, 0.0, 0.0)
+LOSSLESS = ContainerFacts("matroska", "ffv1", "bgr0", False, False, 30.0, 8.0, 0, 0)
+
+
+@pytest.fixture
+def source(tmp_path):
+    record(tmp_path / "a.zarr")
+    return open_source(tmp_path / "a.zarr")
+
+
+def seen(**changed):
+    return replace(FootageEvidence(DecodeSettings(), n_frames=9, n_pairs=4, brightest=0.9), **changed)
+
+
+def graded(findings):
+    return {finding.topic: finding.grade for finding in findings}
+
+
+def test_missing_frames_cost_and_are_counted(source):
+    found = {f.topic: f for f in container_findings(replace(LOSSLESS, missing=3, gaps=2), source)}
+    assert found["dropped"].grade == "costs" and "3 frames are missing in 2 places" in found["dropped"].found
+    assert graded(container_findings(LOSSLESS, source)) == {"container": "fine"}
+
+
+def test_frames_without_fringes_and_damaged_ones():
+    bad = seen(bad=[BadFrame(4, "it is missing")])
+    findings = {f.topic: f for f in frame_findings(bad, LOSSLESS, DecodeSettings())}
+    assert findings["damaged"].found == "1 of 9 frames; frame 4: it is missing"
+    assert findings["fringes"].grade == "spoils" and findings["fringes"].found == "none in 8 frames"
+
+
+def test_what_a_codec_takes_is_what_noise_and_levels_leave_unexplained(source):
+    """Of 0.02 rad as neighbours differ, 0.012 are the camera's noise: 0.016 are the codec's."""
+    lossy = replace(LOSSLESS, codec="h264", lossy=True)
+    found = {f.topic: f for f in storage_findings(seen(), lossy, source, replace(GOOD, sigma_rad=0.02))}
+    assert found["codec"].cost_rad == pytest.approx(0.016) and found["codec"].grade == "costs"
+    assert graded(storage_findings(seen(), LOSSLESS, source, GOOD)) == {"codec": "fine", "depth": "fine"}
+
+
+def test_bits_that_no_value_uses(source):
+    (depth,) = (f for f in storage_findings(seen(brightest=0.05), LOSSLESS, source, GOOD) if f.topic == "depth")
+    assert depth.grade == "costs" and "no value uses more than 4 of them" in depth.found and "--bits 4" in depth.advice
+
+
+@pytest.mark.parametrize("lost, grade", [(0.0, "fine"), (0.01, "costs"), (0.3, "spoils")])
+def test_clipped_pixels_cost_by_how_many_have_no_phase(lost, grade):
+    assert graded(light_findings(seen(), replace(GOOD, lost=lost)))["saturation"] == grade
+
+
+@pytest.mark.parametrize("motion_rad, grade", [(0.03, "fine"), (1.0, "costs"), (2.2, "spoils")])
+def test_motion_of_a_third_of_a_cycle_spoils(motion_rad, grade):
+    assert graded(time_findings(seen(motion_rad=[motion_rad]), GOOD))["motion"] == grade

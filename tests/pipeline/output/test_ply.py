@@ -1,0 +1,76 @@
+"""Meshes as PLY, ours and other programs'."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import pyvista
+from support.same_meshes import assert_same, plain
+
+from pipeline.errors import FootageError
+from pipeline.output.mesh import Mesh
+from pipeline.output.mesh_files import read_mesh, write_mesh
+
+
+@pytest.mark.parametrize("unit", ["mm", "rad"])
+def test_ply_brings_everything_back(tmp_path: Path, mesh: Mesh, unit: Any) -> None:
+    path = tmp_path / "Mädchen.ply"
+    for written in (Mesh(mesh.vertices, mesh.faces, mesh.colors, mesh.properties, unit), plain(mesh)):
+        write_mesh(written, path)
+        assert_same(read_mesh(path), written)
+
+
+def test_ply_of_an_empty_mesh(tmp_path: Path) -> None:
+    empty = Mesh(np.empty((0, 3), np.float32), np.empty((0, 3), np.int32))
+    write_mesh(empty, tmp_path / "empty.ply")
+    assert_same(read_mesh(tmp_path / "empty.ply"), empty)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_other_programs_ply_is_read(tmp_path: Path, mesh: Mesh, binary: bool) -> None:
+    other = pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces)
+    other["RGB"] = mesh.colors
+    other.save(tmp_path / "other.ply", binary=binary, texture="RGB")
+    read = read_mesh(tmp_path / "other.ply")
+    np.testing.assert_allclose(read.vertices, mesh.vertices, rtol=1e-5)
+    np.testing.assert_array_equal(read.faces, mesh.faces)
+    np.testing.assert_array_equal(read.colors, mesh.colors)
+    assert read.unit == "mm"
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"", "header"),
+        (b"\x89PNG\r\n", "header"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nend_header\n", "vertices followed by faces"),
+        (b"ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "element vertex -1"),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+            b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n4 0 0 0 0\n",
+            "triangulate",
+        ),
+        (
+            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
+            b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 0 1\n",
+            "0 to 1 of 1 vertices",
+        ),
+    ],
+)
+def test_what_is_no_mesh_is_refused_in_one_line(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / "broken.ply"
+    path.write_bytes(content)
+    with pytest.raises(FootageError, match=reason) as caught:
+        read_mesh(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_ply_cut_anywhere_is_refused(tmp_path: Path, mesh: Mesh) -> None:
+    path = tmp_path / "mesh.ply"
+    write_mesh(mesh, path)
+    whole = path.read_bytes()
+    for length in range(0, len(whole), 7):
+        path.write_bytes(whole[:length])
+        with pytest.raises(FootageError):
+            read_mesh(path)

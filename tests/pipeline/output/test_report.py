@@ -1,0 +1,75 @@
+"""What a result is worth, in numbers: against a truth that is known, and in `report.json`."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline import Decoder, DecodeSettings
+from pipeline.output.report import frame_report, measure_against_truth
+from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
+
+pytestmark = pytest.mark.usefixtures("cpu")
+
+
+@pytest.fixture(scope="module")
+def truth(cpu):
+    rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
+    return simulate_frame(rig, SimulationSettings(scene="plane", noise_levels=0.0))
+
+
+def result(truth, error_rad=0.0, calibrated=False):
+    """Return what a decoder would give that is off by some phase."""
+    phase = np.where(truth.mask, truth.phase + error_rad, np.nan).astype(np.float32)
+    return SimpleNamespace(unwrapped_phase=phase, mask=truth.mask, calibrated=calibrated)
+
+
+def test_the_truth_itself_has_no_error(truth):
+    measured = measure_against_truth(result(truth, calibrated=True), truth)
+    assert measured["coverage"] == 1 and measured["wrong_orders"] == 0
+    assert measured["phase_rms_rad"] < 1e-4 and measured["depth_rms_mm"] < 0.01
+
+
+def test_a_constant_is_told_and_is_no_error(truth):
+    measured = measure_against_truth(result(truth, 0.2), truth)
+    assert measured["phase_constant_rad"] == pytest.approx(0.2, abs=1e-4)
+    assert measured["phase_rms_rad"] < 1e-4 and "depth_rms_mm" not in measured
+
+
+def test_noise_is_an_rms_and_whole_cycles_are_orders(truth):
+    noise = 0.05 * np.random.default_rng(0).standard_normal(truth.phase.shape)
+    noise[40:44, 40:44] += 2 * np.pi
+    measured = measure_against_truth(result(truth, noise), truth)
+    assert measured["phase_rms_rad"] == pytest.approx(0.05, rel=0.03)
+    assert measured["wrong_orders"] == 16
+
+
+def test_a_surface_may_have_any_order_of_its_own(truth):
+    """Nothing in one frame tells it: depth is measured as if it were known."""
+    measured = measure_against_truth(result(truth, 2 * np.pi, calibrated=True), truth)
+    assert measured["wrong_orders"] == 0 and measured["depth_rms_mm"] < 0.01
+
+
+def test_what_is_missing_of_the_lit_pixels_is_coverage(truth):
+    half = result(truth)
+    half.mask = truth.mask & (np.arange(truth.mask.shape[1]) < 64)
+    assert measure_against_truth(half, truth)["coverage"] == pytest.approx(0.5, abs=0.05)
+    nothing = replace(truth, mask=np.zeros_like(truth.mask))
+    assert measure_against_truth(result(nothing), nothing) == {"coverage": 0.0}
+
+
+def test_a_report_is_json_whatever_was_decoded(truth):
+    rig = truth.rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})
+    frame = Decoder(calibration=rig, arch="cpu").decode(truth.image)
+    report = frame_report(frame, DecodeSettings(), rig, "a.png")
+    assert report["image_px"] == [128, 96] and report["arch"] == "cpu" and report["range_unit"] == "mm"
+    low, middle, high = report["range_percentiles_1_50_99"]
+    assert low < middle < high and sum(report["regions_px"]) == frame.mask.sum()
+    json.dumps(report, allow_nan=False)
+    with pytest.warns(UserWarning, match="no fringe"):
+        dark = Decoder(arch="cpu").decode(np.zeros_like(truth.image))
+    report = frame_report(dark, DecodeSettings(), None, "a.png")
+    assert report["valid_fraction"] == 0 and report["range_percentiles_1_50_99"] is None
+    json.dumps(report, allow_nan=False)

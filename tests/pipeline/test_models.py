@@ -1,0 +1,64 @@
+"""Models of users' files: arrays with their shapes, unknown keys refused, one line that names the key."""
+
+import json
+from typing import Annotated
+
+import numpy as np
+import pytest
+
+from pipeline.errors import SettingsError
+from pipeline.models import ArrayOf, FloatArray, Matrix3, Model, Positive, build, read_file
+
+
+class Lamp(Model):
+    """A lamp."""
+
+    watts: Positive
+    colour: Annotated[FloatArray, ArrayOf((3,))]
+    mixing: Matrix3 | None = None
+
+
+def refused(values):
+    with pytest.raises(SettingsError) as raised:
+        build(Lamp, values, SettingsError, "lamp.toml")
+    assert "\n" not in str(raised.value)
+    return str(raised.value)
+
+
+def test_arrays_are_float64_and_read_only_and_survive_json():
+    lamp = build(Lamp, {"watts": 5, "colour": [1, 0.5, 0]}, SettingsError, "lamp")
+    assert lamp.colour.dtype == np.float64
+    with pytest.raises(ValueError, match="read-only"):
+        lamp.colour[0] = 2
+    again = Lamp.model_validate(json.loads(lamp.model_dump_json()))
+    np.testing.assert_array_equal(again.colour, lamp.colour)
+    assert again.mixing is None
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"watts": 0}, "lamp.toml: watts: Input should be greater than 0"),
+        ({"watts": float("inf")}, "lamp.toml: watts: Input should be a finite number"),
+        ({"volts": 3}, "lamp.toml: volts: is not a known key"),
+        ({"colour": [1, 2]}, "lamp.toml: colour: must have shape (3,), got (2,)"),
+        ({"colour": [1, 2, "x"]}, "lamp.toml: colour: must be 3 numbers"),
+        ({"colour": [1, 2, float("nan")]}, "lamp.toml: colour: must be finite"),
+        ({"watts": -1, "volts": 3}, "lamp.toml: watts: Input should be greater than 0 (and 1 more)"),
+    ],
+)
+def test_one_line_names_the_key(changed, message):
+    assert refused({"watts": 5, "colour": [1, 0.5, 0], **changed}) == message
+
+
+def test_what_is_missing_is_named():
+    assert refused({"watts": 5}) == "lamp.toml: colour: is missing"
+
+
+def test_files_that_cannot_be_read(tmp_path):
+    for content, message in ((b"\xff\xfe\x00", "it is no text file"), (b"{", "is not what it should be")):
+        (tmp_path / "lamp.json").write_bytes(content)
+        with pytest.raises(SettingsError, match=message):
+            read_file(tmp_path / "lamp.json", Lamp, json.loads, SettingsError)
+    with pytest.raises(SettingsError, match=r"cannot read .*none\.json: No such file"):
+        read_file(tmp_path / "none.json", Lamp, json.loads, SettingsError)
