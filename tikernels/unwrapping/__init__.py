@@ -1,5 +1,6 @@
 """From wrapped phase to regions whose fringe orders agree, and the filter of single wrong orders."""
 
+from tikernels.unwrapping.given_regions import GivenRegions, UserUnwrapper
 from tikernels.unwrapping.order_filter import correct_fringe_order
 from tikernels.unwrapping.patches import Patches, PatchGraph, RegionTable
 from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
@@ -7,11 +8,13 @@ from tikernels.unwrapping.unwrapper import RegionUnwrapper, unwrap_phase
 
 __all__ = [
     "METHODS",
+    "GivenRegions",
     "PatchGraph",
     "PatchMethod",
     "Patches",
     "RegionTable",
     "RegionUnwrapper",
+    "UserUnwrapper",
     "correct_fringe_order",
     "unwrap_phase",
 ]
