@@ -45,7 +45,7 @@ def continue_row(
     out_labels: I32Array2,
     out_patches: I32Array2,
 ) -> i32:
-    """Join a cell's whole row to the patch above if its every pixel says so; return how many pixels are done.
+    """Join a cell's whole row to the patch above if its every pixel says so; return 1 where it is done.
 
     Nearly every row does. Eight pixels are worked on at once; `grow_run` would come to the same, but slowly.
     """
@@ -77,7 +77,7 @@ def continue_row(
         add_alone(out_patches[Patch.WEIGHT, patch], CELL_WIDTH * brightness(here_quality[CELL_WIDTH // 2], usual[2]))
         for k in range(CELL_WIDTH):
             out_labels[y, left + k] = labels[k]
-    return sure * CELL_WIDTH
+    return sure
 
 
 @ti.func
@@ -225,7 +225,8 @@ def grow_patches_kernel(
         for y in range(top, bottom):
             x = left
             if y > top and right - left == CELL_WIDTH:
-                x += continue_row(phase, quality, usual, y, left, out_labels, out_patches)
+                if continue_row(phase, quality, usual, y, left, out_labels, out_patches) == 1:
+                    x = right
             while x < right:
                 if has_phase(phase[y, x]):
                     x = grow_run(
