@@ -15,7 +15,7 @@ def visit_kernel(
     for t in range(out.shape[0] * strip_count(out.shape[1], size)):
         y, first, count = strip_at(t, out.shape[1], size)
         for x in range(first, first + count):
-            out[y, x] += 1
+            out[y, x] = out[y, x] + 1
 
 
 @pytest.mark.parametrize("size", [1, 7, STRIP])

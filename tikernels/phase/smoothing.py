@@ -25,7 +25,7 @@ _MAX_CHANGE = 1.0
 # A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
 # 6 mm on that rig; noise of 0.2 rad a pixel passes.
 MAX_DEPARTURE = 0.8
-# Departures beyond this mean that there is no neighbour: no two phases differ by so much.
+# Departures beyond this mean that there is no neighbour: no two phases are that far apart.
 NO_NEIGHBOUR = 0.5 * NO_PHASE
 # A pixel at a step that departs by less than this from one side belongs to that side.
 _SAME_SURFACE = 0.3
