@@ -1,12 +1,12 @@
 """Turn one colour frame into phase, orders and points: `Decoder.decode` is the way of a frame, top to bottom."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import Calibration, Geometry
+from pipeline.calibration import Calibration
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.doubts import fringe_doubt, light_doubts
 from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, RegionOrders
@@ -26,20 +26,17 @@ from tikernels.phase.phase_fit import count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 
-# What the phases of the frames before still count when the response is equalised, from frame to frame.
-_FADING = 0.9
-
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """What the stages make of a frame, but for its buffers."""
+    """What the stages make of a frame, but for its buffers; of one without fringes, nothing."""
 
-    phase_counts: npt.NDArray[np.float64] | None
-    orders: RegionOrders
-    constant_known: bool
-    constant_sigma: float  # rad, by the light alone
     order_doubt: str | None  # what the user should know of the orders
-    light_doubts: tuple[str, ...]  # and of the light
+    light_doubts: tuple[str, ...] = ()  # and of the light
+    phase_counts: npt.NDArray[np.float64] | None = None
+    orders: RegionOrders = field(default_factory=RegionOrders.of_no_region)
+    constant_known: bool = False
+    constant_sigma: float = np.nan  # rad, by the light alone
 
 
 class Decoder:
@@ -56,8 +53,8 @@ class Decoder:
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         Where to compute; a named one never falls back.
     unwrapper : UserUnwrapper, optional
-        Your own unwrapping instead of the settings' `unwrap_method`: an object with a method
-        ``unwrap(phase, quality) -> (unwrapped, region)``, stripes along the rows; see `tikernels.GivenRegions`.
+        Your own unwrapping: an object with ``unwrap(phase, quality) -> (unwrapped, region)``,
+        stripes along the rows; see `tikernels.unwrapping.UserUnwrapper`.
 
     Attributes
     ----------
@@ -87,19 +84,16 @@ class Decoder:
         self.calibration = calibration
         self._reference = None if reference is None else reference.unwrapped_phase
         self._path = LightPath(self.settings, calibration)
-        self._geometry: Geometry | None = None
-        if calibration is not None and calibration.has_geometry:
-            self._geometry = calibration.geometry()
-        depth_range_mm = None if calibration is None else calibration.depth_range_mm
-        self._reader = FrameReader(self.settings, self._path, self._geometry, self._reference)
-        self._orders = OrderFinder(self._path, self._geometry, depth_range_mm)
+        geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
+        self._reader = FrameReader(self.settings, self._path, geometry, self._reference)
+        self._orders = OrderFinder(self._path, geometry, None if calibration is None else calibration.depth_range_mm)
         self._unwrapping = METHODS[self.settings.unwrap_method]
         if unwrapper is not None:
             self._unwrapping = lambda height, width: GivenRegions(unwrapper)
         self._pool = BufferPool()
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)
-        self._rays = None if self._geometry is None else CameraRays.of(self._geometry, self.settings.stripes)
+        self._rays = None if geometry is None else CameraRays.of(geometry, self.settings.stripes)
 
     def decode(
         self, image: LevelsImage, previous: DecodedFrame | None = None, out: DecodedFrame | None = None
@@ -145,7 +139,8 @@ class Decoder:
             levels = frame_levels(self.settings, statistics, frame.white, self._path.crosstalk)
             period_px = self.settings.camera_period_px or statistics.period_px
             if statistics.period_px is None or period_px is None:
-                found = self._measure_nothing(frame, phases, surface)
+                clear_buffers(phases, surface)
+                found = _Measured(order_doubt=fringe_doubt(frame, self.settings.stripes))
             else:
                 found = self._measure(frame, levels, period_px, memory, phases, surface)
                 if self._learn_light(frame, period_px, surface):
@@ -202,8 +197,8 @@ class Decoder:
         # The phase of every pixel: balance, response, each channel's wave, and a fit to all three.
         gains.measure(image, crosstalk, levels)
         counts = count_phases(image, gains, crosstalk, levels).astype(np.float64)
-        if memory is not None and memory.phase_counts is not None:
-            counts += _FADING * memory.phase_counts
+        if memory is not None:
+            counts += memory.faded_phase_counts
         correction = path.correction(counts, work.period_px)
         model.recover_samples(crosstalk, levels)
         model.fit(correction, path.template())
@@ -229,12 +224,6 @@ class Decoder:
             order_doubt=placement.warning or lost,
             light_doubts=light_doubts(model, constant_known=path.constant_known),
         )
-
-    def _measure_nothing(self, frame: LinearFrame, phases: PhaseBuffers, surface: SurfaceBuffers) -> _Measured:
-        """Say of a frame without fringes that nothing is known of it."""
-        clear_buffers(phases, surface)
-        doubt = fringe_doubt(frame, self.settings.stripes)
-        return _Measured(None, RegionOrders.of_no_region(), False, np.nan, doubt, ())
 
     def _learn_light(self, frame: LinearFrame, period_px: float, surface: SurfaceBuffers) -> bool:
         """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import ProjectorGeometry
+from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
 from tikernels.raw.pixel_format import PixelFormat
 
 Array = npt.NDArray[Any]
@@ -103,7 +104,7 @@ def gaussian_sums(image: Array, sigma_rows: float, sigma_columns: float) -> Arra
 def balance_gains(
     image: Array, period_px: float, mask: Array | None = None, crosstalk_matrix: npt.ArrayLike | None = None
 ) -> Array:
-    """Return the (H, W, 3) gains that balance the colours, from full-resolution windows of 0.85 by 1 cycles."""
+    """Return the (H, W, 3) gains that balance the colours, from full-resolution windows."""
     matrix = np.eye(3) if crosstalk_matrix is None else np.asarray(crosstalk_matrix, np.float64)
     matrix = matrix / matrix.sum(axis=1, keepdims=True)
     light = image.astype(np.float64)
@@ -114,7 +115,7 @@ def balance_gains(
         return color.mean(axis=-1, keepdims=True) / color
 
     def smooth(values: Array) -> Array:
-        return gaussian_sums(values * lit[..., None], 0.85 * period_px, period_px)
+        return gaussian_sums(values * lit[..., None], SIGMA_ACROSS * period_px, SIGMA_ALONG * period_px)
 
     first = gains(smooth(light), 1.0)
     phase, modulation, background = compute_wrapped_phase(correct_crosstalk(light * first, matrix))

@@ -169,6 +169,15 @@ def test_the_kernel_language_stays_in_its_package():
             assert "tikernels._taichi" not in set(imports(path)), path
 
 
+def test_only_host_functions_launch_kernels():
+    """They check their arguments, which kernels do not."""
+    for package in ("pipeline", "hardware"):
+        for path in sources(package):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ImportFrom):
+                    assert not [name.name for name in node.names if name.name.endswith("_kernel")], path
+
+
 def test_peers_are_no_dependencies():
     """SciPy and scikit-image stand beside us in tests and benchmarks only."""
     for package in PACKAGES:

@@ -6,22 +6,13 @@ Frame, store, reader, meshes and the README's table all come from these entries:
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, Protocol, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 T = TypeVar("T")
-
-
-class Known(Protocol):
-    """What rounding asks of a frame."""
-
-    noise_levels: float
-
-    @property
-    def calibrated(self) -> bool:
-        """Whether ranges are in mm."""
+Floats = npt.NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -29,7 +20,7 @@ class Rounding:
     """How the store drops the digits of a field that say nothing, because noise does not compress."""
 
     how: str
-    apply: Callable[[npt.NDArray[Any], Known], npt.NDArray[Any]]
+    apply: Callable[[Floats, float, bool], Floats]  # values, the frame's noise in grey levels, whether ranges are in mm
 
 
 # A power of two, so that every rounded phase is a float32 with many zeros at its end, which compress away. Photon noise
@@ -86,10 +77,19 @@ class Field(cached_property[T]):
         shape = {(): "one value", ("y", "x"): "(H, W)", ("y", "x", "xyz"): "(H, W, 3)"}[axes]
         self.__doc__ = f"{shape} {dtype}: {told}"
 
-    def stored(self, frame: Known) -> npt.NDArray[Any]:
-        """Return a frame's values without the digits that say nothing, as the store keeps them."""
-        values = np.asarray(self.__get__(frame))
-        return values if self.rounding is None else self.rounding.apply(values, frame)
+    def rounded(self, values: npt.NDArray[Any], noise_levels: float, *, in_mm: bool) -> npt.NDArray[Any]:
+        """Return a frame's values as the store keeps them.
+
+        Parameters
+        ----------
+        values : array
+            The field.
+        noise_levels : float
+            The frame's noise, grey levels.
+        in_mm : bool
+            Whether the frame's ranges are in mm.
+        """
+        return values if self.rounding is None else self.rounding.apply(values, noise_levels, in_mm)
 
 
 def field(
@@ -111,30 +111,30 @@ def fields_of(frame: type) -> dict[str, Field[Any]]:
     return {name: entry for name, entry in vars(frame).items() if isinstance(entry, Field)}
 
 
-def _rounded(values: npt.NDArray[np.float32], step: float) -> npt.NDArray[np.float32]:
+def _rounded(values: Floats, step: float) -> Floats:
     return np.asarray(np.rint(values * np.float32(1 / step)) * np.float32(step))
 
 
-def _phase(phase: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
+def _phase(phase: Floats, noise_levels: float, in_mm: bool) -> Floats:
     return _rounded(phase, _PHASE_STEP_RAD)
 
 
-def _wrapped_phase(phase: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
+def _wrapped_phase(phase: Floats, noise_levels: float, in_mm: bool) -> Floats:
     end = np.float32(_PHASE_STEP_RAD * np.floor(np.pi / _PHASE_STEP_RAD))
     return np.clip(_rounded(phase, _PHASE_STEP_RAD), -end, end)
 
 
-def _relative_range(values: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
-    return values if frame.calibrated else _rounded(values, _PHASE_STEP_RAD)
+def _relative_range(values: Floats, noise_levels: float, in_mm: bool) -> Floats:
+    return values if in_mm else _rounded(values, _PHASE_STEP_RAD)
 
 
-def _modulation(modulation: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
-    if not frame.noise_levels > 0:
+def _modulation(modulation: Floats, noise_levels: float, in_mm: bool) -> Floats:
+    if not noise_levels > 0:
         return modulation
-    return _rounded(modulation, float(2 ** np.floor(np.log2(_NOISE_STEP * frame.noise_levels))))
+    return _rounded(modulation, float(2 ** np.floor(np.log2(_NOISE_STEP * noise_levels))))
 
 
-def _sigma(sigma: npt.NDArray[np.float32], frame: Known) -> npt.NDArray[np.float32]:
+def _sigma(sigma: Floats, noise_levels: float, in_mm: bool) -> Floats:
     dropped = 23 - _SIGMA_BITS
     bits = sigma.view(np.uint32) + np.uint32(1 << (dropped - 1))
     return np.asarray((bits & np.uint32(0xFFFFFFFF << dropped & 0xFFFFFFFF)).view(np.float32))

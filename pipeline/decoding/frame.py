@@ -34,6 +34,8 @@ Floats = npt.NDArray[np.float32]
 
 # A frame's constant is never known better, rad: what balance and ambient light leave of it on clean frames.
 _LEAST_CONSTANT = 0.0006
+# What the phases of the frames before still count when the response is equalised, from frame to frame.
+_FADING = 0.9
 # The bias of the smoothing is taken from second differences over this many px, most of whose noise averages out, in
 # every fourth row.
 _BEND_PX, _BEND_ROWS = 6, 4
@@ -75,6 +77,11 @@ class FrameMemory:
     phase_counts: npt.NDArray[np.float64] | None  # (parts, bins) bare phases seen, earlier ones faded; None: no fringe
     surface: SurfaceBuffers
     orders: RegionOrders
+
+    @property
+    def faded_phase_counts(self) -> npt.NDArray[np.float64] | float:
+        """What the phases of the frames up to here count when the next one's response is equalised."""
+        return 0.0 if self.phase_counts is None else _FADING * self.phase_counts
 
     def checked(self, shape: tuple[int, int], stripes: str) -> "FrameMemory":
         """Return this memory, for a frame whose image has a shape with its stripes along the rows.

@@ -144,7 +144,8 @@ class ResultStore:
         """
         with self._explained():
             for name in self._fields:
-                values = FIELDS[name].stored(frame)
+                values = np.asarray(getattr(frame, name))
+                values = FIELDS[name].rounded(values, frame.noise_levels, in_mm=frame.calibrated)
                 # Unlike zarr never into a store that is gone.
                 self._put(name, chunk_key(number, values.ndim), encode_chunk(values, _LEVEL))
             self._put(DONE, chunk_key(number, 1), _mark(frame))

@@ -40,7 +40,8 @@ def main() -> None:
     rig = simulated_rig((width, height)).model_copy(update={"crosstalk_matrix": simulation.crosstalk_matrix})
     frame = Decoder(DecodeSettings(), rig, arch="cpu").decode(simulate_frame(rig, simulation).image)
     plain = {name: np.ascontiguousarray(getattr(frame, name)) for name in FIELDS}
-    rounded = {name: np.ascontiguousarray(FIELDS[name].stored(frame)) for name in plain}
+    kept = {name: FIELDS[name].rounded(values, frame.noise_levels, in_mm=True) for name, values in plain.items()}
+    rounded = {name: np.ascontiguousarray(values) for name, values in kept.items()}
     print(f"{width}x{height}, {sum(values.nbytes for values in plain.values()) / 1e6:.1f} MB")
     print(f"{'':24}{'plain MB':>10}{'ms':>6}{'back':>6}{'rounded MB':>12}{'ms':>6}{'back':>6}")
     for codec_name, codec in CODECS.items():

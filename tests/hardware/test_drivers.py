@@ -1,7 +1,9 @@
 """The table of drivers, and drivers of the user's own."""
 
+import re
 import subprocess
 import sys
+from pathlib import Path
 from typing import get_args
 
 import pytest
@@ -153,6 +155,15 @@ def test_one_line_says_what_is_wrong_with_a_driver(own, driver, message):
 def test_what_a_trigger_lacks_once_it_is_open_is_told_too(own):
     with pytest.raises(RigError, match=r"^trigger\.driver: own_drivers:WithoutLimits lacks limits: give it what"):
         open_trigger(TriggerSettings(driver="own_drivers:WithoutLimits"))
+
+
+def test_the_camera_in_the_docs_has_what_it_must_have(tmp_path, monkeypatch):
+    text = (Path(__file__).resolve().parents[2] / "docs" / "cameras.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    (tmp_path / "lab_camera.py").write_text(program, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    camera = open_camera(CameraSettings(driver="lab_camera:LabCamera", exposure_s=0.004, serial="7"))
+    assert str(camera.identity) == "Lab camera 7"
 
 
 @pytest.mark.parametrize("protocol", [protocols.Trigger, protocols.Camera, protocols.Projector])

@@ -1,6 +1,8 @@
 """What a rig's file names is opened together, or not at all."""
 
+import re
 from itertools import islice
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,8 +23,18 @@ def rig_settings(trigger="simulated", camera="simulated", **more):
     )
 
 
+def test_the_example_in_the_docs_runs_with_nothing_attached(tmp_path, monkeypatch):
+    text = (Path(__file__).resolve().parents[2] / "docs" / "rig.md").read_text(encoding="utf-8")
+    (program,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    sections = "[trigger]\ndriver = 'simulated'\n[camera]\ndriver = 'simulated'\nexposure_s = 0.001\nsize_px = [64, 48]"
+    (tmp_path / "rig.toml").write_text(f"{sections}\n[timing]\nperiod_s = 0.005\nframes = 2\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    found = {}
+    exec(program, found)
+    assert found["burst"].number == 9 and found["paired"].pulse == 1
+
+
 def test_a_simulated_rig_is_opened_as_a_real_one():
-    """The example in docs/rig.md."""
     settings = rig_settings()
     with Rig(settings, lambda: open_instruments(settings), tell=print) as rig:
         numbers = [

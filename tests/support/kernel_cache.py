@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.output.store import FIELDS
+from pipeline.decoding.frame import FIELDS
 from pipeline.simulation import TYPICAL_CROSSTALK, simulate_frame, simulated_rig
 from tikernels import runtime
 from tikernels._taichi import ti

@@ -37,7 +37,7 @@ def orders(unwrapped: Phase, wrapped: Phase) -> Integers:
 
 
 def flat_rates(along: float = 0.0, across: float = 0.0, mean_quality: float = 1.0) -> Phase:
-    """Return what `measure_rates` would find on a surface that changes by so much a pixel, rad."""
+    """Return what `measure_rates` would find on a surface with these changes, rad a pixel."""
     rates = np.zeros((1, 5), np.float32)
     rates[0, RATE_ALONG], rates[0, RATE_ACROSS], rates[0, MEAN_QUALITY] = along, across, mean_quality
     return rates

@@ -93,16 +93,9 @@ def fill_triangles_kernel(
             if bits != 0:
                 a, b = numbers[y, x], numbers[y, x + 1]
                 c, d = numbers[y + 1, x], numbers[y + 1, x + 1]
-                # Counterclockwise as the camera sees them.
-                for k in ti.static(range(4)):
+                # Counterclockwise as the camera sees them, in the order of the bits.
+                for k, corners in ti.static(enumerate(((a, c, b), (b, c, d), (a, d, b), (a, c, d)))):
                     if (bits >> k) & 1 == 1:
-                        corners = ti.Vector([a, c, b])
-                        if ti.static(k == 1):
-                            corners = ti.Vector([b, c, d])
-                        elif ti.static(k == 2):
-                            corners = ti.Vector([a, d, b])
-                        elif ti.static(k == 3):
-                            corners = ti.Vector([a, c, d])
                         for i in ti.static(range(3)):
                             out_faces[place, i] = corners[i]
                         place += 1

@@ -12,6 +12,7 @@ from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, ti, vec3
 from tikernels.arrays import F32
 from tikernels.depth.triangulation import ProjectorGeometry, load_projector, ray_depth
 from tikernels.phase.phase_vector import PI
+from tikernels.strips import STRIP, strip_at, strip_count
 
 # The shift of a point is measured between its phase and this much more, rad: 0.15 mm, a thousand times what float32
 # leaves of 900 mm, and straight enough.
@@ -30,15 +31,17 @@ def point_sigma_kernel(
     out: F32Array2,  # (H, W) mm along the ray; NaN where there is no point
 ):
     """Move every pixel's phase a little, and see how far its point goes."""
-    for pixel in range(out.shape[0] * out.shape[1]):
-        y, x = pixel // out.shape[1], pixel % out.shape[1]
+    height, width = out.shape[0], out.shape[1]
+    for t in range(height * strip_count(width, STRIP)):
+        y, first, count = strip_at(t, width, STRIP)
         rotation, translation, lens, focal, center, period = load_projector(projector)
-        ray = vec3(rays[y, x, 0], rays[y, x, 1], 1.0)
-        row = (phase[y, x] + _BESIDE) * (period / (2.0 * PI))
-        depth = ray_depth(ray, row, rotation, translation, focal, center, lens, axis, distorted)
-        depth = ti.select(depth > 0.0, depth, ti.math.nan)
-        shift = ti.abs(depth - points[y, x, 2]) * ti.sqrt(1.0 + ray.x * ray.x + ray.y * ray.y)
-        out[y, x] = shift * phase_sigma[y, x] / _BESIDE
+        for x in range(first, first + count):
+            ray = vec3(rays[y, x, 0], rays[y, x, 1], 1.0)
+            row = (phase[y, x] + _BESIDE) * (period / (2.0 * PI))
+            depth = ray_depth(ray, row, rotation, translation, focal, center, lens, axis, distorted)
+            depth = ti.select(depth > 0.0, depth, ti.math.nan)
+            shift = ti.abs(depth - points[y, x, 2]) * ti.sqrt(1.0 + ray.x * ray.x + ray.y * ray.y)
+            out[y, x] = shift * phase_sigma[y, x] / _BESIDE
 
 
 def point_sigma(

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from tikernels import _checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
 from tikernels.arrays import F32
+from tikernels.depth.lens_distortion import distorted
 from tikernels.phase.phase_vector import PI
 from tikernels.strips import STRIP, strip_at, strip_count
 
@@ -53,12 +54,8 @@ def load_projector(packed: F32Array1):
 @ti.func
 def projected(q: vec3, focal: f32, center: f32, lens: vec5, axis: i32) -> f32:
     """Projector row (axis 1) or column (axis 0) of a point in the projector's frame, px."""
-    a, b = q.x / q.z, q.y / q.z
-    r2 = a * a + b * b
-    radial = 1.0 + r2 * (lens[0] + r2 * (lens[1] + r2 * lens[4]))
-    x = a * radial + 2.0 * lens[2] * a * b + lens[3] * (r2 + 2.0 * a * a)
-    y = b * radial + lens[2] * (r2 + 2.0 * b * b) + 2.0 * lens[3] * a * b
-    return focal * ti.select(axis == 0, x, y) + center
+    bent = distorted(q.x / q.z, q.y / q.z, lens)
+    return focal * ti.select(axis == 0, bent.x, bent.y) + center
 
 
 @ti.func

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, f32, i32, ti, vec3, vec4
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, Static, f32, i32, mat3, ti, vec3, vec4
 from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk
@@ -45,6 +45,17 @@ def cycle_weight(phase: f32) -> f32:
     """How much a pixel counts for its cycle's contrast."""
     inside = 1.0 - phase * phase / (PI * PI)
     return inside * inside
+
+
+@ti.func
+def background_weights(inverse: mat3, gain: vec3, balance_first: Static) -> vec3:
+    """Return what the camera's channels weigh in the background, the mean of the projector's."""
+    weights = vec3(0.0)
+    if ti.static(balance_first):
+        weights = inverse.transpose() @ vec3(1.0 / 3.0) * gain
+    else:
+        weights = inverse.transpose() @ gain / 3.0
+    return weights
 
 
 @ti.func
@@ -90,10 +101,7 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
                 for y in range(top, bottom):
                     if y & 3 == 0:  # one gain serves four rows of a cell
                         gain = gain_at(gains, gain_cell, y + 2, (left + right) // 2)
-                        if ti.static(balance_first):
-                            background = inverse.transpose() @ vec3(1.0 / 3.0) * gain
-                        else:
-                            background = inverse.transpose() @ gain / 3.0
+                        background = background_weights(inverse, gain, balance_first)
                     if labels[y, x] != label:
                         add_cycle(label, sums, cells, draft_bits, out_sums)
                         label, sums = labels[y, x], vec4(0.0)

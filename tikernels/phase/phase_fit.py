@@ -31,7 +31,20 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks, runtime
-from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, I32Array2, Static, f32, i32, mat3, ti, vec3
+from tikernels._taichi import (
+    AnyArray3,
+    F32Array1,
+    F32Array2,
+    F32Array3,
+    I32Array2,
+    Static,
+    f32,
+    i32,
+    mat3,
+    ti,
+    u1,
+    vec3,
+)
 from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
@@ -62,15 +75,22 @@ _RUN = 16
 
 
 @ti.func
-def second_brightest(light: vec3) -> f32:
-    """Return the middle one of three channels."""
+def is_lit(light: vec3, min_intensity: f32, clipped: f32) -> u1:
+    """Whether a pixel is bright enough, and not two of its channels are clipped.
+
+    Leaving out whatever has a single clipped channel would leave out the phases at which it is bright.
+    """
     low, high = ti.min(light.x, light.y), ti.max(light.x, light.y)
-    return ti.max(low, ti.min(high, light.z))
+    second_brightest = ti.max(low, ti.min(high, light.z))
+    return (light.sum() > 3.0 * min_intensity) & (second_brightest < clipped)
 
 
 @ti.func
-def node_model(nodes: F32Array3, i: i32, i1: i32, fraction: f32, j: i32):
+def node_model(nodes: F32Array3, row: f32, j: i32):
     """Return A and B at a column of nodes, between two rows of them."""
+    i = ti.cast(row, ti.i32)
+    i1 = ti.min(i + 1, nodes.shape[0] - 1)
+    fraction = row - i
     column = ti.min(ti.max(j, 0), nodes.shape[1] - 1)
     gain, ambient = vec3(0.0), vec3(0.0)
     for k in ti.static(range(3)):
@@ -122,10 +142,7 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
 
 @cache
 def _fit_phase_kernel(balance_first: bool, cell: int) -> Any:
-    """Return the kernel from grey levels to phase: balance, crosstalk, arctangent, fit and masks in one pass.
-
-    `cell` is the distance of two nodes, px.
-    """
+    """Return the kernel from grey levels to phase, for nodes that are `cell` px apart."""
     width_at_once = min(max(cell, 8), 16)
     lanes = ti.types.vector(width_at_once, ti.f32)
 
@@ -157,14 +174,12 @@ def _fit_phase_kernel(balance_first: bool, cell: int) -> Any:
             inverse, weights, matrix = matrix_of(inverse_matrix), matrix_of(phase_weights), matrix_of(crosstalk_matrix)
             harmonics = load_harmonics(template)
             v = ti.min(ti.max((y + 0.5) / cell - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
-            i = ti.cast(v, ti.i32)
-            i1 = ti.min(i + 1, nodes.shape[0] - 1)
-            right_gain, right_ambient = node_model(nodes, i, i1, v - i, first - 1)
+            right_gain, right_ambient = node_model(nodes, v, first - 1)
             red, green, blue, bare, start_phase = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             phase, modulation, precision = lanes(0.0), lanes(0.0), lanes(0.0)
             for j in range(first, first + count_of_cells):
                 left_gain, left_ambient = right_gain, right_ambient
-                right_gain, right_ambient = node_model(nodes, i, i1, v - i, j)
+                right_gain, right_ambient = node_model(nodes, v, j)
                 gain_slope = (right_gain - left_gain) / ti.cast(cell, ti.f32)
                 ambient_slope = (right_ambient - left_ambient) / ti.cast(cell, ti.f32)
                 start = j * cell - cell // 2
@@ -197,9 +212,7 @@ def _fit_phase_kernel(balance_first: bool, cell: int) -> Any:
                             light, weight * model, weight * change, weight * swing, contrast_doubt
                         )
                         precision[k] = precise
-                        # The second brightest channel at full scale: two are.
-                        valid = (seen.sum() > 3.0 * min_intensity) & (second_brightest(seen) < clipped)
-                        valid &= modulation[k] > min_modulation
+                        valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
                         value = start_phase[k] + ti.min(ti.max(step, -_MAX_STEP), _MAX_STEP)
                         phase[k] = ti.select(valid, value, NO_PHASE)
                     for k in range(count):
@@ -248,8 +261,7 @@ def _count_phases_kernel(balance_first: bool) -> Any:
                 if ti.static(not balance_first):
                     channels = unmixed(channels, inverse)
                 vector = weights @ (channels * gain)
-                # Leaving out whatever has a single clipped channel would leave out the phases at which it is bright.
-                counts = (seen.sum() > 3.0 * min_intensity) & (second_brightest(seen) < clipped)
+                counts = is_lit(seen, min_intensity, clipped)
                 counts &= vector.x * vector.x + vector.y * vector.y > min_modulation * min_modulation
                 place[k] = ti.select(counts, place_in_cycle(arctangent(vector.y, vector.x), bins), -1.0)
             for k in range(_RUN):

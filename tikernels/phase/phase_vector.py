@@ -41,7 +41,7 @@ def color_at(image: AnyArray3, y: i32, x: i32) -> vec3:
 
 @ti.func
 def arctangent(y: f32, x: f32) -> f32:
-    """Angle of (x, y) in [-pi, pi]; pi/2 for (0, 0)."""
+    """Angle of (x, y) in [-pi, pi]; pi/4 for (0, 0)."""
     # In the upper half plane the angle is pi/4 (right) or 3 pi/4 (left) less the arctangent of a ratio within [-1, 1].
     height = ti.abs(y)
     ratio = (x - with_sign_of(height, x)) / ti.max(ti.abs(x) + height, 1e-30)

@@ -241,6 +241,8 @@ def measure_rates_kernel(
         out_rates[rows, RATE_ALONG] = ti.atan2(along.y, along.x)
         out_rates[rows, RATE_ACROSS] = ti.atan2(across.y, across.x)
         out_rates[rows, MEAN_QUALITY] = ti.max(total / ti.max(count, 1.0), 1e-12)
+        for k in range(MEAN_QUALITY + 1, out_rates.shape[1]):
+            out_rates[rows, k] = 0.0
 
 
 @ti.kernel

@@ -19,6 +19,7 @@ from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.balance_window import SIGMA_ACROSS
+from tikernels.strips import STRIP, strip_at, strip_count
 
 #: Where a pixel is: off the mask, on it, and on it with all the neighbours that smoothing averages over.
 OFF, PARTLY, WHOLE = 0, 1, 2
@@ -79,10 +80,12 @@ def phase_sigma_kernel(
     out: F32Array2,  # (H, W) rad; NaN outside the mask
 ):
     """Add up what makes a pixel's phase uncertain."""
-    for pixel in range(out.shape[0] * out.shape[1]):
-        y, x = pixel // out.shape[1], pixel % out.shape[1]
-        variance = scatter * scatter * smoothed_variance(precision, support, averaged, y, x)
-        out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
+    height, width = out.shape[0], out.shape[1]
+    for t in range(height * strip_count(width, STRIP)):
+        y, first, count = strip_at(t, width, STRIP)
+        for x in range(first, first + count):
+            variance = scatter * scatter * smoothed_variance(precision, support, averaged, y, x)
+            out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
 
 
 def phase_sigma(

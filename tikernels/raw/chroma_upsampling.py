@@ -89,6 +89,15 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
                 value += rows[row][k] * ti.cast(chroma[near, stride * x + place], ti.f32)
         return value
 
+    @ti.func
+    def between(values: Static, block: Static, pixel: Static) -> f32:
+        """Return chroma at a pixel of a block, given the samples of a run of blocks."""
+        value = 0.0
+        for i in ti.static(range(-reach, reach + 1)):
+            if ti.static(columns[pixel][i + _REACH] != 0):
+                value += columns[pixel][i + _REACH] * values[block + reach + i]
+        return value
+
     @ti.kernel
     def convert_chroma_kernel(
         luma: AnyArray2,  # (H, W) levels
@@ -116,12 +125,8 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
                     for k, pixel in ti.static(ti.ndrange(_RUN, block_x)):
                         x = (start + k) * block_x + pixel
                         if x < out.shape[1]:
-                            blue, red = 0.0, 0.0
-                            for i in ti.static(range(-reach, reach + 1)):
-                                if ti.static(columns[pixel][i + _REACH] != 0):
-                                    blue += columns[pixel][i + _REACH] * blues[k + reach + i]
-                                    red += columns[pixel][i + _REACH] * reds[k + reach + i]
-                            blue, red = chroma_scale[1] * blue, chroma_scale[1] * red
+                            blue = chroma_scale[1] * between(blues, k, pixel)
+                            red = chroma_scale[1] * between(reds, k, pixel)
                             grey = luma_scale[1] * (ti.cast(luma[y, x], ti.f32) - luma_scale[0])
                             color = vec3(
                                 grey + red_gain * red,

@@ -49,6 +49,20 @@ def _demosaic_kernel(stripes: str, red_row: int, red_column: int) -> Any:
         before, after = mirrored(along - 1, n_along), mirrored(along + 1, n_along)
         return 0.5 * (level(mosaic, across, before) + level(mosaic, across, after))
 
+    @ti.func
+    def other_color(mosaic: Static, across: i32, along: i32, is_green: Static) -> f32:
+        """Return the colour that only the rows above and below have: they are at odd distances."""
+        n_across, n_along = mosaic.shape[1 if vertical else 0], mosaic.shape[0 if vertical else 1]
+        far = 0.0
+        for k in ti.static(range(len(_ACROSS))):
+            for side in ti.static((-1, 1)):
+                other = mirrored(across + side * (2 * k + 1), n_across)
+                if ti.static(is_green):
+                    far += _ACROSS[k] * level(mosaic, other, along)
+                else:
+                    far += _ACROSS[k] * beside(mosaic, other, along, n_along)
+        return far
+
     @ti.kernel
     def demosaic_kernel(
         mosaic: AnyArray2,  # (H, W) levels
@@ -63,16 +77,9 @@ def _demosaic_kernel(stripes: str, red_row: int, red_column: int) -> Any:
                 across, along = block // blocks * 2 + i, block % blocks * 2 + j
                 if across < mosaic.shape[n_across] and along < n_along:
                     own, near = level(mosaic, across, along), beside(mosaic, across, along, n_along)
-                    # Where this row has red or blue, the others, at odd distances, have green, and the reverse.
-                    far = 0.0
+                    # Where this row has red or blue, the others have green, and the reverse.
                     is_green = ti.static((i + j) % 2 != (red_across + red_along) % 2)
-                    for k in ti.static(range(len(_ACROSS))):
-                        for side in ti.static((-1, 1)):
-                            other = mirrored(across + side * (2 * k + 1), mosaic.shape[n_across])
-                            if ti.static(is_green):
-                                far += _ACROSS[k] * level(mosaic, other, along)
-                            else:
-                                far += _ACROSS[k] * beside(mosaic, other, along, n_along)
+                    far = other_color(mosaic, across, along, is_green)
                     y, x = across, along
                     if ti.static(vertical):
                         y, x = along, across

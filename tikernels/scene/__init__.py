@@ -1,1 +1,6 @@
 """Render what a camera would see of a simulated scene, with its exact truth."""
+
+from tikernels.scene.scene_rendering import SceneTruth, render_scene
+from tikernels.scene.scene_shapes import SCENES
+
+__all__ = ["SCENES", "SceneTruth", "render_scene"]

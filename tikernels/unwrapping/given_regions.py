@@ -88,7 +88,8 @@ class GivenRegions(PatchMethod):
     """A method made of a user's unwrapper.
 
     As with every method, regions of fewer than 128 px, pixels beside steps and cells whose borders contradict their
-    neighbours' are left out of what is written, and the user's constant of each region is not kept.
+    neighbours' are left out of what is written, and the user's constant of each region is not kept. So regions should
+    end where the surface does: where the phase goes on from one into another, the cells between them are left out.
 
     Parameters
     ----------

@@ -172,10 +172,9 @@ def cycles_before(cycles: I32Array2, reach: i32, y: i32, x: i32) -> i32:
 
 
 @ti.func
-def look_again(mask: U8Array2, reach: i32, y: i32, x: i32, active: U8Array2, later: U8Array2) -> i32:
-    """Mark the pixels that see a change: those of its row at once, others for later; return 1 if there are any."""
+def look_again(mask: U8Array2, reach: i32, y: i32, x: i32, active: U8Array2, later: U8Array2, out_changed: I32Array1):
+    """Mark the pixels that see a change: those of its row at once, others for later, which is noted."""
     height, width = mask.shape[0], mask.shape[1]
-    changed = 0
     for y2 in range(ti.max(y - reach, 0), ti.min(y + reach + 1, height)):
         for x2 in range(ti.max(x - reach, 0), ti.min(x + reach + 1, width)):
             if mask[y2, x2] != 0 and precedes(y, x, y2, x2, height // 2, width // 2):
@@ -183,8 +182,7 @@ def look_again(mask: U8Array2, reach: i32, y: i32, x: i32, active: U8Array2, lat
                     active[y2, x2] = ti.cast(1, ti.u8)
                 else:
                     later[y2, x2] = ti.cast(1, ti.u8)
-                    changed = 1
-    return changed
+                    out_changed[0] = 1
 
 
 @ti.kernel
@@ -212,8 +210,7 @@ def correct_active_kernel(
                 corrected = rounded_cycles(excess[y, x] + _CYCLE * total, counts[y, x])
                 if corrected != cycles[y, x]:
                     cycles[y, x] = corrected
-                    if look_again(mask, reach, y, x, active, later) == 1:
-                        out_changed[0] = 1
+                    look_again(mask, reach, y, x, active, later, out_changed)
 
 
 @ti.kernel

@@ -106,12 +106,10 @@ def follow_run(
             vote = vote_above(phase, quality, out_labels, y, x, order, usual[1])
             if vote.x >= 0:
                 voters += 1
-                if chosen < 0 and vote.y == 1:
-                    chosen = vote.x
-                    if x == start:
-                        written = chosen
-                if vote.x == chosen:
-                    votes += vote.y
+                first_sure = (chosen < 0) & (vote.y == 1)
+                chosen = ti.select(first_sure, vote.x, chosen)
+                written = ti.select(first_sure & (x == start), vote.x, written)
+                votes += ti.select(vote.x == chosen, vote.y, 0)
         out_labels[y, x] = written + order
         x += 1
         going = 0

@@ -88,17 +88,34 @@ def take_votes(contacts: I32Array2, e: i32, table: I32Array2) -> i32:
 
 
 @ti.func
+def offer_name(patches: I32Array2, contacts: I32Array2, e: i32):
+    """Offer a contact's name to the regions whose best it is: the smallest is taken."""
+    votes = contacts[Contact.VOTES, e]
+    if votes > 0:
+        for end in ti.static((Contact.FROM, Contact.TO)):
+            if votes == patches[Patch.SUPPORT, contacts[end, e]]:
+                ti.atomic_min(patches[Patch.KEY, contacts[end, e]], contacts[Contact.NAME, e])
+
+
+@ti.func
+def support(patches: I32Array2, contacts: I32Array2, e: i32, votes: i32):
+    """Offer a contact's votes to both its regions: the most are kept."""
+    for end in ti.static((Contact.FROM, Contact.TO)):
+        ti.atomic_max(patches[Patch.SUPPORT, contacts[end, e]], votes)
+
+
+@ti.func
 def choose_contact(patches: I32Array2, contacts: I32Array2, e: i32, adds_votes: Static):
     """Let both regions choose a contact if it is their best; among equals the smallest name, or the first one."""
     votes = contacts[Contact.VOTES, e]
     if votes > 0:
         for end in ti.static((Contact.FROM, Contact.TO)):
             root = contacts[end, e]
-            if votes == patches[Patch.SUPPORT, root]:
-                if ti.static(not adds_votes):
-                    ti.atomic_min(patches[Patch.CHOICE, root], e)
-                elif contacts[Contact.NAME, e] == patches[Patch.KEY, root]:
-                    patches[Patch.CHOICE, root] = e
+            best = votes == patches[Patch.SUPPORT, root]
+            if ti.static(adds_votes):
+                best &= contacts[Contact.NAME, e] == patches[Patch.KEY, root]
+            if best:
+                ti.atomic_min(patches[Patch.CHOICE, root], e)
 
 
 @ti.func
@@ -147,8 +164,7 @@ def merge_patches_kernel(
                 place = table_place(contacts, e, table.shape[1])
                 ti.atomic_min(table[Match.NAME, place], contacts[Contact.NAME, e])
             else:
-                for end in ti.static((Contact.FROM, Contact.TO)):
-                    ti.atomic_max(patches[Patch.SUPPORT, contacts[end, e]], votes)
+                support(patches, contacts, e, votes)
     if ti.static(adds_votes):
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
@@ -163,15 +179,10 @@ def merge_patches_kernel(
         for e in range(contact_count):
             votes = take_votes(contacts, e, table)
             if votes > 0:
-                for end in ti.static((Contact.FROM, Contact.TO)):
-                    ti.atomic_max(patches[Patch.SUPPORT, contacts[end, e]], votes)
+                support(patches, contacts, e, votes)
         ti.loop_config(serialize=serial)
         for e in range(contact_count):
-            votes = contacts[Contact.VOTES, e]
-            if votes > 0:
-                for end in ti.static((Contact.FROM, Contact.TO)):
-                    if votes == patches[Patch.SUPPORT, contacts[end, e]]:
-                        ti.atomic_min(patches[Patch.KEY, contacts[end, e]], contacts[Contact.NAME, e])
+            offer_name(patches, contacts, e)
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
         choose_contact(patches, contacts, e, adds_votes)

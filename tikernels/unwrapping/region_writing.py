@@ -135,11 +135,10 @@ def leave_out_steps(
     if steps == HIDES_STEP:
         for k in range(start, stop):
             region[k] = 0
-    elif steps == HAS_STEPS:
+    if steps == HAS_STEPS:
         for k in range(start, stop):
             if region[k] > 0:
-                if beside_step(phase, rates, labels, final, y, first + k):
-                    region[k] = 0
+                region[k] = region[k] * (1 - beside_step(phase, rates, labels, final, y, first + k))
 
 
 @ti.kernel

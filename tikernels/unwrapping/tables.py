@@ -43,7 +43,7 @@ class Patch(IntEnum):
     OFFSET = 4  # whole cycles to add to its orders to make them the region's
     PARENT = 5  # in a round of joining: the region that this root is joined to,
     STEP = 6  # and the cycles between their orders
-    HEAD = 7  # the root that this patch has been joined to so far, directly or through others,
+    HEAD = 7  # the root that this patch has been joined to, directly or through others,
     TURN = 8  # and the cycles between their orders
     SUPPORT = 9  # scratch: votes of the best contact; a start's score
     KEY = 10  # scratch: name of the best contact

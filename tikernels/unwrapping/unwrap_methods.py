@@ -59,6 +59,7 @@ class PatchMethod(Protocol):
         table : (12, capacity) int32
             See `Patch`; each is a region of its own.
         """
+        return
 
     def complete_graph(
         self, heads: npt.NDArray[np.int32], ends: npt.NDArray[np.int32], votes: npt.NDArray[np.int32]

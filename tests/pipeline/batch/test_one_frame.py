@@ -1,10 +1,59 @@
+<<<<<<< HEAD
+"""One picture into a folder: what a picture that cannot be decoded leaves, and what is said meanwhile."""
+=======
 """A picture decoded into a folder: everything that a single frame gives, or nothing."""
 
 import json
+>>>>>>> refs/heads/tests
 
 import numpy as np
 import pytest
 
+<<<<<<< HEAD
+from pipeline.batch.one_frame import decode_picture
+from pipeline.errors import DecodeWarning, FootageError, OutputError
+from pipeline.footage.source import StoredAs
+from pipeline.output.range_image import write_png
+from pipeline.settings import DecodeSettings
+
+AS_IT_SAYS = StoredAs()
+
+
+def decode(picture, out, *, force=False):
+    said = []
+    frame = decode_picture(picture, out, DecodeSettings(), None, AS_IT_SAYS, "cpu", force=force, tell=said.append)
+    return frame, said
+
+
+def test_a_black_picture_gives_all_files_and_nothing_in_them(tmp_path):
+    write_png(tmp_path / "black.png", np.zeros((48, 64, 3), np.uint8))
+    with pytest.warns(DecodeWarning, match="no fringe stands out"):
+        frame, said = decode(tmp_path / "black.png", tmp_path / "out")
+    assert not frame.mask.any()
+    assert said == ["reading", "decoding", "writing"]
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["mesh.ply", "range.png", "report.json", "result.zarr", "shaded.png"]
+
+
+def test_what_cannot_be_read_leaves_no_folder(tmp_path):
+    write_png(tmp_path / "whole.png", np.zeros((48, 64, 3), np.uint8))
+    (tmp_path / "half.png").write_bytes((tmp_path / "whole.png").read_bytes()[:60])
+    for name in ("half.png", "none.png"):
+        with pytest.raises(FootageError):
+            decode(tmp_path / name, tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_that_holds_something_else_is_kept(tmp_path):
+    write_png(tmp_path / "black.png", np.zeros((48, 64, 3), np.uint8))
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").touch()
+    with pytest.raises(OutputError, match="holds something else"):
+        decode(tmp_path / "black.png", tmp_path / "out")
+    with pytest.warns(DecodeWarning):
+        decode(tmp_path / "black.png", tmp_path / "out", force=True)
+    assert (tmp_path / "out" / "thesis.tex").exists()
+=======
 from pipeline import DecodeSettings
 from pipeline.batch.one_frame import decode_picture
 from pipeline.errors import FootageError
@@ -49,3 +98,4 @@ def test_a_picture_that_cannot_be_read_leaves_no_folder(picture, tmp_path):
     with pytest.raises(FootageError, match=r"frame\.png.*truncated"):
         decoded(path, tmp_path / "out", calibration)
     assert [entry.name for entry in tmp_path.iterdir()] == ["frame.png"]
+>>>>>>> refs/heads/tests

@@ -9,6 +9,7 @@ from pipeline.calibration import Pattern
 from pipeline.errors import SettingsError
 from pipeline.pattern.contrast_code import CYCLES, LEVELS, cycle_modulations, modulation_at
 from pipeline.pattern.fringes import make_pattern, write_pattern
+from tikernels.phase.balance_window import SIGMA_ACROSS
 
 
 def distances(length: int) -> np.ndarray:
@@ -37,11 +38,11 @@ def test_a_pattern_holds_a_sinusoid_of_constant_mean():
 
 
 def test_the_code_hardly_leaks_into_the_mean_of_a_channel():
-    """A Gaussian of 0.85 cycles, the balance's, sees each channel's mean to 0.4 %: 0.003 rad."""
+    """The balance window, a Gaussian, sees each channel's mean to 0.4 %: 0.003 rad."""
     period = 16
     codes = make_pattern((1, 100 * period), Pattern(period_px=period, code="contrast"))[:, 0].astype(np.float64)
     reach = np.arange(-6 * period, 6 * period + 1)
-    taps = np.exp(-0.5 * (reach / (0.85 * period)) ** 2)
+    taps = np.exp(-0.5 * (reach / (SIGMA_ACROSS * period)) ** 2)
     means = np.stack([np.convolve(channel, taps / taps.sum(), "valid") for channel in codes.T])
     assert np.abs(means / means.mean(axis=0) - 1).max() < 0.012
     assert np.sqrt(np.mean((means / means.mean(axis=0) - 1) ** 2)) < 0.004

@@ -5,6 +5,9 @@ import pytest
 import reference
 
 import tikernels
+from tikernels.phase.color_balance import Gains, apply_gains_kernel
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.frame_statistics import FrameLevels
 
 MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
 PERIOD_PX = 12.3
@@ -113,3 +116,22 @@ def test_menu(menu):
 def test_periods_that_no_camera_resolves(arch, period_px):
     with pytest.raises(tikernels.ShapeError, match=r"period_px is .*: three colours resolve a cycle of 4 px or more"):
         tikernels.balance_color(np.ones((8, 8, 3), np.float32), period_px)
+
+
+@pytest.mark.parametrize("matrix", [None, MATRIX], ids=["no crosstalk", "crosstalk"])
+def test_the_decoders_gains_are_those_of_the_public_stage(arch, matrix):
+    """Bit by bit, for a frame in which every pixel is bright enough for both."""
+    image, _ = scene(matrix=matrix)
+    crosstalk = Crosstalk.of(np.eye(3) if matrix is None else matrix, balance_first=True)
+    gains = Gains(*image.shape[:2], PERIOD_PX)
+    gains.measure(image, crosstalk, FrameLevels(1.0, 0.001, 0.0, 0.001, 0.005, 0.005))
+    balanced = np.empty_like(image)
+    apply_gains_kernel(image, gains.gains, gains.cell, balanced)
+    np.testing.assert_array_equal(balanced, tikernels.balance_color(image, PERIOD_PX, crosstalk_matrix=matrix))
+
+
+def test_a_frame_of_another_size_is_refused(arch):
+    gains = Gains(24, 32, PERIOD_PX)
+    levels = FrameLevels(1.0, 0.001, 0.0, 0.001, 0.005, 0.005)
+    with pytest.raises(tikernels.ShapeError, match=r"image has shape \(25, 32, 3\), expected \(24, 32, 3\)"):
+        gains.measure(np.ones((25, 32, 3), np.float32), Crosstalk.of(np.eye(3), balance_first=True), levels)

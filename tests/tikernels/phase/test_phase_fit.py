@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 import reference
 
+import tikernels
 from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
-from tikernels.phase.channel_template import HARMONICS, flat_template, known_template
+from tikernels.phase.channel_template import HARMONICS, flat_template
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table, measure_distribution
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_fit import fit_phase
+from tikernels.phase.phase_fit import count_phases, fit_phase
 
 MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
 COLOR = np.array([0.75, 0.52, 0.42])
@@ -136,17 +137,34 @@ def test_hardly_any_sample_leaves_the_arctangent(arch):
     assert np.abs(model.template[:, 1:]).max() < 1.0
 
 
-def test_the_template_of_a_known_rig():
-    """Gamma 2 has a first harmonic of 4/3 and a second one of 1/3 of the mean; crosstalk mixes the channels."""
-    response = np.tile(np.linspace(0, 1, 4096) ** 2, (3, 1))
-    template = known_template(np.eye(3), response)
-    waves = template[:, 1 : 1 + HARMONICS] - 1j * template[:, 1 + HARMONICS :]
-    np.testing.assert_allclose(waves[:, 0], 4 / 3 * np.exp(1j * DELAYS), atol=1e-4)
-    np.testing.assert_allclose(waves[:, 1], 1 / 3 * np.exp(2j * DELAYS), atol=1e-4)
-    mixed = known_template(MATRIX, response)
-    expected = (MATRIX / MATRIX.sum(axis=1, keepdims=True)) @ waves
-    np.testing.assert_allclose(mixed[:, 1 : 1 + HARMONICS], expected.real, atol=1e-4)
-    lag = np.array([0.2, 0.0, -0.1])
-    lagging = known_template(np.eye(3), response, lag)
-    waves = lagging[:, 1] - 1j * lagging[:, 1 + HARMONICS]
-    np.testing.assert_allclose(np.angle(waves * np.exp(-1j * (DELAYS - lag))), 0, atol=1e-6)
+@pytest.mark.parametrize("balance_first", [True, False])
+def test_counted_phases_are_those_of_the_public_chain(arch, balance_first):
+    """With gains of one: crosstalk undone, arctangent, histogram; a phase at a bin's edge may fall to either side."""
+    image = np.round(noisy_frame(1.0, 0.1, (60, 96))[0]).clip(0, 255)
+    crosstalk = Crosstalk.of(MATRIX, balance_first=balance_first)
+    levels = FrameLevels(255.0, NOISE, 0.0, NOISE, 5.0, 5.0)
+    gains = Gains(60, 96, PERIOD_PX)
+    gains.gains.fill(1)
+    counted = count_phases(image, gains, crosstalk, levels)
+    matrix = np.linalg.inv(crosstalk.inverse.astype(np.float64))
+    phase, modulation, _ = tikernels.compute_wrapped_phase(tikernels.correct_crosstalk(image, matrix))
+    assert (modulation > levels.modulation).all()  # nothing is dark or clipped
+    expected = measure_distribution(phase, counted.shape[1])
+    assert counted.sum() == expected.sum() == image.shape[0] * image.shape[1]
+    assert np.abs(counted.sum(axis=0) - expected).sum() <= 4
+
+
+def test_what_does_not_fit_is_refused(arch):
+    image, _ = noisy_frame(1.0, 0.0, (24, 32))
+    crosstalk = Crosstalk.of(MATRIX, balance_first=True)
+    levels = FrameLevels(255.0, NOISE, 0.0, NOISE, 5.0, 5.0)
+    gains = Gains(24, 32, PERIOD_PX)
+    model = ChannelModel(gains)
+    rest = (gains, model, crosstalk, levels, np.zeros(257, np.float32), 0.02)
+    with pytest.raises(tikernels.ShapeError, match=r"image has shape \(24, 31, 3\), expected \(24, 32, 3\)"):
+        fit_phase(image[:, :31], *rest)
+    with pytest.raises(tikernels.ShapeError, match=r"image has shape \(23, 32, 3\), expected \(24, 32, 3\)"):
+        count_phases(image[:23], gains, crosstalk, levels)
+    with pytest.raises(tikernels.ShapeError, match=r"precision has shape \(2, 2\), expected \(24, 32\)"):
+        out = [np.empty(shape, np.float32) for shape in ((24, 32), (24, 32), (2, 2))]
+        fit_phase(image, *rest, out=tuple(out))

@@ -5,6 +5,9 @@ import pytest
 import reference
 
 import tikernels
+from tikernels import runtime
+from tikernels.phase.smoothing import MEAN_QUALITY, RATE_ACROSS, RATE_ALONG, measure_rates, smooth_phase
+from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE
 
 
 def noisy(true: np.ndarray, noise: float, seed: int = 1) -> np.ndarray:
@@ -94,3 +97,50 @@ def test_menu(menu):
 def test_impossible_windows(arch, smoothing_px):
     with pytest.raises(tikernels.ShapeError, match=f"smoothing_px is {smoothing_px}: take an odd number from 1 to 33"):
         tikernels.smooth_along_stripes(np.zeros((4, 4), np.float32), np.ones((4, 4), bool), smoothing_px)
+
+
+def marked(phase: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    return np.where(mask, phase, np.float32(NO_PHASE)).astype(np.float32)
+
+
+def test_the_decoders_smoothing_is_that_of_the_public_stage(arch):
+    """Bit by bit where there is a phase, for a noise of which nothing is known; steps and the rest are marked."""
+    true = reference.ramp(48, 60) + 2.4 * (np.arange(60) >= 30)
+    true[:, 30] -= 1.2
+    phase, mask = noisy(true, 0.02), np.random.default_rng(6).random((48, 60)) > 0.1
+    seen = marked(phase, mask)
+    found = runtime.to_host(smooth_phase(seen, np.zeros_like(phase), measure_rates(seen, seen), 2))
+    public = tikernels.smooth_along_stripes(phase, mask, 5)
+    smoothed = found < NO_PHASE
+    assert smoothed.mean() > 0.8
+    assert np.abs(reference.wrapped_difference(found, public)[smoothed]).max() < 1e-6
+    assert (found[~mask] == NO_PHASE).all()
+    assert (found[mask & ~smoothed] == STEP_PHASE).all()
+
+
+def test_rates_are_those_of_a_plane(arch):
+    """To 1e-6 rad a px, and the quality's mean over every eighth pixel."""
+    phase = reference.wrapped(reference.ramp(64, 96, 12.0, tilt=0.03))
+    quality = np.random.default_rng(7).random((64, 96), np.float32)
+    last = runtime.to_host(measure_rates(phase, quality))[-1]
+    assert last[RATE_ALONG] == pytest.approx(0.03, abs=2e-6)
+    assert last[RATE_ACROSS] == pytest.approx(2 * np.pi / 12, abs=2e-6)
+    assert last[MEAN_QUALITY] == pytest.approx(reference.usual_change(phase, quality)[2], rel=1e-5)
+
+
+def test_menu_of_the_decoders_stages(menu):
+    phase = marked(noisy(reference.ramp(17, 23), 0.1), np.ones((17, 23), bool))
+    precision = np.full((17, 23), 400, np.float32)
+
+    def rates(out=None, **inputs):
+        found = measure_rates(**inputs, out=out)
+        return runtime.to_host(found) if out is None else found
+
+    menu(rates, np.empty((4, 5), np.float32), phase=phase, quality=precision)
+    measured = np.array(rates(phase=phase, quality=precision))
+
+    def smooth(out=None, **inputs):
+        found = smooth_phase(**inputs, pairs=2, out=out)
+        return runtime.to_host(found) if out is None else found
+
+    menu(smooth, np.empty((17, 23), np.float32), phase=phase, precision=precision, rates=measured)

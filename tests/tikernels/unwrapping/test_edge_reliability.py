@@ -14,7 +14,7 @@ from tikernels.unwrapping.tables import Edge
 from tikernels.unwrapping.unwrap_methods import SpanningForest
 from tikernels.unwrapping.unwrapper import RegionUnwrapper
 
-#: No two neighbours depart by so much, rad: with it nothing is a step, as for scikit-image.
+#: rad, more than any two neighbours can depart: with it nothing is a step, as for scikit-image.
 ANYTHING = 10.0
 
 

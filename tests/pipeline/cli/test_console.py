@@ -1,0 +1,125 @@
+"""What all commands share."""
+
+import inspect
+import warnings
+
+import pytest
+
+import hardware.errors
+import pipeline.errors
+import tikernels.errors
+from pipeline.cli import console
+from pipeline.errors import DecodeWarning, OutputError, SettingsError
+
+
+@pytest.mark.parametrize(("text", "expected"), [("1024x768", (1024, 768)), ("1X1", (1, 1))])
+def test_a_size_is_read(text, expected):
+    assert console.size_of(text) == expected
+
+
+@pytest.mark.parametrize("text", ["", "x", "1024", "1024x", "x768", "0x768", "-1x5", "1.5x2", "1024x768x3", "1024 768"])
+def test_what_is_no_size_is_refused_by_its_option(text):
+    with pytest.raises(SettingsError, match=r"^--squares is .*: give width and height in px, as in 1024x768$"):
+        console.size_of(text, "--squares")
+
+
+@pytest.mark.parametrize(
+    ("check", "allowed", "refused", "message"),
+    [
+        (console.bounded(1), (None, 1, 10**9), (0, -1, float("nan")), "must be 1 or more"),
+        (console.bounded(0.1, 1000), (0.1, 30, 1000), (0.09, 1000.1, float("nan")), "must be 0.1 to 1000"),
+        (console.above_zero, (None, 1e-9, 5), (0, -1, float("inf"), float("nan")), "must be above 0, and a number"),
+    ],
+)
+def test_bounds(check, allowed, refused, message):
+    for value in allowed:
+        check(float, value)
+    for value in refused:
+        with pytest.raises(ValueError, match=f"^{message}$"):
+            check(float, value)
+
+
+def test_a_target_that_cannot_be_written_is_refused(tmp_path):
+    console.check_target(tmp_path / "new.json", force=False)
+    (tmp_path / "old.json").touch()
+    console.check_target(tmp_path / "old.json", force=True)
+    with pytest.raises(OutputError, match=r"old\.json exists already: choose another name, or add --force"):
+        console.check_target(tmp_path / "old.json", force=False)
+    with pytest.raises(OutputError, match="create the folder first"):
+        console.check_target(tmp_path / "none" / "new.json", force=True)
+
+
+@pytest.mark.parametrize("module", [hardware.errors, pipeline.errors, tikernels.errors])
+def test_every_error_of_the_packages_is_one_line(module, monkeypatch, capsys):
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    errors = [error for _, error in inspect.getmembers(module, inspect.isclass) if not issubclass(error, Warning)]
+    assert errors
+    for error in errors:
+
+        def command(error=error):
+            raise error("no [red] lamp :smile: is on: switch one on")
+
+        with pytest.raises(SystemExit) as stopped:
+            console.run(command)
+        assert stopped.value.code == 1
+        assert capsys.readouterr().err == "error: no [red] lamp :smile: is on: switch one on\n"
+
+
+def test_other_errors_are_not_hidden(monkeypatch):
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+    with pytest.raises(ZeroDivisionError):
+        console.run(lambda: 1 / 0)
+
+
+@pytest.mark.parametrize(("message", "said"), [("", "interrupted"), ("stopped: run it again", "stopped: run it again")])
+def test_ctrl_c_is_one_line_and_130(message, said, monkeypatch, capsys):
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+
+    def command():
+        raise KeyboardInterrupt(*[message] * bool(message))
+
+    with pytest.raises(SystemExit) as stopped:
+        console.run(command)
+    assert stopped.value.code == 130
+    assert capsys.readouterr().err == f"{said}\n"
+
+
+def test_warnings_are_one_line(monkeypatch, capsys):
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+
+    def command():
+        with warnings.catch_warnings():
+            warnings.simplefilter("always")
+            console.run(lambda: None)
+            warnings.warn("no fringe stands out", DecodeWarning, stacklevel=1)
+            warnings.warn("old", DeprecationWarning, stacklevel=1)
+
+    command()
+    assert capsys.readouterr().err == "warning: no fringe stands out\nDeprecationWarning: old\n"
+
+
+def test_progress_is_silent_where_there_is_no_terminal(capsys):
+    with console.steps() as step:
+        step("no [/red] markup")
+    with console.counted("meshes") as show:
+        show(1, 3)
+        show(3, 3)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_progress_on_a_terminal(monkeypatch):
+    """What is said is shown as it is, brackets and all; what was done before does not count for the rate."""
+    from io import StringIO
+
+    from rich.console import Console
+
+    shown = StringIO()
+    terminal = Console(file=shown, force_terminal=True, width=120, markup=False, emoji=False)
+    monkeypatch.setattr(console, "stderr", terminal)
+    with console.steps() as step:
+        step("reading [red] film")
+    assert "reading [red] film" in shown.getvalue()
+    with console.counted("decoding") as show:
+        show(40, 50)
+        show(50, 50)
+    assert "decoding" in shown.getvalue() and "50/50" in shown.getvalue()

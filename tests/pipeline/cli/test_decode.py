@@ -1,0 +1,127 @@
+"""`colorphase decode` as its user meets it: what it makes, and that nothing half-written stays."""
+
+import json
+import shutil
+
+import cv2
+import numpy as np
+import zarr
+from support.command_line import colorphase
+
+from pipeline import Calibration, Decoder, DecodeSettings
+from pipeline.decoding.frame import FIELDS
+from pipeline.footage.image_file import read_image
+from pipeline.output.mesh_files import read_mesh
+
+
+def test_decode_with_a_calibration(folder):
+    done = colorphase(
+        *("decode", "frame.png", "--out", "mm", "--calibration", "calibration.json"),
+        *("--settings", "settings.toml", "--arch", "cpu"),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    out = folder / "mm"
+    assert sorted(p.name for p in out.iterdir()) == [
+        "mesh.ply",
+        "range.png",
+        "report.json",
+        "result.zarr",
+        "shaded.png",
+    ]
+    report = json.loads((out / "report.json").read_text())
+    assert report["range_unit"] == "mm"
+    assert report["settings"]["smoothing_px"] == 3
+    assert report["warnings"] == []
+    group = zarr.open_group(out / "result.zarr", mode="r")
+    assert group.metadata.zarr_format == 3
+    assert set(group.array_keys()) == {*FIELDS, "done"}
+    assert group.attrs["calibration_sha256"] == report["calibration_sha256"]
+    for name in FIELDS:
+        assert group[name].shape[0] == 1
+        assert group[name].chunks == group[name].shape
+    mask = group["mask"][0]
+    mesh = read_mesh(out / "mesh.ply")
+    assert len(mesh.vertices) == mask.sum() == np.isfinite(group["points"][0]).all(axis=-1).sum()
+    assert mesh.unit == "mm"
+    assert read_image(out / "range.png").shape[0] == 240
+
+
+def test_decode_without_one_is_relative(folder):
+    done = colorphase("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((folder / "rad" / "report.json").read_text())["range_unit"] == "rad"
+    assert read_mesh(folder / "rad" / "mesh.ply").unit == "rad"
+    assert "points" not in set(zarr.open_group(folder / "rad" / "result.zarr", mode="r").array_keys())
+    # Our own results may be replaced.
+    again = colorphase("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
+    assert again.returncode == 0, again.stderr
+
+
+def test_a_frame_without_fringes(folder):
+    done = colorphase("decode", "black.png", "--out", "none", "--arch", "cpu", cwd=folder)
+    assert done.returncode == 1
+    assert "no fringe stands out" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert json.loads((folder / "none" / "report.json").read_text())["valid_fraction"] == 0
+
+
+def test_a_jpeg_is_read_as_footage_is(folder):
+    """From its planes, which costs less than the RGB that libraries make of them; and damage is told."""
+    jpeg = cv2.imencode(".jpg", cv2.imread(str(folder / "frame.png")))[1].tobytes()
+    (folder / "frame.jpg").write_bytes(jpeg)
+    (folder / "broken.jpg").write_bytes(jpeg[:5000] + bytes(2000) + jpeg[7000:])
+    done = colorphase("decode", "frame.jpg", "--out", "jpeg", "--calibration", "calibration.json", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    decoder = Decoder(DecodeSettings(), Calibration.read(folder / "calibration.json"), arch="cpu")
+    expected = decoder.decode(read_image(folder / "frame.png"))
+    by_library = decoder.decode(read_image(folder / "frame.jpg"))
+    stored = zarr.open_group(folder / "jpeg" / "result.zarr", mode="r")
+    both = expected.mask & by_library.mask & stored["mask"][0]
+    assert both.mean() > 0.3
+
+    def error(phase):
+        return np.sqrt(np.mean(np.angle(np.exp(1j * (phase - expected.wrapped_phase)[both])) ** 2))
+
+    assert error(stored["wrapped_phase"][0]) < 0.95 * error(by_library.wrapped_phase)
+    refused = colorphase("decode", "broken.jpg", "--out", "broken", cwd=folder)
+    assert refused.returncode == 1 and "damaged" in refused.stderr and len(refused.stderr.splitlines()) == 1
+    assert not (folder / "broken").exists()
+
+
+def test_decode_footage(folder):
+    """Bad frames are told by number and by the exit code; a second run finds everything else done."""
+    film = folder / "film é 1"
+    film.mkdir()
+    for name in ("f1.png", "f2.png", "f10.png"):
+        shutil.copy(folder / "frame.png", film / name)
+    (film / "f3.png").write_bytes((folder / "frame.png").read_bytes()[:1000])
+    options = ("--out", "footage", "--arch", "cpu", "--calibration", "calibration.json", "--fields", "points", "mask")
+    done = colorphase("decode", film, *options, cwd=folder)
+    assert done.returncode == 3, done.stderr
+    assert "frame 2 is bad" in done.stderr and "truncated" in done.stderr
+    assert "3 of 4 frames decoded; they are in footage/result.zarr" in done.stdout
+    group = zarr.open_group(folder / "footage" / "result.zarr", mode="r")
+    assert group["points"].shape == (4, 240, 320, 3)
+    again = colorphase("decode", film, *options, cwd=folder)
+    assert again.returncode == 3 and "3 of them before" in again.stdout
+    for arguments, message in [
+        (("--settings", "settings.toml"), r"settings.smoothing_px is 5 there, 3 here"),
+        (("--roi", "1,2,3"), "give x,y,width,height"),
+        (("--roi", "0,0,00,²"), "give x,y,width,height"),
+        (("--roi", "0,0,400,100"), "sticks out of the 320x240 frame"),
+        (("--fields", "depth"), "no field is called 'depth'"),
+        (("--step", "0"), "must be 1 or more"),
+        (("--start", "9"), "none of which is asked for"),
+    ]:
+        refused = colorphase("decode", film, *options, *arguments, cwd=folder)
+        assert refused.returncode in (1, 2) and message in refused.stderr, refused.stderr
+        assert "Traceback" not in refused.stderr
+    with_meshes = colorphase("decode", film, *options, "--export", "glb", cwd=folder)
+    assert with_meshes.returncode == 3 and "3 meshes in footage/meshes" in with_meshes.stdout, with_meshes.stderr
+    names = sorted(path.name for path in (folder / "footage" / "meshes").iterdir())
+    assert names == ["frame_000000.glb", "frame_000001.glb", "frame_000003.glb"]
+    strict = colorphase("decode", film, *options[2:], "--out", "strict", "--strict", cwd=folder)
+    assert strict.returncode == 1 and "frame 2 of" in strict.stderr
+    picture = colorphase("decode", "frame.png", "--out", "footage", "--force", cwd=folder)
+    assert picture.returncode == 1 and "holds the frames of footage" in picture.stderr

@@ -1,0 +1,46 @@
+"""`colorphase render` and `export` as their user meets them; films and meshes themselves have tests of their own."""
+
+import pytest
+from support.command_line import colorphase
+
+from pipeline.output.mesh_files import read_mesh
+
+
+@pytest.fixture(scope="module")
+def store(folder):
+    """Decode the folder's one picture as footage."""
+    done = colorphase(
+        *("decode", "pictures", "--out", "stored", "--arch", "cpu"),
+        *("--fields", "mask", "range_image", "--calibration", "calibration.json"),
+        cwd=folder,
+    )
+    assert done.returncode == 0, done.stderr
+    return folder / "stored" / "result.zarr"
+
+
+def test_every_frame_is_exported(store, command, tmp_path):
+    code, _, complained = command("export", str(store), "--out", "meshes")
+    assert code == 1 and "holds no points: decode with that field" in complained  # ranges are in mm
+    done = command("decode", "pictures", "--out", "relative", "--arch", "cpu", cwd=store.parents[1])
+    assert done.returncode == 0, done.stderr
+    found = command("export", str(store.parents[1] / "relative" / "result.zarr"), "--out", "meshes")
+    assert found == (0, "1 meshes in meshes\n", "")
+    assert read_mesh(tmp_path / "meshes" / "frame_000000.ply").unit == "rad"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("render", "none.ply", "--out", "x.gif"), 1, "name it .png, or give a result.zarr"),
+        (("render", "none.ply", "--out", "x.png"), 1, "cannot read none.ply"),
+        (("render", "none.ply", "--out", "x.png", "--sway", "181"), 2, "must be 0 to 180"),
+        (("render", "none.ply", "--out", "x.png", "--fps", "nan"), 2, "must be 0.1 to 1000"),
+        (("export", "none.zarr", "--out", "meshes"), 1, "decode first"),
+        (("export", "none.zarr", "--out", "meshes", "--kind", "fbx"), 2, "Invalid value"),
+    ],
+)
+def test_mistakes_are_one_line(command, tmp_path, arguments, code, message):
+    ended, said, complained = command(*arguments)
+    assert (ended, said) == (code, "")
+    assert message in complained and complained.startswith("error: ") and complained.count("\n") == 1
+    assert not list(tmp_path.iterdir())

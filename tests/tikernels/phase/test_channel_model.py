@@ -1,0 +1,85 @@
+"""The channels' model of a frame that is made by that very model: template, colour and ambient light come back."""
+
+import numpy as np
+import pytest
+import reference
+
+from tikernels import runtime
+from tikernels.phase.channel_model import ChannelModel
+from tikernels.phase.channel_template import HARMONICS, flat_template, known_template
+from tikernels.phase.color_balance import Gains
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import correction_table, measure_distribution
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.wrapped_phase import NO_PHASE
+
+MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
+MATRIX /= MATRIX.sum(axis=1, keepdims=True)
+COLOR = np.array([0.75, 0.52, 0.42])
+DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
+PERIOD_PX = 12.3
+SHAPE = (240, 192)
+LEVELS = FrameLevels(white=255.0, read_noise=0.3, noise_gain=0.0, noise=0.3, intensity=3.0, modulation=3.0)
+
+
+def frame(gamma: float, ambient: float) -> np.ndarray:
+    """Return (H, W, 3) levels of a coloured plane whose brightness falls off to the right, in ambient light."""
+    phase = reference.ramp(*SHAPE, PERIOD_PX, tilt=0.02)
+    light = (0.5 + 0.5 * np.cos(phase[..., None] + DELAYS)) ** gamma @ MATRIX.T
+    brightness = 1 - 0.7 * np.arange(SHAPE[1]) / SHAPE[1]
+    noise = LEVELS.read_noise * np.random.default_rng(1).standard_normal((*SHAPE, 3))
+    return (250 * COLOR * (brightness[:, None] * light + ambient) + noise).astype(np.float32)
+
+
+def fitted(image: np.ndarray) -> tuple[ChannelModel, Gains]:
+    crosstalk = Crosstalk.of(MATRIX, balance_first=True)
+    gains = Gains(*SHAPE, PERIOD_PX)
+    model = ChannelModel(gains)
+    gains.measure(image, crosstalk, LEVELS)
+    model.recover_samples(crosstalk, LEVELS)
+    model.fit(correction_table(measure_distribution(model.phases, 256), 9), flat_template())
+    return model, gains
+
+
+@pytest.mark.parametrize(("gamma", "ambient"), [(1.0, 0.0), (2.0, 0.0), (2.0, 0.05)])
+def test_the_template_is_read_off_the_frame(arch, gamma, ambient):
+    """To 3 % of the mean, which bends the phase by a hundredth of a radian at most."""
+    model, _ = fitted(frame(gamma, ambient))
+    waves = model.template[:, 1 : 1 + HARMONICS] - 1j * model.template[:, 1 + HARMONICS :]
+    response = np.tile(np.linspace(0, 1, 4096) ** gamma, (3, 1))
+    known = known_template(MATRIX, response)
+    expected = known[:, 1 : 1 + HARMONICS] - 1j * known[:, 1 + HARMONICS :]
+    assert np.abs(waves - expected).max() < 0.03
+    assert model.mismatch < 0.03
+
+
+def test_nodes_are_colour_and_ambient_light(arch):
+    """A is the surface's colour up to a factor that brightness takes; B the ambient light, to a level of 255."""
+    ambient = 0.05
+    model, _ = fitted(frame(2.0, ambient))
+    nodes = runtime.to_host(model.nodes)[4:-4, 4:-4]
+    color = nodes[..., :3] / nodes[..., :3].mean(axis=-1, keepdims=True)
+    np.testing.assert_allclose(color, np.broadcast_to(COLOR / COLOR.mean(), color.shape), rtol=0.03)
+    np.testing.assert_allclose(nodes[..., 3:].mean(axis=(0, 1)), 250 * ambient * COLOR, atol=1.0)
+
+
+def test_the_contrast_is_that_of_the_light(arch):
+    """Sinusoids of full visibility, three of whose channels mix; ambient light takes its share of it."""
+    bare, lit = (fitted(frame(1.0, ambient))[0].contrast for ambient in (0.0, 0.2))
+    assert bare == pytest.approx(1.0, abs=0.02)
+    assert lit == pytest.approx(0.5 * 0.65 / (0.5 * 0.65 + 0.2), rel=0.05)
+
+
+def test_dark_and_clipped_samples_say_nothing(arch):
+    image = frame(1.0, 0.0)
+    image[:60], image[100:140] = 0, 255
+    phases = runtime.to_host(fitted(image)[0].phases)
+    assert (phases[:60] == NO_PHASE).all()
+    assert (phases[100:140] == NO_PHASE).all()
+    assert (np.abs(phases[150:230]) <= np.float32(np.pi)).mean() > 0.95
+
+
+def test_a_dark_frame_keeps_what_is_known(arch):
+    model, _ = fitted(np.zeros((*SHAPE, 3), np.float32))
+    np.testing.assert_allclose(model.template, flat_template(), atol=1e-6)
+    assert np.isnan(model.contrast) and np.isnan(model.mismatch)

@@ -1,0 +1,57 @@
+"""Host functions say what they take and return; of kernels no type checker can ask it."""
+
+import ast
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.array_forms import on_device
+
+import tikernels
+from tikernels import runtime
+
+ROOT = Path(tikernels.__file__).parent
+SOURCES = sorted(path for path in ROOT.rglob("*.py") if path.name != "_taichi.py")
+Function = ast.FunctionDef
+
+
+def host_functions(path: Path) -> list[Function]:
+    """Return functions and methods, but not what stands in a function, nor kernels and their functions."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inside = [node for outer in tree.body for node in (outer.body if isinstance(outer, ast.ClassDef) else [outer])]
+    found = [node for node in inside if isinstance(node, Function)]
+    return [node for node in found if not {ast.unparse(d) for d in node.decorator_list} & {"ti.kernel", "ti.func"}]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_host_functions_are_annotated(path):
+    for function in host_functions(path):
+        arguments = (*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs)
+        bare = [a.arg for a in arguments if a.annotation is None and a.arg not in ("self", "cls")]
+        assert not bare, f"{path}: {function.name} does not say what {bare} are"
+        assert function.returns is not None, f"{path}: {function.name} does not say what it returns"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [p for p in SOURCES if p.parent.name in ("raw", "phase", "depth", "scene")],
+    ids=lambda path: path.relative_to(ROOT).as_posix(),
+)
+def test_public_functions_take_arrays_by_their_elements(path):
+    for function in host_functions(path):
+        if function.name.startswith("_"):
+            continue
+        arguments = (*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs)
+        vague = [a.arg for a in arguments if a.annotation and ast.unparse(a.annotation).startswith("Any")]
+        assert not vague, f"{path}: {function.name} takes anything as {vague}"
+
+
+def test_a_device_array_has_what_the_protocol_says(arch):
+    values = np.arange(6, dtype=np.float32).reshape(2, 3)
+    buffer = on_device(values)
+    assert tuple(buffer.shape) == (2, 3)
+    np.testing.assert_array_equal(buffer.to_numpy(), values)
+    buffer.from_numpy(2 * values)
+    np.testing.assert_array_equal(runtime.to_host(buffer), 2 * values)
+    buffer.fill(3)
+    np.testing.assert_array_equal(runtime.to_host(buffer), 3)
