@@ -46,9 +46,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=on_vulkan)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def cpu() -> str:
-    """Start the CPU, for tests and for what a module's tests share; `arch` is for what runs on every backend."""
+    """Start the CPU, which runs until the tests on Vulkan come; `arch` is for what runs on every backend."""
     return tikernels.init("cpu")
 
 

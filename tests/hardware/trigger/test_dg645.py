@@ -175,27 +175,6 @@ def test_short_bursts_come_to_their_end(generator, device, count):
     assert device.bursts[-1].pulses("CD", device.now) == count
 
 
-def test_an_endless_train_runs_until_it_is_aborted(generator, device):
-    generator.configure(PulseTrain(0.005, None, TRAIN.projector, TRAIN.camera))
-    generator.arm()
-    generator.fire()
-    wait(lambda: device.bursts[-1].pulses("CD", device.now) > 10)
-    assert generator.status() == TriggerStatus(running=True, boot=1)
-    generator.abort()
-    assert not device.running
-    generator.configure(TRAIN)
-    assert run(generator) == TriggerStatus(running=False, boot=1)
-
-
-def test_closing_stops_it(generator, device):
-    generator.configure(PulseTrain(0.005, None, TRAIN.projector, TRAIN.camera))
-    generator.arm()
-    generator.fire()
-    generator.close()
-    assert not device.running
-    generator.close()
-
-
 @pytest.mark.parametrize(
     "left",
     [
@@ -349,18 +328,6 @@ def test_noise_is_survived(generator, device, garbage):
     assert run(generator) == TriggerStatus(running=False, boot=1)
 
 
-def test_slow_answers_in_pieces_are_survived(generator, device):
-    device.in_pieces = True
-    device.delay_s = 0.002
-    generator.configure(TRAIN)
-    assert run(generator) == TriggerStatus(running=False, boot=1)
-
-
-def test_arming_what_was_not_configured(generator):
-    with pytest.raises(TriggerError, match=r"configure it before it is armed"):
-        generator.arm()
-
-
 def test_what_does_not_stop_is_told(generator, device, monkeypatch):
     monkeypatch.setattr("hardware.trigger.dg645.STOPPED_S", 0.05)
     for way in ("_stop", "_break_off", "_end_with_this_cycle"):
@@ -370,18 +337,6 @@ def test_what_does_not_stop_is_told(generator, device, monkeypatch):
     generator.fire()
     with pytest.raises(TriggerError, match=r"does not stop: switch it off"):
         generator.abort()
-
-
-def test_silence_ends_every_method(generator, device):
-    generator.configure(TRAIN)
-    impatient(generator)
-    generator.arm()
-    device.silent = True
-    generator.fire()
-    for method in (generator.status, generator.abort, generator.arm):
-        with pytest.raises(TriggerError, match=r"does not answer any more: is it still on\?"):
-            method()
-    generator.close()
 
 
 @over_tcp_too

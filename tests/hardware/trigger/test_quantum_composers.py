@@ -3,7 +3,7 @@ from collections.abc import Iterator
 import pytest
 from support.byte_script import scripted
 from support.emulators.emulated_quantum_composers import QuantumComposersEmulator
-from support.pulse_generators import TRAIN, impatient, little_noise, run, wait
+from support.pulse_generators import TRAIN, impatient, little_noise, run
 
 from hardware.errors import RigError, TriggerError
 from hardware.link import Link
@@ -218,26 +218,6 @@ def test_outputs_are_those_that_were_chosen(device):
     generator.close()
 
 
-def test_an_endless_train_runs_until_it_is_aborted(generator, device):
-    generator.configure(PulseTrain(0.005, None, TRAIN.projector, TRAIN.camera))
-    generator.arm()
-    generator.fire()
-    wait(lambda: device.bursts[-1].pulses("B", device.now) > 10)
-    assert generator.status() == TriggerStatus(running=True)
-    generator.abort()
-    assert not device.running
-    assert generator.status() == TriggerStatus(running=False)
-
-
-def test_closing_stops_it(generator, device):
-    generator.configure(PulseTrain(0.005, None, TRAIN.projector, TRAIN.camera))
-    generator.arm()
-    generator.fire()
-    generator.close()
-    assert not device.running
-    generator.close()
-
-
 def test_an_external_trigger_left_on_does_not_hold_the_burst_back():
     with QuantumComposersEmulator(trigger_keyword="EXT") as device:
         link = Link(device.url, terminator=TERMINATOR)
@@ -324,7 +304,7 @@ def test_noise_is_survived(generator, device, garbage):
 
 
 @pytest.mark.parametrize("device", [True], ids=["echo"], indirect=True)
-def test_slow_answers_in_pieces_are_survived(generator, device):
+def test_slow_echoes_in_pieces_are_survived(generator, device):
     device.in_pieces = True
     device.delay_s = 0.005
     generator.configure(TRAIN)
@@ -343,23 +323,6 @@ def test_an_output_that_is_not_there_is_told():
         with pytest.raises(TriggerError, match=r"refuses ':PULS4:SYNC\?': it does not know a keyword"):
             generator.configure(TRAIN)
         generator.close()
-
-
-def test_arming_what_was_not_configured(generator):
-    with pytest.raises(TriggerError, match=r"configure it before it is armed"):
-        generator.arm()
-
-
-def test_silence_ends_every_method(generator, device):
-    generator.configure(TRAIN)
-    impatient(generator)
-    generator.arm()
-    device.silent = True
-    generator.fire()
-    for method in (generator.status, generator.abort, generator.arm):
-        with pytest.raises(TriggerError, match=r"does not answer any more: is it still on\?"):
-            method()
-    generator.close()
 
 
 def test_an_unplugged_port_ends_every_method(generator, device):

@@ -13,13 +13,11 @@ from pipeline.cli import main as cli
 from pipeline.cli.main import app
 from pipeline.output.range_image import write_png
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 
 @pytest.fixture(scope="session")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, cpu):
     """Return a folder with a frame of our own simulator, its calibration, and a black picture."""
-    runtime.init("cpu")
     folder = tmp_path_factory.mktemp("cli")
     rig = simulated_rig((320, 240), period_px=2 * 768 / 44)
     settings = SimulationSettings()

@@ -8,7 +8,6 @@ import numpy as np
 from pipeline.footage.image_file import read_image
 from pipeline.output.range_image import write_png
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 
 def test_radiometry_command(folder, command):
@@ -33,7 +32,6 @@ def test_radiometry_command(folder, command):
 
 def test_check_and_fix(folder, command):
     """A flat plane is fine; a calibration without its crosstalk is named and mended; nothing is overwritten."""
-    runtime.init("cpu")
     truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
     write_png(folder / "plane.png", truth.image)
     truth.rig.model_copy(update={"crosstalk_matrix": np.eye(3)}).write(folder / "old.json")

@@ -11,13 +11,11 @@ from pipeline.models import CameraState
 from pipeline.output.range_image import write_png
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 
 @pytest.fixture(scope="module")
-def plane():
+def plane(cpu):
     """Return a simulated plane, and its rig as it was calibrated."""
-    runtime.init("cpu")
     truth = simulate_frame(simulated_rig((320, 240), period_px=2 * 768 / 44), SimulationSettings(scene="plane"))
     crosstalk = SimulationSettings().crosstalk_matrix
     return truth.image, truth.rig.model_copy(update={"crosstalk_matrix": crosstalk})

@@ -9,7 +9,7 @@ import av
 import numpy as np
 import pytest
 import zarr
-from support.numbered_frames import RGB8, frames_of, record
+from support.numbered_frames import RGB8, frames_of, record, retagged, rgb
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.footage.opening import open_source
@@ -20,27 +20,6 @@ from tikernels.raw.pixel_format import PixelFormat
 RGB12, RGB16 = PixelFormat("rgb", 12), PixelFormat("rgb", 16)
 BAYER8, BAYER12 = PixelFormat("bayer", bayer="gbrg"), PixelFormat("bayer", 12, bayer="grbg")
 FORMATS = [RGB8, RGB12, RGB16, BAYER8, BAYER12]
-
-
-def retagged(path, target, tags, last_ms=None):
-    """Copy a Matroska recording, with other tags and another time of its last frame."""
-    with av.open(str(path)) as source, av.open(str(target), "w") as copy:
-        copy.metadata.update({**source.metadata, **tags})
-        stream = copy.add_stream_from_template(source.streams.video[0])
-        packets = [packet for packet in source.demux(video=0) if packet.size]
-        if last_ms is not None:
-            packets[-1].pts = packets[-1].dts = last_ms
-        for packet in packets:
-            packet.stream = stream
-            copy.mux(packet)
-    return target
-
-
-def rgb(planes, format):
-    """Return (H, W, 3), or the mosaic, of what a source gives."""
-    if format.channels == "gbr":
-        return np.stack([planes[2], planes[0], planes[1]], axis=-1)
-    return planes[0][..., 2::-1] if format.channels == "bgr0" else planes[0]
 
 
 @pytest.mark.parametrize("suffix", [".mkv", ".zarr"])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import reference
 
+from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import HARMONICS, flat_template, known_template
@@ -13,7 +14,7 @@ from tikernels.phase.equalization import correction_table, measure_distribution
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.wrapped_phase import NO_PHASE
 
-MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
+MATRIX = np.array(TYPICAL_CROSSTALK)
 MATRIX /= MATRIX.sum(axis=1, keepdims=True)
 COLOR = np.array([0.75, 0.52, 0.42])
 DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3

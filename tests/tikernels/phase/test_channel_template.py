@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels._taichi import F32Array1, F32Array2, ti
 from tikernels.phase.channel_template import (
     HARMONICS,
@@ -17,7 +18,7 @@ from tikernels.phase.channel_template import (
 )
 from tikernels.phase.phase_vector import phase_weights
 
-MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
+MATRIX = np.array(TYPICAL_CROSSTALK)
 DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
 
 

@@ -5,11 +5,12 @@ import pytest
 import reference
 
 import tikernels
+from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels.phase.color_balance import Gains, apply_gains_kernel
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 
-MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
+MATRIX = np.array(TYPICAL_CROSSTALK)
 PERIOD_PX = 12.3
 
 

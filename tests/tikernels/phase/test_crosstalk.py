@@ -5,9 +5,10 @@ import pytest
 import reference
 
 import tikernels
+from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels.phase.crosstalk import Crosstalk, invert_crosstalk
 
-MATRIX = [[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]]
+MATRIX = np.array(TYPICAL_CROSSTALK)
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 3), (1, 9, 3), (13, 7, 3)])

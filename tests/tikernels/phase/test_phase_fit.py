@@ -5,6 +5,7 @@ import pytest
 import reference
 
 import tikernels
+from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import HARMONICS, flat_template
@@ -14,7 +15,7 @@ from tikernels.phase.equalization import correction_table, measure_distribution
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_fit import count_phases, fit_phase
 
-MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
+MATRIX = np.array(TYPICAL_CROSSTALK)
 COLOR = np.array([0.75, 0.52, 0.42])
 PERIOD_PX = 12.3
 NOISE = 1.5

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import reference
 
+from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels._taichi import F32Array1, F32Array2, ti, vec3
 from tikernels.phase.phase_vector import (
     PI,
@@ -17,7 +18,7 @@ from tikernels.phase.phase_vector import (
     wrap,
 )
 
-MATRIX = np.array([[0.92, 0.10, 0.02], [0.12, 0.85, 0.16], [0.02, 0.20, 0.90]])
+MATRIX = np.array(TYPICAL_CROSSTALK)
 
 
 @ti.kernel

@@ -36,8 +36,7 @@ class CellsAlone(PatchMethod):
             buffer[...] = host
 
 
-def test_a_new_method_plugs_in(monkeypatch):
-    tikernels.init("cpu")
+def test_a_new_method_plugs_in(monkeypatch, cpu):
     phase = np.zeros((32, 24), np.float32)
     patches, rates = join(phase, method=CellsAlone(32, 24))
     _, _, region = written(patches, phase, rates)
