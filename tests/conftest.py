@@ -1,6 +1,7 @@
 """The backends that kernels run on, and what every host function must refuse."""
 
 import os
+import signal
 import warnings
 from collections.abc import Callable
 from typing import Any
@@ -20,6 +21,11 @@ with warnings.catch_warnings():
     from support.kernel_cache import write_kernels
 
     import tikernels
+
+
+def pytest_configure() -> None:
+    """Hear Ctrl-C even where a shell has started the tests in its background: what they start inherits that it does."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 #: Beside the first case of every test in `tests/tikernels`, what runs on Vulkan where `long` does not.

@@ -9,7 +9,8 @@ import tempfile
 from pathlib import Path
 
 import _tests_path  # noqa: F401
-from support.recorded_footage import command, contents, kill_again_and_again, record
+from support.command_line import command
+from support.recorded_footage import contents, kill_again_and_again, record
 
 from tikernels import runtime
 

@@ -12,6 +12,7 @@ import types
 import cv2
 import numpy as np
 import pytest
+from support.command_line import command
 from support.virtual_screen import screen
 
 from hardware import display
@@ -162,9 +163,8 @@ def test_the_command_until_ctrl_c(tmp_path):
     picture = noise((320, 240))
     cv2.imwrite(str(tmp_path / "p.png"), picture[..., ::-1])
     with screen(tmp_path) as server:
-        code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'colorphase'; main()"
         with subprocess.Popen(
-            [sys.executable, "-c", code, "project", "p.png"],
+            command("project", "p.png"),
             cwd=tmp_path,
             env={**os.environ, "DISPLAY": server.name},
             stdout=subprocess.PIPE,
@@ -173,7 +173,10 @@ def test_the_command_until_ctrl_c(tmp_path):
         ) as running:
             server.wait_for(picture)
             running.send_signal(signal.SIGINT)
-            said, complained = running.communicate(timeout=30)
+            try:
+                said, complained = running.communicate(timeout=30)
+            finally:
+                running.kill()
         assert (running.returncode, complained) == (0, "")
         assert said == "p.png is on display 0, 320x240; Esc, q or Ctrl-C ends it\n"
         assert not np.array_equal(server.shot(), picture)

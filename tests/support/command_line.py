@@ -1,4 +1,4 @@
-"""The command line, as its user runs it."""
+"""The command line, as its user runs it: in a process of its own."""
 
 import os
 import subprocess
@@ -6,11 +6,16 @@ import sys
 from pathlib import Path
 
 
-def colorphase(*arguments: object, cwd: Path) -> "subprocess.CompletedProcess[str]":
-    """Run the command in a process of its own."""
+def command(*arguments: object) -> list[str]:
+    """Return the command line of `colorphase` with these arguments."""
     code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'colorphase'; main()"
+    return [sys.executable, "-c", code, *map(str, arguments)]
+
+
+def colorphase(*arguments: object, cwd: Path) -> "subprocess.CompletedProcess[str]":
+    """Run the command to its end."""
     return subprocess.run(
-        [sys.executable, "-c", code, *map(str, arguments)],
+        command(*arguments),
         cwd=cwd,
         capture_output=True,
         text=True,

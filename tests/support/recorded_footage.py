@@ -5,11 +5,11 @@ import os
 import random
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from support.command_line import command
 
 from pipeline.calibration import Calibration
 from pipeline.recording.recorder import Recorder
@@ -34,12 +34,6 @@ def contents(folder: Path) -> dict[str, str]:
     """Return every file of a folder, with a hash of what is in it."""
     files = (path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
-
-
-def command(*arguments: object) -> list[str]:
-    """Return the command line of `colorphase` with these arguments."""
-    code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'colorphase'; main()"
-    return [sys.executable, "-c", code, *map(str, arguments)]
 
 
 def run_and_kill(arguments: list[str], marks: Path, n_more: int, delay_s: float) -> bool:

@@ -207,10 +207,8 @@ wait()
 while decoder.latest() is None: time.sleep(0.01)
 print(decoder.latest().number, decoder.ended, flush=True)
 """
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     arguments = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True, "start_new_session": True}
     parent = subprocess.Popen([*PYTHON, START + wait], **arguments)
-    signal.signal(signal.SIGINT, before)
     with parent:
         pid = int(parent.stdout.readline())
         time.sleep(0.3)

@@ -5,8 +5,8 @@ import time
 from itertools import pairwise
 
 import pytest
+from support.command_line import command
 from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
-from support.recorded_footage import command
 
 from hardware.errors import BurstError, CameraError, RigError
 from pipeline.acquisition.capture_folder import CapturePlan

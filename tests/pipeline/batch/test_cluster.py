@@ -10,7 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from support.recorded_footage import command, contents, record
+from support.command_line import command
+from support.recorded_footage import contents, record
 
 from pipeline import DecodeSettings
 from pipeline.batch.cluster import local_cluster
@@ -97,9 +98,7 @@ def test_workers_that_are_killed(folder, here, tmp_path):
 def test_ctrl_c_at_the_terminal(folder, tmp_path):
     """Workers end with the frame that they are at, and neither they nor Dask say anything."""
     arguments = command("decode", folder / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu", "--workers", "2")
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    signal.signal(signal.SIGINT, before)
     marks = tmp_path / "out" / "result.zarr" / "done"
     with process:
         while len(list(marks.glob("c.*"))) < 5:

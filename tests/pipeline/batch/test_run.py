@@ -14,7 +14,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import zarr
-from support.recorded_footage import command, contents, kill_again_and_again, record
+from support.command_line import command
+from support.recorded_footage import contents, kill_again_and_again, record
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.batch import job as jobs
@@ -341,10 +342,7 @@ def test_ctrl_c_at_the_terminal(tmp_path):
     """Exit code 130, and one line that says how to go on."""
     record(tmp_path / "film.mkv", 300)
     arguments = command("decode", tmp_path / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu")
-    # What a shell starts in the background ignores Ctrl-C, and so does what that starts, but not where it is handled.
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    signal.signal(signal.SIGINT, before)
     with process:
         while len(marked(tmp_path / "out" / "result.zarr")) < 5:
             assert process.poll() is None

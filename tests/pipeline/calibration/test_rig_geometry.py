@@ -1,12 +1,10 @@
 """A board in several poses in, both lenses and where they stand out: against the truth of a rendered rig."""
 
-import subprocess
-import sys
-
 import cv2
 import numpy as np
 import pytest
 from support.board_rig import BoardCaptures, board_turns
+from support.command_line import colorphase
 from support.posed_boards import (
     CAMERA_PX,
     CHESSBOARD,
@@ -182,11 +180,7 @@ def test_the_command(tmp_path):
             cv2.imwrite(str(folder / f"{name}.png"), captures[name][..., ::-1])
 
     def run(*arguments):
-        code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'colorphase'; main()"
-        return subprocess.run(
-            [sys.executable, "-c", code, "calibrate", "geometry", *arguments],
-            cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False,
-        )  # fmt: skip
+        return colorphase("calibrate", "geometry", *arguments, cwd=tmp_path)
 
     arguments = ("poses", "--out", "c.json", "--size", "320x240", "--period", "8", "--square-mm", "32")
     done = run(*arguments, "--board", "chessboard", "--squares", "8x6")

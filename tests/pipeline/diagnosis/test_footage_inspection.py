@@ -1,12 +1,11 @@
 """What is said of footage with a single known fault: that one, and none besides."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 import reference
+from support.command_line import colorphase
 from support.video_files import H264, encode, flip
 
 from pipeline.diagnosis.footage_inspection import inspect_footage
@@ -251,9 +250,7 @@ def test_the_command(tmp_path, clip):
     good, bad = record(tmp_path / "good.mkv", clip[:3]), record(tmp_path / "bad.mkv", 3 * [clip[0] * 0])
 
     def run(*arguments):
-        code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'colorphase'; main()"
-        command = [sys.executable, "-c", code, "inspect", *map(str, arguments), "--arch", "cpu"]
-        return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+        return colorphase("inspect", *arguments, "--arch", "cpu", cwd=tmp_path)
 
     done = run(good)
     assert done.returncode == 0, done.stderr

@@ -1,12 +1,13 @@
 """Films and meshes of a store's frames: what they show, and what is said of frames that are not there."""
 
-import subprocess
 import sys
+from functools import partial
 
 import av
 import numpy as np
 import pytest
 import zarr
+from support.command_line import colorphase
 from support.stored_planes import store
 
 from pipeline.errors import FootageError, OutputError, RenderError
@@ -157,12 +158,7 @@ def test_a_child_that_dies_leaves_nothing(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("can_draw")
 def test_the_commands(tmp_path):
     path = store(tmp_path / "r.zarr", [400.0, 401.0, 402.0], missing=(1,))
-
-    def run(*arguments):
-        code = "import sys; from pipeline.cli.main import main; sys.argv[0] = 'colorphase'; main()"
-        command = [sys.executable, "-c", code, *map(str, arguments)]
-        return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
-
+    run = partial(colorphase, cwd=tmp_path)
     done = run("render", path, "--out", tmp_path / "film.mp4", "--size", *SIZE, "--turn", 20)
     assert done.returncode == 0, done.stderr
     assert "3 pictures" in done.stdout and "frame 1: the one before is shown" in done.stderr
