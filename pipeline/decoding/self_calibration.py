@@ -9,7 +9,7 @@ with M's rows summing to one, a_kn the harmonics of projector channel k's respon
 its mean, d_k the colours' delays. With one response for all and h_j = sum_k M_jk exp(i d_k), real M gives
 H_j1 = a_1 h_j,  H_j2 = a_2 conj(h_j),  H_j3 = a_3,  H_j4 = a_4 h_j, and so on.
 
-- The first harmonics say M but for one complex factor that all h_j share. Its size is the fringe's visibility, its
+- The first harmonics say M but for one complex factor that all h_j share. Its size is the fringe's contrast, its
   angle a turn of the phase: what a circulant M (equal leaks all round) does. The size bends no phase.
 - A turn t puts exp(i n t) on H_jn, so arg(H_j1 H_j2) = 3 t for every channel: a response that is not linear fixes the
   turn; a linear one does not, and then the phase is known but for a constant.
@@ -59,19 +59,27 @@ _MAX_LEAK = 0.4
 class LightEstimate:
     """What frames say about their rig's light; standard deviations are those of leaving out parts of the frames."""
 
-    crosstalk_matrix: (
-        FloatArray  # (3, 3) rows sum to one; of all that fit, the one with the smallest leaks, none negative
-    )
-    crosstalk_sigma: FloatArray  # (3, 3)
-    response: FloatArray  # (256,) light of codes 0..1, one for all channels, from 0 to 1
-    correction: _Singles  # (257,) rad to add to phases -pi..pi decoded with the matrix: the response, and what else
-    # surely repeats with every cycle (channels that differ, lateral colour, a transfer left in)
-    constant_sigma: float  # rad
-    constant_known: bool  # False: the phase is known but for a constant, the response being all but linear
-    cycles: float  # in view
-    ripple: float  # RMS rad that repeats with every cycle after balance alone
-    misfit: float  # RMS rad of it that matrix and one response leave unexplained
-    reliable: bool  # whether decoding is better off with it
+    crosstalk_matrix: FloatArray
+    """(3, 3), rows sum to one: of all that fit, the one with the smallest leaks, none negative."""
+    crosstalk_sigma: FloatArray
+    """(3, 3)."""
+    response: FloatArray
+    """(256,): light of codes 0..1, one for all channels, from 0 to 1."""
+    correction: _Singles
+    """(257,) rad, to be added to phases -pi..pi decoded with the matrix: the response, and what else surely repeats
+    with every cycle (channels that differ, lateral colour, a transfer that was not undone)."""
+    constant_sigma: float
+    """rad."""
+    constant_known: bool
+    """False: the response is nearly linear, and the phase is known up to a constant."""
+    cycles: float
+    """How many are in view."""
+    ripple: float
+    """RMS, rad: what repeats with every cycle when only the colours are balanced."""
+    misfit: float
+    """RMS, rad: the part of it that the matrix and one response leave unexplained."""
+    reliable: bool
+    """Whether decoding is better off with it."""
 
     def as_json(self) -> dict[str, Any]:
         """Return what `from_json` reads, every digit of it; what is not finite becomes null."""

@@ -40,5 +40,5 @@ def frame_levels(
     if intensity is None:
         intensity = max(_INTENSITY_SIGMAS * noise, _INTENSITY_FRACTION * brightness)
     if modulation is None:
-        modulation = max(_MODULATION_SIGMAS * crosstalk.noise_gain * noise, _MODULATION_FRACTION * brightness)
+        modulation = max(_MODULATION_SIGMAS * crosstalk.noise_amplification * noise, _MODULATION_FRACTION * brightness)
     return FrameLevels(white, read, gain, noise, intensity, modulation)

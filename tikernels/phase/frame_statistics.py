@@ -100,7 +100,7 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     columns = min(_COLUMNS, int(image.shape[1]))
     samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
-    probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), samples)
+    probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[runtime.dtype_name(image)]), samples)
     light = samples[..., 3]
     bright = float(np.percentile(light, 95))
     period = _period(samples[..., 0] + 1j * samples[..., 1])
@@ -115,9 +115,9 @@ def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bri
     lit = light >= max(float(np.median(light)), _LIT_SHARE * bright)
     # Sorted by the pixel above, whose own noise is another one.
     light, changes = np.roll(light, 1, axis=1)[lit], changes[lit]
-    order = np.argpartition(light, np.arange(1, _NOISE_GROUPS) * len(light) // _NOISE_GROUPS)
+    ranking = np.argpartition(light, np.arange(1, _NOISE_GROUPS) * len(light) // _NOISE_GROUPS)
     levels, variances = [], []
-    for group in np.array_split(order, _NOISE_GROUPS):
+    for group in np.array_split(ranking, _NOISE_GROUPS):
         if len(group):
             # The middle fifth instead of the median: that of whole levels is one or the next.
             middle = np.sort(np.abs(changes[group]))[2 * len(group) // 5 : 3 * len(group) // 5 + 1].mean()

@@ -22,7 +22,7 @@ from tikernels.raw.pixel_format import LUMA_WEIGHTS, PixelFormat
 
 #: How far the interpolation reaches, samples to either side.
 _REACH = 3
-# Half the stretch that a sample is the mean of, px: its samples stand there.
+# Half the length that a sample is the mean of, px: its samples stand there.
 _HALF_STRETCH_PX = 0.5
 #: Weights along one axis: by pixel of a block, of the seven nearest samples.
 Taps: TypeAlias = tuple[tuple[float, ...], ...]

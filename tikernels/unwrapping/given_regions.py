@@ -37,8 +37,8 @@ Integers = npt.NDArray[np.int64]
 
 # Beyond this order float32 no longer holds a phase to 0.1 rad.
 _MAX_ORDER = 2**17
-# Stretches of 64 orders in a cell, of either sign, have numbers of this many bits.
-_STRETCH_BITS = 16
+# Spans of 64 orders in a cell, of either sign, have numbers of this many bits.
+_SPAN_BITS = 16
 
 
 class UserUnwrapper(Protocol):
@@ -119,9 +119,9 @@ class GivenRegions(PatchMethod):
         _make_room(drafts, patches, contacts)
         mean_quality = float(runtime.to_host(rates)[-1, MEAN_QUALITY])
         relative = np.nan_to_num(seen.ravel()[patches.first] / mean_quality)
-        brightness = np.clip(4 * relative, 1, 16).astype(np.int64)
+        brightness_weight = np.clip(4 * relative, 1, 16).astype(np.int64)
         between = np.where(marked > 0.5 * (NO_PHASE + STEP_PHASE), BETWEEN, NOTHING)
-        _write(drafts, order, patches, brightness, contacts, between)
+        _write(drafts, order, patches, brightness_weight, contacts, between)
 
 
 def _checked(
@@ -159,13 +159,13 @@ def _cut(order: Integers, region: npt.NDArray[np.integer]) -> _Patches:
     # Orders count from that of the region's first pixel in the cell; what lies beyond a label's bits
     # makes another patch.
     zero = own[first][group]
-    stretch = (own - zero + ORDER_ZERO) >> ORDER_BITS
-    key = (group << _STRETCH_BITS) + stretch + (1 << (_STRETCH_BITS - 1))
+    span = (own - zero + ORDER_ZERO) >> ORDER_BITS
+    key = (group << _SPAN_BITS) + span + (1 << (_SPAN_BITS - 1))
     _, first, patch, pixels = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
     of_pixel = np.full(order.shape, -1, np.int64)
     of_pixel[y, x] = patch
     return _Patches(
-        of_pixel, cell[first], (zero + (stretch << ORDER_BITS))[first], y[first] * order.shape[1] + x[first], pixels
+        of_pixel, cell[first], (zero + (span << ORDER_BITS))[first], y[first] * order.shape[1] + x[first], pixels
     )
 
 
@@ -221,7 +221,7 @@ def _write(
     drafts: Drafts,
     order: Integers,
     patches: _Patches,
-    brightness: Integers,
+    brightness_weight: Integers,
     contacts: _Contacts,
     between: npt.NDArray[np.integer],
 ) -> None:
@@ -240,7 +240,7 @@ def _write(
     labels[inside] = (draft[own] << ORDER_BITS) + ORDER_ZERO + order[inside] - patches.zero[own]
     table = np.zeros(drafts.patches.shape, np.int32)
     table[Patch.PIXELS, draft] = patches.pixels
-    table[Patch.WEIGHT, draft] = patches.pixels * brightness
+    table[Patch.WEIGHT, draft] = patches.pixels * brightness_weight
     table[Patch.FIRST, draft] = patches.first
     noted = np.zeros(drafts.contacts.shape, np.int32)
     start, end = contacts.ends
