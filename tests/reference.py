@@ -140,7 +140,7 @@ def equalize_phase(wrapped_phase: Array, mask: Array, bins: int = 256, harmonics
 
 
 def neighbour(phase: Array, rows: int, columns: int) -> Array:
-    """Return the value so many rows below and columns to the right; NaN beyond the border."""
+    """Return each pixel's neighbour that is this far below and to the right; NaN beyond the border."""
     height, width = phase.shape
     result = np.full(phase.shape, np.nan)
     target = np.s_[max(-rows, 0) : min(height - rows, height), max(-columns, 0) : min(width - columns, width)]
@@ -495,7 +495,7 @@ def measure_contrast(
 def join_parts(
     ends: Array, span: int, min_margin: float, margin_a_step: float, orders: Array, evidence: Array
 ) -> Array:
-    """Return a number of the part of each patch: contacts in order, but for parts that the evidence tells apart."""
+    """Return a number of the part of each patch: contacts join in order, except parts that the evidence tells apart."""
     part = np.arange(len(evidence))
     for a, b in ends.T:
         a, b = part[a], part[b]

@@ -114,7 +114,7 @@ class DecodedFrame:
     warnings: tuple[str, ...]
     """What the user should know about this frame."""
     constant_known: bool
-    """Whether the phase is known, not only but for one constant: crosstalk that is not known turns it about grey."""
+    """Whether the constant of all phases is known: crosstalk that is not known turns all colours about grey."""
     light_constant_sigma: float = attribute(repr=False)
     """Standard deviation of that constant by the light alone, rad; NaN without fringes."""
     smoothing_pairs: int = attribute(repr=False)

@@ -9,10 +9,10 @@ with M's rows summing to one, a_kn the harmonics of projector channel k's respon
 its mean, d_k the colours' delays. With one response for all and h_j = sum_k M_jk exp(i d_k), real M gives
 H_j1 = a_1 h_j,  H_j2 = a_2 conj(h_j),  H_j3 = a_3,  H_j4 = a_4 h_j, and so on.
 
-- The first harmonics say M but for one complex factor that all h_j share. Its size is the fringe's contrast, its
+- The first harmonics say M up to one complex factor that all h_j share. Its size is the fringe's contrast, its
   angle a turn of the phase: what a circulant M (equal leaks all round) does. The size bends no phase.
 - A turn t puts exp(i n t) on H_jn, so arg(H_j1 H_j2) = 3 t for every channel: a response that is not linear fixes the
-  turn; a linear one does not, and then the phase is known but for a constant.
+  turn; a linear one does not, and then the phase is known up to a constant.
 - a_2, a_4, a_5 over a_1 are what bends the phase; f(code) = sum_n a_n T_n(2 code - 1), T_n Chebyshev's polynomials.
 
 The phase free of ripple: ripple is a function of the phase, the object's own part is smooth. The phase and the
@@ -154,8 +154,8 @@ class _Frame:
     ) -> None:
         valid = mask.astype(bool) & np.isfinite(phase)
         change = [np.nanmedian(np.abs(np.diff(np.where(valid, phase, np.nan), axis=axis))) for axis in (0, 1)]
-        # Skip pixels, mostly along the stripes: averaging them would dampen the harmonics. Beyond so many samples more
-        # of them only cost time.
+        # Skip pixels, mostly along the stripes: averaging them would dampen the harmonics. More samples than
+        # _SAMPLES only cost time.
         across = max(1, int(period_px / 16))
         along = max(1, int(period_px / 4), min(int(period_px / 2), mask.size // (across * _SAMPLES)))
         steps = [across if c == max(change) else along for c in change]
@@ -333,7 +333,7 @@ def estimate_light(
     matrix, model, before = np.eye(3), np.zeros((2 * _HARMONICS, 3), np.float32), 0.0
     phases = [frame.guide for frame in frames]
     for round_ in range(_ROUNDS):
-        # Balance, undo the crosstalk known so far, and take the ripple out of the phase.
+        # Balance, undo the crosstalk as estimated in the round before, and take the ripple out of the phase.
         weights = (np.linalg.inv(matrix).T @ _TURNS.conj()).astype(np.complex64)
         shapes = [1 + _waves(phase, _HARMONICS) @ model for phase in phases]
         balanced = [frame.balance(shape) for frame, shape in zip(frames, shapes, strict=True)]

@@ -38,7 +38,7 @@ MAX_CARRIED_ERROR = 1e-2
 class CarriedOrders:
     """Whole cycles that regions lack to agree with the frame before."""
 
-    same_scene: bool  # False: a cut, or so much motion that nothing can be carried on
+    same_scene: bool  # False: a cut, or too much motion to carry anything on
     roots: npt.NDArray[np.int64]  # (n,) of the regions whose orders are carried on
     offsets: npt.NDArray[np.int64]  # (n,) to be added to their orders
     before: npt.NDArray[np.int64]  # (n,) the region of the frame before that they come from

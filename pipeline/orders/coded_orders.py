@@ -1,9 +1,8 @@
 """Which cycle of a coded pattern a surface shows: the orders of a single frame, absolute.
 
-The logarithm of the contrast steps from cycle to cycle as the code says, but for a factor that changes slowly and falls
-out of the steps. Six cycles in a row name their place in the sequence: many such stretches vote, patches that the votes
-tell apart are not joined (`tikernels.order_evidence.contrast_reading`), and every part that is left gets a posterior
-over its offsets.
+From cycle to cycle the logarithm of the contrast steps as the code says; a factor that changes slowly cancels in the
+steps. Six cycles in a row, a stretch, name their place in the sequence (`tikernels.order_evidence.contrast_reading`).
+Many stretches vote, patches that the votes tell apart are not joined, and every part gets a posterior over its offsets.
 `docs/coded_pattern.md` has the derivation.
 """
 
@@ -41,20 +40,22 @@ _MIN_SIGMA = 0.015
 # A cycle counts from this weight on (a full one of 12 px has 13 in a patch's columns), and if it is whole: its pixels'
 # mean phase (rad) is near its middle's.
 _MIN_WEIGHT, _MAX_MEAN_PHASE = 3.0, 0.3
-# A single step departs from the code by no more than three standard deviations' worth: edges and blemishes do.
+# What a single step may add to the squared deviation from the code, in variances, that is three standard deviations:
+# edges and blemishes deviate by more, and must not decide alone.
 _MAX_DEVIATION = 9.0
-# Where steps depart by more than this on average, none of the offsets that stretches have named is the right one.
+# Where the squared deviation of the steps is larger than this on average, in variances, none of the offsets that
+# stretches have named is the right one.
 _NOWHERE = 5.5
 # A stretch votes if it fits, and if the next best place is less likely by exp(-5).
 _MIN_LEAD = 10.0
 _MIN_VOTES = 3
 # Offsets with less than this share of a region's votes are chance, or too small a part to keep others from joining.
 _MIN_SHARE = 0.02
-# Two parts stay apart if both show five cycles and prefer different offsets by so much, in all and for each step: the
-# steps of one cycle share their errors, so many of them are worth little more than one.
+# Two parts stay apart if both show five cycles and each prefers its own offset by this margin, in variances, and by
+# this margin a step: the steps of one cycle share their errors, so a hundred of them say little more than one.
 _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP = 4, 60.0, 1.5
 # What a frame's code may look like: the strength of its steps (0: it shows none; a response of gamma 2.4 and ambient
-# light leave a third), and by how much steps depart from it, blemishes, slopes and blur included (natural logarithm).
+# light leave a third), and by how much steps deviate from it, blemishes, slopes and blur included (natural logarithm).
 _STRENGTHS = np.array([0.0, 0.35, 0.5, 0.71, 1.0])
 _STRENGTH_PRIOR = np.array([0.1, 0.225, 0.225, 0.225, 0.225])
 _SPREADS = np.array([0.006, 0.015, 0.04, 0.1])
@@ -62,8 +63,8 @@ _SPREADS = np.array([0.006, 0.015, 0.04, 0.1])
 _UNALIKE = 0.1
 # Tails of a Student distribution: edges spoil some cycles.
 _FREEDOM = 4.0
-# A median of n values scatters 1.25 / sqrt(n) as much as they do; what a part's own few columns show of their scatter
-# counts as much as the frame's once it has so many.
+# A median of n values scatters 1.25 / sqrt(n) as much as they do; the scatter that a part's own columns show counts as
+# much as the frame's when there are eight of them.
 _MEDIAN_SCATTER, _SCATTER_PRIOR = 1.2533, 8.0
 
 

@@ -197,7 +197,7 @@ def sum_template_kernel(
                 waves = waves_of(equalized(phases[y, j], correction))
                 light = sample_at(samples, y, j) - ambient
                 # Each sample with its own brightness: bright ones count more, as they are more certain. The background
-                # tells it whatever the phase, but for what is known of the response and lateral colour.
+                # tells it whatever the phase, apart from what is known of the response and lateral colour.
                 waves *= light.dot(background_weights) / cycle_at(known, waves).dot(background_weights)
                 for place in ti.static(range(_CORNERS)):
                     gram[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]

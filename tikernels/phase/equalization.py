@@ -39,7 +39,7 @@ def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) 
         has it.
     harmonics : int, optional
         Keep the correction's harmonics up to this one. A fringe of P pixels that runs along the pixel rows shows only P
-        phases, which the plain distribution mistakes for a distortion of harmonic P: keep it below P.
+        phases, which look like a distortion of harmonic P: keep it below P.
 
     Returns
     -------

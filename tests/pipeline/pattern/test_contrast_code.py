@@ -13,7 +13,7 @@ from tikernels.phase.balance_window import SIGMA_ACROSS
 
 
 def distances(length: int) -> np.ndarray:
-    """Return the squared distance of every two stretches of so many cycles, in levels, by their steps alone."""
+    """Return the squared distance of every two stretches of `length` cycles by their steps, in distances of levels."""
     symbols = np.searchsorted(LEVELS, cycle_modulations())
     steps = np.lib.stride_tricks.sliding_window_view(np.diff(symbols), length - 1)
     apart = ((steps[:, None] - steps[None]) ** 2).sum(axis=-1)

@@ -52,7 +52,7 @@ def test_on_a_plane_every_border_is_one_contact(arch, shape):
 
 @pytest.mark.parametrize("noise", [0.1, 0.3])
 def test_as_the_twin(arch, noise):
-    """What pixels on either side say, piece by piece; the weights but for float32's rounding."""
+    """What pixels on either side say, piece by piece; the weights up to float32's rounding."""
     rng = np.random.default_rng(3)
     shape = (50, 43)
     phase = reference.wrapped(reference.ramp(*shape, 12.0, tilt=TILT) + noise * rng.standard_normal(shape))
