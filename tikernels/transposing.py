@@ -57,7 +57,7 @@ def transpose(image: Array[E], out: Array[E] | None = None) -> Array[E]:
     >>> transpose(np.array([[1, 2, 3]], np.uint8)).tolist()
     [[1], [2], [3]]
     """
-    colored = len(image.shape) == 3
+    colored = len(getattr(image, "shape", ())) == 3
     image = _checks.read_array("image", image, (None, None, 3) if colored else (None, None), *_TYPES)
     shape = (image.shape[1], image.shape[0], *image.shape[2:])
     out = _checks.out_buffer("out", out, shape, _checks.element_type(image))

@@ -96,8 +96,7 @@ def fill_triangles_kernel(
                 # Counterclockwise as the camera sees them, in the order of the bits.
                 for k, corners in ti.static(enumerate(((a, c, b), (b, c, d), (a, d, b), (a, c, d)))):
                     if (bits >> k) & 1 == 1:
-                        for i in ti.static(range(3)):
-                            out_faces[place, i] = corners[i]
+                        out_faces[place, 0], out_faces[place, 1], out_faces[place, 2] = corners
                         place += 1
 
 

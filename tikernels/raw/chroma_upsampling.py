@@ -98,6 +98,12 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
                 value += columns[pixel][i + _REACH] * values[block + reach + i]
         return value
 
+    @ti.func
+    def write_color(out: F32Array3, y: i32, x: i32, color: vec3):
+        """Write the three channels of a pixel."""
+        for i in ti.static(range(3)):
+            out[y, x, i] = color[i]
+
     @ti.kernel
     def convert_chroma_kernel(
         luma: AnyArray2,  # (H, W) levels
@@ -133,8 +139,7 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
                                 grey + green_gains[0] * blue + green_gains[1] * red,
                                 grey + blue_gain * blue,
                             )
-                            for i in ti.static(range(3)):
-                                out[y, x, i] = ti.min(ti.max(color[i], 0.0), 1.0)
+                            write_color(out, y, x, ti.min(ti.max(color, 0.0), 1.0))
 
     return convert_chroma_kernel
 

@@ -87,6 +87,17 @@ def only_field(irradiance: vec3, field: i32, fields: Static) -> vec3:
 
 
 @ti.func
+def only_view(seen: vec3, view: i32, views: Static) -> vec3:
+    """Keep the channel that sees along these rays, where each has rays of its own."""
+    result = seen
+    if ti.static(views == 3):
+        for i in ti.static(range(3)):
+            if i != view:
+                result[i] = 0.0
+    return result
+
+
+@ti.func
 def sent_back(irradiance: vec3, reflectance: vec3, crosstalk: mat3, narrow_band: Static) -> vec3:
     """Return the camera's channels of a surface under this light of the projector's primaries."""
     seen = vec3(0.0)
@@ -161,9 +172,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
                             irradiance += shade * light_at(light, pixel, optics)
                         irradiance = only_field(irradiance, field, fields)
                         seen = sent_back(irradiance, reflectance, crosstalk, narrow_band)
-                        for i in ti.static(range(3)):
-                            if views == 1 or i == view:
-                                radiance[i] += seen[i]
+                        radiance += only_view(seen, view, views)
                         if field == 0 and (views == 1 or view == 1):
                             write_truth(y, x, pixel, p, reflectance, lit, *truth)
             for i in ti.static(range(3)):

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import reference
 
-from tikernels import runtime
-from tikernels.phase.uncertainty import OFF, PARTLY, WHOLE, compare_rows, phase_sigma
+from tikernels import ShapeError, runtime
+from tikernels.phase.uncertainty import OFF, PARTLY, WHOLE, compare_rows, estimate_phase_sigma, phase_sigma
 
 SHAPE = (41, 67)
 AVERAGED = 0.2  # of the variance, after smoothing over five px
@@ -45,3 +46,38 @@ def test_rows_that_differ_by_what_is_expected_have_a_ratio_of_one(arch):
     ratio = runtime.to_host(compare_rows(phase, precision, neighbours, AVERAGED, step, every))
     assert np.isnan(ratio[:5, :3]).all() and np.isfinite(ratio[:, 3:]).all()
     assert np.median(ratio[:, 3:]) / 0.6745 == pytest.approx(1, abs=0.02)
+
+
+@pytest.mark.parametrize("overrated", [1.0, 2.0])
+def test_the_estimate_is_what_rows_really_differ_by(arch, overrated):
+    """Of a plane with smoothed noise, to 5 %, whether the fit's precision is right or half as good as it says."""
+    height, width, pairs, period_px = 240, 200, 2, 12.0
+    noise = np.random.default_rng(4).standard_normal((height, width + 2 * pairs)) * 0.05
+    smoothed = np.stack([noise[:, k : width + k] for k in range(2 * pairs + 1)]).mean(axis=0)
+    phase = (reference.ramp(height, width, period_px, tilt=0.02) + smoothed).astype(np.float32)
+    mask = np.ones((height, width), bool)
+    mask[100:110, 50:60] = False
+    phase[~mask] = np.nan
+    precision = np.full((height, width), overrated**2 / 0.05**2, np.float32)
+    sigma = runtime.to_host(estimate_phase_sigma(phase, precision, mask, pairs, period_px))
+    assert np.isnan(sigma[~mask]).all() and np.isfinite(sigma[mask]).all()
+    assert np.median(sigma[mask]) == pytest.approx(smoothed.std(), rel=0.05)
+    # Beside the hole fewer neighbours are averaged, and part of the model's window is empty.
+    assert sigma[105, 49] > 1.5 * np.median(sigma[mask])
+
+
+def test_menu(menu):
+    precision, support = case()
+    empty = np.random.default_rng(2).random(SHAPE).astype(np.float32)
+
+    def measure(out=None, **inputs):
+        found = phase_sigma(**inputs, averaged=AVERAGED, scatter=1.3, out=out)
+        return runtime.to_host(found) if out is None else found
+
+    menu(measure, np.empty(SHAPE, np.float32), precision=precision, support=support, empty=empty)
+
+
+def test_too_few_rows_to_compare(arch):
+    flat = np.ones((12, 5), np.float32)
+    with pytest.raises(ShapeError, match="phase has 12 rows: four rows 4 px apart need 13"):
+        compare_rows(flat, flat, np.full((12, 5), WHOLE, np.uint8), AVERAGED, 4, 1)
