@@ -87,6 +87,6 @@ def _lost(pulse: int) -> Fault:
 
 
 def mean_level(image: Levels) -> float:
-    """Return a frame's mean level, of 2x2 blocks (a mosaic's cell) eight pixels apart."""
-    blocks = [image[y::8, x::8] for y in range(2) for x in range(2)]
-    return float(np.mean([block.mean() for block in blocks]))
+    """Return a frame's mean level: that of every eighth 2x2 pixels both ways, which a mosaic repeats."""
+    samples = [image[y::8, x::8] for y in range(2) for x in range(2)]
+    return float(np.mean([sample.mean() for sample in samples]))

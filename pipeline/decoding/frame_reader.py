@@ -18,7 +18,7 @@ from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, linearize
 from tikernels.transposing import transpose
 
-# Smaller pictures hold no surface.
+# Smaller frames hold no surface.
 _MIN_SIZE_PX = 16
 
 

@@ -96,7 +96,7 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
 def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
     """(count,) float: how alike a region's phase changes, 1 where by the same everywhere, 0 where nobody votes."""
     turn = np.exp(2j * np.pi / 64 * rest)
-    sums = [np.bincount(root, part, count) for part in (turn.real, turn.imag)]
+    sums = [np.bincount(root, component, count) for component in (turn.real, turn.imag)]
     return np.asarray(np.hypot(*sums) / np.maximum(np.bincount(root, minlength=count), 1))
 
 
@@ -142,7 +142,7 @@ def split_by_votes(
     split = second >= _MIN_SPLIT_VOTES
     if not split.any():
         return graph.root
-    # Fewer votes against an offset are better: what a part departs from each by is the votes that it gets less.
+    # Fewer votes against an offset are better: a part's deviation from an offset is minus the number of its votes.
     evidence = np.zeros((len(graph.root), CANDIDATES + 1), np.float32)
     np.subtract.at(evidence, (patch, candidate), 1)
     evidence[:, CANDIDATES] = -evidence[:, :CANDIDATES].sum(axis=1)

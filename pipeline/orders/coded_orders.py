@@ -306,7 +306,7 @@ def _seen_steps(steps: _Steps, roots: npt.NDArray[np.int32], parts: Integers) ->
     counts = np.diff(np.append(starts, len(part)))
     middle = 0.5 * (rise[starts + (counts - 1) // 2] + rise[starts + counts // 2])
     group = np.repeat(np.arange(len(starts)), counts)
-    # The scatter of columns about their median, which hangs on each of a few of them.
+    # The scatter of columns about their median, which depends on each where there are few.
     deviation = np.abs(rise - middle[group]) * np.sqrt(counts / np.maximum(counts - 1, 1))[group]
     several = counts[group] > 1
     usual = _scatter(deviation[several])

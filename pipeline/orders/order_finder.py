@@ -136,7 +136,7 @@ class OrderFinder:
         """Split the regions that the evidence contradicts, and give each the offset that the evidence names.
 
         What is said later overrules what was said before: the expected depth, the likeliest offset by the code, the
-        frame before, and last the offsets that are all but certain.
+        frame before, and last the offsets that are almost certain.
 
         Parameters
         ----------

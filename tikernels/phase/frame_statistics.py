@@ -16,7 +16,7 @@ MIN_PERIOD_PX = 4.0
 #: Share of full scale beyond which a channel is clipped. A pixel with two such channels has lost its phase; one alone
 #: bends it by 0.03 rad at the most.
 CLIPPED = 0.998
-# Columns that are looked at: enough to meet every object that fills a twentieth of the picture.
+# Columns that are looked at: enough to meet every object that fills a twentieth of the image.
 _COLUMNS = 16
 # A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
 # far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
@@ -109,7 +109,7 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
 
 def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float) -> tuple[float, float]:
     """Return read noise and gain, given second differences of the channels' sum and the channels' mean."""
-    # Devices round differently; which pixels are alike must not hang on that.
+    # Devices round differently; which pixels are alike must not depend on that.
     light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
     # Dark pixels are clipped at zero and show half the noise.
     lit = light >= max(float(np.median(light)), _LIT_SHARE * bright)
@@ -137,7 +137,7 @@ def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bri
 
 
 def _period(signal: npt.NDArray[np.complex64]) -> float | None:
-    """Return the period of the turning part of (columns, H) phase vectors."""
+    """Return the period of the turning component of (columns, H) phase vectors."""
     height = signal.shape[1]
     if height < 2 * MIN_PERIOD_PX:
         return None

@@ -1,4 +1,4 @@
-"""Whether a surface goes on from one pixel to the next, and how much a pixel's word on that counts.
+"""Whether a surface goes on from one pixel to the next, and how much a pixel's vote on that weighs.
 
 Along and across the stripes the phase usually changes by the frame's rates. A neighbour whose difference departs from
 the rate, whole cycles apart, by more than `MAX_DEPARTURE` lies on another surface; one that departs by little, and is
@@ -55,7 +55,7 @@ def brightness_weight(quality: f32, mean_quality: f32) -> i32:
 def vote_weight(departs: f32, quality: f32, quality2: f32, mean_quality: f32) -> i32:
     """Weight of one pixel's vote, 1 to 64: the phase goes on, and so does the brightness, which is not low.
 
-    A step that hides behind whole cycles departs by anything at its every pixel and seldom joins two equally bright
+    A step that hides behind whole cycles has any departure at each of its pixels and seldom joins two equally bright
     surfaces.
     """
     low, high = ti.min(quality, quality2), ti.max(quality, quality2)

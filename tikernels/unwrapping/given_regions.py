@@ -130,7 +130,7 @@ def _checked(
     """Return the order and the region of every pixel, 0 where there is none."""
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise ShapeError(f"the unwrapper returned a {type(answer).__name__}: return the unwrapped phase and the region")
-    unwrapped, region = (np.ma.filled(part, 0) for part in answer)
+    unwrapped, region = (np.ma.filled(array, 0) for array in answer)
     for name, array in (("unwrapped phase", unwrapped), ("region", region)):
         if array.shape != phase.shape:
             raise ShapeError(f"the unwrapper's {name} has shape {array.shape}, expected {phase.shape}")
@@ -170,7 +170,7 @@ def _cut(order: Integers, region: npt.NDArray[np.integer]) -> _Patches:
 
 
 def _touching(region: npt.NDArray[np.integer], patches: _Patches) -> _Contacts:
-    """Return the contacts between patches of one region: where pixels touch, and where a region's parts do not."""
+    """Return the contacts between patches of one region: where pixels touch, and where a region's pieces do not."""
     height, width = region.shape
     number = np.arange(region.size).reshape(region.shape)
     pairs, names = [], []
@@ -183,7 +183,7 @@ def _touching(region: npt.NDArray[np.integer], patches: _Patches) -> _Contacts:
     low, high = np.concatenate(pairs, axis=1)
     _, first, votes = np.unique(low * len(patches.cell) + high, return_index=True, return_counts=True)
     ends, name = np.stack([low, high])[:, first], np.concatenate(names)[first]
-    # The parts of a region that do not touch are joined one to the next, by their first patches.
+    # The pieces of a region that do not touch are joined one to the next, by their first patches.
     heads = np.unique(_connected(len(patches.cell), ends))
     owner = region.ravel()[patches.first[heads]]
     sort = np.argsort(owner, kind="stable")

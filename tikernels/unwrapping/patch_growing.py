@@ -47,7 +47,7 @@ def continue_row(
 ) -> i32:
     """Join a cell's whole row to the patch above if its every pixel says so; return 1 where it is done.
 
-    Nearly every row does. Eight pixels are worked on at once; `grow_run` would come to the same, but slowly.
+    Nearly every row does. Eight pixels are worked on at once; `grow_run` would give the same, only slower.
     """
     here_phase, above_phase = row_of_floats(0.0), row_of_floats(0.0)
     here_quality, above_quality = row_of_floats(0.0), row_of_floats(0.0)
@@ -177,7 +177,7 @@ def grow_run(
     stop, chosen, written, votes, voters = follow_run(phase, quality, usual, y, start, bounds, out_labels)
     if votes < voters:
         chosen, votes = count_again(phase, quality, usual[1], y, start, stop, written, out_labels, chosen, votes)
-    # One pixel's word is too little for a run of several.
+    # One pixel's vote is too little for a run of several.
     joins = votes > 0 and 2 * votes >= voters and (votes > 1 or stop - start <= 2)
     if not joins:
         patch = patch_places[0] + ti.min(patch_count, patch_places[1] - 1)

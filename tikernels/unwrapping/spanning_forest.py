@@ -5,7 +5,7 @@ Orders follow the spanning forest of the most reliable edges (`edge_reliability.
 it is the best of all that leave one of its ends (O. Boruvka, 1926, see `region_merging.py`). So every cell joins its
 pixels to patches for as long as the best edge of a patch stays inside the cell. Then every patch is joined along its
 best edge to a patch of a neighbouring cell, and what is left, the best edge between every two such trees that touch,
-makes contacts (`tree_contacts.py`). Equal costs go by the edge's place, so there is but one forest.
+makes contacts (`tree_contacts.py`). Between equal costs the edge's place decides, so there is only one forest.
 
 A cell's pixels count row by row. Every pixel has a link: in its lower bits the pixel that it hangs under, itself if it
 is a root, and above them the cycles from there; so adding links adds cycles. An edge counts as the pixel to its left or
