@@ -67,14 +67,14 @@ def test_the_estimate_is_what_rows_really_differ_by(arch, overrated):
 
 
 def test_menu(menu):
-    precision, support = case()
+    precision, neighbours = case()
     empty = np.random.default_rng(2).random(SHAPE).astype(np.float32)
 
     def measure(out=None, **inputs):
         found = phase_sigma(**inputs, averaged=AVERAGED, scatter=1.3, out=out)
         return runtime.to_host(found) if out is None else found
 
-    menu(measure, np.empty(SHAPE, np.float32), precision=precision, support=support, empty=empty)
+    menu(measure, np.empty(SHAPE, np.float32), precision=precision, neighbours=neighbours, empty=empty)
 
 
 def test_too_few_rows_to_compare(arch):
