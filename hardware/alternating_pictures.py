@@ -78,7 +78,7 @@ class Alternation:
 
 def _steps(frames: Sequence[CameraFrame]) -> npt.NDArray[np.float64]:
     """Return how much brighter each frame is than the one before, the ratios' logarithms."""
-    levels = [brightness(frame.image) for frame in frames if frame.image is not None]
+    levels = [mean_level(frame.image) for frame in frames if frame.image is not None]
     return np.diff(np.log(np.maximum(levels, _DARKEST)))
 
 
@@ -86,7 +86,7 @@ def _lost(pulse: int) -> Fault:
     return Fault("its frame shows the picture before: check the projector's trigger cable", pulse)
 
 
-def brightness(image: Levels) -> float:
-    """Return a frame's mean level, of 2x2 blocks (a mosaic's cell) eight pixels apart."""
-    blocks = [image[y::8, x::8] for y in range(2) for x in range(2)]
-    return float(np.mean([block.mean() for block in blocks]))
+def mean_level(image: Levels) -> float:
+    """Return a frame's mean level: that of every eighth 2x2 pixels both ways, which a mosaic repeats."""
+    samples = [image[y::8, x::8] for y in range(2) for x in range(2)]
+    return float(np.mean([sample.mean() for sample in samples]))

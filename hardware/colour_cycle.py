@@ -5,7 +5,7 @@ exposure of a whole number of such cycles sees all of it, wherever it starts. On
 of a cycle sees that part once too often or too rarely: one or two colours, and of these only the mirrors that are on
 just then, which depends on the level. So balancing the colours does not undo it.
 
-With a colour whose share of the cycle is w, a fringe of visibility v and an exposure that is off by the fraction d of
+With a colour whose share of the cycle is w, a fringe of contrast v and an exposure that is off by the fraction d of
 itself, a channel is off by at most d / w of its full scale, and the phase by at most
 
     (4 / 3) (d / w) / v
@@ -24,7 +24,7 @@ from hardware.errors import RigError
 TOLERANCE = 0.002
 
 
-def phase_error_limit(deviation: float, share: float = 1 / 3, visibility: float = 1.0) -> float:
+def phase_error_limit(deviation: float, share: float = 1 / 3, contrast: float = 1.0) -> float:
     """Return how far the phase can be off, in rad.
 
     Parameters
@@ -33,7 +33,7 @@ def phase_error_limit(deviation: float, share: float = 1 / 3, visibility: float 
         By which fraction of itself the exposure is off a whole number of cycles.
     share : float
         Which part of the cycle the shortest colour takes.
-    visibility : float
+    contrast : float
         The fringe's.
 
     Examples
@@ -43,7 +43,7 @@ def phase_error_limit(deviation: float, share: float = 1 / 3, visibility: float 
     >>> round(phase_error_limit(0.1 / 2), 4)  # two cycles and a tenth of one
     0.2
     """
-    return 4 / 3 * abs(deviation) / share / visibility
+    return 4 / 3 * abs(deviation) / share / contrast
 
 
 def check_exposure(exposure_s: float, colour_cycle_s: float) -> None:

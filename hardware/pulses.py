@@ -41,7 +41,7 @@ class TriggerLimits:
 
 
 def fitted(train: PulseTrain, limits: TriggerLimits) -> PulseTrain:
-    """Return a train rounded to the tick, or refuse it: a request that cannot be kept is never stretched.
+    """Return a train rounded to the tick, or refuse it: a request that cannot be kept is never adapted silently.
 
     Raises
     ------

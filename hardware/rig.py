@@ -19,7 +19,7 @@ from hardware.settings import RigSettings
 TRIES = 3
 # How long a frame may take to us after its readout: USB and Ethernet repeat lost packets for a while.
 _TRANSPORT_S = 0.5
-# How far the trigger source's clock may be off ours: a resonator, as on an Arduino Uno, by half of it.
+# How far the trigger source's clock may be off the computer's: a resonator, as on an Arduino Uno, by half of it.
 _CLOCK = 1e-2
 # How often the trigger source is asked while pulses run; the box stops by itself after seconds without a question.
 _POLL_S = 0.25

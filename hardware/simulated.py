@@ -171,7 +171,7 @@ class MemoryCamera:
     size_px, format
         Of these frames.
     exposure_s, readout_s : float
-        How long it cannot be triggered again; a pulse that comes before is lost without a word, as with real ones.
+        How long it cannot be triggered again; a pulse that comes before is lost unnoticed, as with real ones.
     strobe : callable
         Its exposure output.
     """

@@ -29,7 +29,7 @@ from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 
 @dataclass(frozen=True, eq=False)
 class _Measured:
-    """What the stages make of a frame, but for its buffers; of one without fringes, nothing."""
+    """What the stages make of a frame, apart from its buffers; of one without fringes, nothing."""
 
     order_doubt: str | None  # what the user should know of the orders
     light_doubts: tuple[str, ...] = ()  # and of the light
@@ -176,7 +176,7 @@ class Decoder:
     def use_light(self, light: LightEstimate | None) -> None:
         """Take what another decoder has learnt, instead of asking the first frame; None: nothing could be learnt.
 
-        Then a frame's result does not depend on which frames came before it, but for `previous`.
+        Then a frame's result does not depend on which frames came before it, except for `previous`.
         """
         self.light = light
         self._path.learn(light)

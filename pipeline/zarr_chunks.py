@@ -1,4 +1,4 @@
-"""Chunks of Zarr arrays, one a frame, as zarr writes them, but without the 1.5 ms and more that it takes for each."""
+"""Chunks of Zarr arrays, one a frame: what zarr writes, without the 1.5 ms and more that it needs for each."""
 
 import functools
 from typing import Any, Literal

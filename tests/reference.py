@@ -119,8 +119,8 @@ def balance_gains(
 
     first = gains(smooth(light), 1.0)
     phase, modulation, background = compute_wrapped_phase(correct_crosstalk(light * first, matrix))
-    visibility = modulation[lit].sum() / background[lit].sum()
-    neutral = background[..., None] * (1 + visibility * np.cos(phase[..., None] + CHANNEL_PHASES))
+    contrast = modulation[lit].sum() / background[lit].sum()
+    neutral = background[..., None] * (1 + contrast * np.cos(phase[..., None] + CHANNEL_PHASES))
     return gains(smooth(light), smooth(neutral @ matrix.T))
 
 
@@ -140,7 +140,7 @@ def equalize_phase(wrapped_phase: Array, mask: Array, bins: int = 256, harmonics
 
 
 def neighbour(phase: Array, rows: int, columns: int) -> Array:
-    """Return the value so many rows below and columns to the right; NaN beyond the border."""
+    """Return each pixel's neighbour that is this far below and to the right; NaN beyond the border."""
     height, width = phase.shape
     result = np.full(phase.shape, np.nan)
     target = np.s_[max(-rows, 0) : min(height - rows, height), max(-columns, 0) : min(width - columns, width)]
@@ -254,16 +254,16 @@ def unwrap_phase(wrapped_phase: Array, quality: Array, mask: Array) -> tuple[Arr
         order[y, start:stop] += shift
 
     def touch(pairs: list[tuple[tuple[int, int], tuple[int, int]]], rate: float, side: int) -> None:
-        """Note what pairs of pixels on either side of a border say, a contact for each stretch that agrees."""
+        """Note what pairs of pixels on either side of a border say, a contact for each piece of it that agrees."""
 
         def said(pair: tuple[tuple[int, int], tuple[int, int]]) -> tuple[int, int, int] | None:
             a, b = pair
             step = cycles(a, b, rate)
             return None if step is None else (patch_of[a], patch_of[b], order[a] - order[b] + step)
 
-        for vote, stretch in groupby(pairs, said):
+        for vote, piece in groupby(pairs, said):
             if vote is not None:
-                agreeing = list(stretch)
+                agreeing = list(piece)
                 y, x = agreeing[0][0]
                 name = 3 * (y * width + x) + 1 + side
                 contacts.append((len(agreeing) * weight((y, x)), name, *vote))
@@ -306,15 +306,15 @@ def unwrap_by_reliability(
         difference = neighbour(phase, rows, columns) - phase
         departure = wrapped_difference(difference, rate)
         cycles = np.rint((departure + rate - difference) / CYCLE)
-        level = unreliability + neighbour(unreliability, rows, columns)
+        cost = unreliability + neighbour(unreliability, rows, columns)
         # Where a neighbour is missing nothing is known: after all others, and where both ends lack one the more usual
         # change first.
         one = np.fmin(unreliability, neighbour(unreliability, rows, columns))
-        level = np.where(np.isnan(level), np.where(np.isnan(one), 2e6 + np.abs(departure), 1e6 + one), level)
+        cost = np.where(np.isnan(cost), np.where(np.isnan(one), 2e6 + np.abs(departure), 1e6 + one), cost)
         other = np.nan_to_num(neighbour(number, rows, columns))
         for y, x in np.argwhere(np.abs(departure) <= max_departure):
             name = int(number[y, x] + (rows == 1) * phase.size)
-            contacts.append((-level[y, x], name, int(number[y, x]), int(other[y, x]), int(cycles[y, x])))
+            contacts.append((-cost[y, x], name, int(number[y, x]), int(other[y, x]), int(cycles[y, x])))
     root, offset = maximum_spanning_forest(phase.size, contacts)
     return offset.reshape(phase.shape) * mask, np.where(mask, root.reshape(phase.shape) + 1, 0)
 
@@ -454,9 +454,9 @@ def eroded(mask: Array, rim_px: int) -> Array:
     return cv2.erode(mask.astype(np.uint8), kernel, borderValue=0) != 0
 
 
-def gain_at(gains: Array, cell: int, y: float, x: float) -> Array:
+def gain_at(gains: Array, spacing_px: int, y: float, x: float) -> Array:
     """Return the gains at a pixel, bilinear between nodes in the middle of cells."""
-    place = [min(max((p + 0.5) / cell - 0.5, 0.0), n - 1.0) for p, n in zip((y, x), gains.shape[:2], strict=True)]
+    place = [min(max((p + 0.5) / spacing_px - 0.5, 0.0), n - 1.0) for p, n in zip((y, x), gains.shape[:2], strict=True)]
     i, j = (int(p) for p in place)
     i1, j1 = min(i + 1, gains.shape[0] - 1), min(j + 1, gains.shape[1] - 1)
     v, u = place[0] - i, place[1] - j
@@ -495,7 +495,7 @@ def measure_contrast(
 def join_parts(
     ends: Array, span: int, min_margin: float, margin_a_step: float, orders: Array, evidence: Array
 ) -> Array:
-    """Return a number of the part of each patch: contacts in order, but for parts that the evidence tells apart."""
+    """Return a number of the part of each patch: contacts join in order, except parts that the evidence tells apart."""
     part = np.arange(len(evidence))
     for a, b in ends.T:
         a, b = part[a], part[b]
@@ -514,11 +514,11 @@ def join_parts(
     return part
 
 
-def correct_by_modulation(phase: Array, departures: Array, tables: Array, shift: float, reach: float) -> Array:
+def correct_by_modulation(phase: Array, deviations: Array, tables: Array, shift: float, reach: float) -> Array:
     """Return the corrected absolute phase (rad): response and blur where the modulation departs from the usual one."""
     cycles = phase / CYCLE
-    indices = np.arange(len(departures))
-    low, here, high = (np.interp(cycles + d, indices, departures) for d in (-reach, 0, reach))
+    indices = np.arange(len(deviations))
+    low, here, high = (np.interp(cycles + d, indices, deviations) for d in (-reach, 0, reach))
     edges = np.linspace(-np.pi, np.pi, tables.shape[1])
     linear, square = (np.interp(wrapped(phase), edges, table) for table in tables.astype(np.float64))
     return phase + here * linear + ((1 + here) ** 2 - 1) * square - shift * (high - low) / (2 * reach * (1 + here))

@@ -78,14 +78,9 @@ def out_buffer(name: str, out: Array[E] | None, shape: tuple[int, ...], dtype: t
     return runtime.empty(shape, dtype) if out is None else out_array(name, out, shape, dtype)
 
 
-def dtype_name(array: object) -> str:
-    """Return the NumPy name of an array's element type."""
-    return str(array.dtype.name) if isinstance(array, np.ndarray) else runtime.dtype_name(array)
-
-
 def element_type(array: Array[E]) -> type[E]:
     """Return NumPy's type of an array's elements."""
-    return cast(type[E], np.dtype(dtype_name(array)).type)
+    return cast(type[E], np.dtype(runtime.dtype_name(array)).type)
 
 
 def _check(name: str, array: object, shape: Sequence[int | None], dtypes: Sequence[type[np.generic]]) -> None:
@@ -101,7 +96,7 @@ def _check(name: str, array: object, shape: Sequence[int | None], dtypes: Sequen
         raise ShapeError(f"{name} is empty: its shape is {_text(got)}")
     if not right_type:
         names = " or ".join(np.dtype(dtype).name for dtype in dtypes)
-        raise ShapeError(f"{name} is {dtype_name(array)}, expected {names}: convert it with .astype()")
+        raise ShapeError(f"{name} is {runtime.dtype_name(array)}, expected {names}: convert it with .astype()")
 
 
 def _fits(got: tuple[int, ...], shape: Sequence[int | None]) -> bool:

@@ -32,7 +32,7 @@ def _import_language() -> tuple[Any, str]:
 
 ti, language = _import_language()
 
-# Array arguments of kernels (element type and number of axes), and small vectors; types that mypy takes for anything.
+# Array arguments of kernels (element type and number of axes), and small vectors; types that mypy treats as Any.
 if TYPE_CHECKING:
     F32Array1: TypeAlias = Any
     F32Array2: TypeAlias = Any

@@ -70,7 +70,7 @@ def init(arch: str = "auto") -> str:
         if reason is None:
             _started = candidate
             return candidate
-        _started = None  # a failed start has already torn down what ran before
+        _started = None  # a failed start has already ended what ran before
         reasons.append(reason)
     raise DeviceNotReady(f"{arch} cannot be started here ({'; '.join(reasons)}): `colorphase devices` lists what can")
 
@@ -175,9 +175,11 @@ def has_dtype(buffer: Any, dtypes: Sequence[type[np.generic]]) -> bool:
     return any(_DEVICE_TYPES.get(dtype.__name__) == buffer.element_type for dtype in dtypes)
 
 
-def dtype_name(buffer: Any) -> str:
-    """Return the NumPy name of a device ndarray's element type."""
-    return next((name for name, kind in _DEVICE_TYPES.items() if kind == buffer.element_type), str(buffer.element_type))
+def dtype_name(array: Any) -> str:
+    """Return the NumPy name of an array's element type."""
+    if isinstance(array, np.ndarray):
+        return str(array.dtype.name)
+    return next((name for name, kind in _DEVICE_TYPES.items() if kind == array.element_type), str(array.element_type))
 
 
 def synchronize() -> None:

@@ -1,4 +1,4 @@
-"""Strips: the stretches of a row that one thread works on.
+"""Strips: the pieces of a row that one thread works on.
 
 A thread per pixel would be right for a GPU, and a thread per row for a CPU; a strip of some pixels serves both. A CPU
 does eight or sixteen pixels at once, but only where the compiler knows that no two arrays overlap, and it knows that of

@@ -22,7 +22,7 @@ _Int = ctypes.c_int
 _Int64 = ctypes.c_int64
 _Double = ctypes.c_double
 _Size = ctypes.c_size_t
-#: Functions that may fail: the result, then the arguments but for the last one, which takes the error.
+#: Functions that may fail: the result, then the arguments without the last one, which receives the error.
 _FALLIBLE: dict[str, tuple[Any, tuple[Any, ...]]] = {
     "arv_open_device": (_Object, (_Text,)),
     "arv_camera_new_with_device": (_Object, (_Object,)),

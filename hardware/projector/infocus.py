@@ -121,7 +121,7 @@ class InFocus:
         """Set something, and look whether it was, where the model lets one look."""
         before = self._read(name)
         if before is not None and before.least is not None and before.most is not None:
-            # A number beyond the range would be taken for the largest, without a word.
+            # A number beyond the range would set the largest, without an error.
             if not before.least <= value <= before.most:
                 raise ProjectorError(f"the projector takes ({name}) from {before.least} to {before.most}, not {value}")
         self._send(f"{name}{value}")

@@ -118,7 +118,7 @@ class Job:
         return replace(self, settings=self.settings.model_copy(update={"transfer": source.transfer}))
 
     def identity(self, source: Source) -> dict[str, Any]:
-        """Return all that a frame's result depends on, but for its number, as JSON."""
+        """Return all that a frame's result depends on, except its number, as JSON."""
         return {
             **result_attributes(self.settings, self.calibration),
             "footage": {

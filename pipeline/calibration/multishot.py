@@ -172,8 +172,8 @@ def _unevenness(
 ) -> float:
     """Return what captures out of order add to the fine fringes, over their amplitude.
 
-    In order, the second harmonic is the response's and in phase with the first (but for a twentieth of it at most,
-    which a fourth adds), and the third is a thirtieth of the first at most. Two steps of one parity that change places
+    In order, the second harmonic is the response's and in phase with the first (up to a twentieth of it, which a fourth
+    adds), and the third is a thirtieth of the first at most. Two steps of one parity that change places
     leave the third as it is, two of different parity neither. The result is what a quarter of the pixels exceed, as a
     black picture in place of one step bends only those that are bright there.
     """

@@ -74,7 +74,7 @@ class FrameMemory:
     """All that travels from a frame to the next one of a video."""
 
     stripes: str
-    phase_counts: npt.NDArray[np.float64] | None  # (parts, bins) bare phases seen, earlier ones faded; None: no fringe
+    phase_counts: npt.NDArray[np.float64] | None  # (tiles, bins) bare phases seen, earlier ones faded; None: no fringe
     surface: SurfaceBuffers
     orders: RegionOrders
 
@@ -114,7 +114,7 @@ class DecodedFrame:
     warnings: tuple[str, ...]
     """What the user should know about this frame."""
     constant_known: bool
-    """Whether the phase is known, not only but for one constant: crosstalk that is not known turns it about grey."""
+    """Whether the constant of all phases is known: crosstalk that is not known turns all colours about grey."""
     light_constant_sigma: float = attribute(repr=False)
     """Standard deviation of that constant by the light alone, rad; NaN without fringes."""
     smoothing_pairs: int = attribute(repr=False)
@@ -128,7 +128,7 @@ class DecodedFrame:
     reference: Floats | None = attribute(repr=False)
     """(H, W) unwrapped phase of a plane, rad, that `range_image` is measured from without a calibration."""
     phase_counts: npt.NDArray[np.float64] | None = attribute(repr=False)
-    """(parts, bins) how often each bare phase was seen here and, fading, in the frames before; None without fringes."""
+    """(tiles, bins) how often each bare phase was seen here and, fading, in the frames before; None without fringes."""
 
     @property
     def calibrated(self) -> bool:
@@ -265,7 +265,7 @@ class DecodedFrame:
 
     def fetch(self, fields: Iterable[str]) -> None:
         """Read from the device now what these fields are made of; looking at them later asks it nothing more."""
-        for name in {part for wanted in fields for part in FIELDS[wanted].needs}:
+        for name in {needed for wanted in fields for needed in FIELDS[wanted].needs}:
             getattr(self, name)
 
     def buffers_for(

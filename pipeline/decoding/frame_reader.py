@@ -18,7 +18,7 @@ from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, linearize
 from tikernels.transposing import transpose
 
-# Smaller pictures hold no surface.
+# Smaller frames hold no surface.
 _MIN_SIZE_PX = 16
 
 
@@ -71,7 +71,7 @@ class FrameReader:
             See `Decoder.decode`.
         """
         self._check_shape(image)
-        dtype = _checks.dtype_name(image)
+        dtype = runtime.dtype_name(image)
         if dtype not in WHITE_LEVELS:
             raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
         image = _checks.read_array("image", image, (None, None, 3), _checks.element_type(image))

@@ -41,7 +41,7 @@ class LightPath:
     code : {"contrast"} or None
         The pattern's code.
     constant_known : bool
-        Whether the phase is known, not only but for a constant.
+        Whether the constant of all phases is known.
     constant_sigma : float
         Standard deviation of that constant as far as settings, calibration or a frame's light tell it, rad.
     unknown : bool

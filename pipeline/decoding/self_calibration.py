@@ -9,10 +9,10 @@ with M's rows summing to one, a_kn the harmonics of projector channel k's respon
 its mean, d_k the colours' delays. With one response for all and h_j = sum_k M_jk exp(i d_k), real M gives
 H_j1 = a_1 h_j,  H_j2 = a_2 conj(h_j),  H_j3 = a_3,  H_j4 = a_4 h_j, and so on.
 
-- The first harmonics say M but for one complex factor that all h_j share. Its size is the fringe's visibility, its
+- The first harmonics say M up to one complex factor that all h_j share. Its size is the fringe's contrast, its
   angle a turn of the phase: what a circulant M (equal leaks all round) does. The size bends no phase.
 - A turn t puts exp(i n t) on H_jn, so arg(H_j1 H_j2) = 3 t for every channel: a response that is not linear fixes the
-  turn; a linear one does not, and then the phase is known but for a constant.
+  turn; a linear one does not, and then the phase is known up to a constant.
 - a_2, a_4, a_5 over a_1 are what bends the phase; f(code) = sum_n a_n T_n(2 code - 1), T_n Chebyshev's polynomials.
 
 The phase free of ripple: ripple is a function of the phase, the object's own part is smooth. The phase and the
@@ -47,7 +47,7 @@ _FLOOR = 0.1
 _TRUE = np.linspace(-np.pi, np.pi, 720, endpoint=False)
 _MIN_PIXELS, _MIN_CYCLES = 300, 4.0
 _SAMPLES = 50000
-# What is usual: a turn of the phase, rad, and how far a_3, a_4, a_5 over a_1 depart from a power law's.
+# What is usual: a turn of the phase, rad, and how far a_3, a_4, a_5 over a_1 deviate from a power law's.
 _TURN_PRIOR, _RESPONSE_PRIOR = 0.1, 0.03
 # A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown.
 _MAX_CONSTANT = 0.03
@@ -57,21 +57,29 @@ _MAX_LEAK = 0.4
 
 @dataclass(frozen=True)
 class LightEstimate:
-    """What frames say about their rig's light; standard deviations are those of leaving out parts of the frames."""
+    """What frames say about their rig's light; standard deviations come from leaving out groups of tiles in turn."""
 
-    crosstalk_matrix: (
-        FloatArray  # (3, 3) rows sum to one; of all that fit, the one with the smallest leaks, none negative
-    )
-    crosstalk_sigma: FloatArray  # (3, 3)
-    response: FloatArray  # (256,) light of codes 0..1, one for all channels, from 0 to 1
-    correction: _Singles  # (257,) rad to add to phases -pi..pi decoded with the matrix: the response, and what else
-    # surely repeats with every cycle (channels that differ, lateral colour, a transfer left in)
-    constant_sigma: float  # rad
-    constant_known: bool  # False: the phase is known but for a constant, the response being all but linear
-    cycles: float  # in view
-    ripple: float  # RMS rad that repeats with every cycle after balance alone
-    misfit: float  # RMS rad of it that matrix and one response leave unexplained
-    reliable: bool  # whether decoding is better off with it
+    crosstalk_matrix: FloatArray
+    """(3, 3), rows sum to one: of all that fit, the one with the smallest leaks, none negative."""
+    crosstalk_sigma: FloatArray
+    """(3, 3)."""
+    response: FloatArray
+    """(256,): light of codes 0..1, one for all channels, from 0 to 1."""
+    correction: _Singles
+    """(257,) rad, to be added to phases -pi..pi decoded with the matrix: the response, and what else surely repeats
+    with every cycle (channels that differ, lateral colour, a transfer that was not undone)."""
+    constant_sigma: float
+    """rad."""
+    constant_known: bool
+    """False: the response is nearly linear, and the phase is known up to a constant."""
+    cycles: float
+    """How many are in view."""
+    ripple: float
+    """RMS, rad: what repeats with every cycle when only the colours are balanced."""
+    misfit: float
+    """RMS, rad: the part of it that the matrix and one response leave unexplained."""
+    reliable: bool
+    """Whether decoding is better off with it."""
 
     def as_json(self) -> dict[str, Any]:
         """Return what `from_json` reads, every digit of it; what is not finite becomes null."""
@@ -146,15 +154,15 @@ class _Frame:
     ) -> None:
         valid = mask.astype(bool) & np.isfinite(phase)
         change = [np.nanmedian(np.abs(np.diff(np.where(valid, phase, np.nan), axis=axis))) for axis in (0, 1)]
-        # Skip pixels, mostly along the stripes: averaging them would dampen the harmonics. Beyond so many samples more
-        # of them only cost time.
+        # Skip pixels, mostly along the stripes: averaging them would dampen the harmonics. More samples than
+        # _SAMPLES only cost time.
         across = max(1, int(period_px / 16))
         along = max(1, int(period_px / 4), min(int(period_px / 2), mask.size // (across * _SAMPLES)))
         steps = [across if c == max(change) else along for c in change]
-        part = np.s_[:: steps[0], :: steps[1]]
-        self.light = image[part].astype(np.float32) / np.float32(white_level)
-        self.mask = valid[part] & (self.light.max(-1) < 0.995)
-        self.guide = np.where(self.mask, phase[part], 0).astype(np.float32)
+        kept = np.s_[:: steps[0], :: steps[1]]
+        self.light = image[kept].astype(np.float32) / np.float32(white_level)
+        self.mask = valid[kept] & (self.light.max(-1) < 0.995)
+        self.guide = np.where(self.mask, phase[kept], 0).astype(np.float32)
         self.tile = [max(1, int(2 * period_px / s)) for s in steps]
         self.sigma = [_SIGMA_CYCLES * period_px / s for s in steps]
         self.weight = np.ones(self.mask.shape, np.float32)
@@ -202,10 +210,10 @@ class _LeastSquares:
         """Add a frame's samples."""
         y, x = np.nonzero(frame.mask)
         group = (y // frame.tile[0] + 3 * (x // frame.tile[1])) % _GROUPS
-        parts = [(basis[y[own], x[own]].astype(np.float64), values[y[own], x[own]].astype(np.float64))
+        groups = [(basis[y[own], x[own]].astype(np.float64), values[y[own], x[own]].astype(np.float64))
                  for own in (group == g for g in range(_GROUPS))]  # fmt: skip
-        self.gram = self.gram + np.stack([b.T @ b for b, _ in parts])
-        self.right = self.right + np.stack([b.T @ v for b, v in parts])
+        self.gram = self.gram + np.stack([b.T @ b for b, _ in groups])
+        self.right = self.right + np.stack([b.T @ v for b, v in groups])
 
     def solve(self) -> FloatArray:
         """Return (_GROUPS + 1, columns, right sides): all together, then with each group left out."""
@@ -255,8 +263,8 @@ def _turn(H: _Complexes, floor: float) -> tuple[float, float]:
 
 def _matrix(h: _Complexes) -> FloatArray:
     """Return the matrix of h_j = sum_k M_jk exp(i d_k), rows of sum one, scaled so that no leak is negative."""
-    part = (h[:, None] * _TURNS.conj()).real
-    return np.asarray(1 / 3 - part / (3 * min(part[~np.eye(3, dtype=bool)].min(), -1e-6)))
+    real = (h[:, None] * _TURNS.conj()).real
+    return np.asarray(1 / 3 - real / (3 * min(real[~np.eye(3, dtype=bool)].min(), -1e-6)))
 
 
 def _ratios(h: _Complexes, H: _Complexes) -> FloatArray:
@@ -325,7 +333,7 @@ def estimate_light(
     matrix, model, before = np.eye(3), np.zeros((2 * _HARMONICS, 3), np.float32), 0.0
     phases = [frame.guide for frame in frames]
     for round_ in range(_ROUNDS):
-        # Balance, undo the crosstalk known so far, and take the ripple out of the phase.
+        # Balance, undo the crosstalk as estimated in the round before, and take the ripple out of the phase.
         weights = (np.linalg.inv(matrix).T @ _TURNS.conj()).astype(np.complex64)
         shapes = [1 + _waves(phase, _HARMONICS) @ model for phase in phases]
         balanced = [frame.balance(shape) for frame, shape in zip(frames, shapes, strict=True)]
@@ -347,12 +355,12 @@ def estimate_light(
         model = solved[0].T.astype(np.float32)
         turn, constant_sigma = _turn(H, floor)
         H = H * np.exp(-1j * turn * np.arange(1, _HARMONICS + 1))
-        matrices = np.stack([_matrix(part[:, 0]) for part in H])
+        matrices = np.stack([_matrix(row[:, 0]) for row in H])
         matrix = matrices[0]
-    ratios = np.stack([_ratios(part[:, 0], part) for part in H])
+    ratios = np.stack([_ratios(row[:, 0], row) for row in H])
     harmonics = _regularise(ratios[0], np.hypot(_deviation(ratios), floor * (np.arange(_HARMONICS) > 0)))
     shift = _shift(harmonics, _TRUE)
-    rests = np.stack([_rest(part, m, shift) for part, m in zip(H, matrices, strict=True)])
+    rests = np.stack([_rest(row, m, shift) for row, m in zip(H, matrices, strict=True)])
     misfit = float(np.sqrt((np.abs(rests[0]) ** 2).sum() / 2))
     # Of the rest, take what stands three deviations out.
     noise = np.hypot(_deviation(rests.real), _deviation(rests.imag)) + floor

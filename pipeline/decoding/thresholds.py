@@ -7,7 +7,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics
 
 # The fringe must stand out of the noise by five standard deviations, where chance makes one pixel in 300,000 valid, and
-# reach this fraction of the picture's brightness, below which ambient light and stray light decide.
+# reach this fraction of the frame's brightness, below which ambient light and stray light decide.
 _MODULATION_SIGMAS = 5.0
 _MODULATION_FRACTION = 0.03
 _INTENSITY_SIGMAS = 3.0
@@ -40,5 +40,5 @@ def frame_levels(
     if intensity is None:
         intensity = max(_INTENSITY_SIGMAS * noise, _INTENSITY_FRACTION * brightness)
     if modulation is None:
-        modulation = max(_MODULATION_SIGMAS * crosstalk.noise_gain * noise, _MODULATION_FRACTION * brightness)
+        modulation = max(_MODULATION_SIGMAS * crosstalk.noise_amplification * noise, _MODULATION_FRACTION * brightness)
     return FrameLevels(white, read, gain, noise, intensity, modulation)

@@ -20,14 +20,14 @@ Shape = Literal["plane", "ball"]
 _MIN_SURFACE_PX = 2000
 # Residuals further out than this many deviations are highlights and rims.
 _OUTLIER_SIGMAS = 4.0
-# Averages over blocks of this side, px, are free of noise: what is left there is shape.
-_BLOCK_PX = 24
-# A surface whose averages depart from the shape by more than this part of its distance is another shape: no rig gets
-# that far out of adjustment by itself.
+# Averages over tiles of this side, px, are free of noise: what is left there is shape.
+_TILE_PX = 24
+# A surface whose averages deviate from the shape by more than this fraction of its distance is another shape: no rig
+# gets that far out of adjustment by itself.
 _OTHER_SHAPE = 0.01
 # Cycles to either side of the expected order in which a ball is looked for.
 _ORDERS = 5
-# A departure from the shape, mm, free of noise, that no calibration promises to be better than.
+# A deviation from the shape, mm, free of noise, that no calibration promises to be better than.
 _SHAPE_FLOOR_MM = 0.1
 
 
@@ -112,7 +112,7 @@ class _ShapeFit:
     radius: float | None
     sigma: FloatArray  # (N,) mm, predicted, across the surface
     fine: FloatArray  # (N,) mm, residuals without what is smooth
-    coarse: FloatArray  # (B,) mm, their averages over blocks
+    coarse: FloatArray  # (B,) mm, their averages over tiles
     spread: float  # mm, RMS of all
 
 
@@ -146,18 +146,18 @@ def _fit_shape(
     rays = points / np.linalg.norm(points, axis=1, keepdims=True)
     across = sigma * np.abs((rays * towards).sum(axis=1))
     y, x = (place[keep] for place in np.nonzero(surface))
-    block = (y // _BLOCK_PX) * (1 + x.max() // _BLOCK_PX) + x // _BLOCK_PX
-    counts = np.bincount(block)
-    means = np.bincount(block, residual[keep]) / np.maximum(counts, 1)
-    whole = counts > 0.5 * _BLOCK_PX**2
+    tile = (y // _TILE_PX) * (1 + x.max() // _TILE_PX) + x // _TILE_PX
+    counts = np.bincount(tile)
+    means = np.bincount(tile, residual[keep]) / np.maximum(counts, 1)
+    whole = counts > 0.5 * _TILE_PX**2
     if not whole.any():
         return None
-    inside = whole[block]
+    inside = whole[tile]
     return _ShapeFit(
         position=position,
         radius=radius,
         sigma=across[keep][inside],
-        fine=(residual[keep] - means[block])[inside],
+        fine=(residual[keep] - means[tile])[inside],
         coarse=means[whole],
         spread=float(np.sqrt(np.mean(residual[keep] ** 2))),
     )

@@ -9,11 +9,13 @@ from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, S
 from tikernels.order_evidence.part_joining import CANDIDATES, join_parts
 from tikernels.unwrapping.patches import PatchGraph
 
-# A region needs so many votes, and this share of them, to keep its order: fewer, and most of it is newly seen.
+# A region keeps its order if one offset has at least this many votes and this share of them: with fewer, most of it is
+# newly seen.
 _MIN_VOTES, _MIN_SHARE = 6, 0.6
 # Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close: such a vote is void.
 _MAX_CHANGE = 0.35
-# A surface's phase changes by so many cycles from frame to frame, and e-fold more seldom by as many more.
+# A surface's phase usually changes by this many cycles from frame to frame; a change larger by as many again is e-fold
+# rarer.
 _USUAL_CHANGE = 0.06
 # What goes on moves alike: of a region where all changes, in fractions of a cycle, are as frequent the coherence is 0,
 # where they spread over a half it is 0.64.
@@ -21,13 +23,13 @@ _MIN_COHERENCE = 0.5
 # Where the votes' coherence is less on average, 0 where regions do not go on, the frame shows another scene: objects
 # that turn by 3 degrees a frame reach 0.9, two scenes that happen to look alike in places 0.7.
 _SAME_SCENE = 0.75
-# A lead of so many votes halves the probability that the order is wrong: neighbouring pixels err together.
+# A lead of this many votes halves the probability that the order is wrong: neighbouring pixels err together.
 _HALVING_LEAD = 4.0
 # How probably votes are for another surface that was there before, where only edges vote.
 _EDGE_DOUBT = 0.5
-# A region is torn where a second offset has so many votes; its parts must each prefer their own by so many, and by this
-# share of their votes.
-_MIN_TORN_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
+# A region is split where the second most voted offset has this many votes. Each part must prefer its own offset by
+# this many votes, and by this share of the part's votes.
+_MIN_SPLIT_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
 #: An order that was absolute stays so where it is wrong with a smaller probability than this.
 MAX_CARRIED_ERROR = 1e-2
 
@@ -36,7 +38,7 @@ MAX_CARRIED_ERROR = 1e-2
 class CarriedOrders:
     """Whole cycles that regions lack to agree with the frame before."""
 
-    same_scene: bool  # False: a cut, or so much motion that nothing can be carried on
+    same_scene: bool  # False: a cut, or too much motion to carry anything on
     roots: npt.NDArray[np.int64]  # (n,) of the regions whose orders are carried on
     offsets: npt.NDArray[np.int64]  # (n,) to be added to their orders
     before: npt.NDArray[np.int64]  # (n,) the region of the frame before that they come from
@@ -75,10 +77,10 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     counts, change = np.add.reduceat(voters, starts), np.add.reduceat(rest, starts)
     commonest = np.lexsort((-voters, origins // before_span))[starts]
     # The two ballots with the most votes of every region; ties go to the smaller offset.
-    order = np.lexsort((ballots, -counts, ballots // cycles_span))
-    regions, starts, several = np.unique(ballots[order] // cycles_span, return_index=True, return_counts=True)
-    best, total = order[starts], np.add.reduceat(counts[order], starts) + void[regions]
-    second = np.where(several > 1, counts[order[np.minimum(starts + 1, len(order) - 1)]], 0)
+    ranking = np.lexsort((ballots, -counts, ballots // cycles_span))
+    regions, starts, several = np.unique(ballots[ranking] // cycles_span, return_index=True, return_counts=True)
+    best, total = ranking[starts], np.add.reduceat(counts[ranking], starts) + void[regions]
+    second = np.where(several > 1, counts[ranking[np.minimum(starts + 1, len(ranking) - 1)]], 0)
     lead = counts[best] - np.maximum(second, void[regions])
     usual = change[best] / counts[best]
     kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (coherence[regions] >= _MIN_COHERENCE)
@@ -94,7 +96,7 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
 def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
     """(count,) float: how alike a region's phase changes, 1 where by the same everywhere, 0 where nobody votes."""
     turn = np.exp(2j * np.pi / 64 * rest)
-    sums = [np.bincount(root, part, count) for part in (turn.real, turn.imag)]
+    sums = [np.bincount(root, component, count) for component in (turn.real, turn.imag)]
     return np.asarray(np.hypot(*sums) / np.maximum(np.bincount(root, minlength=count), 1))
 
 
@@ -137,22 +139,22 @@ def split_by_votes(
         graph.root[patch].astype(np.int64) * CANDIDATES + candidate, minlength=len(graph.root) * CANDIDATES
     )
     second = np.partition(regions.reshape(-1, CANDIDATES), -2, axis=1)[:, -2]
-    torn = second >= _MIN_TORN_VOTES
-    if not torn.any():
+    split = second >= _MIN_SPLIT_VOTES
+    if not split.any():
         return graph.root
-    # Fewer votes against an offset are better: what a part departs from each by is the votes that it gets less.
+    # Fewer votes against an offset are better: a part's deviation from an offset is minus the number of its votes.
     evidence = np.zeros((len(graph.root), CANDIDATES + 1), np.float32)
     np.subtract.at(evidence, (patch, candidate), 1)
     evidence[:, CANDIDATES] = -evidence[:, :CANDIDATES].sum(axis=1)
-    inside = torn[graph.root[graph.ends[0]]]
+    inside = split[graph.root[graph.ends[0]]]
     ends, weight = graph.ends[:, inside], graph.votes[inside]
     best = np.where(evidence[:, CANDIDATES] > 0, np.argmin(evidence[:, :CANDIDATES], axis=1), -1)
     # Contacts between patches that vote alike come first: then the parts are whole before they are asked to join.
     differ = (best[ends[0]] != best[ends[1]]) & (np.minimum(best[ends[0]], best[ends[1]]) >= 0)
-    order = np.lexsort((np.arange(len(weight)), -weight, differ))
+    ranking = np.lexsort((np.arange(len(weight)), -weight, differ))
     everywhere = np.tile(np.array([0, 1], np.int32), (len(graph.root), 1))
-    if len(order):
-        pairs = np.ascontiguousarray(ends[:, order], np.int32)
+    if len(ranking):
+        pairs = np.ascontiguousarray(ends[:, ranking], np.int32)
         parents = join_parts(pairs, 0, _MIN_MARGIN, _MIN_MARGIN_SHARE, everywhere, evidence)
-        return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
+        return np.where(split[graph.root], parents, graph.root).astype(np.int32)
     return graph.root

@@ -1,9 +1,8 @@
 """Which cycle of a coded pattern a surface shows: the orders of a single frame, absolute.
 
-The logarithm of the contrast steps from cycle to cycle as the code says, but for a factor that changes slowly and falls
-out of the steps. Six cycles in a row name their place in the sequence: many such stretches vote, patches that the votes
-tell apart are not joined (`tikernels.order_evidence.contrast_reading`), and every part that is left gets a posterior
-over its offsets.
+From cycle to cycle the logarithm of the contrast steps as the code says; a factor that changes slowly cancels in the
+steps. Six cycles in a row, a stretch, name their place in the sequence (`tikernels.order_evidence.contrast_reading`).
+Many stretches vote, patches that the votes tell apart are not joined, and every part gets a posterior over its offsets.
 `docs/coded_pattern.md` has the derivation.
 """
 
@@ -41,20 +40,22 @@ _MIN_SIGMA = 0.015
 # A cycle counts from this weight on (a full one of 12 px has 13 in a patch's columns), and if it is whole: its pixels'
 # mean phase (rad) is near its middle's.
 _MIN_WEIGHT, _MAX_MEAN_PHASE = 3.0, 0.3
-# A single step departs from the code by no more than three standard deviations' worth: edges and blemishes do.
-_MAX_DEPARTURE = 9.0
-# Where steps depart by more than this on average, none of the offsets that stretches have named is the right one.
+# What a single step may add to the squared deviation from the code, in variances, that is three standard deviations:
+# edges and blemishes deviate by more, and must not decide alone.
+_MAX_DEVIATION = 9.0
+# Where the squared deviation of the steps is larger than this on average, in variances, none of the offsets that
+# stretches have named is the right one.
 _NOWHERE = 5.5
 # A stretch votes if it fits, and if the next best place is less likely by exp(-5).
 _MIN_LEAD = 10.0
 _MIN_VOTES = 3
 # Offsets with less than this share of a region's votes are chance, or too small a part to keep others from joining.
 _MIN_SHARE = 0.02
-# Two parts stay apart if both show five cycles and prefer different offsets by so much, in all and for each step: the
-# steps of one cycle share their errors, so many of them are worth little more than one.
+# Two parts stay apart if both show five cycles and each prefers its own offset by this margin, in variances, and by
+# this margin a step: the steps of one cycle share their errors, so a hundred of them say little more than one.
 _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP = 4, 60.0, 1.5
 # What a frame's code may look like: the strength of its steps (0: it shows none; a response of gamma 2.4 and ambient
-# light leave a third), and by how much steps depart from it, blemishes, slopes and blur included (natural logarithm).
+# light leave a third), and by how much steps deviate from it, blemishes, slopes and blur included (natural logarithm).
 _STRENGTHS = np.array([0.0, 0.35, 0.5, 0.71, 1.0])
 _STRENGTH_PRIOR = np.array([0.1, 0.225, 0.225, 0.225, 0.225])
 _SPREADS = np.array([0.006, 0.015, 0.04, 0.1])
@@ -62,8 +63,8 @@ _SPREADS = np.array([0.006, 0.015, 0.04, 0.1])
 _UNALIKE = 0.1
 # Tails of a Student distribution: edges spoil some cycles.
 _FREEDOM = 4.0
-# A median of n values scatters 1.25 / sqrt(n) as much as they do; what a part's own few columns show of their scatter
-# counts as much as the frame's once it has so many.
+# A median of n values scatters 1.25 / sqrt(n) as much as they do; the scatter that a part's own columns show counts as
+# much as the frame's when there are eight of them.
 _MEDIAN_SCATTER, _SCATTER_PRIOR = 1.2533, 8.0
 
 
@@ -83,7 +84,7 @@ class _Steps:
 class _PartSteps:
     """What all columns of a part show of its steps, order by order."""
 
-    levels: Integers  # (n,) the lower cycle's order
+    lower_orders: Integers  # (n,) the lower cycle's order
     middle: FloatArray  # (n,) median rise
     noise: FloatArray  # (n,) its variance, by the columns' scatter
 
@@ -212,7 +213,7 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
         strength = float(np.median(factor))
         remaining = ((seen[clear] - strength * expected) ** 2).mean(axis=1)
         sigma = max(sigma, 1.7 * float(np.sqrt(np.median(remaining))))
-    sure = (least < _STRETCH * _MAX_DEPARTURE * sigma**2) & (second - least > _MIN_LEAD * sigma**2)
+    sure = (least < _STRETCH * _MAX_DEVIATION * sigma**2) & (second - least > _MIN_LEAD * sigma**2)
     return np.where(sure, best - steps.order[stretches[:, 0]], -2 * CYCLES), sigma, strength
 
 
@@ -226,22 +227,22 @@ def _split(
     ballot, votes = np.unique(ballots, return_counts=True)
     ballot, votes = ballot[votes >= _MIN_VOTES], votes[votes >= _MIN_VOTES]
     named = _counted(ballot)
-    torn = np.bincount(named[0], minlength=len(graph.root)) > 1
-    if not torn.any():
+    split = np.bincount(named[0], minlength=len(graph.root)) > 1
+    if not split.any():
         return graph.root
     evidence = np.zeros((len(graph.root), CANDIDATES + 1))
     code = contrast_steps()
-    for root in np.flatnonzero(torn):
+    for root in np.flatnonzero(split):
         mine = named[0] == root
         candidates = named[1, mine][np.argsort(-votes[mine], kind="stable")][: CANDIDATES - 1]
         own = np.flatnonzero(graph.root[steps.low] == root)
         place = steps.order[own, None] + candidates
         inside = (place >= 0) & (place < len(code))
-        departure = (steps.rise[own, None] - strength * code[np.clip(place, 0, len(code) - 1)]) ** 2 / sigma**2
-        departure = np.where(inside, np.minimum(departure, _MAX_DEPARTURE), _MAX_DEPARTURE)
-        padding = np.full((len(own), CANDIDATES - 1 - len(candidates)), _MAX_DEPARTURE)
+        deviation = (steps.rise[own, None] - strength * code[np.clip(place, 0, len(code) - 1)]) ** 2 / sigma**2
+        deviation = np.where(inside, np.minimum(deviation, _MAX_DEVIATION), _MAX_DEVIATION)
+        padding = np.full((len(own), CANDIDATES - 1 - len(candidates)), _MAX_DEVIATION)
         nowhere = np.full((len(own), 1), _NOWHERE)
-        terms = np.concatenate([departure, padding, nowhere, np.ones((len(own), 1))], axis=1)
+        terms = np.concatenate([deviation, padding, nowhere, np.ones((len(own), 1))], axis=1)
         # A step belongs to the patches of both its cycles.
         for end in (steps.low[own], steps.high[own]):
             for k in range(CANDIDATES + 1):
@@ -250,7 +251,7 @@ def _split(
     for end in (steps.low, steps.high):
         np.minimum.at(orders[:, 0], end, steps.order)
         np.maximum.at(orders[:, 1], end, steps.order + 1)
-    inside = torn[graph.root[graph.ends[0]]]
+    inside = split[graph.root[graph.ends[0]]]
     ends, weight = graph.ends[:, inside], graph.votes[inside]
     # Votes within a fifth count alike, and chance decides between them: parts then grow round, not in rows.
     shuffled = (np.arange(len(weight), dtype=np.uint32) * np.uint32(2654435769)).astype(np.int64)
@@ -264,7 +265,7 @@ def _split(
     if len(sort):
         pairs = np.ascontiguousarray(ends[:, sort])
         parents = join_parts(pairs, _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP, orders, evidence.astype(np.float32))
-    return np.where(torn[graph.root], parents, graph.root).astype(np.int32)
+    return np.where(split[graph.root], parents, graph.root).astype(np.int32)
 
 
 def _ballots(voters: npt.NDArray[np.integer], offsets: Integers) -> Integers:
@@ -305,15 +306,15 @@ def _seen_steps(steps: _Steps, roots: npt.NDArray[np.int32], parts: Integers) ->
     counts = np.diff(np.append(starts, len(part)))
     middle = 0.5 * (rise[starts + (counts - 1) // 2] + rise[starts + counts // 2])
     group = np.repeat(np.arange(len(starts)), counts)
-    # The scatter of columns about their median, which hangs on each of a few of them.
-    departure = np.abs(rise - middle[group]) * np.sqrt(counts / np.maximum(counts - 1, 1))[group]
+    # The scatter of columns about their median, which depends on each where there are few.
+    deviation = np.abs(rise - middle[group]) * np.sqrt(counts / np.maximum(counts - 1, 1))[group]
     several = counts[group] > 1
-    usual = _scatter(departure[several])
+    usual = _scatter(deviation[several])
     bounds = np.searchsorted(part[starts], np.arange(len(parts) + 1))
     found = []
     for first, last in pairwise(bounds):
         own = slice(starts[first], starts[last] if last < len(starts) else len(part)) if last > first else slice(0, 0)
-        shown = departure[own][several[own]]
+        shown = deviation[own][several[own]]
         known = len(shown) / (len(shown) + _SCATTER_PRIOR)
         variance = known * _scatter(shown) ** 2 + (1 - known) * usual**2
         noise = _MEDIAN_SCATTER**2 * variance / counts[first:last]
@@ -321,8 +322,8 @@ def _seen_steps(steps: _Steps, roots: npt.NDArray[np.int32], parts: Integers) ->
     return found
 
 
-def _scatter(departures: FloatArray) -> float:
-    return 1.4826 * float(np.median(departures)) if len(departures) else 0.0
+def _scatter(deviations: FloatArray) -> float:
+    return 1.4826 * float(np.median(deviations)) if len(deviations) else 0.0
 
 
 def _log_likelihood(part: _PartSteps) -> tuple[int, FloatArray]:
@@ -331,22 +332,22 @@ def _log_likelihood(part: _PartSteps) -> tuple[int, FloatArray]:
     A step is Student-distributed about the code's. What all steps have in common, and a trend, is the contrast's own
     slow change; it is of the order of the spread, and integrated over.
     """
-    levels = part.levels
-    if len(levels) == 0:
+    lower_orders = part.lower_orders
+    if len(lower_orders) == 0:
         return 0, np.zeros((len(_STRENGTHS), len(_SPREADS), 0))
-    offsets = np.arange(-levels[0], len(contrast_steps()) - levels[-1])
+    offsets = np.arange(-lower_orders[0], len(contrast_steps()) - lower_orders[-1])
     variance = _SPREADS[:, None] ** 2 + part.noise
-    line = np.stack([np.ones(len(levels)), np.linspace(-1, 1, len(levels))])
+    line = np.stack([np.ones(len(lower_orders)), np.linspace(-1, 1, len(lower_orders))])
     weighted = line / variance[:, None]
     normal = weighted @ line.T + np.eye(2) / _SPREADS[:, None, None] ** 2
-    remains = np.eye(len(levels)) - line.T @ np.linalg.solve(normal, weighted)  # (spreads, levels, levels)
+    remains = np.eye(len(lower_orders)) - line.T @ np.linalg.solve(normal, weighted)  # (spreads, steps, steps)
     remains /= np.sqrt(_FREEDOM * variance)[..., None]
-    expected = contrast_steps()[levels + offsets[:, None]]
+    expected = contrast_steps()[lower_orders + offsets[:, None]]
     seen, due = remains @ part.middle, expected @ remains.transpose(0, 2, 1)
-    departures = (seen[:, None] - _STRENGTHS[:, None, None, None] * due).astype(np.float32)
-    fit = np.log(1 + departures**2).sum(axis=-1, dtype=np.float64)
+    deviations = (seen[:, None] - _STRENGTHS[:, None, None, None] * due).astype(np.float32)
+    fit = np.log(1 + deviations**2).sum(axis=-1, dtype=np.float64)
     constant = np.log(variance).sum(axis=-1) + np.linalg.slogdet(normal)[1] + 4 * np.log(_SPREADS)
-    return int(-levels[0]), -0.5 * (_FREEDOM + 1) * fit - 0.5 * constant[:, None]
+    return int(-lower_orders[0]), -0.5 * (_FREEDOM + 1) * fit - 0.5 * constant[:, None]
 
 
 def _posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> tuple[list[Posterior], bool]:

@@ -14,8 +14,8 @@ _MAX_BEND = 0.3
 
 
 @cache
-def code_departures(usual: float) -> tuple[FloatArray, FloatArray]:
-    """Return how the code's modulation departs from the usual one, and the slope of its logarithm.
+def code_deviations(usual: float) -> tuple[FloatArray, FloatArray]:
+    """Return how the code's modulation deviates from the usual one, and the slope of its logarithm.
 
     Parameters
     ----------
@@ -25,19 +25,19 @@ def code_departures(usual: float) -> tuple[FloatArray, FloatArray]:
     Returns
     -------
     two (TABLED (CYCLES - 1) + 1,) float64
-        Departures as a fraction of the usual one, and slopes a cycle, TABLED a cycle from the first cycle's middle on.
+        Deviations as a fraction of the usual one, and slopes a cycle, TABLED a cycle from the first cycle's middle on.
     """
     place = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
     low, here, high = (modulation_at(place + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
     return here / usual - 1, (high - low) / (2 * SLOPE_REACH * here)
 
 
-def modulation_corrections(departures: FloatArray, tables: npt.NDArray[np.floating]) -> FloatArray:
+def modulation_corrections(deviations: FloatArray, tables: npt.NDArray[np.floating]) -> FloatArray:
     """Return what the response's correction lacks where the modulation is not the usual one.
 
     Parameters
     ----------
-    departures : (N,) float64
+    deviations : (N,) float64
         Of the modulation from the usual one, as a fraction of it, TABLED a cycle from the middle of a cycle on.
     tables : (2, bins + 1)
         rad over a cycle from -pi on: what of the correction goes with the modulation, and with its square.
@@ -49,8 +49,8 @@ def modulation_corrections(departures: FloatArray, tables: npt.NDArray[np.floati
     """
     edges = np.linspace(-0.5, 0.5, tables.shape[1])
     around = [np.interp(np.arange(TABLED) / TABLED, edges, row, period=1) for row in tables]
-    linear, square = (np.resize(row, len(departures)) for row in around)
-    return np.asarray(departures * (linear + (2 + departures) * square))
+    linear, square = (np.resize(row, len(deviations)) for row in around)
+    return np.asarray(deviations * (linear + (2 + deviations) * square))
 
 
 def blur_shift(
@@ -74,7 +74,7 @@ def blur_shift(
     absolute : (regions + 1,) bool
         Whether a region's orders are absolute.
     slopes : (N,) float64
-        Of the modulation's logarithm, a cycle; see `code_departures`.
+        Of the modulation's logarithm, a cycle; see `code_deviations`.
     period_px : float
         Rows a cycle.
 

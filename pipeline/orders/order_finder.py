@@ -16,7 +16,7 @@ from pipeline.decoding.light_path import LightPath
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, count_votes, split_by_votes
 from pipeline.orders.coded_orders import find_absolute_orders
-from pipeline.orders.modulation import blur_shift, code_departures, modulation_corrections
+from pipeline.orders.modulation import blur_shift, code_deviations, modulation_corrections
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, AbsoluteOrders, OrderRange
 from pipeline.pattern.contrast_code import cycle_modulations
 from tikernels import runtime
@@ -136,7 +136,7 @@ class OrderFinder:
         """Split the regions that the evidence contradicts, and give each the offset that the evidence names.
 
         What is said later overrules what was said before: the expected depth, the likeliest offset by the code, the
-        frame before, and last the offsets that are all but certain.
+        frame before, and last the offsets that are almost certain.
 
         Parameters
         ----------
@@ -205,10 +205,10 @@ class OrderFinder:
             adopt_pixels(patches.final, *found, known, out=surface)
         # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
         usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
-        departures, slopes = code_departures(usual)
+        deviations, slopes = code_deviations(usual)
         columns = (slice(None), slice(None, None, _EVERY_COLUMN))
         sampled = runtime.to_host(out.unwrapped)[columns], runtime.to_host(out.region)[columns]
-        corrections = modulation_corrections(departures, modulation_tables(seen.correction))
+        corrections = modulation_corrections(deviations, modulation_tables(seen.correction))
         corrections -= blur_shift(*sampled, known, slopes, seen.period_px) * slopes
         if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
             correct_by_modulation(out.region, known, corrections, out=(phases.phase, out.unwrapped))

@@ -61,7 +61,7 @@ class PartRange:
         outside = np.maximum(np.maximum(self.least - offsets, offsets - self.most), 0)
         prior = np.exp(-0.5 * (outside / _RANGE_SIGMA) ** 2)
         if self.of_depth:
-            # The range is taken for two standard deviations to either side of where surfaces are.
+            # The range counts as two standard deviations to either side of where surfaces are.
             sigma = max(self.most - self.least, 0) / 4 + _RANGE_SIGMA
             prior *= np.exp(-0.5 * ((offsets - (self.least + self.most) / 2) / sigma) ** 2)
         product = posterior.probability * (prior + _FLOOR)

@@ -155,13 +155,13 @@ class _FilmSetup:
     def __init__(self, meshes: Sequence[Mesh], options: FilmOptions) -> None:
         self.options = options
         points = np.concatenate([mesh.vertices[::_EVERY] for mesh in meshes])
-        self.stretch = np.ones(3, np.float32)
+        self.scale = np.ones(3, np.float32)
         if meshes[0].unit == "rad":  # which has no true proportions
             low, high = np.percentile(points[:, 2], (1, 99))
             width = np.ptp(points[:, :2], axis=0).max()
-            self.stretch[2] = 0.33 * width / max(high - low, 1e-6)
-        near, far = np.quantile(points * self.stretch, (_STRAY, 1 - _STRAY), axis=0)
-        self.corners = np.clip(points * self.stretch, near, far)
+            self.scale[2] = 0.33 * width / max(high - low, 1e-6)
+        near, far = np.quantile(points * self.scale, (_STRAY, 1 - _STRAY), axis=0)
+        self.corners = np.clip(points * self.scale, near, far)
         if options.turn_deg or options.sway_deg:
             # One distance from all sides: that of the ball around everything.
             middle, radius = (near + far) / 2, float(np.linalg.norm(far - near)) / 2
@@ -218,7 +218,7 @@ def _draw_film(location: str, options: FilmOptions, path: str) -> None:
             if number != shown:
                 now = result.mesh(number, needed) if number in done else None
                 if now is not None and len(now.faces):
-                    renderer.show(now.vertices * setup.stretch, now.faces, setup.colors(now))
+                    renderer.show(now.vertices * setup.scale, now.faces, setup.colors(now))
                     shown = number
                 else:
                     held.append(number)

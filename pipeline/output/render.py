@@ -71,7 +71,7 @@ def render_mesh(
 
     Notes
     -----
-    A mesh in rad has no true proportions: its depth is stretched until the relief shows.
+    A mesh in rad has no true proportions: its depth is scaled until the relief shows.
     """
     if view not in get_args(View):
         raise ValueError(f"view: got {view!r}, expected one of {', '.join(get_args(View))}")
@@ -210,7 +210,7 @@ def _draw(mesh: Mesh, path: str, view: str, size_px: tuple[int, int]) -> None:
 
 
 def proportioned(mesh: Mesh) -> npt.NDArray[np.float32]:
-    """Return the vertices in mm, or in px with the depth stretched to a third of the width."""
+    """Return the vertices in mm, or in px with the depth scaled to a third of the width."""
     if mesh.unit == "mm":
         return mesh.vertices
     low, high = np.percentile(mesh.vertices[:, 2], (1, 99))

@@ -135,7 +135,7 @@ class ResultStore:
             return done_frames(self.location)
 
     def write(self, number: int, frame: DecodedFrame) -> None:
-        """Write a frame's chunks and, once they are safe, its mark; harmless twice, and from several threads.
+        """Write a frame's chunks and, once they are safe, its mark; may be called again, and from several threads.
 
         Raises
         ------

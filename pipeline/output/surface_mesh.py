@@ -9,7 +9,7 @@ from tikernels.depth.meshing import triangulate_mesh
 
 # An edge of the mesh may rise by this many times what neighbouring pixels are apart: steeper surfaces are steps.
 _MAX_SLOPE = 10.0
-# Without a calibration: a neighbour that departs by this much lies on another surface.
+# Without a calibration: a neighbour that differs by this much lies on another surface.
 _MAX_STEP_RAD = 1.0
 
 

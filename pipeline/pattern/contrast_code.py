@@ -2,7 +2,7 @@
 
 The modulation goes in a straight line from the middle of one cycle to the middle of the next. Its spectrum then has a
 double zero at one a cycle, so the code hardly leaks into the mean of a channel, from which the balance takes the
-surface's colour; and there is no edge that blur could soften. `docs/coded_pattern.md` derives levels and sequence.
+surface's colour; and there is no edge that blur could soften. `docs/coded_pattern.md` derives symbols and sequence.
 """
 
 from functools import cache
@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 #: Modulation of the three symbols, as a fraction of full scale around a mean of 0.5; a plain pattern's is 0.5.
-LEVELS = (0.36, 0.43, 0.5)
+MODULATIONS = (0.36, 0.43, 0.5)
 #: One digit a cycle, from the projector's first row (or column) on. No two stretches of five cycles change alike.
 SYMBOLS = (
     "02110212222212202220002020101200122102022110011202100200012120200212102101210002202120122012011220022120"
@@ -22,7 +22,7 @@ CYCLES = len(SYMBOLS)
 
 def cycle_modulations() -> npt.NDArray[np.float64]:
     """Return the (CYCLES,) modulation in the middle of each cycle, as a fraction of full scale."""
-    return np.array(LEVELS)[[int(symbol) for symbol in SYMBOLS]]
+    return np.array(MODULATIONS)[[int(symbol) for symbol in SYMBOLS]]
 
 
 def modulation_at(cycles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -34,8 +34,8 @@ def modulation_at(cycles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 def contrast_steps() -> npt.NDArray[np.float64]:
     """Return by how much the logarithm of the contrast rises from each cycle to the next.
 
-    A cycle's contrast is `measure_contrast_kernel`'s, in which its neighbours' symbols are to 8 % each. The light is
-    taken to be proportional to the codes; a response that is not makes the steps smaller, all alike.
+    A cycle's contrast is `measure_contrast_kernel`'s, to which its neighbours' symbols contribute 8 % each. The light
+    is assumed to be proportional to the codes; a response that is not makes the steps smaller, all alike.
 
     Returns
     -------

@@ -17,7 +17,7 @@ def pictures(levels: list[float]) -> list[CameraFrame]:
 
 @pytest.mark.parametrize("light", [0.3, 0.5, 2.0])
 def test_a_scene_that_changes_between_bursts_is_no_fault(light):
-    """The object went away, or came near: both pictures have so much of the light."""
+    """The object went away, or came near: both pictures change by the same factor."""
     alternation = Alternation()
     assert alternation.start(pictures([100, 85, 100, 85])) == []
     assert alternation.check(pictures([100 * light, 85 * light] * 3), 0) == []

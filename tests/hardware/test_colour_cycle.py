@@ -47,16 +47,16 @@ def test_the_message():
     )
 
 
-@pytest.mark.parametrize("visibility", [1.0, 0.6])
+@pytest.mark.parametrize("contrast", [1.0, 0.6])
 @pytest.mark.parametrize("share", [1 / 3, 0.2])
-def test_the_limit_is_kept_and_reached(visibility, share):
+def test_the_limit_is_kept_and_reached(contrast, share):
     """Of the arctangent, whatever a colour's mirrors do in the part that is seen once too often."""
     deviation = 0.002
     phase = np.linspace(0, 2 * np.pi, 3601)[:, None]
     steps = np.array([-2, 0, 2]) * np.pi / 3
-    straight = 0.5 + 0.5 * visibility * np.cos(phase + steps)
+    straight = 0.5 + 0.5 * contrast * np.cos(phase + steps)
     rng = np.random.default_rng(0)
-    limit = phase_error_limit(deviation, share, visibility)
+    limit = phase_error_limit(deviation, share, contrast)
     reached = 0.0
     for channel in range(3):
         for on in (np.ones(len(phase)), straight[:, channel], straight[:, channel] > 0.5, rng.random(len(phase))):

@@ -49,7 +49,7 @@ def test_a_picture_is_shown_for_some_time(dummy):
         start_s = time.monotonic()
         shown.wait(0.2)
         assert time.monotonic() - start_s >= 0.2
-    shown.close()  # harmless twice
+    shown.close()  # closing twice is allowed
 
 
 @pytest.mark.parametrize("key", ["K_ESCAPE", "K_q"])

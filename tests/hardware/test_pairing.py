@@ -21,7 +21,7 @@ def frame_of(number, **changed):
 
 
 def evidence(frames=None, strobes=None, **changed):
-    """Return what is known of a burst in which all went well, but for what is changed."""
+    """Return what is known of a burst in which all went well, except for what is changed."""
     frames = [frame_of(number) for number in range(COUNT)] if frames is None else frames
     strobes = [Strobe(number, number * PERIOD_S + 1e-3) for number in range(COUNT)] if strobes is None else strobes
     return Evidence(

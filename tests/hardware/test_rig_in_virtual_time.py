@@ -13,7 +13,7 @@ wirings = pytest.mark.parametrize("strobe, clock", [(True, True), (True, False),
 
 
 def rejected_and_burst(monkeypatch, virtual, n_bursts=1, **kwargs):
-    """Return why runs were thrown away, and how many frames of so many bursts were mispaired."""
+    """Return why runs were thrown away, and how many frames of `n_bursts` bursts were mispaired."""
     monkeypatch.setattr(rig_module, "time", virtual)
     rejected: list[Rejected] = []
     with Rig(virtual.settings, virtual.open, rejected.append) as rig:

@@ -1,4 +1,4 @@
-"""A pattern with less light: the same light but for a factor, and the same phase."""
+"""A pattern with less light: the same light up to a factor, and the same phase."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""An unwrapping of the user's own takes the place of ours."""
+"""A user's own unwrapper replaces the built-in ones."""
 
 import numpy as np
 import pytest

@@ -13,19 +13,19 @@ pytestmark = pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="
 BLOCKED = "import signal; print(signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ()))"
 
 
-def child_is_deaf():
+def child_blocks_interrupts():
     return (
         subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True, check=True).stdout == "True\n"
     )
 
 
 def test_children_inherit_the_block():
-    assert not child_is_deaf()
+    assert not child_blocks_interrupts()
     with block_interrupts() as unblock:
-        assert child_is_deaf()
+        assert child_blocks_interrupts()
         unblock()
-        assert not child_is_deaf()
-    assert not child_is_deaf()
+        assert not child_blocks_interrupts()
+    assert not child_blocks_interrupts()
 
 
 def test_an_interrupt_waits_until_the_end():

@@ -18,7 +18,7 @@ from hardware.camera.aravis_library import load_aravis
 Render = Callable[[], npt.NDArray[Any]]
 
 _Fill = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_uint32, ctypes.c_uint32, ctypes.c_uint32)
-# The fake camera looks for triggers so often; its own 25 Hz would make each test wait.
+# How often the fake camera looks for triggers; its own 25 Hz would make each test wait.
 _TRIGGERS_HZ = 500.0
 
 

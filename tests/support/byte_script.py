@@ -22,7 +22,7 @@ class ScriptedPort:
         return len(self._arrived)
 
     def read(self, size: int) -> bytes:
-        """Give what was answered so far."""
+        """Give what has been answered up to now."""
         if not self._arrived:
             time.sleep(0.001)
         taken, self._arrived = self._arrived[:size], self._arrived[size:]

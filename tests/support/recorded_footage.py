@@ -37,7 +37,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def run_and_kill(arguments: list[str], marks: Path, n_more: int, delay_s: float) -> bool:
-    """Run a command and kill it once so many more marks are there, and a moment later; whether it was still running."""
+    """Run a command and kill it a moment after `n_more` more marks are there; return whether it was still running."""
     with subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         target = _count(marks) + n_more
         while process.poll() is None and _count(marks) < target:

@@ -82,7 +82,7 @@ def flip(path: Path, number: int) -> None:
 
 
 def erase(path: Path, number: int) -> None:
-    """Overwrite one coded frame with zeros, but for its head."""
+    """Overwrite one coded frame with zeros, except its head."""
     begin, size = packets(path)[number]
     data = bytearray(path.read_bytes())
     data[begin + 60 : begin + size] = bytes(size - 60)

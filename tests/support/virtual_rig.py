@@ -23,11 +23,11 @@ class Faults:
     """What goes wrong in one run of pulses."""
 
     lost_trigger: tuple[int, ...] = ()
-    noise: tuple[tuple[int, float], ...] = ()  # a trigger so many periods after that pulse
+    noise: tuple[tuple[int, float], ...] = ()  # pulse, and how many periods later a trigger comes that nobody sent
     lost_frame: tuple[int, ...] = ()
     repeated_frame: tuple[int, ...] = ()
     lost_strobe: tuple[int, ...] = ()
-    slow_line: tuple[tuple[int, float], ...] = ()  # from that pulse on, frames wait for so many seconds
+    slow_line: tuple[tuple[int, float], ...] = ()  # pulse from which on frames are late, and by how many seconds
     stale_frame: bool = False  # the last run's last frame comes once more
     cable_out: int | None = None  # the camera's trigger cable, from this pulse on
     strobe_out: bool = False

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.array_forms import every_second, on_device, read_only
 
-from tikernels import ShapeError, _checks
+from tikernels import ShapeError, _checks, runtime
 
 IMAGE = np.arange(12, dtype=np.float32).reshape(3, 4)
 
@@ -69,4 +69,4 @@ def test_element_types(arch, dtype):
     values = np.ones((2, 3), dtype)
     for array in (values, on_device(values)):
         assert _checks.element_type(array) is dtype
-        assert _checks.dtype_name(array) == np.dtype(dtype).name
+        assert runtime.dtype_name(array) == np.dtype(dtype).name

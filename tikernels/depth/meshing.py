@@ -1,4 +1,4 @@
-"""Turn a picture of points into triangles, cut where the surface steps."""
+"""Turn an image of points into triangles, cut where the surface steps."""
 
 import numpy as np
 import numpy.typing as npt

@@ -38,7 +38,7 @@ class ProjectorGeometry(NamedTuple):
         As one array they are passed ten times as fast as matrices.
         """
         numbers = (self.rotation, self.translation_mm, self.distortion, self.focal_px, self.center_px, self.period_px)
-        packed = np.concatenate([np.ravel(part) for part in numbers]).astype(np.float32)
+        packed = np.concatenate([np.ravel(values) for values in numbers]).astype(np.float32)
         return packed, self.axis, bool(np.any(self.distortion))
 
 

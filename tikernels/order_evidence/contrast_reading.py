@@ -77,7 +77,7 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
         image: AnyArray3,  # (H, W, 3) levels
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
         gains: F32Array3,  # (Hg, Wg, 3)
-        gain_cell: i32,  # px between two nodes of the gains
+        spacing_px: i32,  # px between two nodes of the gains
         phase: F32Array2,  # (H, W) rad
         modulation: F32Array2,  # (H, W) levels
         labels: I32Array2,  # (H, W) patch and order inside it
@@ -100,7 +100,7 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
                 label, sums, background = NOTHING, vec4(0.0), vec3(0.0)
                 for y in range(top, bottom):
                     if y & 3 == 0:  # one gain serves four rows of a cell
-                        gain = gain_at(gains, gain_cell, y + 2, (left + right) // 2)
+                        gain = gain_at(gains, spacing_px, y + 2, (left + right) // 2)
                         background = background_weights(inverse, gain, balance_first)
                     if labels[y, x] != label:
                         add_cycle(label, sums, cells, draft_bits, out_sums)
@@ -149,7 +149,7 @@ def measure_contrast(
     phase = _checks.read_array("phase", phase, patches.shape, np.float32)
     modulation = _checks.read_array("modulation", modulation, patches.shape, np.float32)
     sums = runtime.empty((patches.count, ORDER_SLOTS, 4), np.float32)
-    light = (image, crosstalk.inverse, gains.gains, gains.cell, phase, modulation)
+    light = (image, crosstalk.inverse, gains.gains, gains.spacing_px, phase, modulation)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
     measure_contrast_kernel(crosstalk.balance_first)(*light, *of_patches, sums)
     return runtime.to_host(sums)  # synchronises

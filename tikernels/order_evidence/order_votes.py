@@ -31,8 +31,8 @@ VOTES_A_CELL = (CELL_HEIGHT // 4) * (CELL_WIDTH // 4)
 PATCH, LACKING, REST, BEFORE, SOUND = range(5)
 # An edge is looked for at these distances (px): what moves by less from frame to frame votes for its own surface.
 _REACH = (5, 10)
-# Where three pixels in a row bend by more (rad), another surface is so far away that its pixels would vote for another
-# order; a ball's rim or a nose bends by 1 to 2 in a coarse image.
+# Where the phase of three pixels in a row bends by more (rad), another surface begins, far enough away for its pixels
+# to vote for another order; a ball's rim or a nose bends by 1 to 2 in a coarse image.
 _MAX_BEND = 2.5
 
 

@@ -1,7 +1,7 @@
 """Join patches to parts along their contacts, unless what they show tells that they lie whole cycles apart.
 
 A region may hold several surfaces with a hidden step of whole cycles between them. Each patch brings evidence: by how
-much it departs from each of a few candidate offsets. Contacts are gone through once, the best supported first; the
+much it deviates from each of a few candidate offsets. Contacts are gone through once, the best supported first; the
 evidence of what they join adds up. Two parts stay apart where each prefers its own offset by a clear margin.
 """
 
@@ -28,7 +28,7 @@ def part_of(parents: I32Array1, patch: i32) -> i32:
 
 @ti.func
 def likeliest(evidence: F32Array2, part: i32) -> i32:
-    """Return the offset that the part departs least from."""
+    """Return the offset that the part deviates least from."""
     best = 0
     for k in ti.static(range(1, CANDIDATES)):
         if evidence[part, k] < evidence[part, best]:
@@ -64,11 +64,11 @@ def unite(a: i32, b: i32, orders: I32Array2, evidence: F32Array2, parents: I32Ar
 @ti.kernel
 def join_parts_kernel(
     ends: I32Array2,  # (2, C) the patches of each contact, the best supported ones first
-    span: i32,  # orders that a part must show before its word counts
+    span: i32,  # orders that a part must show before it counts
     min_margin: f32,  # by how much a part must prefer its offset to another part's,
     margin_a_pair: f32,  # and by how much for each pair of cycles it has
     orders: I32Array2,  # (P, 2) first and last order of each patch, then of each part
-    evidence: F32Array2,  # (P, CANDIDATES + 1) departure from each offset, and pairs of cycles; then of each part
+    evidence: F32Array2,  # (P, CANDIDATES + 1) deviation from each offset, and pairs of cycles; then of each part
     out_parents: I32Array1,  # (P,) a patch of the same part, in the end the one that stands for it
 ):
     """Go through the contacts one by one, in one thread."""
@@ -100,13 +100,13 @@ def join_parts(
     ends : (2, C) int32
         The patches of each contact, the best supported contact first.
     span : int
-        Orders that a part must show before its word counts.
+        Orders that a part must show before it counts.
     min_margin, margin_a_pair : float
         By how much a part must prefer its offset to another part's: in all, and for each pair of cycles that it has.
     orders : (P, 2) int32
         First and last order of each patch.
     evidence : (P, CANDIDATES + 1) float32
-        By how much each patch departs from each offset, and how many pairs of cycles it has.
+        By how much each patch deviates from each offset, and how many pairs of cycles it has.
 
     Returns
     -------

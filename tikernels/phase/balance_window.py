@@ -1,8 +1,8 @@
 """Sums over a Gaussian window around every node of a coarse grid: the balance and the channels' model are made of them.
 
 Along the stripes neighbours say the same, so one pixel a row of each block stands for it. A block is `rows` image rows
-by twice as many columns; the grid has a node in the middle of every two blocks, one above the other, so its cells are
-squares of `cell` pixels. Sums of the blocks are smoothed across the stripes, onto the nodes, and then along them.
+by twice as many columns; the grid has a node in the middle of every two blocks, one above the other, so nodes are
+`spacing_px` apart both ways. Sums of the blocks are smoothed across the stripes, onto the nodes, and then along them.
 """
 
 import numpy as np
@@ -34,14 +34,14 @@ class BalanceWindow:
 
     def __init__(self, height: int, width: int, period_px: float) -> None:
         self.rows = block_rows(period_px)
-        self.cell = 2 * self.rows
+        self.spacing_px = 2 * self.rows
         #: (Hb, Wb) how many blocks there are.
-        self.blocks = (-(-height // self.rows), -(-width // self.cell))
+        self.blocks = (-(-height // self.rows), -(-width // self.spacing_px))
         #: (Hg, Wg) how many nodes there are.
         self.grid = (-(-self.blocks[0] // 2), self.blocks[1])
         # Across, a node stands between two blocks, so the taps sit at half-integer distances.
         self._across = half_gaussian(SIGMA_ACROSS * period_px / self.rows, offset=0.5)
-        self._along = half_gaussian(SIGMA_ALONG * period_px / self.cell)
+        self._along = half_gaussian(SIGMA_ALONG * period_px / self.spacing_px)
 
     def smooth(self, sums: F32, half: F32, out: F32) -> None:
         """Add up the blocks' sums over the window at every node.

@@ -37,7 +37,7 @@ from tikernels.strips import strip_at, strip_count
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
 _CORNERS = len(_UPPER)
 # Samples that one thread adds up.
-_RUN = 64
+_SAMPLES_A_THREAD = 64
 # Every second row of samples tells the template.
 _EVERY = 2
 # What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
@@ -61,10 +61,10 @@ class ChannelModel:
         blocks, grid = gains.window.blocks, gains.window.grid
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
-        runs = height * -(-columns // _RUN)
-        self._moments = runtime.empty((runs, 5), np.float32)
-        template_runs = -(-height // _EVERY) * -(-columns // _RUN)
-        self._normal = runtime.empty((template_runs, _CORNERS + 3 * TERMS), np.float32)
+        strips = height * -(-columns // _SAMPLES_A_THREAD)
+        self._moments = runtime.empty((strips, 5), np.float32)
+        template_strips = -(-height // _EVERY) * -(-columns // _SAMPLES_A_THREAD)
+        self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS), np.float32)
         self._sums = runtime.empty((*blocks, 13), np.float32)
         self._half = runtime.empty((*grid, 13), np.float32)
         self._smooth = runtime.empty((*grid, 13), np.float32)
@@ -91,7 +91,7 @@ class ChannelModel:
         """
         gains = self._gains
         self._weights = crosstalk.weights
-        samples = (gains.samples, gains.gains, gains.cell, crosstalk.weights)
+        samples = (gains.samples, gains.gains, gains.spacing_px, crosstalk.weights)
         recover_samples_kernel(*samples, levels.modulation, levels.clipped, self.phases, self._moments)
         count, modulation, background, square, product = runtime.to_host(self._moments).sum(axis=0, dtype=np.float64)
         # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
@@ -114,8 +114,8 @@ class ChannelModel:
             hardly any.
         """
         gains = self._gains
-        args = (gains.samples, self.phases, correction, self._weights, known, gains.smooth, gains.cell, self._share)
-        sum_template_kernel(*args, self._normal)
+        samples, spacing_px = (gains.samples, self.phases, correction), gains.spacing_px
+        sum_template_kernel(*samples, self._weights, known, gains.smooth, spacing_px, self._share, self._normal)
         normal = runtime.to_host(self._normal).sum(axis=0, dtype=np.float64)  # synchronises
         gram = np.zeros((TERMS, TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
@@ -127,8 +127,7 @@ class ChannelModel:
         solved = np.linalg.solve(gram, right)
         self.template[:] = (solved / solved[0]).T
         self.mismatch = template_mismatch(self.template, self._weights)
-        fitted = (gains.samples, self.phases, correction, self.template, gains.smooth, gains.window.rows, self._share)
-        sum_model_kernel(*fitted, self._sums)
+        sum_model_kernel(*samples, self.template, gains.smooth, gains.window.rows, self._share, self._sums)
         gains.window.smooth(self._sums, self._half, self._smooth)
         fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, self._share, self.nodes)
 
@@ -137,21 +136,21 @@ class ChannelModel:
 def recover_samples_kernel(
     samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to, levels; they are balanced
     gains: F32Array3,  # (Hg, Wg, 3)
-    cell: i32,
+    spacing_px: i32,
     phase_weights: F32Array2,  # (3, 3)
     min_modulation: f32,  # levels
     max_level: f32,
     out_phase: F32Array2,  # (H, Wb) rad; NO_PHASE where there is none
-    out_moments: F32Array2,  # (runs, 5) sums of 1, modulation, background, its square, the product
+    out_moments: F32Array2,  # (strips, 5) sums of 1, modulation, background, its square, the product
 ):
-    """Balance the samples, take their phase, and sum up each run's modulation and background."""
-    for run in range(samples.shape[0] * strip_count(samples.shape[1], _RUN)):
-        y, first, count = strip_at(run, samples.shape[1], _RUN)
+    """Balance the samples, take their phase, and sum up each strip's modulation and background."""
+    for strip in range(samples.shape[0] * strip_count(samples.shape[1], _SAMPLES_A_THREAD)):
+        y, first, count = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
         weights = matrix_of(phase_weights)
         moments = ti.Vector.zero(f32, 5)
         for j in range(first, first + count):
             seen = sample_at(samples, y, j)
-            balanced = seen * gain_at(gains, cell, y, j * cell + cell // 2)
+            balanced = seen * gain_at(gains, spacing_px, y, j * spacing_px + spacing_px // 2)
             vector = weights @ balanced
             modulation, background = modulation_of(vector), vector.z
             phase = NO_PHASE
@@ -162,14 +161,14 @@ def recover_samples_kernel(
             for k in ti.static(range(3)):
                 samples[y, j, k] = balanced[k]
         for k in ti.static(range(5)):
-            out_moments[run, k] = moments[k]
+            out_moments[strip, k] = moments[k]
 
 
 @ti.func
-def ambient_at(smooth: F32Array3, cell: i32, share: f32, y: i32, x: i32) -> f32:
+def ambient_at(smooth: F32Array3, spacing_px: i32, share: f32, y: i32, x: i32) -> f32:
     """Ambient light near a pixel: the frame's share of the mean background there."""
-    i = ti.min(y // cell, smooth.shape[0] - 1)
-    j = ti.min(x // cell, smooth.shape[1] - 1)
+    i = ti.min(y // spacing_px, smooth.shape[0] - 1)
+    j = ti.min(x // spacing_px, smooth.shape[1] - 1)
     return share * smooth[i, j, 6] / ti.max(smooth[i, j, 7], 1e-6)
 
 
@@ -181,33 +180,33 @@ def sum_template_kernel(
     phase_weights: F32Array2,  # (3, 3)
     known: F32Array2,  # (3, terms)
     smooth: F32Array3,  # (Hg, Wg, 8) background and count last
-    cell: i32,
+    spacing_px: i32,
     share: f32,
-    out_normal: F32Array2,  # (runs, terms) the normal equations: upper triangle, right sides
+    out_normal: F32Array2,  # (strips, terms) the normal equations: upper triangle, right sides
 ):
-    """Sum up the normal equations of the template's least squares, run by run."""
-    for run in range(strip_count(samples.shape[0], _EVERY) * strip_count(samples.shape[1], _RUN)):
-        row, first, count = strip_at(run, samples.shape[1], _RUN)
+    """Sum up the normal equations of the template's least squares, strip by strip."""
+    for strip in range(strip_count(samples.shape[0], _EVERY) * strip_count(samples.shape[1], _SAMPLES_A_THREAD)):
+        row, first, count = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
         y = row * _EVERY
         # The upper triangle of the symmetric equations, row by row, and the right sides.
         gram, right = ti.Vector.zero(f32, _CORNERS), ti.Matrix.zero(f32, TERMS, 3)
-        brightness = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
+        background_weights = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
         for j in range(first, first + count):
             if has_phase(phases[y, j]):
-                ambient = ambient_at(smooth, cell, share, y, j * cell)
+                ambient = ambient_at(smooth, spacing_px, share, y, j * spacing_px)
                 waves = waves_of(equalized(phases[y, j], correction))
                 light = sample_at(samples, y, j) - ambient
                 # Each sample with its own brightness: bright ones count more, as they are more certain. The background
-                # tells it whatever the phase, but for what is known of the response and lateral colour.
-                waves *= light.dot(brightness) / cycle_at(known, waves).dot(brightness)
+                # tells it whatever the phase, apart from what is known of the response and lateral colour.
+                waves *= light.dot(background_weights) / cycle_at(known, waves).dot(background_weights)
                 for place in ti.static(range(_CORNERS)):
                     gram[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
                 right += waves.outer_product(light)
         for place in ti.static(range(_CORNERS)):
-            out_normal[run, place] = gram[place]
+            out_normal[strip, place] = gram[place]
         for a in ti.static(range(TERMS)):
             for k in ti.static(range(3)):
-                out_normal[run, _CORNERS + 3 * a + k] = right[a, k]
+                out_normal[strip, _CORNERS + 3 * a + k] = right[a, k]
 
 
 @ti.kernel

@@ -9,7 +9,7 @@ range imaging, 2004), with C_i the channel and P_i what a neutral surface would 
 A Gaussian window does so without the ripple that a box leaves when it is not a whole number of cycles. A first look
 takes every P_i for the same. At the edge of a surface the window is one-sided and 13 % of the fringe passes it, so a
 second look, which knows the phase by then, predicts P_i from it: the channels' waves with the pixel's background and
-the frame's mean visibility. A third look gains less than 0.001 rad.
+the frame's mean contrast. A third look gains less than 0.001 rad.
 """
 
 from functools import cache
@@ -32,9 +32,9 @@ from tikernels.raw.linearization import LEVEL_TYPES
 _DARK = 1e-6
 # Whoever balances an image alone has chosen its pixels by the mask.
 _ANYTHING_LIT = FrameLevels(white=1.0, read_noise=0.0, noise_gain=0.0, noise=0.0, intensity=_DARK, modulation=_DARK)
-# The visibility is averaged over every eighth row, and is never above this.
+# The frame's contrast is averaged over every eighth row, and is never above this.
 _SPARSE = 8
-_MAX_VISIBILITY = 1.5
+_MAX_CONTRAST = 1.5
 
 
 class Gains:
@@ -52,7 +52,7 @@ class Gains:
         self.height, self.width = height, width
         self.window = BalanceWindow(height, width, period_px)
         #: px between two nodes.
-        self.cell = self.window.cell
+        self.spacing_px = self.window.spacing_px
         blocks, grid = self.window.blocks, self.window.grid
         #: (H, Wb, 3) of the channels that the gains belong to, levels; zero where it is too dark.
         self.samples = runtime.empty((height, blocks[1], 3), np.float32)
@@ -62,7 +62,7 @@ class Gains:
         self.gains = runtime.empty((*grid, 3), np.float32)
         self._sums = runtime.empty((*blocks, 8), np.float32)
         self._half = runtime.empty((*grid, 8), np.float32)
-        self._visibility = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
+        self._contrast_sums = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
 
     def measure(self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels) -> None:
         """Measure the gains of one frame; see `balance_color`.
@@ -90,7 +90,7 @@ class Gains:
         waves = channel_waves(crosstalk.lag)
         of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
         light = (self.samples, crosstalk.inverse, crosstalk.matrix, of_phase, to_phase, self.gains, rows)
-        _predict_blocks_kernel(balance_first)(*light, levels.modulation, self._visibility, self._sums)
+        _predict_blocks_kernel(balance_first)(*light, levels.modulation, self._contrast_sums, self._sums)
         self._find_gains(predicted=True)
 
     def _find_gains(self, predicted: bool) -> None:
@@ -99,10 +99,10 @@ class Gains:
 
 
 @ti.func
-def gain_at(gains: F32Array3, cell: i32, y: i32, x: i32) -> vec3:
+def gain_at(gains: F32Array3, spacing_px: i32, y: i32, x: i32) -> vec3:
     """Interpolate the gains at a pixel, bilinearly."""
-    v = (ti.cast(y, ti.f32) + 0.5) / cell - 0.5
-    u = (ti.cast(x, ti.f32) + 0.5) / cell - 0.5
+    v = (ti.cast(y, ti.f32) + 0.5) / spacing_px - 0.5
+    u = (ti.cast(x, ti.f32) + 0.5) / spacing_px - 0.5
     v = ti.min(ti.max(v, 0.0), ti.cast(gains.shape[0] - 1, ti.f32))
     u = ti.min(ti.max(u, 0.0), ti.cast(gains.shape[1] - 1, ti.f32))
     i, j = ti.cast(v, ti.i32), ti.cast(u, ti.i32)
@@ -129,7 +129,7 @@ def projected_wave(sample: vec3, gain: vec3, inverse: mat3, to_phase: mat3, bala
 def neutral_channels(wave: vec3, share: f32, of_phase: mat3, matrix: mat3, balance_first: Static) -> vec3:
     """Return what the channels of a neutral surface are, given a pixel's wave.
 
-    Its background, and its phase with the frame's visibility: `share` is that over the pixel's modulation. Cosine and
+    Its background, and its phase with the frame's contrast: `share` is that over the pixel's modulation. Cosine and
     sine come from the wave itself: no arctangent is needed.
     """
     light = wave.x * (of_phase @ vec3(1.0, share * wave.y, share * wave.z))
@@ -195,12 +195,12 @@ def _predict_blocks_kernel(balance_first: bool) -> Any:
         gains: F32Array3,  # (Hg, Wg, 3) of the first look
         rows: i32,
         min_modulation: f32,
-        visibility: F32Array2,  # (H / 8 + 1, 2) scratch: sums of modulation and background a row; last: their ratio
+        contrast_sums: F32Array2,  # (H / 8 + 1, 2) scratch: sums of modulation and background a row; last: their ratio
         out_sums: F32Array3,  # (Hb, Wb, 8) what is there, what the phase predicts, the background, and the samples
     ):
-        """Measure the frame's visibility, then sum up every block's channels and what they should be."""
+        """Measure the frame's contrast, then sum up every block's channels and what they should be."""
         height, columns = samples.shape[0], 2 * rows
-        last = visibility.shape[0] - 1
+        last = contrast_sums.shape[0] - 1
         for i in range(last):
             inverse, to_phase = matrix_of(inverse_matrix), matrix_of(phase_matrix)
             modulation_sum, background_sum = 0.0, 0.0
@@ -212,23 +212,23 @@ def _predict_blocks_kernel(balance_first: bool) -> Any:
                 if modulation > min_modulation:
                     modulation_sum += modulation
                     background_sum += wave.x
-            visibility[i, 0] = modulation_sum
-            visibility[i, 1] = background_sum
+            contrast_sums[i, 0] = modulation_sum
+            contrast_sums[i, 1] = background_sum
         # One thread adds the rows up in order, so that the sum is the same every time.
         ti.loop_config(serialize=True)
         for _ in range(1):
             modulation_sum, background_sum = 0.0, 1e-12
             for i in range(last):
-                modulation_sum += visibility[i, 0]
-                background_sum += visibility[i, 1]
-            visibility[last, 0] = ti.min(modulation_sum / background_sum, _MAX_VISIBILITY)
+                modulation_sum += contrast_sums[i, 0]
+                background_sum += contrast_sums[i, 1]
+            contrast_sums[last, 0] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
         for block in range(out_sums.shape[0] * out_sums.shape[1]):
             i, j = block // out_sums.shape[1], block % out_sums.shape[1]
             inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
             of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
             seen, predicted = vec3(0.0), vec3(0.0)
             background, count = 0.0, 0.0
-            contrast = visibility[last, 0]
+            contrast = contrast_sums[last, 0]
             # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
             gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), j * columns + rows)
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
@@ -288,12 +288,12 @@ def find_gains_kernel(
 def apply_gains_kernel(
     image: F32Array3,  # (H, W, 3) linear light
     gains: F32Array3,  # (Hg, Wg, 3)
-    cell: i32,
+    spacing_px: i32,
     out: F32Array3,  # (H, W, 3)
 ):
     for pixel in range(image.shape[0] * image.shape[1]):
         y, x = pixel // image.shape[1], pixel % image.shape[1]
-        gain = gain_at(gains, cell, y, x)
+        gain = gain_at(gains, spacing_px, y, x)
         for k in ti.static(range(3)):
             out[y, x, k] = image[y, x, k] * gain[k]
 
@@ -358,5 +358,5 @@ def balance_color(
     out = _checks.out_array("out", out, (height, width, 3), np.float32)
     gains = Gains(height, width, period_px)
     gains.measure(counted, crosstalk, _ANYTHING_LIT)
-    apply_gains_kernel(image, gains.gains, gains.cell, out)
+    apply_gains_kernel(image, gains.gains, gains.spacing_px, out)
     return out

@@ -74,7 +74,7 @@ class Crosstalk:
     """(3, 3): undoes it."""
     weights: npt.NDArray[np.float32]
     """(3, 3): takes the balanced channels to b cos(phi), b sin(phi) and the background a; see `phase_weights`."""
-    noise_gain: float
+    noise_amplification: float
     """Standard deviation of b cos(phi) and of b sin(phi), for a camera channel's of one."""
     balance_first: bool
     """Whether the reflectance acts on the camera's channels, after the crosstalk: the colours are balanced first."""

@@ -5,7 +5,7 @@ Je, Lee and Park 2004). The cumulative distribution, interpolated, is the map th
 constant is set so that the mean correction is zero; otherwise the whole phase would shift with the branch cut.
 
 The assumption fails where few cycles are in view. But a response is the same everywhere, and what a surface shows too
-often is not: histograms of parts of the picture tell the two apart, harmonic by harmonic.
+often is not: histograms of tiles of the image tell the two apart, harmonic by harmonic.
 """
 
 from typing import Any
@@ -33,27 +33,28 @@ def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) 
 
     Parameters
     ----------
-    histogram : (bins,) or (parts, bins) numbers
-        How often the wrapped phase fell into each part of [-pi, pi], in all or in parts of the picture. A harmonic in
-        which the parts differ counts less: by the variance of its mean over its square, as Wiener's filter has it.
+    histogram : (bins,) or (tiles, bins) numbers
+        How often the wrapped phase fell into each bin of [-pi, pi], in the whole image or in each of its tiles. A
+        harmonic in which the tiles differ counts less: by the variance of its mean over its square, as Wiener's filter
+        has it.
     harmonics : int, optional
         Keep the correction's harmonics up to this one. A fringe of P pixels that runs along the pixel rows shows only P
-        phases, which the plain distribution mistakes for a distortion of harmonic P: keep it below P.
+        phases, which look like a distortion of harmonic P: keep it below P.
 
     Returns
     -------
     (bins + 1,) float32
         rad; zero where there are too few counts.
     """
-    parts = np.atleast_2d(histogram).astype(np.float64)
-    counts = parts.sum(axis=0)
+    tiles = np.atleast_2d(histogram).astype(np.float64)
+    counts = tiles.sum(axis=0)
     bins, total = len(counts), counts.sum()
     if total < _MIN_COUNTS_A_BIN * bins:
         return np.zeros(bins + 1, np.float32)
     edges = np.linspace(-np.pi, np.pi, bins + 1)
     correction = 2 * np.pi * np.concatenate([[0.0], np.cumsum(counts)]) / total - np.pi - edges
     spectrum = np.fft.rfft(correction[:-1])
-    spectrum[1:] *= _certainty(parts)[1:]
+    spectrum[1:] *= _certainty(tiles)[1:]
     if harmonics is not None:
         spectrum[harmonics + 1 :] = 0
     correction[:-1] = np.fft.irfft(spectrum, bins)
@@ -62,15 +63,15 @@ def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) 
     return np.asarray(correction - mean, np.float32)
 
 
-def _certainty(parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return by harmonic which share of it all (parts, bins) have in common; 1 where there is only one."""
-    totals = parts.sum(axis=1)
-    spectra, seen = np.fft.rfft(parts[totals > 0], axis=1), totals[totals > 0]
+def _certainty(tiles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return by harmonic which share of it all (tiles, bins) have in common; 1 where there is only one."""
+    totals = tiles.sum(axis=1)
+    spectra, seen = np.fft.rfft(tiles[totals > 0], axis=1), totals[totals > 0]
     if len(seen) < 2:
         return np.ones(spectra.shape[1])
     mean = spectra.sum(axis=0) / seen.sum()
-    departures = np.abs(spectra - seen[:, None] * mean) ** 2
-    variance = departures.sum(axis=0) / seen.sum() ** 2 * len(seen) / (len(seen) - 1)
+    deviations = np.abs(spectra - seen[:, None] * mean) ** 2
+    variance = deviations.sum(axis=0) / seen.sum() ** 2 * len(seen) / (len(seen) - 1)
     return np.asarray(np.maximum(1 - variance / np.maximum(np.abs(mean) ** 2, 1e-20), 0))
 
 
@@ -97,7 +98,7 @@ def modulation_tables(table: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]
     error = np.interp(edges, (corrected[:-1] + turns).ravel(), np.tile(table[:-1].astype(np.float64), 3))
     spectrum = np.fft.rfft(error[:-1])
     # Whatever is added to a phase moves it along the correction's slope.
-    stretch = 1 - np.gradient(error, edges[1] - edges[0])
+    slope = 1 - np.gradient(error, edges[1] - edges[0])
     tables = np.zeros((2, bins + 1))
     for row, harmonic in enumerate((3, 6)):
         if harmonic < len(spectrum):
@@ -105,7 +106,7 @@ def modulation_tables(table: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]
             alone[harmonic] = spectrum[harmonic]
             tables[row, :-1] = np.fft.irfft(alone, bins)
     tables[:, -1] = tables[:, 0]
-    return (tables / np.maximum(stretch, 0.2)).astype(np.float32)
+    return (tables / np.maximum(slope, 0.2)).astype(np.float32)
 
 
 @ti.func
@@ -142,14 +143,14 @@ def measure_distribution_kernel(
 
 
 def measure_distribution(phase: F32, bins: int, step: int = 1) -> npt.NDArray[np.int64]:
-    """Count how often a phase falls into each part of the cycle.
+    """Count how often a phase falls into each bin of the cycle.
 
     Parameters
     ----------
     phase : (H, W) float32
         rad; what lies beyond [-pi, pi], or is NaN, does not count.
     bins : int
-        Parts of the cycle.
+        Bins of the cycle.
     step : int
         px between two samples along a row.
 

@@ -16,7 +16,7 @@ MIN_PERIOD_PX = 4.0
 #: Share of full scale beyond which a channel is clipped. A pixel with two such channels has lost its phase; one alone
 #: bends it by 0.03 rad at the most.
 CLIPPED = 0.998
-# Columns that are looked at: enough to meet every object that fills a twentieth of the picture.
+# Columns that are looked at: enough to meet every object that fills a twentieth of the image.
 _COLUMNS = 16
 # A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
 # far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
@@ -100,7 +100,7 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     columns = min(_COLUMNS, int(image.shape[1]))
     samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
-    probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[_checks.dtype_name(image)]), samples)
+    probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[runtime.dtype_name(image)]), samples)
     light = samples[..., 3]
     bright = float(np.percentile(light, 95))
     period = _period(samples[..., 0] + 1j * samples[..., 1])
@@ -109,15 +109,15 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
 
 def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float) -> tuple[float, float]:
     """Return read noise and gain, given second differences of the channels' sum and the channels' mean."""
-    # Devices round differently; which pixels are alike must not hang on that.
+    # Devices round differently; which pixels are alike must not depend on that.
     light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
     # Dark pixels are clipped at zero and show half the noise.
     lit = light >= max(float(np.median(light)), _LIT_SHARE * bright)
     # Sorted by the pixel above, whose own noise is another one.
     light, changes = np.roll(light, 1, axis=1)[lit], changes[lit]
-    order = np.argpartition(light, np.arange(1, _NOISE_GROUPS) * len(light) // _NOISE_GROUPS)
+    ranking = np.argpartition(light, np.arange(1, _NOISE_GROUPS) * len(light) // _NOISE_GROUPS)
     levels, variances = [], []
-    for group in np.array_split(order, _NOISE_GROUPS):
+    for group in np.array_split(ranking, _NOISE_GROUPS):
         if len(group):
             # The middle fifth instead of the median: that of whole levels is one or the next.
             middle = np.sort(np.abs(changes[group]))[2 * len(group) // 5 : 3 * len(group) // 5 + 1].mean()
@@ -137,7 +137,7 @@ def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bri
 
 
 def _period(signal: npt.NDArray[np.complex64]) -> float | None:
-    """Return the period of the turning part of (columns, H) phase vectors."""
+    """Return the period of the turning component of (columns, H) phase vectors."""
     height = signal.shape[1]
     if height < 2 * MIN_PERIOD_PX:
         return None

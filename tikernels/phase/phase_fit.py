@@ -6,7 +6,7 @@ arctangent's phase weighs the channels by what they say.
 
 Each channel is divided by the standard deviation of its noise, whose variance is the read noise's and a gain times the
 light; c is then C - B, and of unit variance. With M = A t, its derivative M' by the phase, and W = A (t - 1), by which
-it changes when the contrast does, the model is linear in the brightness s, the step d and the departure k of the
+it changes when the contrast does, the model is linear in the brightness s, the step d and the deviation k of the
 pixel's contrast from its neighbourhood's:
 
     c = s (M + d M' + k W) + noise,    k ~ N(0, K^2), K = contrast_doubt.
@@ -57,21 +57,21 @@ from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_at, strip_count
 
-# Gain cells that one thread walks along a row: enough threads for a GPU, and more than the 512 iterations below which
-# the CPU runtime uses a single core.
-_CELLS_A_THREAD = 8
+# Gaps between nodes that one thread walks along: enough threads for a GPU, and more than the 512 iterations below
+# which the CPU runtime uses a single core.
+_GAPS_A_THREAD = 8
 # The arctangent is never further off than this; a model that says so is wrong there. rad
 _MAX_STEP = 0.3
 # A misfit of up to three standard deviations is noise; the square of that.
 _MAX_MISFIT = 9.0
-# Parts of the cycle that phases are counted in.
+# Bins of the cycle that phases are counted in.
 _BINS = 256
-# The picture is counted in this many parts both ways.
-_PARTS = 6
+# The image is counted in this many tiles both ways.
+_TILES = 6
 # This many pixels pin the equalisation down: the cumulative distribution of N phases errs by up to pi / sqrt(N).
 _COUNTED = 2**17
 # Pixels that a thread counts at once.
-_RUN = 16
+_SAMPLES_A_THREAD = 16
 
 
 @ti.func
@@ -92,29 +92,29 @@ def node_model(nodes: F32Array3, row: f32, j: i32):
     i1 = ti.min(i + 1, nodes.shape[0] - 1)
     fraction = row - i
     column = ti.min(ti.max(j, 0), nodes.shape[1] - 1)
-    gain, ambient = vec3(0.0), vec3(0.0)
+    color, ambient = vec3(0.0), vec3(0.0)
     for k in ti.static(range(3)):
-        gain[k] = nodes[i, column, k] + fraction * (nodes[i1, column, k] - nodes[i, column, k])
+        color[k] = nodes[i, column, k] + fraction * (nodes[i1, column, k] - nodes[i, column, k])
         ambient[k] = nodes[i, column, 3 + k] + fraction * (nodes[i1, column, 3 + k] - nodes[i, column, 3 + k])
-    return gain, ambient
+    return color, ambient
 
 
 @ti.func
-def fringe_vector(seen: vec3, gain: vec3, ambient: vec3, inverse: mat3, weights: mat3, balance_first: Static) -> vec3:
+def fringe_vector(seen: vec3, color: vec3, ambient: vec3, inverse: mat3, weights: mat3, balance_first: Static) -> vec3:
     """Return b cos(phi), b sin(phi) and a of a pixel's balanced channels, (C - B) / A."""
     channels = seen
     if ti.static(not balance_first):
         channels = unmixed(channels, inverse)
     # One division for three.
-    others = vec3(gain.y * gain.z, gain.x * gain.z, gain.x * gain.y)
-    return weights @ ((channels - ambient) * others) / (gain.x * others.x)
+    others = vec3(color.y * color.z, color.x * color.z, color.x * color.y)
+    return weights @ ((channels - ambient) * others) / (color.x * others.x)
 
 
 @ti.func
-def model_at(phase: f32, gain: vec3, ambient: vec3, harmonics: Static, matrix: mat3, balance_first: Static):
+def model_at(phase: f32, color: vec3, ambient: vec3, harmonics: Static, matrix: mat3, balance_first: Static):
     """Return the camera's channels M, their change with phase M' and contrast W, all for s = 1, and with ambient B."""
     cycle, slope = cycle_and_slope(harmonics, phase)
-    model, change, swing, rest = gain * cycle, gain * slope, gain * (cycle - 1.0), ambient
+    model, change, swing, rest = color * cycle, color * slope, color * (cycle - 1.0), ambient
     if ti.static(not balance_first):
         model, change, swing, rest = matrix @ model, matrix @ change, matrix @ swing, matrix @ ambient
     return model, change, swing, rest
@@ -141,9 +141,9 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
 
 
 @cache
-def _fit_phase_kernel(balance_first: bool, cell: int) -> Any:
-    """Return the kernel from grey levels to phase, for nodes that are `cell` px apart."""
-    width_at_once = min(max(cell, 8), 16)
+def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
+    """Return the kernel from grey levels to phase, for nodes that are `spacing_px` px apart."""
+    width_at_once = min(max(spacing_px, 8), 16)
     lanes = ti.types.vector(width_at_once, ti.f32)
 
     @ti.kernel
@@ -166,24 +166,23 @@ def _fit_phase_kernel(balance_first: bool, cell: int) -> Any:
         out_precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
     ):
         height, width = image.shape[0], image.shape[1]
-        columns = (
-            nodes.shape[1] + 1
-        )  # cell j - 1 lies between nodes j - 1 and j, whose pixels are half a cell further on
-        for t in range(height * strip_count(columns, _CELLS_A_THREAD)):
-            y, first, count_of_cells = strip_at(t, columns, _CELLS_A_THREAD)
+        # Gap j lies between nodes j - 1 and j; the first and the last one reach to the image's borders.
+        gaps = nodes.shape[1] + 1
+        for t in range(height * strip_count(gaps, _GAPS_A_THREAD)):
+            y, first, count_of_gaps = strip_at(t, gaps, _GAPS_A_THREAD)
             inverse, weights, matrix = matrix_of(inverse_matrix), matrix_of(phase_weights), matrix_of(crosstalk_matrix)
             harmonics = load_harmonics(template)
-            v = ti.min(ti.max((y + 0.5) / cell - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
-            right_gain, right_ambient = node_model(nodes, v, first - 1)
+            v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
+            right_color, right_ambient = node_model(nodes, v, first - 1)
             red, green, blue, bare, start_phase = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             phase, modulation, precision = lanes(0.0), lanes(0.0), lanes(0.0)
-            for j in range(first, first + count_of_cells):
-                left_gain, left_ambient = right_gain, right_ambient
-                right_gain, right_ambient = node_model(nodes, v, j)
-                gain_slope = (right_gain - left_gain) / ti.cast(cell, ti.f32)
-                ambient_slope = (right_ambient - left_ambient) / ti.cast(cell, ti.f32)
-                start = j * cell - cell // 2
-                x, stop = ti.max(start, 0), ti.min(start + cell, width)
+            for j in range(first, first + count_of_gaps):
+                left_color, left_ambient = right_color, right_ambient
+                right_color, right_ambient = node_model(nodes, v, j)
+                color_slope = (right_color - left_color) / ti.cast(spacing_px, ti.f32)
+                ambient_slope = (right_ambient - left_ambient) / ti.cast(spacing_px, ti.f32)
+                start = j * spacing_px - spacing_px // 2
+                x, stop = ti.max(start, 0), ti.min(start + spacing_px, width)
                 while x < stop:
                     count = ti.min(width_at_once, stop - x)
                     for k in range(count):
@@ -191,20 +190,20 @@ def _fit_phase_kernel(balance_first: bool, cell: int) -> Any:
                         red[k], green[k], blue[k] = seen.x, seen.y, seen.z
                     for k in range(width_at_once):
                         along = ti.cast(x + k - start, ti.f32) + 0.5
-                        gain, ambient = left_gain + gain_slope * along, left_ambient + ambient_slope * along
+                        color, ambient = left_color + color_slope * along, left_ambient + ambient_slope * along
                         seen = vec3(red[k], green[k], blue[k])
-                        vector = fringe_vector(seen, gain, ambient, inverse, weights, balance_first)
+                        vector = fringe_vector(seen, color, ambient, inverse, weights, balance_first)
                         # In levels of the channels as they are, which the model has stretched to one contrast.
-                        modulation[k] = modulation_of(vector) * gain.sum() / 3.0
+                        modulation[k] = modulation_of(vector) * color.sum() / 3.0
                         bare[k] = arctangent(vector.y, vector.x)
                     for k in range(width_at_once):
                         start_phase[k] = equalized(bare[k], correction)
                     for k in range(width_at_once):
                         along = ti.cast(x + k - start, ti.f32) + 0.5
-                        gain, ambient = left_gain + gain_slope * along, left_ambient + ambient_slope * along
+                        color, ambient = left_color + color_slope * along, left_ambient + ambient_slope * along
                         seen = vec3(red[k], green[k], blue[k])
                         model, change, swing, rest = model_at(
-                            start_phase[k], gain, ambient, harmonics, matrix, balance_first
+                            start_phase[k], color, ambient, harmonics, matrix, balance_first
                         )
                         weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
                         light = weight * (seen - rest)
@@ -226,7 +225,7 @@ def _fit_phase_kernel(balance_first: bool, cell: int) -> Any:
 
 @cache
 def _count_phases_kernel(balance_first: bool) -> Any:
-    lanes = ti.types.vector(_RUN, ti.f32)
+    lanes = ti.types.vector(_SAMPLES_A_THREAD, ti.f32)
 
     @ti.kernel
     def count_phases_kernel(
@@ -234,28 +233,28 @@ def _count_phases_kernel(balance_first: bool) -> Any:
         inverse_matrix: F32Array2,  # (3, 3)
         phase_weights: F32Array2,  # (3, 3)
         gains: F32Array3,  # (Hg, Wg, 3)
-        cell: i32,
+        spacing_px: i32,
         step: i32,  # px between two that are counted
         min_intensity: f32,  # levels
         min_modulation: f32,  # levels
         clipped: f32,  # levels
-        out_histogram: I32Array2,  # (parts, bins), to be added to
+        out_histogram: I32Array2,  # (tiles, bins), to be added to
     ):
-        """Count the arctangent's phases, run by run."""
+        """Count the arctangent's phases, strip by strip."""
         height, width, bins = image.shape[0], image.shape[1], out_histogram.shape[1]
         columns = strip_count(width, step)
-        for run in range(height * strip_count(columns, _RUN)):
-            y, first, count = strip_at(run, columns, _RUN)
-            # Gains hardly change within a run.
-            middle = ti.min((first + _RUN // 2) * step, width - 1)
+        for strip in range(height * strip_count(columns, _SAMPLES_A_THREAD)):
+            y, first, count = strip_at(strip, columns, _SAMPLES_A_THREAD)
+            # Gains hardly change within a strip.
+            middle = ti.min((first + _SAMPLES_A_THREAD // 2) * step, width - 1)
             inverse, weights = matrix_of(inverse_matrix), matrix_of(phase_weights)
-            gain = gain_at(gains, cell, y, middle)
-            part = (y * _PARTS // height) * _PARTS + middle * _PARTS // width
+            gain = gain_at(gains, spacing_px, y, middle)
+            tile = (y * _TILES // height) * _TILES + middle * _TILES // width
             red, green, blue, place = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for k in range(count):
                 seen = color_at(image, y, (first + k) * step)
                 red[k], green[k], blue[k] = seen.x, seen.y, seen.z
-            for k in range(_RUN):
+            for k in range(_SAMPLES_A_THREAD):
                 seen = vec3(red[k], green[k], blue[k])
                 channels = seen
                 if ti.static(not balance_first):
@@ -264,15 +263,15 @@ def _count_phases_kernel(balance_first: bool) -> Any:
                 counts = is_lit(seen, min_intensity, clipped)
                 counts &= vector.x * vector.x + vector.y * vector.y > min_modulation * min_modulation
                 place[k] = ti.select(counts, place_in_cycle(arctangent(vector.y, vector.x), bins), -1.0)
-            for k in range(_RUN):
+            for k in range(_SAMPLES_A_THREAD):
                 if place[k] >= 0.0:
-                    out_histogram[part, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
+                    out_histogram[tile, ti.min(ti.cast(place[k], i32), bins - 1)] += 1
 
     return count_phases_kernel
 
 
 def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels: FrameLevels) -> npt.NDArray[np.int64]:
-    """Count how often the arctangent's phases fall into each part of the cycle, all over the picture.
+    """Count how often the arctangent's phases fall into each bin of the cycle, all over the image.
 
     Parameters
     ----------
@@ -287,8 +286,8 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
 
     Returns
     -------
-    (parts, bins) int64
-        From -pi to pi; by part of the picture.
+    (tiles, bins) int64
+        From -pi to pi; by tile of the image.
 
     Raises
     ------
@@ -296,11 +295,11 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
         The image has another shape or dtype.
     """
     image = _checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
-    histogram = np.zeros((_PARTS**2, _BINS), np.int32)
+    histogram = np.zeros((_TILES**2, _BINS), np.int32)
     step = max(1, gains.height * gains.width // _COUNTED)
     thresholds = (levels.intensity, levels.modulation, levels.clipped)
     kernel = _count_phases_kernel(crosstalk.balance_first)
-    kernel(image, crosstalk.inverse, crosstalk.weights, gains.gains, gains.cell, step, *thresholds, histogram)
+    kernel(image, crosstalk.inverse, crosstalk.weights, gains.gains, gains.spacing_px, step, *thresholds, histogram)
     runtime.synchronize()
     return histogram.astype(np.int64)
 
@@ -355,7 +354,7 @@ def fit_phase(
     correction = _checks.read_array("correction", correction, (None,), np.float32)
     names, outs = ("phase", "modulation", "precision"), (None, None, None) if out is None else out
     results = tuple(_checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
-    _fit_phase_kernel(crosstalk.balance_first, gains.cell)(
+    _fit_phase_kernel(crosstalk.balance_first, gains.spacing_px)(
         image,
         crosstalk.inverse,
         crosstalk.matrix,

@@ -1,6 +1,6 @@
 """What a projector whose light is not proportional to the code does to the phase, where its response is known.
 
-Through a response the sinusoids are no longer sinusoids, and the arctangent's phase departs from the true one by a
+Through a response the sinusoids are no longer sinusoids, and the arctangent's phase deviates from the true one by a
 function of the cycle alone: `response_map` computes it, its inverse undoes it. Gamma 2 makes 0.23 rad
 of it, three times a cycle (S. Zhang and S.-T. Yau, Generic nonsinusoidal phase error correction for three-dimensional
 shape measurement using a digital video projector, Applied Optics 46, 2007, doi:10.1364/AO.46.000036).

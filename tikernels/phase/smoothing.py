@@ -45,9 +45,9 @@ def between_surfaces(one: f32, other: f32) -> u1:
 
 
 @ti.func
-def from_whole_cycles(change: f32) -> f32:
-    """How far a difference of two phases, less its usual value, is from whole cycles."""
-    size = ti.abs(change)
+def departure(difference: f32, rate: f32) -> f32:
+    """How far a difference of two phases is from the usual change, modulo a cycle, rad."""
+    size = ti.abs(difference - rate)
     return ti.min(size, ti.abs(size - 2.0 * PI))
 
 
@@ -109,8 +109,8 @@ def _smooth_phase_kernel(pairs: int) -> Any:
                 # Without a neighbour the differences stay far beyond any phase.
                 to_left = ti.abs(wrap(values[reach + k - 1] - centre) + rate_along)
                 to_right = ti.abs(wrap(values[reach + k + 1] - centre) - rate_along)
-                to_upper = from_whole_cycles(centre - upper[k] - rate_across)
-                to_lower = from_whole_cycles(lower[k] - centre - rate_across)
+                to_upper = departure(centre - upper[k], rate_across)
+                to_lower = departure(lower[k] - centre, rate_across)
                 to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
                 to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
                 step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)

@@ -41,18 +41,18 @@ _GRID = 2
 
 
 @ti.func
-def smoothed_variance(precision: F32Array2, support: U8Array2, averaged: f32, y: i32, x: i32) -> f32:
+def smoothed_variance(precision: F32Array2, neighbours: U8Array2, averaged: f32, y: i32, x: i32) -> f32:
     """Variance of a pixel's phase after smoothing, rad^2; NaN off the mask."""
-    share = ti.select(support[y, x] == WHOLE, averaged, 1.0) + _MODEL_ERROR
+    share = ti.select(neighbours[y, x] == WHOLE, averaged, 1.0) + _MODEL_ERROR
     variance = share / ti.max(precision[y, x], _LEAST_PRECISION)
-    return ti.select(support[y, x] == OFF, ti.math.nan, variance)
+    return ti.select(neighbours[y, x] == OFF, ti.math.nan, variance)
 
 
 @ti.kernel
 def compare_rows_kernel(
     phase: F32Array2,  # (H, W) rad, unwrapped
     precision: F32Array2,  # (H, W) 1 / rad^2
-    support: U8Array2,  # (H, W)
+    neighbours: U8Array2,  # (H, W)
     averaged: f32,  # what smoothing leaves of the variance
     step: i32,  # px between the rows that are compared
     every: i32,  # px between the columns
@@ -66,14 +66,14 @@ def compare_rows_kernel(
         for k in ti.static(range(4)):
             weight = ti.static((1.0, -3.0, 3.0, -1.0)[k])
             difference += weight * phase[y + k * step, x]
-            variance += weight * weight * smoothed_variance(precision, support, averaged, y + k * step, x)
+            variance += weight * weight * smoothed_variance(precision, neighbours, averaged, y + k * step, x)
         out[y, sample % columns] = ti.abs(difference) / ti.sqrt(variance)
 
 
 @ti.kernel
 def phase_sigma_kernel(
     precision: F32Array2,  # (H, W) 1 / rad^2
-    support: U8Array2,  # (H, W)
+    neighbours: U8Array2,  # (H, W)
     empty: F32Array2,  # (H, W) the part of the model's window that is off the mask
     averaged: f32,  # what smoothing leaves of the variance
     scatter: f32,  # by how much more rows differ than expected
@@ -84,12 +84,12 @@ def phase_sigma_kernel(
     for t in range(height * strip_count(width, STRIP)):
         y, first, count = strip_at(t, width, STRIP)
         for x in range(first, first + count):
-            variance = scatter * scatter * smoothed_variance(precision, support, averaged, y, x)
+            variance = scatter * scatter * smoothed_variance(precision, neighbours, averaged, y, x)
             out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
 
 
 def phase_sigma(
-    precision: F32, support: U8, empty: F32, averaged: float, scatter: float, out: F32 | None = None
+    precision: F32, neighbours: U8, empty: F32, averaged: float, scatter: float, out: F32 | None = None
 ) -> F32:
     """Return the standard deviation of the smoothed phase.
 
@@ -97,7 +97,7 @@ def phase_sigma(
     ----------
     precision : (H, W) float32
         1 / rad^2, one over the variance that the fit found.
-    support : (H, W) uint8
+    neighbours : (H, W) uint8
         OFF, PARTLY or WHOLE.
     empty : (H, W) float32
         Which part of the window that the channels' model is fitted to is off the mask, 0..1.
@@ -120,15 +120,15 @@ def phase_sigma(
     """
     precision = _checks.read_array("precision", precision, (None, None), np.float32)
     shape = (int(precision.shape[0]), int(precision.shape[1]))
-    support = _checks.read_array("support", support, shape, np.uint8)
+    neighbours = _checks.read_array("neighbours", neighbours, shape, np.uint8)
     empty = _checks.read_array("empty", empty, shape, np.float32)
     out = _checks.out_buffer("out", out, shape, np.float32)
-    phase_sigma_kernel(precision, support, empty, averaged, scatter, out)
+    phase_sigma_kernel(precision, neighbours, empty, averaged, scatter, out)
     return out
 
 
 def compare_rows(
-    phase: F32, precision: F32, support: U8, averaged: float, step: int, every: int, out: F32 | None = None
+    phase: F32, precision: F32, neighbours: U8, averaged: float, step: int, every: int, out: F32 | None = None
 ) -> F32:
     """Return how far rows differ, in units of what the noise makes them: third differences, as surfaces bend.
 
@@ -138,7 +138,7 @@ def compare_rows(
         rad, unwrapped; NaN off the mask.
     precision : (H, W) float32
         1 / rad^2.
-    support : (H, W) uint8
+    neighbours : (H, W) uint8
         OFF, PARTLY or WHOLE.
     averaged : float
         What is left of the variance after smoothing, as a share.
@@ -160,11 +160,11 @@ def compare_rows(
     phase = _checks.read_array("phase", phase, (None, None), np.float32)
     height, width = int(phase.shape[0]), int(phase.shape[1])
     precision = _checks.read_array("precision", precision, (height, width), np.float32)
-    support = _checks.read_array("support", support, (height, width), np.uint8)
+    neighbours = _checks.read_array("neighbours", neighbours, (height, width), np.uint8)
     if height <= 3 * step:
         raise ShapeError(f"phase has {height} rows: four rows {step} px apart need {3 * step + 1}")
     out = _checks.out_buffer("out", out, (height - 3 * step, -(-width // every)), np.float32)
-    compare_rows_kernel(phase, precision, support, averaged, step, every, out)
+    compare_rows_kernel(phase, precision, neighbours, averaged, step, every, out)
     return out
 
 
@@ -195,25 +195,25 @@ def estimate_phase_sigma(unwrapped: F32, precision: F32, mask: Mask, pairs: int,
         A shape or dtype is another one.
     """
     inside = runtime.to_host(_checks.read_mask("mask", mask, tuple(unwrapped.shape)))  # synchronises
-    support = _support(inside, pairs)
+    neighbours = _neighbours(inside, pairs)
     averaged = 1 / (2 * pairs + 1)
-    scatter = _scatter(unwrapped, precision, support, averaged, period_px)
-    return phase_sigma(precision, support, _empty_share(inside, period_px), averaged, scatter)
+    scatter = _scatter(unwrapped, precision, neighbours, averaged, period_px)
+    return phase_sigma(precision, neighbours, _empty_share(inside, period_px), averaged, scatter)
 
 
-def _support(inside: npt.NDArray[np.uint8], pairs: int) -> npt.NDArray[np.uint8]:
+def _neighbours(inside: npt.NDArray[np.uint8], pairs: int) -> npt.NDArray[np.uint8]:
     """Return OFF, PARTLY or WHOLE of every pixel, which are 0, 1 and 2: the mask, and the mask without its margins."""
     return np.asarray(inside + cv2.erode(inside, np.ones((1, 2 * pairs + 1), np.uint8)), np.uint8)
 
 
 def _scatter(
-    unwrapped: F32, precision: F32, support: npt.NDArray[np.uint8], averaged: float, period_px: float
+    unwrapped: F32, precision: F32, neighbours: npt.NDArray[np.uint8], averaged: float, period_px: float
 ) -> float:
     """Return how far rows a quarter of a cycle apart differ, in units of what is expected; 1 where none tells."""
-    step, every = max(2, round(period_px / 4)), max(1, support.size // _SCATTER_SAMPLES)
-    if len(support) <= 3 * step:
+    step, every = max(2, round(period_px / 4)), max(1, neighbours.size // _SCATTER_SAMPLES)
+    if len(neighbours) <= 3 * step:
         return 1.0
-    ratio = runtime.to_host(compare_rows(unwrapped, precision, support, averaged, step, every))  # synchronises
+    ratio = runtime.to_host(compare_rows(unwrapped, precision, neighbours, averaged, step, every))  # synchronises
     ratio = ratio[np.isfinite(ratio)]
     return max(_LEAST_SCATTER, float(np.median(ratio)) / _MEDIAN_SIZE) if len(ratio) else 1.0
 

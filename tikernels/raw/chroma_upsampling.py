@@ -22,17 +22,17 @@ from tikernels.raw.pixel_format import LUMA_WEIGHTS, PixelFormat
 
 #: How far the interpolation reaches, samples to either side.
 _REACH = 3
-# Half the stretch that a sample is the mean of, px: its samples stand there.
-_HALF_STRETCH_PX = 0.5
-#: Weights along one axis: by pixel of a block, of the seven nearest samples.
+# Half the length that a sample is the mean of, px: its samples stand there.
+_HALF_LENGTH_PX = 0.5
+#: Weights along one axis: by pixel of a group, of the seven nearest samples.
 Taps: TypeAlias = tuple[tuple[float, ...], ...]
-# Blocks of pixels that share their columns of chroma: more of them pay little and compile slowly.
-_RUN = 4
+# Groups of pixels that share their columns of chroma: more of them pay little and compile slowly.
+_GROUPS_A_THREAD = 4
 
 
 @cache
 def chroma_taps(subsampling: int, on_site: bool) -> Taps:
-    """Return the weights of the seven nearest samples along one axis, for each pixel of a block.
+    """Return the weights of the seven nearest samples along one axis, for each pixel of its group.
 
     Parameters
     ----------
@@ -45,11 +45,11 @@ def chroma_taps(subsampling: int, on_site: bool) -> Taps:
         return ((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),)
     phases = []
     for pixel in range(2):
-        place = pixel - (0.0 if on_site else 0.5)  # px from the block's own sample
+        place = pixel - (0.0 if on_site else 0.5)  # px from the group's own sample
         first, last = (-2, 2) if place == 0 else (-_REACH, 2) if place < 0 else (-2, _REACH)
         samples = np.arange(first, last + 1)
         powers = np.arange(len(samples))[:, None]
-        means = ((2.0 * samples - _HALF_STRETCH_PX) ** powers + (2.0 * samples + _HALF_STRETCH_PX) ** powers) / 2
+        means = ((2.0 * samples - _HALF_LENGTH_PX) ** powers + (2.0 * samples + _HALF_LENGTH_PX) ** powers) / 2
         taps = np.zeros(2 * _REACH + 1)
         taps[samples + _REACH] = np.linalg.solve(means, place ** powers[:, 0])
         phases.append(tuple(float(tap) for tap in taps))
@@ -74,14 +74,14 @@ def chroma_gains(format: PixelFormat) -> tuple[float, float, float, float]:
 
 @cache
 def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
-    block_y, block_x = len(rows), len(columns)
-    reach = _REACH if block_x == 2 else 0
-    n_columns = _RUN + 2 * reach
+    group_y, group_x = len(rows), len(columns)
+    reach = _REACH if group_x == 2 else 0
+    n_columns = _GROUPS_A_THREAD + 2 * reach
     stride = 2 if interleaved else 1
 
     @ti.func
     def at_row(chroma: Static, row: Static, y: i32, x: i32, place: Static) -> f32:
-        """Return chroma at the middle of a row of pixels, the `row`-th of sample y's block."""
+        """Return chroma at the middle of a row of pixels, the `row`-th of sample y's group."""
         value = 0.0
         for k in ti.static(range(2 * _REACH + 1)):
             if ti.static(rows[row][k] != 0):
@@ -90,12 +90,12 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
         return value
 
     @ti.func
-    def between(values: Static, block: Static, pixel: Static) -> f32:
-        """Return chroma at a pixel of a block, given the samples of a run of blocks."""
+    def between(values: Static, group: Static, pixel: Static) -> f32:
+        """Return chroma at a pixel of a group, given the samples of several groups in a row."""
         value = 0.0
         for i in ti.static(range(-reach, reach + 1)):
             if ti.static(columns[pixel][i + _REACH] != 0):
-                value += columns[pixel][i + _REACH] * values[block + reach + i]
+                value += columns[pixel][i + _REACH] * values[group + reach + i]
         return value
 
     @ti.func
@@ -117,19 +117,19 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
         out: F32Array3,  # (H, W, 3) encoded RGB, 0..1
     ):
         width = blue_chroma.shape[1] // stride
-        runs = (width + _RUN - 1) // _RUN
-        for run in range(blue_chroma.shape[0] * runs):
-            block, start = run // runs, run % runs * _RUN
-            for row in ti.static(range(block_y)):
-                y = block * block_y + row
+        strips = (width + _GROUPS_A_THREAD - 1) // _GROUPS_A_THREAD
+        for strip in range(blue_chroma.shape[0] * strips):
+            group, start = strip // strips, strip % strips * _GROUPS_A_THREAD
+            for row in ti.static(range(group_y)):
+                y = group * group_y + row
                 if y < out.shape[0]:
                     blues, reds = ti.Vector.zero(ti.f32, n_columns), ti.Vector.zero(ti.f32, n_columns)
                     for k in ti.static(range(n_columns)):
                         x = ti.min(ti.max(start + (k - reach), 0), width - 1)
-                        blues[k] = at_row(blue_chroma, row, block, x, 0) - chroma_scale[0]
-                        reds[k] = at_row(red_chroma, row, block, x, stride - 1) - chroma_scale[0]
-                    for k, pixel in ti.static(ti.ndrange(_RUN, block_x)):
-                        x = (start + k) * block_x + pixel
+                        blues[k] = at_row(blue_chroma, row, group, x, 0) - chroma_scale[0]
+                        reds[k] = at_row(red_chroma, row, group, x, stride - 1) - chroma_scale[0]
+                    for k, pixel in ti.static(ti.ndrange(_GROUPS_A_THREAD, group_x)):
+                        x = (start + k) * group_x + pixel
                         if x < out.shape[1]:
                             blue = chroma_scale[1] * between(blues, k, pixel)
                             red = chroma_scale[1] * between(reds, k, pixel)

@@ -1,4 +1,4 @@
-"""Turn a Bayer mosaic into RGB by what is known of the picture: it changes across the stripes, hardly along them.
+"""Turn a Bayer mosaic into RGB by what is known of the image: it changes across the stripes, hardly along them.
 
 Every row of a mosaic holds green and one of red and blue, a pixel each in turn. Along the stripes the two are
 interpolated on a straight line. The third colour is only in the rows above and below: there Lagrange's polynomial goes
@@ -71,10 +71,10 @@ def _demosaic_kernel(stripes: str, red_row: int, red_column: int) -> Any:
     ):
         n_across = ti.static(1 if vertical else 0)
         n_along = mosaic.shape[1 - n_across]
-        blocks = (n_along + 1) // 2
-        for block in range(((mosaic.shape[n_across] + 1) // 2) * blocks):
+        quads = (n_along + 1) // 2
+        for quad in range(((mosaic.shape[n_across] + 1) // 2) * quads):
             for i, j in ti.static(ti.ndrange(2, 2)):
-                across, along = block // blocks * 2 + i, block % blocks * 2 + j
+                across, along = quad // quads * 2 + i, quad % quads * 2 + j
                 if across < mosaic.shape[n_across] and along < n_along:
                     own, near = level(mosaic, across, along), beside(mosaic, across, along, n_along)
                     # Where this row has red or blue, the others have green, and the reverse.

@@ -49,7 +49,7 @@ class PixelFormat:
     subsampling : (x, y)
         Pixels a chroma sample, 1 or 2 along each axis.
     siting : {"left", "centre", "top-left"}
-        Where a chroma sample sits in its block of pixels: "left" is the middle of the left column.
+        Where a chroma sample sits among its pixels: "left" is the middle of the left column.
     matrix : {"bt601", "bt709", "bt2020"}
         How luma was made of R, G, B.
     full_range : bool

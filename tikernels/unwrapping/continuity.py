@@ -1,4 +1,4 @@
-"""Whether a surface goes on from one pixel to the next, and how much a pixel's word on that counts.
+"""Whether a surface goes on from one pixel to the next, and how much a pixel's vote on that weighs.
 
 Along and across the stripes the phase usually changes by the frame's rates. A neighbour whose difference departs from
 the rate, whole cycles apart, by more than `MAX_DEPARTURE` lies on another surface; one that departs by little, and is
@@ -7,7 +7,7 @@ as bright, surely lies on the same.
 
 from tikernels._taichi import F32Array2, I32Array2, f32, i32, ivec2, ti, u1
 from tikernels.phase.phase_vector import PI
-from tikernels.phase.smoothing import MAX_DEPARTURE, MEAN_QUALITY, RATE_ACROSS, RATE_ALONG
+from tikernels.phase.smoothing import MAX_DEPARTURE, MEAN_QUALITY, RATE_ACROSS, RATE_ALONG, departure
 
 # Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
 # across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again.
@@ -31,12 +31,6 @@ def cycles_between(difference: f32, rate: f32) -> i32:
 
 
 @ti.func
-def rate_departure(difference: f32, rate: f32, cycles: i32) -> f32:
-    """How far a difference with its cycles is from the usual change, rad."""
-    return ti.abs(difference - rate + 2.0 * PI * ti.cast(cycles, ti.f32))
-
-
-@ti.func
 def surely_along(departs: f32, quality: f32, quality2: f32) -> u1:
     """Whether a pixel surely goes on where the one before it in the row ends."""
     low, high = ti.min(quality, quality2), ti.max(quality, quality2)
@@ -52,7 +46,7 @@ def surely_across(departs: f32, quality: f32, quality2: f32) -> u1:
 
 
 @ti.func
-def brightness(quality: f32, mean_quality: f32) -> i32:
+def brightness_weight(quality: f32, mean_quality: f32) -> i32:
     """One to sixteen, four for an ordinary pixel."""
     return ti.min(ti.max(ti.cast(4.0 * quality / mean_quality, ti.i32), 1), 16)
 
@@ -61,7 +55,7 @@ def brightness(quality: f32, mean_quality: f32) -> i32:
 def vote_weight(departs: f32, quality: f32, quality2: f32, mean_quality: f32) -> i32:
     """Weight of one pixel's vote, 1 to 64: the phase goes on, and so does the brightness, which is not low.
 
-    A step that hides behind whole cycles departs by anything at its every pixel and seldom joins two equally bright
+    A step that hides behind whole cycles has any departure at each of its pixels and seldom joins two equally bright
     surfaces.
     """
     low, high = ti.min(quality, quality2), ti.max(quality, quality2)
@@ -81,7 +75,7 @@ def vote_above(phase: F32Array2, quality: F32Array2, labels: I32Array2, y: i32, 
     if above >= 0:
         difference = phase[y, x] - phase[y - 1, x]
         cycles = cycles_between(difference, rate)
-        departs = rate_departure(difference, rate, cycles)
+        departs = departure(difference, rate)
         if departs <= MAX_DEPARTURE:
             sure = surely_across(departs, quality[y, x], quality[y - 1, x])
             vote = ti.Vector([above + cycles - order, ti.cast(sure, ti.i32)])

@@ -3,7 +3,7 @@
 A pixel is reliable where the phase bends little: its reliability is H^2 + V^2 + D1^2 + D2^2, the smaller the better,
 with H the sum of the wrapped differences to the left and to the right neighbour, V, D1 and D2 the same up and down and
 along the diagonals (M. Arevallilo Herraez et al., Applied Optics 41, 7437, 2002, doi:10.1364/AO.41.007437). An edge has
-the sum of both its ends as its level. Levels are integers, equal on every device.
+the sum of both its ends as its cost. Costs are integers, equal on every device.
 """
 
 from tikernels._taichi import F32Array2, I32Array3, Static, f32, i32, ti
@@ -13,7 +13,7 @@ from tikernels.strips import STRIP, strip_at, strip_count
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.tables import MOST, Edge
 
-# Phases count in 2^15ths of a cycle, 0.2 mrad, whose squares fit an integer; levels in 2^28ths of a squared cycle.
+# Phases count in 2^15ths of a cycle, 0.2 mrad, whose squares fit an integer; costs in 2^28ths of a squared cycle.
 _PHASE_BITS = 15
 _UNIT = 2**_PHASE_BITS / (2.0 * PI)
 _SPARE_BITS = 32 - _PHASE_BITS
@@ -21,7 +21,7 @@ _SPARE_BITS = 32 - _PHASE_BITS
 MISSING = int(0.5 * NO_PHASE * _UNIT)
 # Where a neighbour is missing nothing tells how reliable a pixel is: it comes after all others.
 _UNKNOWN = 2**29
-#: The level where there is no edge, or a step across it.
+#: The cost where there is no edge, or a step across it.
 NO_EDGE = MOST
 # Sides of a pixel; the opposite one differs in the last bit.
 LEFTWARDS, RIGHTWARDS, UPWARDS, DOWNWARDS, NOWHERE = range(5)
@@ -44,14 +44,14 @@ def wrapped(difference: i32) -> i32:
 
 
 @ti.func
-def edge_level(phase: i32, phase2: i32, reliability: i32, reliability2: i32, rate: i32, most: i32) -> i32:
+def edge_cost(phase: i32, phase2: i32, reliability: i32, reliability2: i32, rate: i32, most: i32) -> i32:
     """Return how unreliable the step from a pixel to the next is; NO_EDGE across a step of the surface.
 
     Between two pixels of unknown reliability the more usual change is the better one.
     """
     departs = ti.abs(wrapped(phase2 - phase - rate))
-    level = reliability + reliability2 + ti.select(reliability + reliability2 == 2 * _UNKNOWN, departs, 0)
-    return ti.select((departs > most) | (ti.max(phase, phase2) > MISSING), NO_EDGE, level)
+    cost = reliability + reliability2 + ti.select(reliability + reliability2 == 2 * _UNKNOWN, departs, 0)
+    return ti.select((departs > most) | (ti.max(phase, phase2) > MISSING), NO_EDGE, cost)
 
 
 @ti.func
@@ -82,7 +82,7 @@ def best_edge(
     highest: Static,
     row: Static,
     lower: Static,
-    beside: Static,  # levels of the edges from the row's pixels to the right,
+    beside: Static,  # costs of the edges from the row's pixels to the right,
     upwards: Static,  # from the row above to them,
     downwards: Static,  # and from them to the row below
     along: i32,
@@ -93,18 +93,18 @@ def best_edge(
 
     Equal ones go in the order in which edges are named: to the right before downwards.
     """
-    level, pixel = ti.min(ti.min(beside[k - 1], beside[k]), ti.min(upwards[k], downwards[k])), row[k]
+    cost, pixel = ti.min(ti.min(beside[k - 1], beside[k]), ti.min(upwards[k], downwards[k])), row[k]
     side, step = DOWNWARDS, cycles_to(lower[k], pixel, -across)
-    is_best = upwards[k] == level
+    is_best = upwards[k] == cost
     side = ti.select(is_best, UPWARDS, side)
     step = ti.select(is_best, cycles_to(highest[k], pixel, across), step)
-    is_best = beside[k] == level
+    is_best = beside[k] == cost
     side = ti.select(is_best, RIGHTWARDS, side)
     step = ti.select(is_best, cycles_to(row[k + 1], pixel, -along), step)
-    is_best = beside[k - 1] == level
+    is_best = beside[k - 1] == cost
     side = ti.select(is_best, LEFTWARDS, side)
     step = ti.select(is_best, cycles_to(row[k - 1], pixel, along), step)
-    return ti.select(level == NO_EDGE, NOWHERE, (step << 3) + side)
+    return ti.select(cost == NO_EDGE, NOWHERE, (step << 3) + side)
 
 
 @ti.kernel
@@ -140,8 +140,8 @@ def weigh_edges_kernel(
                 trust[k] = pixel_reliability(above, here, below, k)
             for k in range(1, STRIP + 2):
                 pixel, reliability = above[k], trust_above[k]
-                beside[k] = edge_level(pixel, above[k + 1], reliability, trust_above[k + 1], along, most)
-                downwards[k] = edge_level(pixel, here[k], reliability, trust[k], across, most)
+                beside[k] = edge_cost(pixel, above[k + 1], reliability, trust_above[k + 1], along, most)
+                downwards[k] = edge_cost(pixel, here[k], reliability, trust[k], across, most)
             for k in range(2, STRIP + 2):
                 best[k] = best_edge(highest, above, here, beside, upwards, downwards, along, across, k)
             if y > top:

@@ -37,8 +37,8 @@ Integers = npt.NDArray[np.int64]
 
 # Beyond this order float32 no longer holds a phase to 0.1 rad.
 _MAX_ORDER = 2**17
-# Stretches of 64 orders in a cell, of either sign, have numbers of this many bits.
-_STRETCH_BITS = 16
+# Spans of 64 orders in a cell, of either sign, have numbers of this many bits.
+_SPAN_BITS = 16
 
 
 class UserUnwrapper(Protocol):
@@ -119,9 +119,9 @@ class GivenRegions(PatchMethod):
         _make_room(drafts, patches, contacts)
         mean_quality = float(runtime.to_host(rates)[-1, MEAN_QUALITY])
         relative = np.nan_to_num(seen.ravel()[patches.first] / mean_quality)
-        brightness = np.clip(4 * relative, 1, 16).astype(np.int64)
+        brightness_weight = np.clip(4 * relative, 1, 16).astype(np.int64)
         between = np.where(marked > 0.5 * (NO_PHASE + STEP_PHASE), BETWEEN, NOTHING)
-        _write(drafts, order, patches, brightness, contacts, between)
+        _write(drafts, order, patches, brightness_weight, contacts, between)
 
 
 def _checked(
@@ -130,7 +130,7 @@ def _checked(
     """Return the order and the region of every pixel, 0 where there is none."""
     if not isinstance(answer, tuple) or len(answer) != 2:
         raise ShapeError(f"the unwrapper returned a {type(answer).__name__}: return the unwrapped phase and the region")
-    unwrapped, region = (np.ma.filled(part, 0) for part in answer)
+    unwrapped, region = (np.ma.filled(array, 0) for array in answer)
     for name, array in (("unwrapped phase", unwrapped), ("region", region)):
         if array.shape != phase.shape:
             raise ShapeError(f"the unwrapper's {name} has shape {array.shape}, expected {phase.shape}")
@@ -159,18 +159,18 @@ def _cut(order: Integers, region: npt.NDArray[np.integer]) -> _Patches:
     # Orders count from that of the region's first pixel in the cell; what lies beyond a label's bits
     # makes another patch.
     zero = own[first][group]
-    stretch = (own - zero + ORDER_ZERO) >> ORDER_BITS
-    key = (group << _STRETCH_BITS) + stretch + (1 << (_STRETCH_BITS - 1))
+    span = (own - zero + ORDER_ZERO) >> ORDER_BITS
+    key = (group << _SPAN_BITS) + span + (1 << (_SPAN_BITS - 1))
     _, first, patch, pixels = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
     of_pixel = np.full(order.shape, -1, np.int64)
     of_pixel[y, x] = patch
     return _Patches(
-        of_pixel, cell[first], (zero + (stretch << ORDER_BITS))[first], y[first] * order.shape[1] + x[first], pixels
+        of_pixel, cell[first], (zero + (span << ORDER_BITS))[first], y[first] * order.shape[1] + x[first], pixels
     )
 
 
 def _touching(region: npt.NDArray[np.integer], patches: _Patches) -> _Contacts:
-    """Return the contacts between patches of one region: where pixels touch, and where a region's parts do not."""
+    """Return the contacts between patches of one region: where pixels touch, and where a region's pieces do not."""
     height, width = region.shape
     number = np.arange(region.size).reshape(region.shape)
     pairs, names = [], []
@@ -183,7 +183,7 @@ def _touching(region: npt.NDArray[np.integer], patches: _Patches) -> _Contacts:
     low, high = np.concatenate(pairs, axis=1)
     _, first, votes = np.unique(low * len(patches.cell) + high, return_index=True, return_counts=True)
     ends, name = np.stack([low, high])[:, first], np.concatenate(names)[first]
-    # The parts of a region that do not touch are joined one to the next, by their first patches.
+    # The pieces of a region that do not touch are joined one to the next, by their first patches.
     heads = np.unique(_connected(len(patches.cell), ends))
     owner = region.ravel()[patches.first[heads]]
     sort = np.argsort(owner, kind="stable")
@@ -221,7 +221,7 @@ def _write(
     drafts: Drafts,
     order: Integers,
     patches: _Patches,
-    brightness: Integers,
+    brightness_weight: Integers,
     contacts: _Contacts,
     between: npt.NDArray[np.integer],
 ) -> None:
@@ -240,7 +240,7 @@ def _write(
     labels[inside] = (draft[own] << ORDER_BITS) + ORDER_ZERO + order[inside] - patches.zero[own]
     table = np.zeros(drafts.patches.shape, np.int32)
     table[Patch.PIXELS, draft] = patches.pixels
-    table[Patch.WEIGHT, draft] = patches.pixels * brightness
+    table[Patch.WEIGHT, draft] = patches.pixels * brightness_weight
     table[Patch.FIRST, draft] = patches.first
     noted = np.zeros(drafts.contacts.shape, np.int32)
     start, end = contacts.ends

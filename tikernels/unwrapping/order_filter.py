@@ -5,7 +5,7 @@ row to the left, then to the right, then row by row up, then down (equation 4.3)
 corrected predecessors, which makes the filter sequential. But a pixel can only change if its window says so with
 nothing corrected, or if a predecessor in its window changed; so all windows are summed in parallel first, and only what
 can change is looked at again, until nothing changes any more. What is left then obeys the sequential filter's equation
-at every pixel, and as each pixel depends on its predecessors alone, there is but one such result.
+at every pixel, and as each pixel depends on its predecessors alone, there is only one such result.
 
 Phases are summed as integers, 2^16 a cycle: such sums are exact in any order, so that the orders agree bit for bit
 however the work is divided. A sum may wrap around; its difference from a multiple of the pixel's own phase does not

@@ -6,12 +6,12 @@ where two of its patches touch, they note a contact with its votes (`patch_conta
 """
 
 from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3
+from tikernels.phase.smoothing import departure
 from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, has_phase
 from tikernels.unwrapping.continuity import (
-    brightness,
+    brightness_weight,
     cycles_between,
     frame_rates,
-    rate_departure,
     surely_across,
     surely_along,
     vote_above,
@@ -47,7 +47,7 @@ def continue_row(
 ) -> i32:
     """Join a cell's whole row to the patch above if its every pixel says so; return 1 where it is done.
 
-    Nearly every row does. Eight pixels are worked on at once; `grow_run` would come to the same, but slowly.
+    Nearly every row does. Eight pixels are worked on at once; `grow_run` would give the same, only slower.
     """
     here_phase, above_phase = row_of_floats(0.0), row_of_floats(0.0)
     here_quality, above_quality = row_of_floats(0.0), row_of_floats(0.0)
@@ -60,21 +60,22 @@ def continue_row(
     for k in range(CELL_WIDTH):
         difference = here_phase[k] - above_phase[k]
         cycles = cycles_between(difference, usual[1])
-        departs = rate_departure(difference, usual[1], cycles)
+        departs = departure(difference, usual[1])
         continues = (labels[k] >= 0) & surely_across(departs, here_quality[k], above_quality[k])
         labels[k] += cycles
         sure &= ti.cast(continues, ti.i32)
     for k in range(1, CELL_WIDTH):
         difference = here_phase[k] - here_phase[k - 1]
         cycles = cycles_between(difference, usual[0])
-        departs = rate_departure(difference, usual[0], cycles)
+        departs = departure(difference, usual[0])
         agrees = labels[k] == labels[k - 1] + cycles
         agrees &= surely_along(departs, here_quality[k], here_quality[k - 1])
         sure &= ti.cast(agrees, ti.i32)
     if sure == 1:
         patch = labels[0] >> ORDER_BITS
         add_alone(out_patches[Patch.PIXELS, patch], CELL_WIDTH)
-        add_alone(out_patches[Patch.WEIGHT, patch], CELL_WIDTH * brightness(here_quality[CELL_WIDTH // 2], usual[2]))
+        weight = CELL_WIDTH * brightness_weight(here_quality[CELL_WIDTH // 2], usual[2])
+        add_alone(out_patches[Patch.WEIGHT, patch], weight)
         for k in range(CELL_WIDTH):
             out_labels[y, left + k] = labels[k]
     return sure
@@ -118,7 +119,7 @@ def follow_run(
             cycles = cycles_between(here - before, usual[0])
             quality_here = quality[y, x]
             # What is no phase departs by far more.
-            departs = rate_departure(here - before, usual[0], cycles)
+            departs = departure(here - before, usual[0])
             if surely_along(departs, quality_here, quality_before):
                 order += cycles
                 before, quality_before = here, quality_here
@@ -176,7 +177,7 @@ def grow_run(
     stop, chosen, written, votes, voters = follow_run(phase, quality, usual, y, start, bounds, out_labels)
     if votes < voters:
         chosen, votes = count_again(phase, quality, usual[1], y, start, stop, written, out_labels, chosen, votes)
-    # One pixel's word is too little for a run of several.
+    # One pixel's vote is too little for a run of several.
     joins = votes > 0 and 2 * votes >= voters and (votes > 1 or stop - start <= 2)
     if not joins:
         patch = patch_places[0] + ti.min(patch_count, patch_places[1] - 1)
@@ -187,7 +188,7 @@ def grow_run(
         out_patches[Patch.FIRST, patch] = y * phase.shape[1] + start
     patch = chosen >> ORDER_BITS
     add_alone(out_patches[Patch.PIXELS, patch], stop - start)
-    weight = (stop - start) * brightness(quality[y, (start + stop) >> 1], usual[2])
+    weight = (stop - start) * brightness_weight(quality[y, (start + stop) >> 1], usual[2])
     add_alone(out_patches[Patch.WEIGHT, patch], weight)
     if chosen != written:
         for x in range(start, stop):

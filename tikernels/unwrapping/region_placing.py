@@ -9,8 +9,8 @@ from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, MOST, ORDER_MAS
 _RELIABLE_PX, _RELIABLE_BRIGHTNESS = CELL_WIDTH * CELL_HEIGHT // 2, 3
 # Reliable patches come before all others, for images up to some 30,000 px a side.
 _RELIABLE_SCORE = 2**29
-# A cycle's parts that are summed: sums of integers are the same in any order.
-_PARTS = 64.0
+# What is lacking is summed in 64ths of a cycle: sums of integers are the same in any order.
+_UNITS = 64.0
 
 
 @ti.func
@@ -88,10 +88,10 @@ def place_regions_kernel(
         q = rotation @ (depth * vec3(rays[y, x, 0], rays[y, x, 1], 1.0)) + translation
         expected = projected(q, focal, center, lens, axis) / period
         lacking = expected - phase[y, x] / (2.0 * PI) - ti.cast(first_order(labels, patches, i), ti.f32)
-        ti.atomic_add(patches[Patch.SUPPORT, patches[Patch.ROOT, i]], ti.cast(ti.round(_PARTS * lacking), ti.i32))
+        ti.atomic_add(patches[Patch.SUPPORT, patches[Patch.ROOT, i]], ti.cast(ti.round(_UNITS * lacking), ti.i32))
         ti.atomic_add(patches[Patch.KEY, patches[Patch.ROOT, i]], 1)
     ti.loop_config(serialize=serial)
     for i in range(count):
         if patches[Patch.KEY, i] > 0:
-            mean = ti.cast(patches[Patch.SUPPORT, i], ti.f32) / (_PARTS * ti.cast(patches[Patch.KEY, i], ti.f32))
+            mean = ti.cast(patches[Patch.SUPPORT, i], ti.f32) / (_UNITS * ti.cast(patches[Patch.KEY, i], ti.f32))
             regions[Region.ORDER, i] = -ti.cast(ti.round(mean), ti.i32)

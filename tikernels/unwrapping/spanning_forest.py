@@ -5,7 +5,7 @@ Orders follow the spanning forest of the most reliable edges (`edge_reliability.
 it is the best of all that leave one of its ends (O. Boruvka, 1926, see `region_merging.py`). So every cell joins its
 pixels to patches for as long as the best edge of a patch stays inside the cell. Then every patch is joined along its
 best edge to a patch of a neighbouring cell, and what is left, the best edge between every two such trees that touch,
-makes contacts (`tree_contacts.py`). Equal levels go by the edge's place, so there is but one forest.
+makes contacts (`tree_contacts.py`). Between equal costs the edge's place decides, so there is only one forest.
 
 A cell's pixels count row by row. Every pixel has a link: in its lower bits the pixel that it hangs under, itself if it
 is a root, and above them the cycles from there; so adding links adds cycles. An edge counts as the pixel to its left or
@@ -13,7 +13,7 @@ above it, plus the number of pixels in a cell if it leads downwards.
 """
 
 from tikernels._taichi import F32Array2, I32Array2, I32Array3, Static, f32, i32, ivec2, ti
-from tikernels.unwrapping.continuity import brightness, frame_rates
+from tikernels.unwrapping.continuity import brightness_weight, frame_rates
 from tikernels.unwrapping.edge_reliability import (
     DOWNWARDS,
     LEFTWARDS,
@@ -93,7 +93,7 @@ def hang_by_best_edges(edges: I32Array3, top: i32, left: i32, link: Static):
 
 @ti.func
 def find_ways_out(edges: I32Array3, top: i32, left: i32, link: Static, away: Static):
-    """Find the level of the best edge of every patch that leaves the cell."""
+    """Find the cost of the best edge of every patch that leaves the cell."""
     for i in range(CELL_HEIGHT):
         a, b = root_of(link, i * CELL_WIDTH), root_of(link, i * CELL_WIDTH + CELL_WIDTH - 1)
         away[a] = ti.min(away[a], edges[Edge.RIGHT, top + i + 1, left])
@@ -105,13 +105,13 @@ def find_ways_out(edges: I32Array3, top: i32, left: i32, link: Static, away: Sta
 
 
 @ti.func
-def offer(e: i32, level: i32, a: i32, b: i32, away: Static, least: Static, choice: Static) -> i32:
+def offer(e: i32, cost: i32, a: i32, b: i32, away: Static, least: Static, choice: Static) -> i32:
     """Offer an edge to the patches at its ends, in the order of the edges' names; return 1 if it is undecided."""
-    undecided = (a != b) & (level < ti.max(away[a], away[b]))
-    level_here = ti.select(undecided, level, NO_EDGE)
-    choice[a] = ti.select(level_here < least[a], e, choice[a])
-    choice[b] = ti.select(level_here < least[b], e, choice[b])
-    least[a], least[b] = ti.min(least[a], level_here), ti.min(least[b], level_here)
+    undecided = (a != b) & (cost < ti.max(away[a], away[b]))
+    cost_here = ti.select(undecided, cost, NO_EDGE)
+    choice[a] = ti.select(cost_here < least[a], e, choice[a])
+    choice[b] = ti.select(cost_here < least[b], e, choice[b])
+    least[a], least[b] = ti.min(least[a], cost_here), ti.min(least[b], cost_here)
     return ti.cast(undecided, i32)
 
 
@@ -130,15 +130,15 @@ def offer_all(
     count = 0
     for i in range(CELL_HEIGHT):
         for k in range(CELL_WIDTH - 1):
-            p, level = i * CELL_WIDTH + k, edges[Edge.RIGHT, top + i + 1, left + k + 1]
+            p, cost = i * CELL_WIDTH + k, edges[Edge.RIGHT, top + i + 1, left + k + 1]
             undecided[count] = p
-            count += offer(p, level, root_of(link, p), root_of(link, p + 1), away, least, choice)
+            count += offer(p, cost, root_of(link, p), root_of(link, p + 1), away, least, choice)
     for i in range(CELL_HEIGHT - 1):
         for k in range(CELL_WIDTH):
-            p, level = i * CELL_WIDTH + k, edges[Edge.DOWN, top + i + 1, left + k + 1]
+            p, cost = i * CELL_WIDTH + k, edges[Edge.DOWN, top + i + 1, left + k + 1]
             e = p + CELL_PIXELS
             undecided[count] = e
-            count += offer(e, level, root_of(link, p), root_of(link, p + CELL_WIDTH), away, least, choice)
+            count += offer(e, cost, root_of(link, p), root_of(link, p + CELL_WIDTH), away, least, choice)
     return count
 
 
@@ -159,10 +159,10 @@ def offer_undecided(
     for j in range(count):
         e = undecided[j]
         p, down = e & _LINK_MASK, e >> _LINK_BITS
-        level = edges[Edge.RIGHT + down, top + (p >> ROW_BITS) + 1, left + (p & (CELL_WIDTH - 1)) + 1]
+        cost = edges[Edge.RIGHT + down, top + (p >> ROW_BITS) + 1, left + (p & (CELL_WIDTH - 1)) + 1]
         a, b = root_of(link, p), root_of(link, p + ti.select(down == 1, CELL_WIDTH, 1))
         undecided[kept] = e
-        kept += offer(e, level, a, b, away, least, choice)
+        kept += offer(e, cost, a, b, away, least, choice)
     return kept
 
 
@@ -217,7 +217,7 @@ def draft_patches(
                 patch_count += 1
                 label[p] = (patch << ORDER_BITS) + ORDER_ZERO
                 out_patches[Patch.PIXELS, patch] = pixels[p]
-                out_patches[Patch.WEIGHT, patch] = pixels[p] * brightness(quality[y, x], mean_quality)
+                out_patches[Patch.WEIGHT, patch] = pixels[p] * brightness_weight(quality[y, x], mean_quality)
                 out_patches[Patch.FIRST, patch] = y * quality.shape[1] + x
                 out_trees[Tree.EXIT, patch] = -1
             elif content > 3 * MISSING:
@@ -226,9 +226,9 @@ def draft_patches(
 
 
 @ti.func
-def leave(level: i32, best: i32, label: i32, way: i32, trees: I32Array2):
+def leave(cost: i32, best: i32, label: i32, way: i32, trees: I32Array2):
     """Take this edge as the way out of its patch if it is the first of the best ones."""
-    if level == best and level < NO_EDGE:
+    if cost == best and cost < NO_EDGE:
         if trees[Tree.EXIT, label >> ORDER_BITS] < 0:
             trees[Tree.EXIT, label >> ORDER_BITS] = way
 
@@ -239,15 +239,15 @@ def note_exits(edges: I32Array3, top: i32, left: i32, away: Static, label: Stati
     for i in range(CELL_HEIGHT):
         for side in ti.static((LEFTWARDS, RIGHTWARDS)):
             k = ti.static(0 if side == LEFTWARDS else CELL_WIDTH - 1)
-            level = edges[Edge.RIGHT, top + i + 1, left + ti.static(0 if side == LEFTWARDS else CELL_WIDTH)]
+            cost = edges[Edge.RIGHT, top + i + 1, left + ti.static(0 if side == LEFTWARDS else CELL_WIDTH)]
             p = i * CELL_WIDTH + k
-            leave(level, away[p], label[p], (p << 2) + side, out_trees)
+            leave(cost, away[p], label[p], (p << 2) + side, out_trees)
     for side in ti.static((UPWARDS, DOWNWARDS)):
         i = ti.static(0 if side == UPWARDS else CELL_HEIGHT - 1)
         for k in range(CELL_WIDTH):
-            level = edges[Edge.DOWN, top + ti.static(0 if side == UPWARDS else CELL_HEIGHT), left + k + 1]
+            cost = edges[Edge.DOWN, top + ti.static(0 if side == UPWARDS else CELL_HEIGHT), left + k + 1]
             p = i * CELL_WIDTH + k
-            leave(level, away[p], label[p], (p << 2) + side, out_trees)
+            leave(cost, away[p], label[p], (p << 2) + side, out_trees)
 
 
 @ti.kernel
@@ -281,7 +281,7 @@ def grow_trees_kernel(
             for p in range(CELL_PIXELS):
                 least[p], choice[p] = away[p], -1
             count = offer_undecided(edges, top, left, link, away, least, choice, undecided, count)
-        # From here on the choice of a root is its patch's label, and `least` the level at which a patch leaves.
+        # From here on the choice of a root is its patch's label, and `least` the cost at which a patch leaves.
         places = ivec2(cell << draft_bits, 1 << draft_bits)
         patch_count, steps = draft_patches(
             edges, quality, mean_quality, top, left, places, link, least, choice, out_patches, out_trees

@@ -103,8 +103,8 @@ class Edge(IntEnum):
     """Planes of the table of edges, which begins a row and a column before the image."""
 
     COUNTED = 0  # the pixel's phase, in 2^15ths of a cycle
-    RIGHT = 1  # level of the edge to the pixel on the right; the lower, the more reliable
-    DOWN = 2  # level of the edge to the pixel below
+    RIGHT = 1  # cost of the edge to the pixel on the right; the lower, the more reliable
+    DOWN = 2  # cost of the edge to the pixel below
     BEST = 3  # side on which the pixel's best edge is, and above three bits the cycles from there to here
 
 

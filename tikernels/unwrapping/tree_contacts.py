@@ -137,7 +137,7 @@ def note_contacts_kernel(
         # Two rows of the cell with a column more to the right.
         root, order, phase = framed_row(0), framed_row(0), framed_row(0)
         root_below, order_below, phase_below = framed_row(-1), framed_row(0), framed_row(0)
-        level, turn, other, between = row_of_edges(0), row_of_edges(0), row_of_edges(0), row_of_edges(0)
+        cost, turn, other, between = row_of_edges(0), row_of_edges(0), row_of_edges(0), row_of_edges(0)
         known = known_of_integers(-1)
         places = ivec2(cell << draft_bits, 1 << draft_bits) << CONTACT_BITS
         noted, steps = 0, 0
@@ -154,21 +154,21 @@ def note_contacts_kernel(
                     phase_below[k] = edges[Edge.COUNTED, y + 2, left + k + 1]
             if y >= top:
                 for k in range(CELL_WIDTH):
-                    level[k] = edges[Edge.RIGHT, y + 1, left + k + 1]
+                    cost[k] = edges[Edge.RIGHT, y + 1, left + k + 1]
                     turn[k] = order[k] - order[k + 1] + cycles_to(phase[k], phase[k + 1], along)
                     other[k] = root[k + 1]
-                    level[CELL_WIDTH + k] = edges[Edge.DOWN, y + 1, left + k + 1]
+                    cost[CELL_WIDTH + k] = edges[Edge.DOWN, y + 1, left + k + 1]
                     turn[CELL_WIDTH + k] = order[k] - order_below[k] + cycles_to(phase[k], phase_below[k], across)
                     other[CELL_WIDTH + k] = root_below[k]
                 count = 0
                 for k in range(2 * CELL_WIDTH):
-                    exists, alike = level[k] < NO_EDGE, other[k] == root[k & (CELL_WIDTH - 1)]
+                    exists, alike = cost[k] < NO_EDGE, other[k] == root[k & (CELL_WIDTH - 1)]
                     steps |= ti.cast(exists & alike & (turn[k] != 0), i32)
                     between[count] = k
                     count += ti.cast(exists & (not alike), i32)
                 for j in range(count):
                     k = between[j]
-                    edge = ivec4(root[k & (CELL_WIDTH - 1)], other[k], turn[k], NO_EDGE - level[k])
+                    edge = ivec4(root[k & (CELL_WIDTH - 1)], other[k], turn[k], NO_EDGE - cost[k])
                     steps |= note_best_edge(edge, places, known, noted, out_contacts)
         out_cells[Cell.CONTACTS, cell] = noted
         out_cells[Cell.STEPS, cell] = out_cells[Cell.STEPS, cell] | steps

@@ -105,7 +105,7 @@ class SpanningForest(PatchMethod):
     height, width : int
         Size of the frames.
     max_departure : float
-        Neighbours on one surface change by no more than this more or less than usual, rad.
+        Largest departure between neighbours on one surface, rad.
 
     References
     ----------

@@ -45,7 +45,7 @@ class RegionUnwrapper:
         cells = self._drafts.cells
         self._counters: I32 = runtime.empty((len(Counter),), np.int32)
         self._seams: I32 = runtime.empty((len(Seam), cells), np.int32)
-        # Crowded in the first round, where hardly any two contacts claim the same, and all but empty when the large
+        # Crowded in the first round, where hardly any two contacts claim the same, and nearly empty when the large
         # regions meet.
         self._matches: I32 = runtime.empty((len(Match), 2 ** int(np.ceil(np.log2(4 * cells)))), np.int32)
         self._allocate()

@@ -33,7 +33,7 @@ class Feature:
     bounds: tuple[float, float] = (0.0, 1e9)
     step: int = 1
     locked: bool = False  # refuses to be changed
-    deaf: bool = False  # takes a change and stays as it was
+    ignores_changes: bool = False  # accepts a change without an error, and stays as it was
 
 
 @dataclass
@@ -57,7 +57,7 @@ class NodeMap:
         if feature.locked or (feature.options and value not in feature.options):
             raise CameraError(f"{name} refuses {value}")
         self.script.append(f"{name}={value}")
-        if not feature.deaf:
+        if not feature.ignores_changes:
             feature.value = value
 
     def options(self, name):
@@ -205,10 +205,14 @@ def test_part_in_the_middle():
     "name, feature, said",
     [
         ("ExposureAuto", Feature("Continuous", locked=True), "ExposureAuto stays Continuous, so the camera chooses"),
-        ("BalanceWhiteAuto", Feature("Continuous", deaf=True), "BalanceWhiteAuto stays Continuous"),
-        ("GammaEnable", Feature(True, deaf=True), "GammaEnable stays True, so levels are not proportional to light"),
+        ("BalanceWhiteAuto", Feature("Continuous", ignores_changes=True), "BalanceWhiteAuto stays Continuous"),
+        (
+            "GammaEnable",
+            Feature(True, ignores_changes=True),
+            "GammaEnable stays True, so levels are not proportional to light",
+        ),
         ("BalanceRatio", Feature(1.7, locked=True), "BalanceRatio stays 1.7, so red is scaled"),
-        ("Gain", Feature(6.0, bounds=(0.0, 24.0), deaf=True), "the gain is 6 dB, not 0: write gain_db = 6"),
+        ("Gain", Feature(6.0, bounds=(0.0, 24.0), ignores_changes=True), "the gain is 6 dB, not 0: write gain_db = 6"),
     ],
 )
 def test_what_stays_is_said(name, feature, said):
@@ -219,7 +223,7 @@ def test_what_stays_is_said(name, feature, said):
 
 def test_nearly_one_is_one():
     """Fixed-point ratios come back as 0.9998."""
-    ratio = Feature(0.9998, deaf=True)
+    ratio = Feature(0.9998, ignores_changes=True)
     assert set_up(camera(BalanceRatio=ratio), SETTINGS).unlocked == ()
 
 
@@ -269,7 +273,7 @@ def test_cameras_of_no_use():
     with pytest.raises(CameraError, match="cannot be triggered frame by frame"):
         set_up(camera(TriggerSelector=choice("AcquisitionStart")), SETTINGS)
     with pytest.raises(CameraError, match="TriggerMode stays Off, not On"):
-        set_up(camera(TriggerMode=Feature("Off", ("On", "Off"), deaf=True)), SETTINGS)
+        set_up(camera(TriggerMode=Feature("Off", ("On", "Off"), ignores_changes=True)), SETTINGS)
     with pytest.raises(CameraError, match="exposure cannot be set or read"):
         set_up(without("ExposureTime"), SETTINGS)
 

@@ -282,7 +282,7 @@ def test_a_start_that_was_lost_is_not_sent_again(generator, device):
     generator.configure(TRAIN)
     impatient(generator)
     generator.arm()
-    device.deaf = 1
+    device.lost_commands = 1
     generator.fire()
     status = generator.status()
     assert not status.running

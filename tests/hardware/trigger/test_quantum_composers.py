@@ -273,7 +273,7 @@ def test_a_start_that_was_lost_is_not_sent_again(generator, device):
     generator.configure(PulseTrain(0.1, 50, TRAIN.projector, TRAIN.camera))
     impatient(generator)
     generator.arm()
-    device.deaf = 1
+    device.lost_commands = 1
     generator.fire()
     status = generator.status()
     assert not status.running

@@ -41,7 +41,7 @@ def finish(box: TriggerBox, timeout_s: float = 20.0) -> TriggerStatus:
 
 
 def wait_for_pulses(box: TriggerBox, pulses: int) -> TriggerStatus:
-    """Wait until so many were begun."""
+    """Wait until this many pulses have begun."""
     deadline_s = time.monotonic() + 10
     while (status := box.status()).pulses < pulses:
         assert time.monotonic() < deadline_s, status

@@ -121,7 +121,7 @@ def test_its_process_is_killed(rig, image, tmp_path):
 @pytest.mark.long
 @on_posix
 def test_its_process_hangs(rig, image, monkeypatch):
-    """Nobody waits for it, but for its end, which then is made."""
+    """Nothing waits for it; closing waits a moment and then ends it."""
     monkeypatch.setattr(live, "_CLOSE_S", 0.2)
     decoder = LiveDecoder(DecodeSettings(), rig, RGB8, SIZE_PX, arch="cpu")
     pid = decoder._process.pid

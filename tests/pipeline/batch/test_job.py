@@ -32,7 +32,7 @@ def test_which_frames_are_decoded_for_which(monkeypatch):
     ],
 )
 def test_a_region_is_cut_out_of_the_planes(format):
-    """What develops of it is what develops of the whole frame there, but for its rim, where neighbours are missing."""
+    """It develops into what the whole frame has there, except for its rim, where neighbours are missing."""
     rng = np.random.default_rng(3)
     planes = tuple(rng.integers(0, 256, shape).astype(np.uint8) for shape in format.plane_shapes(48, 64))
     region, rim = Crop(8, 4, 41, 31), 12

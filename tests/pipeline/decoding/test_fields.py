@@ -65,9 +65,8 @@ def test_rounding_stays_below_what_it_claims():
     sigma = rng.uniform(1e-4, 1, 10_000).astype(np.float32)
     assert np.abs(SIGMA_DIGITS.apply(sigma, 3.0, False) / sigma - 1).max() <= 2.0**-8
     levels = rng.uniform(0, 255, 10_000).astype(np.float32)
-    assert (
-        np.abs(MODULATION_DIGITS.apply(levels, 3.0, False) - levels).max() <= 0.125
-    )  # half of 1/4, the step below 0.3
+    # Half of 1/4, the step below 0.3.
+    assert np.abs(MODULATION_DIGITS.apply(levels, 3.0, False) - levels).max() <= 0.125
 
 
 def test_relative_ranges_are_rounded_and_depths_in_mm_are_not():

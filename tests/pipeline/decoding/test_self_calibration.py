@@ -12,7 +12,7 @@ from pipeline.errors import CalibrationError
 from pipeline.footage.image_file import read_image
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
 
-# Frames of rigs that are not what they are taken for.
+# Frames of rigs that differ from what their settings say.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 PLANE = Path(__file__).resolve().parents[4] / "shared" / "data" / "kamino_plane"

@@ -23,7 +23,7 @@ def test_a_noisy_frame_needs_a_stronger_fringe():
     quiet, noisy = levels(seen(0.001)), levels(seen(0.02))
     # Three hundredths of the brightness where there is hardly any noise, five standard deviations where there is.
     assert quiet.modulation == pytest.approx(0.03 * 0.5 * 255)
-    assert noisy.modulation == pytest.approx(5 * NONE.noise_gain * 0.02 * 255)
+    assert noisy.modulation == pytest.approx(5 * NONE.noise_amplification * 0.02 * 255)
     assert noisy.intensity > quiet.intensity
 
 

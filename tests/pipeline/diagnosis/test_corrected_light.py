@@ -11,7 +11,7 @@ from pipeline.diagnosis.ripple import diagnose
 from pipeline.errors import CalibrationError
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
-# Frames of rigs that are not what they are taken for.
+# Frames of rigs that differ from what their settings say.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 

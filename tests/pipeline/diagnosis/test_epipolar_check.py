@@ -12,7 +12,7 @@ from pipeline.diagnosis.epipolar_check import check_epipolar
 from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 
-# Frames of rigs that are not what they are taken for.
+# Frames of rigs that differ from what their settings say.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 

@@ -88,7 +88,7 @@ def test_over_exposure(tmp_path):
 
 
 def test_a_transfer_that_is_left_in(tmp_path):
-    """The third harmonic of sRGB taken for light is 0.153 rad with full modulation, an RMS of 0.108."""
+    """The third harmonic of sRGB values read as linear light is 0.153 rad with full modulation, an RMS of 0.108."""
     frames = shoot(3, seed=10, transfer="srgb", **WHITE_SURFACE)
     path = record(tmp_path / "srgb.mkv", frames)
     found = inspect_footage(path, arch="cpu")

@@ -8,7 +8,7 @@ from pipeline.diagnosis.frame_sequence import SequenceDiagnosis, diagnose_sequen
 from pipeline.pattern.fringes import make_pattern
 from pipeline.simulation import SKIN, SimulationSettings, simulate_frame, simulated_rig
 
-# Frames of rigs that are not what they are taken for.
+# Frames of rigs that differ from what their settings say.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 COUNT = 16

@@ -10,7 +10,7 @@ from pipeline.diagnosis.corrected_light import correct_light
 from pipeline.diagnosis.ripple import diagnose
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
-# Frames of rigs that are not what they are taken for.
+# Frames of rigs that differ from what their settings say.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 

@@ -10,7 +10,7 @@ from pipeline.diagnosis.surface_check import check_surface
 from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 
-# Frames of rigs that are not what they are taken for.
+# Frames of rigs that differ from what their settings say.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
 KNOWN = {

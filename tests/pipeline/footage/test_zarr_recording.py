@@ -1,4 +1,4 @@
-"""Recordings in Zarr, read again: what is damaged, missing, or none of ours."""
+"""Recordings in Zarr, read again: what is damaged, missing, or not such a recording."""
 
 import shutil
 

@@ -83,8 +83,8 @@ def test_surfaces_that_lay_apart_are_split(cpu):
         ends=np.array([[0, 1, 2], [1, 2, 3]]),
         votes=np.array([16, 16, 16], np.int32),
     )
-    torn = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)))
-    np.testing.assert_array_equal(split_by_votes(torn, graph, np.zeros(3, bool)), [0, 0, 2, 2])
+    split = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)))
+    np.testing.assert_array_equal(split_by_votes(split, graph, np.zeros(3, bool)), [0, 0, 2, 2])
     coming_into_view = votes_of(*((8, patch, patch // 2, 0, 1) for patch in range(4)), sound=0)
     np.testing.assert_array_equal(split_by_votes(coming_into_view, graph, np.zeros(3, bool)), graph.root)
     alike = votes_of(*((8, patch, 0, 0, 1 + patch // 2) for patch in range(4)))

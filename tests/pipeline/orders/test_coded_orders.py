@@ -6,7 +6,7 @@ import reference
 from support.uncertain_frames import judged_regions, uncertain_frame
 
 from pipeline import Decoder, DecodeSettings, DecodeWarning
-from pipeline.pattern.contrast_code import LEVELS, cycle_modulations
+from pipeline.pattern.contrast_code import MODULATIONS, cycle_modulations
 from pipeline.pattern.fringes import CHANNEL_PHASES
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.scene import scene_rendering as projection
@@ -112,12 +112,12 @@ def test_a_frame_without_the_code():
 def test_a_sequence_that_is_not_the_codes(wrong, calibrated):
     """Whatever fits by chance is not believed."""
     truth, calibration = simulated("plane")
-    levels = {
+    modulations = {
         "reversed": cycle_modulations()[::-1],
-        "inverted": LEVELS[0] + LEVELS[-1] - cycle_modulations(),
+        "inverted": MODULATIONS[0] + MODULATIONS[-1] - cycle_modulations(),
         "permuted": np.random.default_rng(1).permutation(cycle_modulations()),
     }[wrong]
-    image = simulate_frame(truth.rig, SimulationSettings(scene="plane"), coded_by(truth.rig, levels)).image
+    image = simulate_frame(truth.rig, SimulationSettings(scene="plane"), coded_by(truth.rig, modulations)).image
     settings = DecodeSettings(code="contrast", crosstalk_matrix=calibration.crosstalk_matrix)
     with pytest.warns(DecodeWarning, match="contrast code|of the code"):
         frame = Decoder(settings, calibration if calibrated else None, arch="cpu").decode(image)

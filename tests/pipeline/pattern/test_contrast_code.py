@@ -7,14 +7,14 @@ import pytest
 
 from pipeline.calibration import Pattern
 from pipeline.errors import SettingsError
-from pipeline.pattern.contrast_code import CYCLES, LEVELS, cycle_modulations, modulation_at
+from pipeline.pattern.contrast_code import CYCLES, MODULATIONS, cycle_modulations, modulation_at
 from pipeline.pattern.fringes import make_pattern, write_pattern
 from tikernels.phase.balance_window import SIGMA_ACROSS
 
 
 def distances(length: int) -> np.ndarray:
-    """Return the squared distance of every two stretches of so many cycles, in levels, by their steps alone."""
-    symbols = np.searchsorted(LEVELS, cycle_modulations())
+    """Return the squared distance of every two stretches of `length` cycles by their steps, in distances of symbols."""
+    symbols = np.searchsorted(MODULATIONS, cycle_modulations())
     steps = np.lib.stride_tricks.sliding_window_view(np.diff(symbols), length - 1)
     apart = ((steps[:, None] - steps[None]) ** 2).sum(axis=-1)
     return apart[np.triu_indices(len(steps), 1)]

@@ -1,7 +1,7 @@
 """A projector with InFocus's RS-232 commands, from the manuals of LP840, IN42 and IN5533.
 
 Commands are (AAA?) to read and (AAA1) to write; reading is answered with (range, value), what is not understood with ?,
-and what comes too soon after the one before is lost. A number beyond the range is taken for the largest.
+and what comes too soon after the one before is lost. A number beyond the range sets the largest.
 
 The manuals do not say, and this emulator assumes: what (PWR?) is answered with (`power_answer`), whether commands are
 echoed, and that a write is otherwise not answered.
@@ -26,7 +26,7 @@ class InFocusProjector(Emulator):
         self.write_only: set[str] = set()
         self.obeys = True
         self.switching_s = 0.0
-        """So long it still says what it was, after it was switched."""
+        """How long it goes on saying what it was, after it was switched."""
         self.too_soon = 0
         """Commands that were lost because they came too soon after the one before."""
         self._last_s = float("-inf")

@@ -55,14 +55,14 @@ class Emulator(ABC):
         """Reads, and says nothing."""
         self.stuck = False
         """Does not even read."""
-        self.deaf = 0
-        """So many commands from now on are lost on their way here."""
+        self.lost_commands = 0
+        """How many of the next commands are lost on their way here."""
         self.lost_answers = 0
-        """So many answers from now on are lost on their way back."""
+        """How many of the next answers are lost on their way back."""
         self.delay_s = 0.0
-        """Every answer comes so much later."""
+        """By how much every answer comes later."""
         self.late_answers: list[float] = []
-        """The next answers come so much later, one each."""
+        """By how much each of the next answers comes later."""
         self.before_answer = b""
         """Comes right before the next answer."""
         self.in_pieces = False
@@ -203,8 +203,8 @@ class Emulator(ABC):
                 self._obey(line)
 
     def _obey(self, line: str) -> None:
-        if self.deaf:
-            self.deaf -= 1
+        if self.lost_commands:
+            self.lost_commands -= 1
             return
         self.received.append(line)
         for said in self.answer(line):

@@ -21,7 +21,7 @@ class PJLinkProjector(socketserver.ThreadingTCPServer):
         self.warming_s = 0.0
         self.cooling_s = 0.0
         self.settling_s = 0.0
-        """So long it still says what it was, after it took a command."""
+        """How long it goes on saying what it was, after it took a command."""
         self.input = "11"
         self.mute = "30"
         self.errors = "000000"
@@ -36,7 +36,7 @@ class PJLinkProjector(socketserver.ThreadingTCPServer):
         self.rambles = False
         """Says again and again, for half a minute, what was not asked."""
         self.hangs_up_after: int | None = None
-        """Closes a connection in place of the answer after so many."""
+        """After how many answers it closes a connection instead of answering."""
         self.connections = 0
         self.received: list[str] = []
         """Commands without what goes before the first of a connection."""

@@ -9,12 +9,12 @@
 //   sync                  answers the cycle, and whether projector and camera output are high; EDGES.csv is complete
 //   reset CAUSE           restart with this MCUSR (1 power-on, which forgets the RAM; 2 external; 4 brown-out)
 //   hang 0|1              let the program loop for ever, 1: with its interrupts off
-//   block MICROSECONDS    keep all interrupts off for so long
+//   block MICROSECONDS    keep all interrupts off for this long
 //   short P|C             let an output miss its next edge
 //   strobe DELAY WIDTH    microseconds after each camera pulse, an exposure at the strobe input; WIDTH 0: none
 //   drop N                leave the next N exposures out
 //   vsync PERIOD          microseconds between the projector's pictures; 0: none
-//   noise S|V PERIOD N    N edges at an input, so many cycles apart
+//   noise S|V PERIOD N    N edges at an input, PERIOD cycles apart
 //   mute N                lose the next N lines that the firmware sends
 //
 // EDGES.csv: cycle,pin,level with pins P projector, C camera, S strobe, V vsync. 16 cycles are a microsecond.

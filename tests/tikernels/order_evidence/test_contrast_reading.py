@@ -29,7 +29,7 @@ def test_contrast_as_the_twin(arch, shape):
     patches, _ = join(phase)
     sums = measure_contrast(image, crosstalk, gains, phase, modulation, patches)
     labels, cells = runtime.to_host(patches.labels), runtime.to_host(patches.cell_table)
-    seen = (image, crosstalk.inverse, nodes, gains.cell, phase, modulation, labels)
+    seen = (image, crosstalk.inverse, nodes, gains.spacing_px, phase, modulation, labels)
     expected = reference.measure_contrast(*seen, ORDER_SLOTS)
     assert sums.shape == (patches.count, ORDER_SLOTS, 4)
     for draft, own in expected.items():
@@ -60,9 +60,9 @@ def test_stretches_find_their_windows(arch, count):
     windows = rng.normal(0, 0.2, (90, 5)).astype(np.float32)
     stretches = (windows[rng.integers(90, size=count)] + rng.normal(0, 0.03, (count, 5))).astype(np.float32)
     matches = match_stretches(stretches, windows)
-    departures = ((stretches[:, None].astype(np.float64) - windows) ** 2).sum(axis=-1)
-    np.testing.assert_array_equal(matches[:, 0], departures.argmin(axis=1))
-    np.testing.assert_allclose(matches[:, 1:], np.sort(departures, axis=1)[:, :2], rtol=1e-4, atol=1e-6)
+    distances = ((stretches[:, None].astype(np.float64) - windows) ** 2).sum(axis=-1)
+    np.testing.assert_array_equal(matches[:, 0], distances.argmin(axis=1))
+    np.testing.assert_allclose(matches[:, 1:], np.sort(distances, axis=1)[:, :2], rtol=1e-4, atol=1e-6)
 
 
 def test_what_is_refused(arch):

@@ -17,16 +17,16 @@ def test_correction_as_the_twin(arch):
     edges = np.linspace(-np.pi, np.pi, 257)
     table = (0.2 * np.sin(3 * edges) + 0.03 * np.sin(6 * edges)).astype(np.float32)
     tables = modulation_tables(table)
-    departures = rng.uniform(-0.16, 0.16, 12)
+    deviations = rng.uniform(-0.16, 0.16, 12)
     region = np.ones(phase.shape, np.int32)
     region[:, 35:] = 2
     region[0] = 0
     wrapped, unwrapped = reference.wrapped(phase), phase.astype(np.float32)
     known = np.array([False, True, False])
     place = np.arange(11 * TABLED + 1) / TABLED
-    corrections = modulation_corrections(np.interp(place, np.arange(12), departures), tables)
+    corrections = modulation_corrections(np.interp(place, np.arange(12), deviations), tables)
     correct_by_modulation(region, known, corrections, out=(wrapped, unwrapped))
-    expected = reference.correct_by_modulation(phase, departures, tables, 0.0, SLOPE_REACH)
+    expected = reference.correct_by_modulation(phase, deviations, tables, 0.0, SLOPE_REACH)
     expected = np.where(region == 1, expected, phase)
     # Between the table's places a line stands for 0.03 rad of the sixth harmonic: 1e-4 rad; and float32 of 70 rad.
     np.testing.assert_allclose(unwrapped, expected, atol=3e-4)
@@ -49,9 +49,9 @@ def test_tables_undo_a_square_response():
     for modulation in (0.36, 0.5):
         measured = seen(modulation)
         corrected = measured + np.interp(measured, edges, table)
-        departures, tables = np.full(3, modulation / usual - 1), modulation_tables(table)
+        deviations, tables = np.full(3, modulation / usual - 1), modulation_tables(table)
         absolute = reference.wrapped(corrected) + 2 * np.pi
-        better = reference.correct_by_modulation(absolute, departures, tables, 0.0, SLOPE_REACH)
+        better = reference.correct_by_modulation(absolute, deviations, tables, 0.0, SLOPE_REACH)
         before, after = (np.abs(reference.wrapped(p - phase)).max() for p in (corrected, better))
         assert before > 0.025
         assert after < 0.008

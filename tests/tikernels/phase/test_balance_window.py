@@ -7,7 +7,7 @@ from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG, BalanceWin
 
 
 def test_the_window_passes_next_to_nothing_of_the_fringe():
-    """A Gaussian's transfer at one cycle; what is left is a phase error of 1e-6 of the visibility."""
+    """A Gaussian's transfer at one cycle; what is left is a phase error of 1e-6 of the contrast."""
     assert np.exp(-0.5 * (2 * np.pi * SIGMA_ACROSS) ** 2) < 1e-6
 
 
@@ -39,12 +39,12 @@ def test_sums_are_those_of_a_gaussian_around_each_node(arch, shape):
         distance = np.abs(nodes[:, None] - places)
         return np.where(distance <= reach + 1e-9, np.exp(-0.5 * (distance / sigma) ** 2), 0)
 
-    across, along = SIGMA_ACROSS * period_px / window.rows, SIGMA_ALONG * period_px / window.cell
+    across, along = SIGMA_ACROSS * period_px / window.rows, SIGMA_ALONG * period_px / window.spacing_px
     nodes = 2 * np.arange(window.grid[0]) + 0.5
     rows = weights(nodes, np.arange(window.blocks[0]), across, np.ceil(3 * across) + 0.5)
     columns = weights(np.arange(window.grid[1]), np.arange(window.blocks[1]), along, np.ceil(3 * along))
     expected = np.einsum("ib,bjk,nj->ink", rows, sums.astype(np.float64), columns)
     np.testing.assert_allclose(out, expected, rtol=1e-5)
-    assert window.cell == 2 * window.rows
-    assert window.grid[0] * window.cell >= shape[0]
-    assert window.grid[1] * window.cell >= shape[1]
+    assert window.spacing_px == 2 * window.rows
+    assert window.grid[0] * window.spacing_px >= shape[0]
+    assert window.grid[1] * window.spacing_px >= shape[1]

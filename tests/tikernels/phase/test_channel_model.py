@@ -65,7 +65,7 @@ def test_nodes_are_colour_and_ambient_light(arch):
 
 
 def test_the_contrast_is_that_of_the_light(arch):
-    """Sinusoids of full visibility, three of whose channels mix; ambient light takes its share of it."""
+    """Sinusoids of full contrast, three of whose channels mix; ambient light takes its share of it."""
     bare, lit = (fitted(frame(1.0, ambient))[0].contrast for ambient in (0.0, 0.2))
     assert bare == pytest.approx(1.0, abs=0.02)
     assert lit == pytest.approx(0.5 * 0.65 / (0.5 * 0.65 + 0.2), rel=0.05)

@@ -127,7 +127,7 @@ def test_the_decoders_gains_are_those_of_the_public_stage(arch, matrix):
     gains = Gains(*image.shape[:2], PERIOD_PX)
     gains.measure(image, crosstalk, FrameLevels(1.0, 0.001, 0.0, 0.001, 0.005, 0.005))
     balanced = np.empty_like(image)
-    apply_gains_kernel(image, gains.gains, gains.cell, balanced)
+    apply_gains_kernel(image, gains.gains, gains.spacing_px, balanced)
     np.testing.assert_array_equal(balanced, tikernels.balance_color(image, PERIOD_PX, crosstalk_matrix=matrix))
 
 

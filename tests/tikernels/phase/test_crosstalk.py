@@ -81,9 +81,9 @@ def test_what_decoding_needs_of_a_matrix(balance_first):
     np.testing.assert_allclose(vector, [0.25 * np.cos(phase), 0.25 * np.sin(phase), np.full(31, 0.4)], atol=1e-6)
 
 
-def test_the_noise_gain_is_that_of_the_phase_vector():
+def test_the_noise_amplification_is_that_of_the_phase_vector():
     """Of a million noisy channels, to a per cent; without crosstalk sqrt(2/3)."""
-    assert Crosstalk.of(np.eye(3), balance_first=True).noise_gain == pytest.approx(np.sqrt(2 / 3))
+    assert Crosstalk.of(np.eye(3), balance_first=True).noise_amplification == pytest.approx(np.sqrt(2 / 3))
     crosstalk = Crosstalk.of(MATRIX, balance_first=True)
     vector = crosstalk.weights @ np.random.default_rng(3).standard_normal((3, 10**6))
-    assert np.sqrt((vector[:2] ** 2).mean()) == pytest.approx(crosstalk.noise_gain, rel=0.01)
+    assert np.sqrt((vector[:2] ** 2).mean()) == pytest.approx(crosstalk.noise_amplification, rel=0.01)

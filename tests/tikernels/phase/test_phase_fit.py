@@ -99,8 +99,9 @@ def test_as_the_twin(arch, balance_first, gain):
     # Without a template there is no step.
     start = recover(image, balance_first=balance_first, gain=gain, fitted=False)[0]
     nodes = runtime.to_host(model.nodes).astype(np.float64)
-    cell = model._gains.cell
-    y, x = (np.clip((np.arange(n) + 0.5) / cell - 0.5, 0, m - 1) for n, m in ((36, len(nodes)), (48, nodes.shape[1])))
+    spacing_px = model._gains.spacing_px
+    places = [(np.arange(n) + 0.5) / spacing_px - 0.5 for n in (36, 48)]
+    y, x = (np.clip(place, 0, m - 1) for place, m in zip(places, nodes.shape[:2], strict=True))
     i, j = np.minimum(y.astype(int), nodes.shape[0] - 2), np.minimum(x.astype(int), nodes.shape[1] - 2)
     fy, fx = (y - i)[:, None, None], (x - j)[None, :, None]
     rows = nodes[i] * (1 - fy) + nodes[i + 1] * fy

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, ti
-from tikernels.phase.smoothing import MAX_DEPARTURE
+from tikernels.phase.smoothing import MAX_DEPARTURE, departure
 from tikernels.unwrapping.continuity import (
-    brightness,
+    brightness_weight,
     cycles_between,
-    rate_departure,
     surely_across,
     surely_along,
     vote_weight,
@@ -21,35 +20,35 @@ def judge_kernel(
     quality: F32Array2,  # (2, N)
     rate: ti.f32,
     mean_quality: ti.f32,
-    out_departure: F32Array1,
+    out_departs: F32Array1,
     out_words: I32Array2,  # (5, N) cycles, sure along, sure across, weight, brightness
 ):
     for i in range(difference.shape[0]):
         cycles = cycles_between(difference[i], rate)
-        departs = rate_departure(difference[i], rate, cycles)
-        out_departure[i] = departs
+        departs = departure(difference[i], rate)
+        out_departs[i] = departs
         out_words[0, i] = cycles
         out_words[1, i] = ti.cast(surely_along(departs, quality[0, i], quality[1, i]), ti.i32)
         out_words[2, i] = ti.cast(surely_across(departs, quality[0, i], quality[1, i]), ti.i32)
         out_words[3, i] = vote_weight(departs, quality[0, i], quality[1, i], mean_quality)
-        out_words[4, i] = brightness(quality[0, i], mean_quality)
+        out_words[4, i] = brightness_weight(quality[0, i], mean_quality)
 
 
 def judged(difference, quality, rate=0.0, mean_quality=1.0):
     count = len(difference)
-    departure, words = np.zeros(count, np.float32), np.zeros((5, count), np.int32)
+    departs, words = np.zeros(count, np.float32), np.zeros((5, count), np.int32)
     arrays = (np.asarray(difference, np.float32), np.asarray(quality, np.float32))
-    judge_kernel(*arrays, rate, mean_quality, departure, words)
-    return departure, words
+    judge_kernel(*arrays, rate, mean_quality, departs, words)
+    return departs, words
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.52, -0.9])
 def test_cycles_bring_a_difference_nearest_to_the_rate(arch, rate):
     true = rate + np.linspace(-3.1, 3.1, 63)
     wrapped = true - 2 * np.pi * np.rint(true / (2 * np.pi))
-    departure, words = judged(wrapped, np.ones((2, 63)), rate)
+    departs, words = judged(wrapped, np.ones((2, 63)), rate)
     np.testing.assert_array_equal(words[0], np.rint((true - wrapped) / (2 * np.pi)))
-    np.testing.assert_allclose(departure, np.abs(true - rate), atol=1e-5)  # float32 of a cycle
+    np.testing.assert_allclose(departs, np.abs(true - rate), atol=1e-5)  # float32 of a cycle
 
 
 def test_a_pixel_is_sure_of_what_departs_little_and_is_as_bright(arch):

@@ -37,7 +37,7 @@ def unwrap_across_steps(phase: np.ndarray, mask: np.ndarray) -> np.ndarray:
 
 
 def differing(unwrapped: np.ndarray, phase: np.ndarray, expected: np.ndarray, region: np.ndarray) -> int:
-    """Count orders that are not the expected ones but for a constant a region, among those that were found."""
+    """Count orders that are not the expected ones up to a constant a region, among those that were found."""
     found = ~np.isnan(unwrapped)
     return int(reference.wrong_orders(orders(unwrapped, phase) - expected, np.where(found, region, 0)).sum())
 

@@ -1,4 +1,4 @@
-"""A user's own unwrapper: what it returns comes through, but for a constant a region, and is checked."""
+"""A user's own unwrapper: what it returns comes through, up to a constant a region, and is checked."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def marked(phase, mask):
 
 
 def differing(unwrapped, region, answer, regions) -> int:
-    """Count the pixels whose order is not the answer's but for a constant a region, and check the regions."""
+    """Count the pixels whose order is not the answer's up to a constant a region, and check the regions."""
     pairs = np.unique(np.stack([region, regions])[:, region > 0], axis=1)
     assert pairs.shape[1] == len(np.unique(pairs[0])) == len(np.unique(pairs[1]))
     found = region > 0

@@ -52,7 +52,7 @@ def test_on_a_plane_every_border_is_one_contact(arch, shape):
 
 @pytest.mark.parametrize("noise", [0.1, 0.3])
 def test_as_the_twin(arch, noise):
-    """What pixels on either side say, stretch by stretch; the weights but for float32's rounding."""
+    """What pixels on either side say, piece by piece; the weights up to float32's rounding."""
     rng = np.random.default_rng(3)
     shape = (50, 43)
     phase = reference.wrapped(reference.ramp(*shape, 12.0, tilt=TILT) + noise * rng.standard_normal(shape))
@@ -85,9 +85,9 @@ def twin(phase, quality, labels):
                         return None
                     return int(drafts[a]), int(drafts[b]), int(order[a] - order[b] + cycles)
 
-                for what, stretch in groupby(pairs, said):
+                for what, piece in groupby(pairs, said):
                     if what is not None:
-                        agreeing = list(stretch)
+                        agreeing = list(piece)
                         (y, x), _ = agreeing[0]
                         name = int(np.int64(3 * (y * width + x) + 1 + side) * GOLDEN + 2**31) % 2**32 - 2**31
                         votes = [weight(phase, quality, *pair, rate) for pair in agreeing]

@@ -31,7 +31,7 @@ def plane(shape):
 
 @pytest.mark.parametrize("shape", [(16, 8), (64, 48), (33, 21), (1, 40), (40, 1)])
 def test_on_a_plane_every_cell_is_one_patch(arch, shape):
-    """Its orders are the plane's, but for a constant; cells of fewer than eight columns go the long way."""
+    """Its orders are the plane's up to a constant; cells of fewer than eight columns go the long way."""
     true, phase = plane(shape)
     labels, patches, _, cells = grown(phase)
     drafts, order = drafts_and_orders(labels)

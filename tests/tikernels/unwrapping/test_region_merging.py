@@ -42,7 +42,7 @@ def merged(ends, shift, votes, patches, adds_votes, serial=True, gaps=True):
 
 
 def same_regions(found, expected) -> bool:
-    """Whether two divisions of patches, with offsets in their regions, are the same but for a constant each."""
+    """Whether two divisions of patches, with offsets in their regions, are the same up to a constant each."""
     (root, offset), (root2, offset2) = found, expected
     pairs = np.unique(np.stack([root, root2, offset - offset2]), axis=1)
     return pairs.shape[1] == len(np.unique(root)) == len(np.unique(root2))

@@ -44,7 +44,7 @@ def test_trees_are_parts_of_the_forest(arch, noise):
 
 @pytest.mark.parametrize("noise", [0.1, 0.6])
 def test_between_two_trees_the_best_edge_is_noted(arch, noise):
-    """Of all edges between two trees, and in each cell that sees them, by the levels in the table."""
+    """Of all edges between two trees, and in each cell that sees them, by the costs in the table."""
     phase = noisy((64, 40), noise, seed=2)
     _, drafts, trees = drafted(phase)
     edges = runtime.empty((len(Edge), 65, 41), np.int32)
@@ -54,11 +54,11 @@ def test_between_two_trees_the_best_edge_is_noted(arch, noise):
     root = trees[Tree.ROOT, own]
     best: dict[tuple[int, int], int] = {}
     for plane, here, there in ((Edge.RIGHT, np.s_[:, :-1], np.s_[:, 1:]), (Edge.DOWN, np.s_[:-1], np.s_[1:])):
-        levels = edges[plane][here]
-        for a, b, level in zip(root[here].ravel(), root[there].ravel(), levels.ravel(), strict=True):
-            if a != b and level < NO_EDGE:
+        costs = edges[plane][here]
+        for a, b, cost in zip(root[here].ravel(), root[there].ravel(), costs.ravel(), strict=True):
+            if a != b and cost < NO_EDGE:
                 pair = (min(a, b), max(a, b))
-                best[pair] = min(best.get(pair, NO_EDGE), int(level))
+                best[pair] = min(best.get(pair, NO_EDGE), int(cost))
     cells, contacts = runtime.to_host(drafts.cell_table), runtime.to_host(drafts.contacts)
     noted: dict[tuple[int, int], int] = {}
     for cell in range(drafts.cells):
@@ -66,7 +66,7 @@ def test_between_two_trees_the_best_edge_is_noted(arch, noise):
         for a, b, _, votes, _ in contacts[:, start : start + cells[Cell.CONTACTS, cell]].T:
             assert a < b
             noted[a, b] = max(noted.get((a, b), 0), int(votes))
-    assert {pair: NO_EDGE - level for pair, level in best.items()} == noted
+    assert {pair: NO_EDGE - cost for pair, cost in best.items()} == noted
 
 
 def test_patches_hang_under_their_tree(arch):

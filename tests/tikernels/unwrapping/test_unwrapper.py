@@ -48,7 +48,7 @@ def test_the_graph_holds_regions_together(arch, method):
 @pytest.mark.parametrize("shape", [(64, 48), (47, 129), (16, 8), (3, 300)])
 @both_methods
 def test_a_plane(arch, method, stripes, shape):
-    """A ramp comes back as itself but for one constant; 1e-4 rad is what float32 leaves of 25 cycles."""
+    """A ramp comes back as itself up to one constant; 1e-4 rad is what float32 leaves of 25 cycles."""
     true = reference.ramp(*shape, 12.0, tilt=0.05)
     phase = reference.wrapped(true)
     if stripes == "vertical":
