@@ -123,8 +123,9 @@ def test_what_could_not_be_written_again_holds_nothing(cpu):
 def test_the_reference_stays_when_its_frame_is_written_again(cpu):
     rig = simulated_rig(SIZE, period_px=2 * 768 / 44)
     plane, bust = (simulate_frame(rig, SimulationSettings(scene=scene)).image for scene in ("plane", "bust"))
-    reference = Decoder(arch="cpu").decode(plane)
-    decoder = Decoder(reference=reference, arch="cpu")
+    settings = DecodeSettings(crosstalk_matrix=SimulationSettings().crosstalk_matrix)
+    reference = Decoder(settings, arch="cpu").decode(plane)
+    decoder = Decoder(settings, reference=reference, arch="cpu")
     expected = np.array(decoder.decode(bust).range_image)
     np.testing.assert_array_equal(decoder.decode(bust, out=reference).range_image, expected)
 
