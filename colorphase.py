@@ -18,13 +18,16 @@ def _refuse_namesakes() -> None:
     ImportError
         There is one; the message names it.
     """
+    # The packages lie beside this file, which in a wheel is `colorphase/__init__.py`.
+    file = Path(__file__)
+    folder = file.parent.parent if file.stem == "__init__" else file.parent
     for package in ("tikernels", "pipeline", "hardware"):
         if package in sys.modules:
             found = getattr(sys.modules[package], "__file__", None)
         else:
             spec = find_spec(package)
             found = None if spec is None else spec.origin
-        own = Path(__file__).with_name(package)
+        own = folder / package
         if found is not None and own.is_dir() and not own.samefile(Path(found).parent):
             raise ImportError(f"{found} is in the way of colorphase's own package {package}: rename it")
 
