@@ -42,6 +42,7 @@ from pipeline.acquisition import LiveDecoder, read_rig
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import (
     CalibrationError,
     ClusterError,
@@ -53,11 +54,13 @@ from pipeline.errors import (
 )
 from pipeline.footage import StoredAs, open_source, read_image
 from pipeline.output import Mesh, StoredResult, frame_mesh, read_mesh, write_mesh
+from pipeline.recording import Recorder
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import DeviceNotReady, ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 from tikernels.runtime import init, supported_archs
+from tikernels.unwrapping import UserUnwrapper
 
 __all__ = [
     "Burst",
@@ -72,12 +75,14 @@ __all__ = [
     "Decoder",
     "DeviceNotReady",
     "FootageError",
+    "LightEstimate",
     "LiveDecoder",
     "Mesh",
     "OutputError",
     "PairedFrame",
     "PixelFormat",
     "ProjectorError",
+    "Recorder",
     "RenderError",
     "Rig",
     "RigError",
@@ -89,6 +94,7 @@ __all__ = [
     "StoredAs",
     "StoredResult",
     "TriggerError",
+    "UserUnwrapper",
     "frame_mesh",
     "init",
     "open_instruments",
