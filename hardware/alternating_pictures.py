@@ -14,8 +14,8 @@ import numpy.typing as npt
 from hardware.pairing import Fault
 from hardware.protocols import CameraFrame, Levels
 
-#: How bright the dimmer picture is beside the other where nobody says: a step eight times the least that is visible, and
-#: little of the light is lost.
+#: How bright the dimmer picture is beside the other where nobody says otherwise: a step eight times the least that is
+#: visible, for little of the light.
 DIM = 0.85
 # A step counts as one from this fraction of the usual step on: a moving object's own changes are a few per cent of the
 # light within a period, and a lost pulse leaves no step at all.
