@@ -18,13 +18,16 @@ def _refuse_namesakes() -> None:
     ImportError
         There is one; the message names it.
     """
+    # The packages lie beside this file, which in a wheel is `colorphase/__init__.py`.
+    file = Path(__file__)
+    folder = file.parent.parent if file.stem == "__init__" else file.parent
     for package in ("tikernels", "pipeline", "hardware"):
         if package in sys.modules:
             found = getattr(sys.modules[package], "__file__", None)
         else:
             spec = find_spec(package)
             found = None if spec is None else spec.origin
-        own = Path(__file__).with_name(package)
+        own = folder / package
         if found is not None and own.is_dir() and not own.samefile(Path(found).parent):
             raise ImportError(f"{found} is in the way of colorphase's own package {package}: rename it")
 
@@ -39,6 +42,7 @@ from pipeline.acquisition import LiveDecoder, read_rig
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import (
     CalibrationError,
     ClusterError,
@@ -50,11 +54,13 @@ from pipeline.errors import (
 )
 from pipeline.footage import StoredAs, open_source, read_image
 from pipeline.output import Mesh, StoredResult, frame_mesh, read_mesh, write_mesh
+from pipeline.recording import Recorder
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import DeviceNotReady, ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 from tikernels.runtime import init, supported_archs
+from tikernels.unwrapping import UserUnwrapper
 
 __all__ = [
     "Burst",
@@ -69,12 +75,14 @@ __all__ = [
     "Decoder",
     "DeviceNotReady",
     "FootageError",
+    "LightEstimate",
     "LiveDecoder",
     "Mesh",
     "OutputError",
     "PairedFrame",
     "PixelFormat",
     "ProjectorError",
+    "Recorder",
     "RenderError",
     "Rig",
     "RigError",
@@ -86,6 +94,7 @@ __all__ = [
     "StoredAs",
     "StoredResult",
     "TriggerError",
+    "UserUnwrapper",
     "frame_mesh",
     "init",
     "open_instruments",

@@ -14,6 +14,9 @@ import numpy.typing as npt
 from hardware.pairing import Fault
 from hardware.protocols import CameraFrame, Levels
 
+#: How bright the dimmer picture is beside the other where nobody says otherwise: a step eight times the least that is
+#: visible, for little of the light.
+DIM = 0.85
 # A step counts as one from this fraction of the usual step on: a moving object's own changes are a few per cent of the
 # light within a period, and a lost pulse leaves no step at all.
 _LEAST_STEP = 0.5
@@ -49,7 +52,7 @@ class Alternation:
             return [
                 Fault(
                     "the frames show no two pictures in turns: check the projector's trigger cable, and that one of "
-                    "its pictures is dimmer (colorphase pattern --brightness 0.85)"
+                    f"its pictures is dimmer (colorphase pattern --brightness {DIM})"
                 )
             ]
         return self._follow(steps, None, 0)

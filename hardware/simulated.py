@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hardware.alternating_pictures import DIM
 from hardware.errors import CameraError, TriggerError
 from hardware.protocols import (
     CameraFrame,
@@ -48,11 +49,9 @@ _NOTHING_SET_UP = "the simulated trigger has no burst to make: configure it firs
 _STOP_S = 5.0
 
 
-# What is seen where nobody renders a scene: fringes of this many px a cycle, dimmer by this factor in picture 1, as
-# `colorphase pattern --brightness 0.85` makes it.
+# What is seen where nobody renders a scene: fringes of this many px a cycle, dimmer in picture 1.
 _SIZE_PX = (640, 480)
 _PERIOD_PX = 16.0
-_DIM = 0.85
 
 
 class SimulatedTrigger:
@@ -297,5 +296,5 @@ class SimulatedInstruments:
         width, height = settings.camera.size_px or _SIZE_PX
         cycles = np.arange(height)[:, None, None] / _PERIOD_PX + np.array([-1, 0, 1]) / 3
         light = np.broadcast_to(0.5 + 0.4 * np.cos(2 * np.pi * cycles), (height, width, 3))
-        frames = [np.rint(255 * brightness * light).astype(np.uint8) for brightness in (1.0, _DIM)]
+        frames = [np.rint(255 * brightness * light).astype(np.uint8) for brightness in (1.0, DIM)]
         return cls.wired(lambda picture, time_s: frames[picture], (width, height), FrameFormat("rgb"), settings)

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pipeline.calibration import Calibration, Lens, Pattern
-from pipeline.calibration.model import Shift
+from pipeline.calibration.model import DEFAULT_PERIOD_PX, DEFAULT_PROJECTOR_PX, Shift
 from pipeline.models import Matrix3, Model, NonNegative, Positive
 from pipeline.pattern.fringes import make_pattern
 from tikernels import runtime
@@ -74,7 +74,7 @@ class SimulatedFrame:
 def simulated_rig(
     size_px: tuple[int, int] = (640, 480),
     *,
-    period_px: float = 768 / 44,
+    period_px: float = DEFAULT_PERIOD_PX,
     stripes: Literal["horizontal", "vertical"] = "horizontal",
     tilt_deg: float = 0.0,
     camera_distortion: tuple[float, ...] = (0.0,) * 5,
@@ -106,7 +106,7 @@ def simulated_rig(
         distortion=np.array(camera_distortion),
     )
     projector = Lens(
-        size_px=(1024, 768),
+        size_px=DEFAULT_PROJECTOR_PX,
         matrix=np.array([[_PROJECTOR_FOCAL_PX, 0, 511.5], [0, _PROJECTOR_FOCAL_PX, 383.5], [0, 0, 1]]),
         distortion=np.array(projector_distortion),
     )

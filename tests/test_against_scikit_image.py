@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import reference
+from support.missing import import_but_fail_in_ci
 
 import tikernels
 from pipeline import Decoder, DecodeSettings
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.scene.scene_rendering import SCENES
 
-restoration = pytest.importorskip("skimage.restoration")
+restoration = import_but_fail_in_ci("skimage.restoration")
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "kamino_object1"
 #: Neighbouring points closer than this, mm, lie on one surface.

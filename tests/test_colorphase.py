@@ -52,7 +52,7 @@ def installed(tmp_path_factory):
     python = programs / "python"
     install = ["install", "--quiet", "--no-deps", "--no-index", "--disable-pip-version-check", "--ignore-installed"]
     run([str(python), "-m", "pip", *install, str(folder / wheel)], folder)
-    assert (packages / "colorphase.py").exists()
+    assert sorted(file.name for file in (packages / "colorphase").glob("*.*")) == ["__init__.py", "py.typed"]
     return programs
 
 
@@ -104,6 +104,21 @@ def test_a_package_and_a_module_that_is_loaded_are_named_too(installed, tmp_path
     assert said == f"{file} is in the way of colorphase's own package hardware: rename it\n"
 
 
+def test_type_checkers_see_the_public_names(installed, tmp_path):
+    """The checker follows the names into the installed packages: what they are is known, and a mistake is found."""
+    pytest.importorskip("mypy")
+    names = sorted(colorphase.__all__)
+    lines = ["import colorphase", *(f"reveal_type(colorphase.{name})" for name in names), "colorphase.init(1)"]
+    (tmp_path / "program.py").write_text("\n".join(lines), encoding="utf-8")
+    mypy = [sys.executable, "-m", "mypy", "--python-executable", str(installed / "python"), "--no-incremental"]
+    quiet = {"capture_output": True, "text": True, "timeout": 240, "check": False}
+    said = subprocess.run([*mypy, "program.py"], cwd=tmp_path, **quiet).stdout.splitlines()
+    told = [line.partition("Revealed type is ")[2] for line in said if "Revealed type is" in line]
+    assert len(told) == len(names) and '"Any"' not in told, said
+    errors = [line for line in said if ": error:" in line]
+    assert len(errors) == 1 and "incompatible type" in errors[0], errors
+
+
 def test_an_editable_install_has_it_too(tmp_path):
     """What such an install adds to the path is the project's folder, where the file is."""
     build = f"from hatchling.build import build_editable; print(build_editable({str(tmp_path)!r}))"
@@ -112,3 +127,4 @@ def test_an_editable_install_has_it_too(tmp_path):
     (added,) = (tmp_path / "unpacked").glob("*.pth")
     assert added.read_text(encoding="utf-8").split() == [str(ROOT)]
     assert (ROOT / "colorphase.py").exists()
+    assert not list((tmp_path / "unpacked").glob("colorphase/*"))

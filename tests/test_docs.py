@@ -2,9 +2,12 @@
 
 import pkgutil
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
+from support.import_graph import imported_modules, module_paths, ranks_of, rooms_of
+from support.room_figure import draw_rooms
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -56,3 +59,19 @@ def test_every_page_is_in_the_index():
     linked = {(index.parent / link).resolve() for link in LINK.findall(index.read_text(encoding="utf-8"))}
     pages = {page for page in PAGES if page.parent == index.parent} - {index}
     assert pages <= linked
+
+
+def names_in(figure: Path) -> Counter[str]:
+    """Return what is written in a figure of the rooms, but for the ranks."""
+    written = re.findall(r"<text[^>]*>([^<]+)</text>", figure.read_text(encoding="utf-8"))
+    return Counter(text for text in written if not text.isdigit())
+
+
+def test_the_figure_of_the_rooms_shows_the_modules_that_there_are(tmp_path):
+    modules = module_paths(ROOT)
+    graph = {name: imported_modules(name, path, modules) for name, path in modules.items()}
+    draw_rooms(tmp_path / "ranks.svg", rooms_of(graph, modules), ranks_of(graph))
+    there, shown = names_in(tmp_path / "ranks.svg"), names_in(ROOT / "docs" / "ranks.svg")
+    assert there["decoder"] == 1
+    again = "run python tests/benchmarks/ranks.py"
+    assert shown == there, f"not in the figure: {sorted(there - shown)}; no longer: {sorted(shown - there)}: {again}"

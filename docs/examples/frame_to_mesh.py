@@ -7,19 +7,17 @@ The frame is a simulated one; with a camera's, read the image from a file and th
 
 import numpy as np
 
-from pipeline import Decoder, DecodeSettings
-from pipeline.output import frame_mesh, write_mesh
-from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+import colorphase
 
 
 def main() -> None:
     """Decode a frame, write `mesh.ply` into the current folder and say what is in it."""
-    rig, scene = simulated_rig(), SimulationSettings(scene="ball")
+    rig, scene = colorphase.simulated_rig(), colorphase.SimulationSettings(scene="ball")
     calibration = rig.model_copy(update={"crosstalk_matrix": scene.crosstalk_matrix})
-    decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
-    frame = decoder.decode(simulate_frame(rig, scene).image)
-    mesh = frame_mesh(frame)
-    write_mesh(mesh, "mesh.ply")
+    decoder = colorphase.Decoder(colorphase.DecodeSettings(), calibration, arch="cpu")
+    frame = decoder.decode(colorphase.simulate_frame(rig, scene).image)
+    mesh = colorphase.frame_mesh(frame)
+    colorphase.write_mesh(mesh, "mesh.ply")
     near, far = np.nanpercentile(frame.range_image, (1, 99))
     print(f"mesh.ply: {len(mesh.vertices)} points between {near:.0f} and {far:.0f} mm, {len(mesh.faces)} triangles")
     print(

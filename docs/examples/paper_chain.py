@@ -2,15 +2,15 @@
 
 python docs/examples/paper_chain.py
 
-It measures a simulated bust from one colour frame, beside the truth. The decoder (`pipeline.Decoder`) goes further;
+It measures a simulated bust from one colour frame, beside the truth. The decoder (`colorphase.Decoder`) goes further;
 docs/accuracy.md says what each of its steps buys.
 """
 
 import numpy as np
 import numpy.typing as npt
 
+import colorphase
 import tikernels
-from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.phase import measure_frame
 
 # Pixels whose mean of the three channels is below this share of full scale are too dark to be relied on.
@@ -36,8 +36,8 @@ def unwrap_frame(image: npt.NDArray[np.uint8], crosstalk_matrix: npt.ArrayLike) 
 def main() -> None:
     """Simulate a frame, unwrap it and print how far the phase is from the truth."""
     tikernels.init("cpu")
-    settings = SimulationSettings(scene="bust")
-    truth = simulate_frame(simulated_rig(), settings)
+    settings = colorphase.SimulationSettings(scene="bust")
+    truth = colorphase.simulate_frame(colorphase.simulated_rig(), settings)
     unwrapped = unwrap_frame(truth.image, settings.crosstalk_matrix)
     measured = np.isfinite(unwrapped) & truth.mask
     error = np.exp(1j * (unwrapped - truth.phase)[measured])  # modulo a cycle

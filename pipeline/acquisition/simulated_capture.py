@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from hardware.alternating_pictures import DIM
 from hardware.protocols import Camera, FrameFormat, Trigger
 from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
@@ -29,8 +30,6 @@ _SWING_DEG = 5.0
 _SWING_S = 2.0
 # Poses that are rendered, from one side to the other.
 _POSES = 6
-# How much dimmer the second picture is; see `hardware.alternating_pictures`.
-_DIM = 0.85
 
 
 def simulated_instruments(
@@ -62,7 +61,7 @@ def simulated_instruments(
         step(f"simulating pose {pose + 1} of {_POSES}")
         turn_deg = _SWING_DEG * float(np.sin(np.pi * (pose / (_POSES - 1) - 0.5)))
         frames.append(())
-        for picture, light in enumerate((1.0, _DIM)):
+        for picture, light in enumerate((1.0, DIM)):
             changed = settings.model_copy(update={"object_turn_deg": turn_deg, "seed": 2 * pose + picture})
             image = simulate_frame(rig, changed, codes * np.float32(light ** (1 / settings.gamma))).image
             frames[-1] += (image.astype(np.uint8),)

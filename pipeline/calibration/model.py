@@ -24,6 +24,10 @@ Response = Annotated[FloatArray, ArrayOf((3, 256))]
 
 #: Crosstalk worse than this cannot be undone: noise grows by it.
 MAX_CONDITION = 100.0
+#: What is taken where nobody has named a projector or a pattern: width and height in px, and px a cycle: 44 cycles down
+#: the picture.
+DEFAULT_PROJECTOR_PX = (1024, 768)
+DEFAULT_PERIOD_PX = 768 / 44
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
 
 
@@ -273,7 +277,7 @@ def choose_pattern(
     SettingsError
         There is no such pattern.
     """
-    before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=768 / 44)
+    before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=DEFAULT_PERIOD_PX)
     values = before.model_dump()
     chosen = (("period_px", period_px), ("stripes", stripes), ("code", code))
     values |= {name: value for name, value in chosen if value is not None}

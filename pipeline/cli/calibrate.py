@@ -11,7 +11,7 @@ from rich.table import Table
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.captures import CapturedFolder, refuse_other_camera, write_sequence
-from pipeline.calibration.model import Calibration, Uncertainty, choose_pattern
+from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Uncertainty, choose_pattern
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
 from pipeline.calibration.pose_folders import measure_poses
 from pipeline.calibration.radiometry import (
@@ -22,7 +22,7 @@ from pipeline.calibration.radiometry import (
 )
 from pipeline.calibration.radiometry_plot import plot_radiometry
 from pipeline.calibration.rig_geometry import GeometryFit, solve_geometry
-from pipeline.cli.console import Arch, check_target, read_calibration, read_settings, say, size_of, stdout
+from pipeline.cli.console import Arch, above_zero, check_target, read_calibration, read_settings, say, size_of, stdout
 from pipeline.errors import SettingsError
 from pipeline.models import CameraState, build
 
@@ -40,9 +40,9 @@ class BoardOptions:
 
     squares: str = "11x8"
     """The board's squares, columns and rows."""
-    square_mm: float = 20.0
+    square_mm: Annotated[float, Parameter(validator=above_zero)] = 20.0
     """The side of a square."""
-    marker_mm: float | None = None
+    marker_mm: Annotated[float | None, Parameter(validator=above_zero)] = None
     """The side of a ChArUco marker; left out, three quarters of a square."""
     dictionary: str = "DICT_5X5_250"
     """The markers' dictionary, as OpenCV names it."""
@@ -64,6 +64,7 @@ class BoardOptions:
 
 
 _BOARD = BoardOptions()
+_SIZE = "{}x{}".format(*DEFAULT_PROJECTOR_PX)
 
 
 @calibrate.command
@@ -73,10 +74,10 @@ def radiometry(
     *,
     make: Path | None = None,
     out: Path | None = None,
-    size: str = "1024x768",
+    size: str = _SIZE,
     calibration: Path | None = None,
     transfer: Literal["linear", "srgb", "bt709"] | None = None,
-    white_level: float | None = None,
+    white_level: Annotated[float | None, Parameter(validator=above_zero)] = None,
     exposure_s: float | None = None,
     gain: float | None = None,
     white_balance: Annotated[tuple[float, float, float] | None, Parameter(consume_multiple=True)] = None,
@@ -144,13 +145,13 @@ def geometry(
     *,
     make: Path | None = None,
     out: Path | None = None,
-    size: str = "1024x768",
+    size: str = _SIZE,
     board: Literal["charuco", "chessboard"] = "charuco",
     options: BoardOptions = _BOARD,
     period: float | None = None,
     stripes: Literal["horizontal", "vertical"] | None = None,
     baseline_mm: float | None = None,
-    white_level: float | None = None,
+    white_level: Annotated[float | None, Parameter(validator=above_zero)] = None,
     calibration: Path | None = None,
     force: bool = False,
 ) -> None:
@@ -215,7 +216,7 @@ def check(
     *,
     calibration: Path,
     shape: Literal["plane", "ball"] | None = None,
-    radius_mm: float | None = None,
+    radius_mm: Annotated[float | None, Parameter(validator=above_zero)] = None,
     settings: Path | None = None,
     fix: Path | None = None,
     arch: Arch = "auto",

@@ -13,9 +13,10 @@ from pipeline.batch.run import DecodeSummary, decode_footage
 from pipeline.calibration import Calibration
 from pipeline.cli.console import Arch, bounded, counted, read_calibration, read_settings, remark, say, steps
 from pipeline.cli.results import write_meshes
-from pipeline.errors import OutputError, SettingsError
+from pipeline.errors import SettingsError
 from pipeline.footage.image_folder import IMAGE_SUFFIXES
 from pipeline.footage.source import StoredAs
+from pipeline.output.folder import refuse_others
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import MeshKind, mesh_fields
 from pipeline.settings import DecodeSettings
@@ -151,9 +152,7 @@ def _decode_video(
     if options.export is not None:
         _check_meshes(out, job, in_mm=in_mm)
     if "://" not in out and Path(out).is_dir() and not force:
-        others = sorted(entry.name for entry in Path(out).iterdir() if entry.name not in (_STORE, _MESHES))
-        if others:
-            raise OutputError(f"{out} holds something else ({others[0]}): choose another folder, or add --force")
+        refuse_others(Path(out), (_STORE, _MESHES))
     with counted("decoding") as show:
         summary = decode_footage(
             job,

@@ -51,7 +51,7 @@ def inspect(
     with steps() as step:
         found = inspect_footage(input, stored_as, chosen, arch, step)
     if json:
-        print(dumps(found.as_json(), indent=1))
+        say(dumps(found.as_json(), indent=1))
     else:
         _show(found, str(input))
     if found.grade == "spoils":

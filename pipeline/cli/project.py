@@ -3,18 +3,18 @@
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from cyclopts import App
+from cyclopts import App, Parameter
 from rich.table import Table
 
 from hardware.display import Display
 from hardware.projector import open_projector
 from hardware.protocols import Projector
 from pipeline.acquisition.rig_file import read_rig
-from pipeline.calibration.model import choose_pattern
+from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, choose_pattern
 from pipeline.cli.calibrate import BoardOptions
-from pipeline.cli.console import read_calibration, remark, say, size_of, stderr, stdout
+from pipeline.cli.console import above_zero, read_calibration, remark, say, size_of, stderr, stdout
 from pipeline.errors import CalibrationError
 from pipeline.footage.image_file import read_codes
 
@@ -69,13 +69,19 @@ def pattern(
     rig = read_calibration(calibration)
     if rig is not None and rig.response is None:
         raise CalibrationError(f"{calibration} holds no response: run colorphase calibrate radiometry")
-    size_px = rig.projector.size_px if rig is not None and rig.projector is not None else (1024, 768)
+    size_px = rig.projector.size_px if rig is not None and rig.projector is not None else DEFAULT_PROJECTOR_PX
     chosen = choose_pattern(rig, period, stripes, code)
     response = None if rig is None else rig.response
     write_pattern(file, size_px if size is None else size_of(size), chosen, response, brightness)
 
 
-def project(picture: Path, /, *, display: int | None = None, seconds: float | None = None) -> None:
+def project(
+    picture: Path,
+    /,
+    *,
+    display: int | None = None,
+    seconds: Annotated[float | None, Parameter(validator=above_zero)] = None,
+) -> None:
     """Show a picture full-screen, pixel for pixel, until Esc, q or Ctrl-C. Needs the extra `project`.
 
     Example: colorphase project pattern.png --display 1

@@ -3,7 +3,7 @@
 import json
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -53,9 +53,8 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     work = None
     try:
         if path.is_dir():
-            others = sorted(entry.name for entry in path.iterdir() if entry.name not in NAMES)
-            if others and not force:
-                raise OutputError(f"{path} holds something else ({others[0]}): choose another folder, or add --force")
+            if not force:
+                refuse_others(path, NAMES)
             if holds_footage(path / "result.zarr"):
                 raise OutputError(f"{path} holds the frames of footage: choose another folder")
         elif path.exists():
@@ -77,6 +76,19 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     finally:
         if work is not None:
             shutil.rmtree(work, ignore_errors=True)
+
+
+def refuse_others(folder: Path, names: Collection[str]) -> None:
+    """Refuse a folder that holds other things than these.
+
+    Raises
+    ------
+    OutputError
+        It does.
+    """
+    others = sorted(entry.name for entry in folder.iterdir() if entry.name not in names)
+    if others:
+        raise OutputError(f"{folder} holds something else ({others[0]}): choose another folder, or add --force")
 
 
 def write_frame(

@@ -30,6 +30,7 @@ from pipeline.output.report import measure_against_truth
 from pipeline.simulation import SKIN, WHITE, SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
 from tikernels.phase import measure_frame
+from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
 from tikernels.phase.equalization import correction_table
 
 Image = npt.NDArray[np.float32]
@@ -39,8 +40,6 @@ SCENES = ("bust", "plane", "waves", "objects", "ball")
 SURFACES = (("skin, gamma 2", 2.0, SKIN), ("white, gamma 1", 1.0, WHITE))
 # The paper's window of the balance, px; of its pictures a cycle has 12 px, as here.
 _BOX_PX = 25
-# A smooth window in its place, as standard deviations across and along the stripes, in cycles.
-_ACROSS, _ALONG = 0.85, 1.0
 # Darker pixels are not looked at, as a share of full scale.
 _MIN_INTENSITY = 0.05
 # Bins of the phase's histogram, and tiles of the picture both ways.
@@ -102,8 +101,8 @@ def box(image: Image) -> Image:
 
 
 def smooth_window(image: Image, period_px: float) -> Image:
-    """Return the mean over a Gaussian window of about a cycle."""
-    deviations = {"sigmaX": _ALONG * period_px, "sigmaY": _ACROSS * period_px}
+    """Return the mean over the decoder's window, a Gaussian of about a cycle."""
+    deviations = {"sigmaX": SIGMA_ALONG * period_px, "sigmaY": SIGMA_ACROSS * period_px}
     return np.asarray(cv2.GaussianBlur(image, (0, 0), **deviations, borderType=cv2.BORDER_CONSTANT))
 
 

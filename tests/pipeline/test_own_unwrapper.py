@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from support.missing import import_but_fail_in_ci
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
@@ -38,7 +39,7 @@ def frame_of(rig, unwrapper, **known):
 
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
 def test_scikit_image_in_twenty_lines(cpu, stripes):
-    pytest.importorskip("skimage")
+    import_but_fail_in_ci("skimage")
     rig = simulated_rig(SIZE, period_px=2 * 768 / 44, stripes=stripes)
     own, theirs = (frame_of(rig, unwrapper, depth_range_mm=(850, 950)) for unwrapper in (None, ScikitImage()))
     truth = simulate_frame(rig, SETTINGS)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from support.command_line import command
+from support.missing import import_but_fail_in_ci
 from support.recorded_footage import contents, record
 
 from pipeline import DecodeSettings
@@ -21,7 +22,7 @@ from pipeline.errors import ClusterError, FootageError
 from pipeline.footage.source import StoredAs
 from pipeline.output.store import chosen_fields
 
-pytest.importorskip("distributed")
+import_but_fail_in_ci("distributed")
 # Not ours: what Dask leaves behind when its processes are killed.
 pytestmark = [
     pytest.mark.usefixtures("kernels_on_disk"),

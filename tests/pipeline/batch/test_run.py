@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import zarr
 from support.command_line import command
+from support.missing import import_but_fail_in_ci
 from support.recorded_footage import contents, kill_again_and_again, record
 
 from pipeline import Decoder, DecodeSettings
@@ -384,7 +385,7 @@ def test_a_vanished_store(job):
 
 
 def test_a_store_behind_a_url(job, undisturbed):
-    fsspec = pytest.importorskip("fsspec")
+    fsspec = import_but_fail_in_ci("fsspec")
     url = "memory://bucket/result.zarr"
     decode_footage(replace(job, store=url), stop=7)
     assert decode_footage(replace(job, store=url)).n_before == 7

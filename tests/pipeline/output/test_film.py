@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import zarr
 from support.command_line import colorphase
+from support.missing import skip_but_fail_in_ci
 from support.stored_planes import store
 
 from pipeline.errors import FootageError, OutputError, RenderError
@@ -41,7 +42,7 @@ def can_draw(tmp_path_factory):
     try:
         render_mesh(mesh, tmp_path_factory.mktemp("probe") / "probe.png", size_px=SIZE)
     except RenderError as error:
-        pytest.skip(f"no usable OpenGL: {error}")
+        skip_but_fail_in_ci(f"no usable OpenGL: {error}")
 
 
 @pytest.mark.usefixtures("can_draw")

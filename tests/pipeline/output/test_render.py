@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from support.missing import skip_but_fail_in_ci
 
 from pipeline.errors import OutputError, RenderError
 from pipeline.output import render
@@ -45,7 +46,7 @@ def can_draw(tmp_path_factory: pytest.TempPathFactory) -> None:
     try:
         render_mesh(dome(), tmp_path_factory.mktemp("probe") / "probe.png", size_px=SIZE)
     except RenderError as error:
-        pytest.skip(f"no usable OpenGL: {error}")
+        skip_but_fail_in_ci(f"no usable OpenGL: {error}")
 
 
 @pytest.mark.usefixtures("can_draw")

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import reference
-from support.missing import skip_but_fail_in_ci
+from support.missing import import_but_fail_in_ci
 from support.wrapped_surfaces import holes, join, orders, surface, written
 
 import tikernels
@@ -55,10 +55,7 @@ def differing(unwrapped, region, answer, regions) -> int:
 @pytest.mark.parametrize("scene", ["plane", "waves"])
 def test_scikit_image_on_a_simulated_surface(arch, scene):
     """Against the truth, with 0.1 rad of noise: every order inside a surface, nearly all of the picture."""
-    try:
-        import skimage  # noqa: F401
-    except ImportError:
-        skip_but_fail_in_ci("scikit-image is not installed: pip install 'colorphase[dev]'")
+    import_but_fail_in_ci("skimage")
     frame = simulate_frame(simulated_rig((320, 240)), SimulationSettings(scene=scene))
     noise = 0.1 * np.random.default_rng(1).standard_normal(frame.phase.shape)
     phase = marked(reference.wrapped(np.where(frame.mask, frame.phase, 0) + noise), frame.mask)
