@@ -5,6 +5,7 @@ import pytest
 import reference
 from support.wrapped_surfaces import drafts_and_orders, join, orders, surface, written
 
+import tikernels
 from tikernels import runtime
 from tikernels.unwrapping.tables import numbers_of
 
@@ -88,3 +89,26 @@ def test_nothing_at_all(arch):
     assert patches.count == 0 and len(patches.roots()) == 0 and patches.graph().ends.shape == (2, 0)
     unwrapped, mask, region = written(patches, np.full((32, 24), 100.0, np.float32), rates)
     assert np.isnan(unwrapped).all() and not mask.any() and not region.any()
+
+
+def test_what_are_not_patches_is_refused(arch):
+    """Nothing is written: the patches' roots and the regions' orders stay."""
+    patches, _ = join(reference.wrapped(surface()))
+    roots, count = patches.roots(), patches.count
+    regions = np.unique(roots)
+    orders_before = patches.orders(regions)
+    for bad, message in (
+        (roots[:-1], rf"roots has shape \({count - 1},\), expected one for each of {count} patches"),
+        (roots.astype(np.float64), "roots is 1-dimensional float64, expected a row of integers"),
+        (roots - count, rf"roots holds -\d+ to -\d+, expected numbers of patches, 0 to {count - 1}"),
+        (roots + count, rf"roots holds \d+ to \d+, expected numbers of patches, 0 to {count - 1}"),
+    ):
+        with pytest.raises(tikernels.ShapeError, match=message):
+            patches.split(bad)
+    for bad, message in ((regions - count, "roots holds"), (regions[None], "roots is 2-dimensional int32")):
+        with pytest.raises(tikernels.ShapeError, match=message):
+            patches.set_orders(bad, np.zeros(bad.shape, int))
+    with pytest.raises(tikernels.ShapeError, match=r"orders has shape \(\d+,\), expected \(\d+,\): one for each root"):
+        patches.set_orders(regions, np.zeros(len(regions) + 1, int))
+    np.testing.assert_array_equal(patches.roots(), roots)
+    np.testing.assert_array_equal(patches.orders(regions), orders_before)
