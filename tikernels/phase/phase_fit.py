@@ -306,7 +306,6 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
 
 def fit_phase(
     image: LevelsImage,
-    gains: Gains,
     model: ChannelModel,
     crosstalk: Crosstalk,
     levels: FrameLevels,
@@ -320,12 +319,10 @@ def fit_phase(
     ----------
     image : (H, W, 3) uint8, uint16 or float32
         Linear light, levels, stripes along the rows.
-    gains : Gains
-        The frame's, measured.
     model : ChannelModel
         The frame's, fitted.
     crosstalk : Crosstalk
-        What both were made with.
+        What the model and its gains were made with.
     levels : FrameLevels
         The frame's noise, and what a pixel needs to have a phase.
     correction : (bins + 1,) float32
@@ -349,12 +346,12 @@ def fit_phase(
     ShapeError
         A shape or dtype is another one, or an output cannot be written.
     """
-    shape = (gains.height, gains.width)
+    shape = (model.gains.height, model.gains.width)
     image = _checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
     correction = _checks.read_array("correction", correction, (None,), np.float32)
     names, outs = ("phase", "modulation", "precision"), (None, None, None) if out is None else out
     results = tuple(_checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
-    _fit_phase_kernel(crosstalk.balance_first, gains.spacing_px)(
+    _fit_phase_kernel(crosstalk.balance_first, model.gains.spacing_px)(
         image,
         crosstalk.inverse,
         crosstalk.matrix,
