@@ -26,7 +26,7 @@ from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec
 from tikernels.arrays import F32
 from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, template_mismatch, waves_of
 from tikernels.phase.color_balance import Gains, gain_at, sample_at
-from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import arctangent, matrix_of, modulation_of
@@ -164,8 +164,8 @@ def recover_samples_kernel(
         moments = ti.Vector.zero(f32, 5)
         for j in range(first, first + count):
             seen = sample_at(samples, y, j)
-            balanced = seen * gain_at(gains, spacing_px, y, j * spacing_px + spacing_px // 2)
-            vector = weights @ balanced
+            gain = gain_at(gains, spacing_px, y, j * spacing_px + spacing_px // 2)
+            vector = weighed_vector(seen, gain, weights)
             modulation, background = modulation_of(vector), vector.z
             phase = NO_PHASE
             if modulation > min_modulation and seen.max() < max_level:
@@ -173,7 +173,7 @@ def recover_samples_kernel(
                 moments += ti.Vector([1.0, modulation, background, background * background, background * modulation])
             out_phase[y, j] = phase
             for k in ti.static(range(3)):
-                out_balanced[y, j, k] = balanced[k]
+                out_balanced[y, j, k] = seen[k] * gain[k]
         for k in ti.static(range(5)):
             out_moments[strip, k] = moments[k]
 

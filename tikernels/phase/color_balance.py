@@ -23,9 +23,9 @@ from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2,
 from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.balance_window import BalanceWindow
-from tikernels.phase.crosstalk import Crosstalk, unmixed
+from tikernels.phase.crosstalk import Crosstalk, colored_channels, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
-from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of
+from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of, modulation_of
 from tikernels.raw.linearization import LEVEL_TYPES
 
 # Sums below this hold no colour worth measuring.
@@ -117,22 +117,24 @@ def gain_at(gains: F32Array3, spacing_px: i32, y: i32, x: i32) -> vec3:
 
 
 @ti.func
-def projected_wave(sample: vec3, gain: vec3, inverse: mat3, to_phase: mat3, balance_first: Static) -> vec3:
-    """Return a, b cos(phi) and b sin(phi) of a sample, as a neutral surface sends the projector's light back."""
+def projected_vector(sample: vec3, gain: vec3, inverse: mat3, to_phase: mat3, balance_first: Static) -> vec3:
+    """Return b cos(phi), b sin(phi) and a of a sample, as a neutral surface sends the projector's light back."""
+    # What `weighed_vector` gives in exact arithmetic; with the inverse in the weights, float32 rounds differently.
     light = sample * gain
     if ti.static(balance_first):
         light = unmixed(light, inverse)
-    return to_phase @ light
+    wave = to_phase @ light
+    return vec3(wave.y, wave.z, wave.x)
 
 
 @ti.func
-def neutral_channels(wave: vec3, share: f32, of_phase: mat3, matrix: mat3, balance_first: Static) -> vec3:
-    """Return what the channels of a neutral surface are, given a pixel's wave.
+def neutral_channels(vector: vec3, share: f32, of_phase: mat3, matrix: mat3, balance_first: Static) -> vec3:
+    """Return what the channels of a neutral surface are, given a pixel's `projected_vector`.
 
     Its background, and its phase with the frame's contrast: `share` is that over the pixel's modulation. Cosine and
-    sine come from the wave itself: no arctangent is needed.
+    sine come from the vector itself: no arctangent is needed.
     """
-    light = wave.x * (of_phase @ vec3(1.0, share * wave.y, share * wave.z))
+    light = vector.z * (of_phase @ vec3(1.0, share * vector.x, share * vector.y))
     if ti.static(balance_first):
         light = matrix @ light
     return light
@@ -174,9 +176,7 @@ def _collect_samples_kernel(balance_first: bool) -> Any:
             if x < width:
                 light = color_at(image, y, x)
                 if light.sum() > 3.0 * min_intensity:
-                    kept = light
-                    if ti.static(not balance_first):
-                        kept = unmixed(light, inverse)
+                    kept = colored_channels(light, inverse, balance_first)
             for k in ti.static(range(3)):
                 out_samples[y, j, k] = kept[k]
 
@@ -207,11 +207,11 @@ def _predict_blocks_kernel(balance_first: bool) -> Any:
             y = i * _SPARSE
             for j in range(samples.shape[1]):
                 gain = gain_at(gains, columns, y, j * columns + rows)
-                wave = projected_wave(sample_at(samples, y, j), gain, inverse, to_phase, balance_first)
-                modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
+                vector = projected_vector(sample_at(samples, y, j), gain, inverse, to_phase, balance_first)
+                modulation = modulation_of(vector)
                 if modulation > min_modulation:
                     modulation_sum += modulation
-                    background_sum += wave.x
+                    background_sum += vector.z
             contrast_sums[i, 0] = modulation_sum
             contrast_sums[i, 1] = background_sum
         # One thread adds the rows up in order, so that the sum is the same every time.
@@ -233,12 +233,12 @@ def _predict_blocks_kernel(balance_first: bool) -> Any:
             gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), j * columns + rows)
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
                 sample = sample_at(samples, y, j)
-                wave = projected_wave(sample, gain, inverse, to_phase, balance_first)
-                modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
+                vector = projected_vector(sample, gain, inverse, to_phase, balance_first)
+                modulation = modulation_of(vector)
                 if modulation > min_modulation:
                     share = contrast / modulation
                     seen += sample
-                    predicted += neutral_channels(wave, share, of_phase, matrix, balance_first)
+                    predicted += neutral_channels(vector, share, of_phase, matrix, balance_first)
                     background += (sample * gain).sum() / 3.0
                     count += 1.0
             for k in ti.static(range(3)):
