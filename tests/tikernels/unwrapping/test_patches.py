@@ -7,6 +7,7 @@ from support.wrapped_surfaces import drafts_and_orders, join, orders, surface, w
 
 import tikernels
 from tikernels import runtime
+from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.tables import numbers_of
 
 both_methods = pytest.mark.parametrize("method", ["directional", "reliability"])
@@ -73,8 +74,8 @@ def test_parts_get_orders_of_their_own(arch, method):
 def test_regions_that_were_written(arch):
     """Two surfaces beside a gap: roots and pixels of both, the larger first; specks are none."""
     phase = reference.wrapped(reference.ramp(64, 100))
-    phase[:, 30:34] = 100.0  # no phase
-    phase[:, 98] = 100.0
+    phase[:, 30:34] = NO_PHASE
+    phase[:, 98] = NO_PHASE
     patches, rates = join(phase)
     outputs = tuple(runtime.empty(phase.shape, dtype) for dtype in (np.float32, np.uint8, np.int32))
     table = patches.write(phase, rates, *outputs)
@@ -85,9 +86,9 @@ def test_regions_that_were_written(arch):
 
 
 def test_nothing_at_all(arch):
-    patches, rates = join(np.full((32, 24), 100.0, np.float32))
+    patches, rates = join(np.full((32, 24), NO_PHASE, np.float32))
     assert patches.count == 0 and len(patches.roots()) == 0 and patches.graph().ends.shape == (2, 0)
-    unwrapped, mask, region = written(patches, np.full((32, 24), 100.0, np.float32), rates)
+    unwrapped, mask, region = written(patches, np.full((32, 24), NO_PHASE, np.float32), rates)
     assert np.isnan(unwrapped).all() and not mask.any() and not region.any()
 
 
