@@ -19,13 +19,15 @@ B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shif
 2004, doi:10.1364/OL.29.001671; one turn is enough here.
 """
 
+from enum import IntEnum
+
 import numpy as np
 
 from tikernels import _checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
 from tikernels.arrays import F32
 from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, template_mismatch, waves_of
-from tikernels.phase.color_balance import Gains, gain_at, sample_at
+from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
@@ -52,6 +54,19 @@ _RIDGE = 1e-3
 _MIN_FACTOR, _MAX_FACTOR = 0.5, 2.0
 
 
+class LineSum(IntEnum):
+    """Columns of what the straight lines of A and B are drawn through: all but the first have three channels."""
+
+    COUNT = 0  # of the samples
+    MODEL = 1  # what the channel should be, s t_i
+    SQUARE = 4  # its square
+    SEEN = 7  # what the channel is
+    PRODUCT = 10  # both, multiplied
+
+
+_LINE_SUMS = LineSum.PRODUCT + 3
+
+
 class ChannelModel:
     """The model of one frame, and the buffers to fit it, for the grid of `gains`."""
 
@@ -68,9 +83,9 @@ class ChannelModel:
         self._moments = runtime.empty((strips, 5), np.float32)
         template_strips = -(-height // _EVERY) * -(-columns // _SAMPLES_A_THREAD)
         self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS), np.float32)
-        self._sums = runtime.empty((*blocks, 13), np.float32)
-        self._half = runtime.empty((*grid, 13), np.float32)
-        self._smooth = runtime.empty((*grid, 13), np.float32)
+        self._sums = runtime.empty((*blocks, _LINE_SUMS), np.float32)
+        self._half = runtime.empty((*grid, _LINE_SUMS), np.float32)
+        self._smooth = runtime.empty((*grid, _LINE_SUMS), np.float32)
         #: (Hg, Wg, 6) A and B of the channels that the gains belong to, in levels where s is in levels.
         self.nodes = runtime.empty((*grid, 6), np.float32)
         #: (3, terms) t_i: 1, cosines, sines.
@@ -183,7 +198,7 @@ def ambient_at(smooth: F32Array3, spacing_px: i32, share: f32, y: i32, x: i32) -
     """Ambient light near a pixel: the frame's share of the mean background there."""
     i = ti.min(y // spacing_px, smooth.shape[0] - 1)
     j = ti.min(x // spacing_px, smooth.shape[1] - 1)
-    return share * smooth[i, j, 6] / ti.max(smooth[i, j, 7], 1e-6)
+    return share * smooth[i, j, WindowSum.BACKGROUND] / ti.max(smooth[i, j, WindowSum.SAMPLES], 1e-6)
 
 
 @ti.kernel
@@ -193,7 +208,7 @@ def sum_template_kernel(
     correction: F32Array1,  # (bins + 1,) rad
     phase_weights: F32Array2,  # (3, 3)
     known: F32Array2,  # (3, terms)
-    smooth: F32Array3,  # (Hg, Wg, 8) background and count last
+    smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     spacing_px: i32,
     share: f32,
     out_normal: F32Array2,  # (strips, terms) the normal equations: upper triangle, right sides
@@ -229,10 +244,10 @@ def sum_model_kernel(
     phases: F32Array2,  # (H, Wb) rad
     correction: F32Array1,  # (bins + 1,) rad
     template: F32Array2,  # (3, terms)
-    smooth: F32Array3,  # (Hg, Wg, 8) background and count last
+    smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     rows: i32,
     share: f32,
-    out_sums: F32Array3,  # (Hb, Wb, 13) count; a channel's model, its square, the channel, their product
+    out_sums: F32Array3,  # (Hb, Wb, 13) see `LineSum`
 ):
     """Sum up, block by block, what the straight lines of A and B are drawn through."""
     height = samples.shape[0]
@@ -252,18 +267,18 @@ def sum_model_kernel(
                 square += expected * expected
                 seen += light + ambient
                 product += expected * (light + ambient)
-        out_sums[i, j, 0] = count
+        out_sums[i, j, LineSum.COUNT] = count
         for k in ti.static(range(3)):
-            out_sums[i, j, 1 + k] = model[k]
-            out_sums[i, j, 4 + k] = square[k]
-            out_sums[i, j, 7 + k] = seen[k]
-            out_sums[i, j, 10 + k] = product[k]
+            out_sums[i, j, LineSum.MODEL + k] = model[k]
+            out_sums[i, j, LineSum.SQUARE + k] = square[k]
+            out_sums[i, j, LineSum.SEEN + k] = seen[k]
+            out_sums[i, j, LineSum.PRODUCT + k] = product[k]
 
 
 @ti.kernel
 def fit_nodes_kernel(
-    sums: F32Array3,  # (Hg, Wg, 13) `sum_model_kernel`'s, smoothed
-    smooth: F32Array3,  # (Hg, Wg, 8)
+    sums: F32Array3,  # (Hg, Wg, 13) see `LineSum`, over the window
+    smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     gains: F32Array3,  # (Hg, Wg, 3)
     share: f32,
     out_nodes: F32Array3,  # (Hg, Wg, 6) A and B
@@ -273,8 +288,10 @@ def fit_nodes_kernel(
         i, j = node // sums.shape[1], node % sums.shape[1]
         ambient = ambient_at(smooth, 1, share, i, j)
         for k in ti.static(range(3)):
-            count, model, square = sums[i, j, 0] * (1.0 + _RIDGE), sums[i, j, 1 + k], sums[i, j, 4 + k]
-            seen, product = sums[i, j, 7 + k] + _RIDGE * sums[i, j, 0] * ambient, sums[i, j, 10 + k]
+            model, square = sums[i, j, LineSum.MODEL + k], sums[i, j, LineSum.SQUARE + k]
+            count = sums[i, j, LineSum.COUNT] * (1.0 + _RIDGE)
+            seen = sums[i, j, LineSum.SEEN + k] + _RIDGE * sums[i, j, LineSum.COUNT] * ambient
+            product = sums[i, j, LineSum.PRODUCT + k]
             determinant = count * square - model * model
             factor, left = 1.0, ambient
             if count > 1e-3 and determinant > 1e-3 * count * square:
