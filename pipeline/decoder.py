@@ -179,10 +179,9 @@ class Decoder:
         if memory is not None:
             counts += memory.faded_phase_counts
         correction = path.correction(counts, work.period_px)
-        model.recover_samples(crosstalk, levels)
-        model.fit(correction, path.template())
+        model.fit(crosstalk, levels, correction, path.template())
         fit = (work.raw_phase, phases.modulation, phases.precision)
-        fit_phase(image, gains, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
+        fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         smooth_phase(work.raw_phase, phases.precision, rates, self._setup.smoothing_pairs, out=phases.phase)

@@ -17,10 +17,13 @@ from pipeline.orders.posterior import NOTHING_KNOWN, AbsoluteOrders, Integers, O
 from pipeline.pattern.contrast_code import CYCLES, contrast_steps
 from tikernels.order_evidence.contrast_reading import (
     BACKGROUND,
+    LEAST,
     MODULATION,
     ORDER_SLOTS,
     PHASE,
+    SECOND,
     TOTAL,
+    WINDOW,
     match_stretches,
 )
 from tikernels.order_evidence.part_joining import CANDIDATES, join_parts
@@ -204,7 +207,7 @@ def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple
     windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
     seen = steps.rise[stretches] @ without
     matches = match_stretches(seen.astype(np.float32), (strength * windows).astype(np.float32))
-    best, least, second = matches[:, 0].astype(np.int64), matches[:, 1], matches[:, 2]
+    best, least, second = matches[:, WINDOW].astype(np.int64), matches[:, LEAST], matches[:, SECOND]
     clear = least < 0.25 * second
     sigma = _MIN_SIGMA
     if clear.any():

@@ -38,6 +38,8 @@ ORDER_SLOTS = 17
 _COLUMNS = (1, 6)
 #: What is summed of a cycle: the weights, and the weighted modulation, background (levels) and phase (rad).
 TOTAL, MODULATION, BACKGROUND, PHASE = range(4)
+#: What is found of a stretch: the best window, its sum of squared differences, and the next best one's.
+WINDOW, LEAST, SECOND = range(3)
 
 
 @ti.func
@@ -159,7 +161,7 @@ def measure_contrast(
 def match_stretches_kernel(
     stretches: F32Array2,  # (N, n) steps of the contrast's logarithm
     windows: F32Array2,  # (W, n) the code's
-    out_matches: F32Array2,  # (N, 3) best window, its sum of squared differences, the next best one's
+    out_matches: F32Array2,  # (N, 3) WINDOW, LEAST, SECOND
 ):
     """Compare every stretch with every window."""
     for i in range(stretches.shape[0]):
@@ -173,9 +175,9 @@ def match_stretches_kernel(
                 best, least, second = w, distance, least
             elif distance < second:
                 second = distance
-        out_matches[i, 0] = ti.cast(best, ti.f32)
-        out_matches[i, 1] = least
-        out_matches[i, 2] = second
+        out_matches[i, WINDOW] = ti.cast(best, ti.f32)
+        out_matches[i, LEAST] = least
+        out_matches[i, SECOND] = second
 
 
 def match_stretches(stretches: F32, windows: F32) -> npt.NDArray[np.float32]:
@@ -191,7 +193,7 @@ def match_stretches(stretches: F32, windows: F32) -> npt.NDArray[np.float32]:
     Returns
     -------
     (N, 3) float32
-        Number of the best window, its sum of squared differences, and that of the next best one.
+        WINDOW, LEAST and SECOND: number of the best window, its sum of squared differences, the next best one's.
 
     Raises
     ------

@@ -59,7 +59,8 @@ def correct_by_modulation(
     region : (H, W) int32
         The region's number from 1; 0 outside.
     known : (regions + 1,) bool
-        Whether a region's orders are absolute; False for 0.
+        Whether a region's orders are absolute; False for 0. It must reach to the largest number in `region`:
+        nobody checks that, which would cost a pass over the image.
     corrections : (N,) float
         rad to add at an absolute phase, TABLED a cycle, from the middle of the first cycle on; two or more.
     out : two (H, W) float32

@@ -202,7 +202,8 @@ def adopt_pixels(
     rates : (N, 5) float32
         What `measure_rates` found.
     known : (regions + 1,) bool
-        Whether a region's orders are absolute; False for 0.
+        Whether a region's orders are absolute; False for 0. It must reach to the largest number in the region of `out`:
+        nobody checks that, which would cost a pass over the image.
     out : (H, W) float32, (H, W) uint8 and (H, W) int32
         Unwrapped phase (rad), mask and region, to which the adopted pixels are added.
 

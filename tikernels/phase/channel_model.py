@@ -19,14 +19,16 @@ B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shif
 2004, doi:10.1364/OL.29.001671; one turn is enough here.
 """
 
-import numpy as np
-import numpy.typing as npt
+from enum import IntEnum
 
-from tikernels import runtime
+import numpy as np
+
+from tikernels import _checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
+from tikernels.arrays import F32
 from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, template_mismatch, waves_of
-from tikernels.phase.color_balance import Gains, gain_at, sample_at
-from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at
+from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import arctangent, matrix_of, modulation_of
@@ -52,22 +54,38 @@ _RIDGE = 1e-3
 _MIN_FACTOR, _MAX_FACTOR = 0.5, 2.0
 
 
+class LineSum(IntEnum):
+    """Columns of what the straight lines of A and B are drawn through: all but the first have three channels."""
+
+    COUNT = 0  # of the samples
+    MODEL = 1  # what the channel should be, s t_i
+    SQUARE = 4  # its square
+    SEEN = 7  # what the channel is
+    PRODUCT = 10  # both, multiplied
+
+
+_LINE_SUMS = LineSum.PRODUCT + 3
+
+
 class ChannelModel:
     """The model of one frame, and the buffers to fit it, for the grid of `gains`."""
 
     def __init__(self, gains: Gains) -> None:
-        self._gains = gains
+        #: What the frame's samples are balanced by.
+        self.gains = gains
         height, columns = int(gains.samples.shape[0]), int(gains.samples.shape[1])
         blocks, grid = gains.window.blocks, gains.window.grid
+        #: (H, Wb, 3) the samples times their gains, levels; kept beside them, so that a frame may be fitted twice.
+        self._balanced = runtime.empty((height, columns, 3), np.float32)
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
         strips = height * -(-columns // _SAMPLES_A_THREAD)
         self._moments = runtime.empty((strips, 5), np.float32)
         template_strips = -(-height // _EVERY) * -(-columns // _SAMPLES_A_THREAD)
         self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS), np.float32)
-        self._sums = runtime.empty((*blocks, 13), np.float32)
-        self._half = runtime.empty((*grid, 13), np.float32)
-        self._smooth = runtime.empty((*grid, 13), np.float32)
+        self._sums = runtime.empty((*blocks, _LINE_SUMS), np.float32)
+        self._half = runtime.empty((*grid, _LINE_SUMS), np.float32)
+        self._smooth = runtime.empty((*grid, _LINE_SUMS), np.float32)
         #: (Hg, Wg, 6) A and B of the channels that the gains belong to, in levels where s is in levels.
         self.nodes = runtime.empty((*grid, 6), np.float32)
         #: (3, terms) t_i: 1, cosines, sines.
@@ -76,11 +94,15 @@ class ChannelModel:
         self.mismatch = np.nan
         #: The samples' mean modulation over their mean background; NaN without samples.
         self.contrast = np.nan
-        self._share = 0.0
-        self._weights = np.zeros((3, 3), np.float32)
 
-    def recover_samples(self, crosstalk: Crosstalk, levels: FrameLevels) -> None:
-        """Balance the samples by the gains, and find their bare phase, the arctangent's.
+    def fit(
+        self,
+        crosstalk: Crosstalk,
+        levels: FrameLevels,
+        correction: F32,
+        known: F32,
+    ) -> None:
+        """Fit the template to the samples that the gains were measured from, then A and B around every node.
 
         Parameters
         ----------
@@ -88,34 +110,23 @@ class ChannelModel:
             What the gains were measured with.
         levels : FrameLevels
             Clipped samples, and those with less modulation, say nothing.
-        """
-        gains = self._gains
-        self._weights = crosstalk.weights
-        samples = (gains.samples, gains.gains, gains.spacing_px, crosstalk.weights)
-        recover_samples_kernel(*samples, levels.modulation, levels.clipped, self.phases, self._moments)
-        count, modulation, background, square, product = runtime.to_host(self._moments).sum(axis=0, dtype=np.float64)
-        # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
-        # light in it, too.
-        self._share, self.contrast = 0.0, float(modulation / background) if background > 0 else np.nan
-        if count > 0:
-            variance, covariance = square - background**2 / count, product - background * modulation / count
-            if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
-                self._share = float(np.clip(1 - modulation * variance / (covariance * background), 0, _MAX_AMBIENT))
-
-    def fit(self, correction: npt.NDArray[np.float32], known: npt.NDArray[np.float32]) -> None:
-        """Fit the template to the samples, then A and B around every node.
-
-        Parameters
-        ----------
         correction : (bins + 1,) float32
             rad, to be added to the bare phase; see `equalization.correction_table`.
         known : (3, terms) float32
             The template as far as it is known: it helps to tell the samples' brightness, and stays where there are
             hardly any.
+
+        Raises
+        ------
+        ShapeError
+            A shape or dtype is another one.
         """
-        gains = self._gains
-        samples, spacing_px = (gains.samples, self.phases, correction), gains.spacing_px
-        sum_template_kernel(*samples, self._weights, known, gains.smooth, spacing_px, self._share, self._normal)
+        correction = _checks.read_array("correction", correction, (None,), np.float32)
+        known = _checks.read_array("known", known, (3, TERMS), np.float32)
+        share = self._recover_samples(crosstalk, levels)
+        gains, weights = self.gains, crosstalk.weights
+        samples, spacing_px = (self._balanced, self.phases, correction), gains.spacing_px
+        sum_template_kernel(*samples, weights, known, gains.smooth, spacing_px, share, self._normal)
         normal = runtime.to_host(self._normal).sum(axis=0, dtype=np.float64)  # synchronises
         gram = np.zeros((TERMS, TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
@@ -123,23 +134,41 @@ class ChannelModel:
         weight = max(gram[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases)[::_EVERY] < NO_PHASE), 1)
         prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
         gram += np.diag(prior)
-        right = normal[_CORNERS:].reshape(TERMS, 3) + prior[:, None] * known.T
+        right = normal[_CORNERS:].reshape(TERMS, 3) + prior[:, None] * runtime.to_host(known).T
         solved = np.linalg.solve(gram, right)
         self.template[:] = (solved / solved[0]).T
-        self.mismatch = template_mismatch(self.template, self._weights)
-        sum_model_kernel(*samples, self.template, gains.smooth, gains.window.rows, self._share, self._sums)
+        self.mismatch = template_mismatch(self.template, weights)
+        sum_model_kernel(*samples, self.template, gains.smooth, gains.window.rows, share, self._sums)
         gains.window.smooth(self._sums, self._half, self._smooth)
-        fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, self._share, self.nodes)
+        fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, share, self.nodes)
+
+    def _recover_samples(self, crosstalk: Crosstalk, levels: FrameLevels) -> float:
+        """Balance the samples, find their bare phase, and return which share of the background is ambient light."""
+        gains = self.gains
+        samples = (gains.samples, gains.gains, gains.spacing_px, crosstalk.weights)
+        out = (self._balanced, self.phases, self._moments)
+        recover_samples_kernel(*samples, levels.modulation, levels.clipped, *out)
+        moments = runtime.to_host(self._moments)  # synchronises
+        count, modulation, background, square, product = moments.sum(axis=0, dtype=np.float64)
+        # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
+        # light in it, too.
+        self.contrast = float(modulation / background) if background > 0 else np.nan
+        if count > 0:
+            variance, covariance = square - background**2 / count, product - background * modulation / count
+            if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
+                return float(np.clip(1 - modulation * variance / (covariance * background), 0, _MAX_AMBIENT))
+        return 0.0
 
 
 @ti.kernel
 def recover_samples_kernel(
-    samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to, levels; they are balanced
+    samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to, levels
     gains: F32Array3,  # (Hg, Wg, 3)
     spacing_px: i32,
     phase_weights: F32Array2,  # (3, 3)
     min_modulation: f32,  # levels
     max_level: f32,
+    out_balanced: F32Array3,  # (H, Wb, 3) the same, times their gains
     out_phase: F32Array2,  # (H, Wb) rad; NO_PHASE where there is none
     out_moments: F32Array2,  # (strips, 5) sums of 1, modulation, background, its square, the product
 ):
@@ -150,8 +179,8 @@ def recover_samples_kernel(
         moments = ti.Vector.zero(f32, 5)
         for j in range(first, first + count):
             seen = sample_at(samples, y, j)
-            balanced = seen * gain_at(gains, spacing_px, y, j * spacing_px + spacing_px // 2)
-            vector = weights @ balanced
+            gain = gain_at(gains, spacing_px, y, j * spacing_px + spacing_px // 2)
+            vector = weighed_vector(seen, gain, weights)
             modulation, background = modulation_of(vector), vector.z
             phase = NO_PHASE
             if modulation > min_modulation and seen.max() < max_level:
@@ -159,7 +188,7 @@ def recover_samples_kernel(
                 moments += ti.Vector([1.0, modulation, background, background * background, background * modulation])
             out_phase[y, j] = phase
             for k in ti.static(range(3)):
-                samples[y, j, k] = balanced[k]
+                out_balanced[y, j, k] = seen[k] * gain[k]
         for k in ti.static(range(5)):
             out_moments[strip, k] = moments[k]
 
@@ -169,7 +198,7 @@ def ambient_at(smooth: F32Array3, spacing_px: i32, share: f32, y: i32, x: i32) -
     """Ambient light near a pixel: the frame's share of the mean background there."""
     i = ti.min(y // spacing_px, smooth.shape[0] - 1)
     j = ti.min(x // spacing_px, smooth.shape[1] - 1)
-    return share * smooth[i, j, 6] / ti.max(smooth[i, j, 7], 1e-6)
+    return share * smooth[i, j, WindowSum.BACKGROUND] / ti.max(smooth[i, j, WindowSum.SAMPLES], 1e-6)
 
 
 @ti.kernel
@@ -179,7 +208,7 @@ def sum_template_kernel(
     correction: F32Array1,  # (bins + 1,) rad
     phase_weights: F32Array2,  # (3, 3)
     known: F32Array2,  # (3, terms)
-    smooth: F32Array3,  # (Hg, Wg, 8) background and count last
+    smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     spacing_px: i32,
     share: f32,
     out_normal: F32Array2,  # (strips, terms) the normal equations: upper triangle, right sides
@@ -215,10 +244,10 @@ def sum_model_kernel(
     phases: F32Array2,  # (H, Wb) rad
     correction: F32Array1,  # (bins + 1,) rad
     template: F32Array2,  # (3, terms)
-    smooth: F32Array3,  # (Hg, Wg, 8) background and count last
+    smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     rows: i32,
     share: f32,
-    out_sums: F32Array3,  # (Hb, Wb, 13) count; a channel's model, its square, the channel, their product
+    out_sums: F32Array3,  # (Hb, Wb, 13) see `LineSum`
 ):
     """Sum up, block by block, what the straight lines of A and B are drawn through."""
     height = samples.shape[0]
@@ -238,18 +267,18 @@ def sum_model_kernel(
                 square += expected * expected
                 seen += light + ambient
                 product += expected * (light + ambient)
-        out_sums[i, j, 0] = count
+        out_sums[i, j, LineSum.COUNT] = count
         for k in ti.static(range(3)):
-            out_sums[i, j, 1 + k] = model[k]
-            out_sums[i, j, 4 + k] = square[k]
-            out_sums[i, j, 7 + k] = seen[k]
-            out_sums[i, j, 10 + k] = product[k]
+            out_sums[i, j, LineSum.MODEL + k] = model[k]
+            out_sums[i, j, LineSum.SQUARE + k] = square[k]
+            out_sums[i, j, LineSum.SEEN + k] = seen[k]
+            out_sums[i, j, LineSum.PRODUCT + k] = product[k]
 
 
 @ti.kernel
 def fit_nodes_kernel(
-    sums: F32Array3,  # (Hg, Wg, 13) `sum_model_kernel`'s, smoothed
-    smooth: F32Array3,  # (Hg, Wg, 8)
+    sums: F32Array3,  # (Hg, Wg, 13) see `LineSum`, over the window
+    smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     gains: F32Array3,  # (Hg, Wg, 3)
     share: f32,
     out_nodes: F32Array3,  # (Hg, Wg, 6) A and B
@@ -259,8 +288,10 @@ def fit_nodes_kernel(
         i, j = node // sums.shape[1], node % sums.shape[1]
         ambient = ambient_at(smooth, 1, share, i, j)
         for k in ti.static(range(3)):
-            count, model, square = sums[i, j, 0] * (1.0 + _RIDGE), sums[i, j, 1 + k], sums[i, j, 4 + k]
-            seen, product = sums[i, j, 7 + k] + _RIDGE * sums[i, j, 0] * ambient, sums[i, j, 10 + k]
+            model, square = sums[i, j, LineSum.MODEL + k], sums[i, j, LineSum.SQUARE + k]
+            count = sums[i, j, LineSum.COUNT] * (1.0 + _RIDGE)
+            seen = sums[i, j, LineSum.SEEN + k] + _RIDGE * sums[i, j, LineSum.COUNT] * ambient
+            product = sums[i, j, LineSum.PRODUCT + k]
             determinant = count * square - model * model
             factor, left = 1.0, ambient
             if count > 1e-3 and determinant > 1e-3 * count * square:

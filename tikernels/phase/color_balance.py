@@ -12,6 +12,7 @@ second look, which knows the phase by then, predicts P_i from it: the channels' 
 the frame's mean contrast. A third look gains less than 0.001 rad.
 """
 
+from enum import IntEnum
 from functools import cache
 from typing import Any
 
@@ -23,9 +24,9 @@ from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2,
 from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.balance_window import BalanceWindow
-from tikernels.phase.crosstalk import Crosstalk, unmixed
+from tikernels.phase.crosstalk import Crosstalk, colored_channels, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
-from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of
+from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of, modulation_of
 from tikernels.raw.linearization import LEVEL_TYPES
 
 # Sums below this hold no colour worth measuring.
@@ -35,6 +36,21 @@ _ANYTHING_LIT = FrameLevels(white=1.0, read_noise=0.0, noise_gain=0.0, noise=0.0
 # The frame's contrast is averaged over every eighth row, and is never above this.
 _SPARSE = 8
 _MAX_CONTRAST = 1.5
+# Columns of the sums that tell it, a row of the image each; in the last row the first has the contrast itself.
+_MODULATION, _BACKGROUND = range(2)
+_CONTRAST = 0
+
+
+class WindowSum(IntEnum):
+    """Columns of what is summed up over the window."""
+
+    SEEN = 0  # the three channels, levels
+    PREDICTED = 3  # what the phase predicts of them, up to a factor
+    BACKGROUND = 6  # of the balanced channels, levels
+    SAMPLES = 7  # how many there are
+
+
+_WINDOW_SUMS = WindowSum.SAMPLES + 1
 
 
 class Gains:
@@ -56,12 +72,12 @@ class Gains:
         blocks, grid = self.window.blocks, self.window.grid
         #: (H, Wb, 3) of the channels that the gains belong to, levels; zero where it is too dark.
         self.samples = runtime.empty((height, blocks[1], 3), np.float32)
-        #: (Hg, Wg, 8) over the window: the channels, what the phase predicts of them, background, and how many samples.
-        self.smooth = runtime.empty((*grid, 8), np.float32)
+        #: (Hg, Wg, 8) over the window, see `WindowSum`.
+        self.smooth = runtime.empty((*grid, _WINDOW_SUMS), np.float32)
         #: (Hg, Wg, 3) by node.
         self.gains = runtime.empty((*grid, 3), np.float32)
-        self._sums = runtime.empty((*blocks, 8), np.float32)
-        self._half = runtime.empty((*grid, 8), np.float32)
+        self._sums = runtime.empty((*blocks, _WINDOW_SUMS), np.float32)
+        self._half = runtime.empty((*grid, _WINDOW_SUMS), np.float32)
         self._contrast_sums = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
 
     def measure(self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels) -> None:
@@ -117,22 +133,24 @@ def gain_at(gains: F32Array3, spacing_px: i32, y: i32, x: i32) -> vec3:
 
 
 @ti.func
-def projected_wave(sample: vec3, gain: vec3, inverse: mat3, to_phase: mat3, balance_first: Static) -> vec3:
-    """Return a, b cos(phi) and b sin(phi) of a sample, as a neutral surface sends the projector's light back."""
+def projected_vector(sample: vec3, gain: vec3, inverse: mat3, to_phase: mat3, balance_first: Static) -> vec3:
+    """Return b cos(phi), b sin(phi) and a of a sample, as a neutral surface sends the projector's light back."""
+    # What `weighed_vector` gives in exact arithmetic; with the inverse in the weights, float32 rounds differently.
     light = sample * gain
     if ti.static(balance_first):
         light = unmixed(light, inverse)
-    return to_phase @ light
+    wave = to_phase @ light
+    return vec3(wave.y, wave.z, wave.x)
 
 
 @ti.func
-def neutral_channels(wave: vec3, share: f32, of_phase: mat3, matrix: mat3, balance_first: Static) -> vec3:
-    """Return what the channels of a neutral surface are, given a pixel's wave.
+def neutral_channels(vector: vec3, share: f32, of_phase: mat3, matrix: mat3, balance_first: Static) -> vec3:
+    """Return what the channels of a neutral surface are, given a pixel's `projected_vector`.
 
     Its background, and its phase with the frame's contrast: `share` is that over the pixel's modulation. Cosine and
-    sine come from the wave itself: no arctangent is needed.
+    sine come from the vector itself: no arctangent is needed.
     """
-    light = wave.x * (of_phase @ vec3(1.0, share * wave.y, share * wave.z))
+    light = vector.z * (of_phase @ vec3(1.0, share * vector.x, share * vector.y))
     if ti.static(balance_first):
         light = matrix @ light
     return light
@@ -151,7 +169,13 @@ def balancing_gain(seen: vec3, predicted: vec3) -> vec3:
 @ti.func
 def sample_at(samples: F32Array3, y: i32, j: i32) -> vec3:
     """Load a sample's channels."""
-    return vec3(samples[y, j, 0], samples[y, j, 1], samples[y, j, 2])
+    return channels_at(samples, y, j, 0)
+
+
+@ti.func
+def channels_at(sums: F32Array3, i: i32, j: i32, first: Static) -> vec3:
+    """Load three channels that begin at a column."""
+    return vec3(sums[i, j, first], sums[i, j, first + 1], sums[i, j, first + 2])
 
 
 @cache
@@ -174,9 +198,7 @@ def _collect_samples_kernel(balance_first: bool) -> Any:
             if x < width:
                 light = color_at(image, y, x)
                 if light.sum() > 3.0 * min_intensity:
-                    kept = light
-                    if ti.static(not balance_first):
-                        kept = unmixed(light, inverse)
+                    kept = colored_channels(light, inverse, balance_first)
             for k in ti.static(range(3)):
                 out_samples[y, j, k] = kept[k]
 
@@ -195,8 +217,8 @@ def _predict_blocks_kernel(balance_first: bool) -> Any:
         gains: F32Array3,  # (Hg, Wg, 3) of the first look
         rows: i32,
         min_modulation: f32,
-        contrast_sums: F32Array2,  # (H / 8 + 1, 2) scratch: sums of modulation and background a row; last: their ratio
-        out_sums: F32Array3,  # (Hb, Wb, 8) what is there, what the phase predicts, the background, and the samples
+        contrast_sums: F32Array2,  # (H / 8 + 1, 2) scratch: see _MODULATION and so on
+        out_sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`
     ):
         """Measure the frame's contrast, then sum up every block's channels and what they should be."""
         height, columns = samples.shape[0], 2 * rows
@@ -207,45 +229,45 @@ def _predict_blocks_kernel(balance_first: bool) -> Any:
             y = i * _SPARSE
             for j in range(samples.shape[1]):
                 gain = gain_at(gains, columns, y, j * columns + rows)
-                wave = projected_wave(sample_at(samples, y, j), gain, inverse, to_phase, balance_first)
-                modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
+                vector = projected_vector(sample_at(samples, y, j), gain, inverse, to_phase, balance_first)
+                modulation = modulation_of(vector)
                 if modulation > min_modulation:
                     modulation_sum += modulation
-                    background_sum += wave.x
-            contrast_sums[i, 0] = modulation_sum
-            contrast_sums[i, 1] = background_sum
+                    background_sum += vector.z
+            contrast_sums[i, _MODULATION] = modulation_sum
+            contrast_sums[i, _BACKGROUND] = background_sum
         # One thread adds the rows up in order, so that the sum is the same every time.
         ti.loop_config(serialize=True)
         for _ in range(1):
             modulation_sum, background_sum = 0.0, 1e-12
             for i in range(last):
-                modulation_sum += contrast_sums[i, 0]
-                background_sum += contrast_sums[i, 1]
-            contrast_sums[last, 0] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
+                modulation_sum += contrast_sums[i, _MODULATION]
+                background_sum += contrast_sums[i, _BACKGROUND]
+            contrast_sums[last, _CONTRAST] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
         for block in range(out_sums.shape[0] * out_sums.shape[1]):
             i, j = block // out_sums.shape[1], block % out_sums.shape[1]
             inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
             of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
             seen, predicted = vec3(0.0), vec3(0.0)
             background, count = 0.0, 0.0
-            contrast = contrast_sums[last, 0]
+            contrast = contrast_sums[last, _CONTRAST]
             # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
             gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), j * columns + rows)
             for y in range(i * rows, ti.min((i + 1) * rows, height)):
                 sample = sample_at(samples, y, j)
-                wave = projected_wave(sample, gain, inverse, to_phase, balance_first)
-                modulation = ti.sqrt(wave.y * wave.y + wave.z * wave.z)
+                vector = projected_vector(sample, gain, inverse, to_phase, balance_first)
+                modulation = modulation_of(vector)
                 if modulation > min_modulation:
                     share = contrast / modulation
                     seen += sample
-                    predicted += neutral_channels(wave, share, of_phase, matrix, balance_first)
+                    predicted += neutral_channels(vector, share, of_phase, matrix, balance_first)
                     background += (sample * gain).sum() / 3.0
                     count += 1.0
             for k in ti.static(range(3)):
-                out_sums[i, j, k] = seen[k]
-                out_sums[i, j, 3 + k] = predicted[k]
-            out_sums[i, j, 6] = background
-            out_sums[i, j, 7] = count
+                out_sums[i, j, WindowSum.SEEN + k] = seen[k]
+                out_sums[i, j, WindowSum.PREDICTED + k] = predicted[k]
+            out_sums[i, j, WindowSum.BACKGROUND] = background
+            out_sums[i, j, WindowSum.SAMPLES] = count
 
     return predict_blocks_kernel
 
@@ -254,7 +276,7 @@ def _predict_blocks_kernel(balance_first: bool) -> Any:
 def sum_blocks_kernel(
     samples: F32Array3,  # (H, Wb, 3)
     rows: i32,
-    out_sums: F32Array3,  # (Hb, Wb, >= 3)
+    out_sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`; the first three are written
 ):
     """Sum up every block's channels."""
     height = samples.shape[0]
@@ -264,12 +286,12 @@ def sum_blocks_kernel(
         for y in range(i * rows, ti.min((i + 1) * rows, height)):
             total += sample_at(samples, y, j)
         for k in ti.static(range(3)):
-            out_sums[i, j, k] = total[k]
+            out_sums[i, j, WindowSum.SEEN + k] = total[k]
 
 
 @ti.kernel
 def find_gains_kernel(
-    sums: F32Array3,  # (Hg, Wg, 8) what is there, and what the phase predicts
+    sums: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     predicted: i32,  # 0: nothing is predicted yet, and the channels are to be equal
     out_gains: F32Array3,  # (Hg, Wg, 3)
 ):
@@ -278,8 +300,8 @@ def find_gains_kernel(
         i, j = node // sums.shape[1], node % sums.shape[1]
         model = vec3(1.0)
         if predicted == 1:
-            model = vec3(sums[i, j, 3], sums[i, j, 4], sums[i, j, 5])
-        gain = balancing_gain(sample_at(sums, i, j), model)
+            model = channels_at(sums, i, j, WindowSum.PREDICTED)
+        gain = balancing_gain(channels_at(sums, i, j, WindowSum.SEEN), model)
         for k in ti.static(range(3)):
             out_gains[i, j, k] = gain[k]
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import _checks
-from tikernels._taichi import F32Array2, F32Array3, mat3, ti, vec3
+from tikernels._taichi import F32Array2, F32Array3, Static, mat3, ti, vec3
 from tikernels.arrays import F32
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import color_at, matrix_of, phase_weights
@@ -20,6 +20,21 @@ from tikernels.phase.phase_vector import color_at, matrix_of, phase_weights
 def unmixed(light: vec3, inverse: mat3) -> vec3:
     """Return the light of the projector's channels, given the camera's."""
     return inverse @ light
+
+
+@ti.func
+def colored_channels(light: vec3, inverse: mat3, balance_first: Static) -> vec3:
+    """Return the channels on which the surface's colour acts, given the camera's; see `Crosstalk.balance_first`."""
+    channels = light
+    if ti.static(not balance_first):
+        channels = unmixed(light, inverse)
+    return channels
+
+
+@ti.func
+def weighed_vector(channels: vec3, gain: vec3, weights: mat3) -> vec3:
+    """Return b cos(phi), b sin(phi) and a of what `colored_channels` gives, balanced by a gain; see `phase_weights`."""
+    return weights @ (channels * gain)
 
 
 @ti.kernel

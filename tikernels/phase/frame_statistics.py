@@ -29,6 +29,8 @@ _NOISE_GROUPS = 6
 _MIN_SPREAD = 0.05
 # Mean of the middle fifth of a normal distribution's absolute values, in standard deviations.
 _MIDDLE = 0.6776
+# Columns of what is read off a pixel: b cos(phi), b sin(phi), the second difference of the channels' sum, their mean.
+_COSINE, _SINE, _CHANGE, _LIGHT = range(4)
 
 
 @dataclass(frozen=True)
@@ -61,7 +63,7 @@ class FrameLevels:
 def probe_frame_kernel(
     image: AnyArray3,  # (H, W, 3) levels
     scale: f32,  # levels to 0..1
-    out_samples: F32Array3,  # (columns, H, 4) phase vector (2), noise (sum of second differences), mean
+    out_samples: F32Array3,  # (columns, H, 4) 0..1; see _COSINE and so on
 ):
     columns, height, width = out_samples.shape[0], image.shape[0], image.shape[1]
     for sample in range(columns * height):
@@ -71,10 +73,10 @@ def probe_frame_kernel(
         change = color_at(image, y, ti.max(x - 1, 0)) - 2.0 * here + color_at(image, y, ti.min(x + 1, width - 1))
         change *= scale
         vector = phase_vector(here * scale)
-        out_samples[column, y, 0] = vector.x
-        out_samples[column, y, 1] = vector.y
-        out_samples[column, y, 2] = change.x + change.y + change.z
-        out_samples[column, y, 3] = vector.z
+        out_samples[column, y, _COSINE] = vector.x
+        out_samples[column, y, _SINE] = vector.y
+        out_samples[column, y, _CHANGE] = change.x + change.y + change.z
+        out_samples[column, y, _LIGHT] = vector.z
 
 
 def measure_frame(image: LevelsImage, white_level: float | None = None) -> FrameStatistics:
@@ -101,10 +103,10 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     columns = min(_COLUMNS, int(image.shape[1]))
     samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
     probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[runtime.dtype_name(image)]), samples)
-    light = samples[..., 3]
+    light = samples[..., _LIGHT]
     bright = float(np.percentile(light, 95))
-    period = _period(samples[..., 0] + 1j * samples[..., 1])
-    return FrameStatistics(period, _noise(samples[..., 2], light, bright), bright)
+    period = _period(samples[..., _COSINE] + 1j * samples[..., _SINE])
+    return FrameStatistics(period, _noise(samples[..., _CHANGE], light, bright), bright)
 
 
 def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float) -> tuple[float, float]:

@@ -49,10 +49,10 @@ from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
 from tikernels.phase.color_balance import Gains, gain_at
-from tikernels.phase.crosstalk import Crosstalk, unmixed
+from tikernels.phase.crosstalk import Crosstalk, colored_channels, weighed_vector
 from tikernels.phase.equalization import equalized, place_in_cycle
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of
+from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of, squared_modulation
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_at, strip_count
@@ -102,12 +102,10 @@ def node_model(nodes: F32Array3, row: f32, j: i32):
 @ti.func
 def fringe_vector(seen: vec3, color: vec3, ambient: vec3, inverse: mat3, weights: mat3, balance_first: Static) -> vec3:
     """Return b cos(phi), b sin(phi) and a of a pixel's balanced channels, (C - B) / A."""
-    channels = seen
-    if ti.static(not balance_first):
-        channels = unmixed(channels, inverse)
+    channels = colored_channels(seen, inverse, balance_first)
     # One division for three.
     others = vec3(color.y * color.z, color.x * color.z, color.x * color.y)
-    return weights @ ((channels - ambient) * others) / (color.x * others.x)
+    return weighed_vector(channels - ambient, others, weights) / (color.x * others.x)
 
 
 @ti.func
@@ -256,12 +254,9 @@ def _count_phases_kernel(balance_first: bool) -> Any:
                 red[k], green[k], blue[k] = seen.x, seen.y, seen.z
             for k in range(_SAMPLES_A_THREAD):
                 seen = vec3(red[k], green[k], blue[k])
-                channels = seen
-                if ti.static(not balance_first):
-                    channels = unmixed(channels, inverse)
-                vector = weights @ (channels * gain)
+                vector = weighed_vector(colored_channels(seen, inverse, balance_first), gain, weights)
                 counts = is_lit(seen, min_intensity, clipped)
-                counts &= vector.x * vector.x + vector.y * vector.y > min_modulation * min_modulation
+                counts &= squared_modulation(vector) > min_modulation * min_modulation
                 place[k] = ti.select(counts, place_in_cycle(arctangent(vector.y, vector.x), bins), -1.0)
             for k in range(_SAMPLES_A_THREAD):
                 if place[k] >= 0.0:
@@ -306,7 +301,6 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
 
 def fit_phase(
     image: LevelsImage,
-    gains: Gains,
     model: ChannelModel,
     crosstalk: Crosstalk,
     levels: FrameLevels,
@@ -320,12 +314,10 @@ def fit_phase(
     ----------
     image : (H, W, 3) uint8, uint16 or float32
         Linear light, levels, stripes along the rows.
-    gains : Gains
-        The frame's, measured.
     model : ChannelModel
         The frame's, fitted.
     crosstalk : Crosstalk
-        What both were made with.
+        What the model and its gains were made with.
     levels : FrameLevels
         The frame's noise, and what a pixel needs to have a phase.
     correction : (bins + 1,) float32
@@ -349,12 +341,12 @@ def fit_phase(
     ShapeError
         A shape or dtype is another one, or an output cannot be written.
     """
-    shape = (gains.height, gains.width)
+    shape = (model.gains.height, model.gains.width)
     image = _checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
     correction = _checks.read_array("correction", correction, (None,), np.float32)
     names, outs = ("phase", "modulation", "precision"), (None, None, None) if out is None else out
     results = tuple(_checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
-    _fit_phase_kernel(crosstalk.balance_first, gains.spacing_px)(
+    _fit_phase_kernel(crosstalk.balance_first, model.gains.spacing_px)(
         image,
         crosstalk.inverse,
         crosstalk.matrix,

@@ -34,6 +34,8 @@ _SAMPLE = 8
 #: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad a px, and
 #: the mean quality.
 RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = range(3)
+# Places in its other rows: sums of the changes' cosines and sines along and across, and the row's mean quality.
+_ALONG_COSINE, _ALONG_SINE, _ACROSS_COSINE, _ACROSS_SINE, _ROW_QUALITY = range(5)
 
 
 @ti.func
@@ -201,7 +203,7 @@ def smooth_phase(phase: F32, precision: F32, rates: F32, pairs: int, out: F32 | 
 def measure_rates_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)
-    out_rates: F32Array2,  # (H / 8 + 1, 5) sums a row; in the last row RATE_ALONG ...
+    out_rates: F32Array2,  # (H / 8 + 1, 5) see _ALONG_COSINE and so on; in the last row RATE_ALONG ...
 ):
     height, width = phase.shape[0], phase.shape[1]
     rows = out_rates.shape[0] - 1
@@ -222,21 +224,21 @@ def measure_rates_kernel(
                     if has_phase(phase[y + 1, x]):
                         change = phase[y + 1, x] - phase[y, x]
                         across += ti.Vector([ti.cos(change), ti.sin(change)])
-        out_rates[i, 0] = along.x
-        out_rates[i, 1] = along.y
-        out_rates[i, 2] = across.x
-        out_rates[i, 3] = across.y
-        out_rates[i, 4] = total / ti.max(count, 1.0)
+        out_rates[i, _ALONG_COSINE] = along.x
+        out_rates[i, _ALONG_SINE] = along.y
+        out_rates[i, _ACROSS_COSINE] = across.x
+        out_rates[i, _ACROSS_SINE] = across.y
+        out_rates[i, _ROW_QUALITY] = total / ti.max(count, 1.0)
     # One thread adds the rows up in order, so that the sum is the same every time.
     ti.loop_config(serialize=True)
     for _ in range(1):
         along, across = ti.Vector([1e-6, 0.0]), ti.Vector([1e-6, 0.0])
         total, count = 0.0, 0.0
         for i in range(rows):
-            along += ti.Vector([out_rates[i, 0], out_rates[i, 1]])
-            across += ti.Vector([out_rates[i, 2], out_rates[i, 3]])
-            if out_rates[i, 4] > 0.0:
-                total += out_rates[i, 4]
+            along += ti.Vector([out_rates[i, _ALONG_COSINE], out_rates[i, _ALONG_SINE]])
+            across += ti.Vector([out_rates[i, _ACROSS_COSINE], out_rates[i, _ACROSS_SINE]])
+            if out_rates[i, _ROW_QUALITY] > 0.0:
+                total += out_rates[i, _ROW_QUALITY]
                 count += 1.0
         out_rates[rows, RATE_ALONG] = ti.atan2(along.y, along.x)
         out_rates[rows, RATE_ACROSS] = ti.atan2(across.y, across.x)

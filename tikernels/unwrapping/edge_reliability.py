@@ -8,7 +8,7 @@ the sum of both its ends as its cost. Costs are integers, equal on every device.
 
 from tikernels._taichi import F32Array2, I32Array3, Static, f32, i32, ti
 from tikernels.phase.phase_vector import PI
-from tikernels.phase.wrapped_phase import NO_PHASE
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, LEAST_STEP_PHASE
 from tikernels.strips import STRIP, strip_at, strip_count
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.tables import MOST, Edge
@@ -17,8 +17,8 @@ from tikernels.unwrapping.tables import MOST, Edge
 _PHASE_BITS = 15
 _UNIT = 2**_PHASE_BITS / (2.0 * PI)
 _SPARE_BITS = 32 - _PHASE_BITS
-#: More than any counted phase, less than what is none.
-MISSING = int(0.5 * NO_PHASE * _UNIT)
+#: More than any counted phase, less than what is none; and less than what stands for a pixel that saw two surfaces.
+MISSING, TWO_SURFACES = int(LEAST_NO_PHASE * _UNIT), int(LEAST_STEP_PHASE * _UNIT)
 # Where a neighbour is missing nothing tells how reliable a pixel is: it comes after all others.
 _UNKNOWN = 2**29
 #: The cost where there is no edge, or a step across it.
@@ -94,17 +94,17 @@ def best_edge(
     Equal ones go in the order in which edges are named: to the right before downwards.
     """
     cost, pixel = ti.min(ti.min(beside[k - 1], beside[k]), ti.min(upwards[k], downwards[k])), row[k]
-    side, step = DOWNWARDS, cycles_to(lower[k], pixel, -across)
+    side, shift = DOWNWARDS, cycles_to(lower[k], pixel, -across)
     is_best = upwards[k] == cost
     side = ti.select(is_best, UPWARDS, side)
-    step = ti.select(is_best, cycles_to(highest[k], pixel, across), step)
+    shift = ti.select(is_best, cycles_to(highest[k], pixel, across), shift)
     is_best = beside[k] == cost
     side = ti.select(is_best, RIGHTWARDS, side)
-    step = ti.select(is_best, cycles_to(row[k + 1], pixel, -along), step)
+    shift = ti.select(is_best, cycles_to(row[k + 1], pixel, -along), shift)
     is_best = beside[k - 1] == cost
     side = ti.select(is_best, LEFTWARDS, side)
-    step = ti.select(is_best, cycles_to(row[k - 1], pixel, along), step)
-    return ti.select(cost == NO_EDGE, NOWHERE, (step << 3) + side)
+    shift = ti.select(is_best, cycles_to(row[k - 1], pixel, along), shift)
+    return ti.select(cost == NO_EDGE, NOWHERE, (shift << 3) + side)
 
 
 @ti.kernel

@@ -15,7 +15,7 @@ from tikernels import runtime
 from tikernels.arrays import F32, I32
 from tikernels.errors import ShapeError
 from tikernels.phase.smoothing import MEAN_QUALITY
-from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, LEAST_STEP_PHASE
 from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.tables import (
     BETWEEN,
@@ -111,7 +111,7 @@ class GivenRegions(PatchMethod):
     def grow(self, phase: F32, quality: F32, rates: F32, drafts: Drafts) -> None:
         """Ask the user's unwrapper, and cut its regions into patches."""
         marked, seen = runtime.to_host(phase), runtime.to_host(quality)  # synchronises
-        valid = marked < 0.5 * NO_PHASE
+        valid = marked < LEAST_NO_PHASE
         answer = self._unwrapper.unwrap(np.where(valid, marked, np.float32(np.nan)), seen.copy())
         order, region = _checked(answer, marked, valid)
         patches = _cut(order, region)
@@ -120,7 +120,7 @@ class GivenRegions(PatchMethod):
         mean_quality = float(runtime.to_host(rates)[-1, MEAN_QUALITY])
         relative = np.nan_to_num(seen.ravel()[patches.first] / mean_quality)
         brightness_weight = np.clip(4 * relative, 1, 16).astype(np.int64)
-        between = np.where(marked > 0.5 * (NO_PHASE + STEP_PHASE), BETWEEN, NOTHING)
+        between = np.where(marked > LEAST_STEP_PHASE, BETWEEN, NOTHING)
         _write(drafts, order, patches, brightness_weight, contacts, between)
 
 

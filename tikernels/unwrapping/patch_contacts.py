@@ -69,8 +69,8 @@ def note_outvoted(
                     noted = 1
         other, patch = choice.x >> ORDER_BITS, chosen >> ORDER_BITS
         if choice.x >= 0 and other != patch and noted == 0:
-            turn = (choice.x & ORDER_MASK) - (chosen & ORDER_MASK)
-            add_contact(contacts, places, count, other, patch, turn, tally, 3 * (y * phase.shape[1] + candidate))
+            shift = (choice.x & ORDER_MASK) - (chosen & ORDER_MASK)
+            add_contact(contacts, places, count, other, patch, shift, tally, 3 * (y * phase.shape[1] + candidate))
 
 
 @ti.func
@@ -93,9 +93,9 @@ def note_run_before(
         departs = departure(difference, usual[0])
         other, patch = label >> ORDER_BITS, chosen >> ORDER_BITS
         if departs <= MAX_DEPARTURE and other != patch:
-            turn = (label & ORDER_MASK) + cycles - (chosen & ORDER_MASK)
+            shift = (label & ORDER_MASK) + cycles - (chosen & ORDER_MASK)
             tally = vote_weight(departs, quality[y, start], quality[y, start - 1], usual[2])
-            add_contact(contacts, places, count, other, patch, turn, tally, 3 * (y * phase.shape[1] + start - 1) + 1)
+            add_contact(contacts, places, count, other, patch, shift, tally, 3 * (y * phase.shape[1] + start - 1) + 1)
 
 
 @ti.func

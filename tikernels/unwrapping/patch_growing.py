@@ -7,7 +7,7 @@ where two of its patches touch, they note a contact with its votes (`patch_conta
 
 from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3
 from tikernels.phase.smoothing import departure
-from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, has_phase
+from tikernels.phase.wrapped_phase import LEAST_STEP_PHASE, has_phase
 from tikernels.unwrapping.continuity import (
     brightness_weight,
     cycles_between,
@@ -235,7 +235,7 @@ def grow_patches_kernel(
                         out_labels, out_patches, out_contacts, patch_count, contact_count,
                     )  # fmt: skip
                 else:
-                    between = phase[y, x] > 0.5 * (NO_PHASE + STEP_PHASE)
+                    between = phase[y, x] > LEAST_STEP_PHASE
                     out_labels[y, x] = ti.select(between, BETWEEN, NOTHING)
                     steps |= ti.cast(between, i32)
                     x += 1

@@ -48,9 +48,9 @@ def collect_patches_kernel(
             for row in ti.static((Patch.PIXELS, Patch.WEIGHT, Patch.FIRST)):
                 out_patches[row, patch] = draft_patches[row, draft]
             out_patches[Patch.PARENT, patch] = patch
-            out_patches[Patch.STEP, patch] = 0
+            out_patches[Patch.PARENT_SHIFT, patch] = 0
             out_patches[Patch.HEAD, patch] = patch
-            out_patches[Patch.TURN, patch] = 0
+            out_patches[Patch.HEAD_SHIFT, patch] = 0
             out_patches[Patch.SUPPORT, patch] = 0
         for k in range(cells[Cell.CONTACTS, cell + 1] - cells[Cell.CONTACTS, cell]):
             draft, contact = (cell << (draft_bits + CONTACT_BITS)) + k, cells[Cell.CONTACTS, cell] + k

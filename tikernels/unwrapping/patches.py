@@ -8,6 +8,7 @@ import numpy.typing as npt
 from tikernels import _checks, runtime
 from tikernels.arrays import F32, I32, U8
 from tikernels.depth.triangulation import ProjectorGeometry
+from tikernels.errors import ShapeError
 from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.hidden_steps import mark_hidden_steps_kernel
 from tikernels.unwrapping.region_placing import choose_starts_kernel, place_regions_kernel
@@ -120,14 +121,38 @@ class Patches:
         ----------
         roots : (P,) int32
             The patch that stands for each patch's region.
+
+        Raises
+        ------
+        ShapeError
+            There is not one root for each patch, or one is not the number of a patch.
         """
+        if np.shape(roots) != (self.count,):
+            raise ShapeError(f"roots has shape {np.shape(roots)}, expected one for each of {self.count} patches")
+        self._check_numbers("roots", roots)
         table = runtime.to_host(self.table)
         table[Patch.ROOT, : self.count] = roots
         _write_back(self.table, table)
         self._choose_starts()
 
     def set_orders(self, roots: npt.NDArray[np.integer], orders: npt.NDArray[np.integer]) -> None:
-        """Add these whole cycles to the orders that the regions with these roots had when they were joined."""
+        """Add these whole cycles to the orders that the regions with these roots had when they were joined.
+
+        Parameters
+        ----------
+        roots : (R,) int
+            The patches that stand for the regions.
+        orders : (R,) int
+            Whole cycles for each.
+
+        Raises
+        ------
+        ShapeError
+            There is not one order for each root, or a root is not the number of a patch.
+        """
+        self._check_numbers("roots", roots)
+        if np.shape(orders) != np.shape(roots):
+            raise ShapeError(f"orders has shape {np.shape(orders)}, expected {np.shape(roots)}: one for each root")
         regions = runtime.to_host(self._regions)
         regions[Region.ORDER, roots] = -orders
         _write_back(self._regions, regions)
@@ -207,6 +232,15 @@ class Patches:
         mark_hidden_steps_kernel(phase, rates, self.labels, self._seams, self.final)
         write_unwrapped_kernel(phase, rates, self.labels, self.final, out_unwrapped, out_mask, out_region)
         return RegionTable(roots, pixels)
+
+    def _check_numbers(self, name: str, numbers: npt.NDArray[np.integer]) -> None:
+        """Refuse what are not the numbers of patches: as indices they would write beyond the patches' rows."""
+        if numbers.ndim != 1 or not np.issubdtype(numbers.dtype, np.integer):
+            raise ShapeError(f"{name} is {numbers.ndim}-dimensional {numbers.dtype}, expected a row of integers")
+        if numbers.size and not (numbers.min() >= 0 and numbers.max() < self.count):
+            raise ShapeError(
+                f"{name} holds {numbers.min()} to {numbers.max()}, expected numbers of patches, 0 to {self.count - 1}"
+            )
 
     def _choose_starts(self) -> None:
         serial = one_thread_is_faster(self.count)

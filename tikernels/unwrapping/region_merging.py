@@ -32,7 +32,7 @@ def find_root(patches: I32Array2, patch: i32):
     """Follow a patch to the root of its region; return it and the cycles between their orders."""
     root, cycles = patch, 0
     while patches[Patch.PARENT, root] != root:
-        cycles += patches[Patch.STEP, root]
+        cycles += patches[Patch.PARENT_SHIFT, root]
         root = patches[Patch.PARENT, root]
     return root, cycles
 
@@ -45,10 +45,10 @@ def lift_contact(patches: I32Array2, contacts: I32Array2, e: i32) -> i32:
         a, b, shift = contacts[Contact.FROM, e], contacts[Contact.TO, e], contacts[Contact.SHIFT, e]
         root_a, cycles_a = find_root(patches, a)
         patches[Patch.HEAD, a] = root_a
-        patches[Patch.TURN, a] = cycles_a
+        patches[Patch.HEAD_SHIFT, a] = cycles_a
         root_b, cycles_b = find_root(patches, b)
         patches[Patch.HEAD, b] = root_b
-        patches[Patch.TURN, b] = cycles_b
+        patches[Patch.HEAD_SHIFT, b] = cycles_b
         shift += cycles_a - cycles_b
         if root_a > root_b:
             root_a, root_b, shift = root_b, root_a, -shift
@@ -125,11 +125,11 @@ def join_regions(patches: I32Array2, contacts: I32Array2, e: i32, counters: I32A
         a, b = contacts[Contact.FROM, e], contacts[Contact.TO, e]
         if patches[Patch.CHOICE, b] == e:
             patches[Patch.PARENT, b] = a
-            patches[Patch.STEP, b] = contacts[Contact.SHIFT, e]
+            patches[Patch.PARENT_SHIFT, b] = contacts[Contact.SHIFT, e]
             counters[Counter.MERGED] = 1
         elif patches[Patch.CHOICE, a] == e:
             patches[Patch.PARENT, a] = b
-            patches[Patch.STEP, a] = -contacts[Contact.SHIFT, e]
+            patches[Patch.PARENT_SHIFT, a] = -contacts[Contact.SHIFT, e]
             counters[Counter.MERGED] = 1
         patches[Patch.SUPPORT, a] = 0
         patches[Patch.SUPPORT, b] = 0
@@ -200,9 +200,9 @@ def settle_patches_kernel(
     """Follow every patch to the root of its region."""
     ti.loop_config(serialize=serial)
     for i in range(count):
-        root, offset = patches[Patch.HEAD, i], patches[Patch.TURN, i]
+        root, offset = patches[Patch.HEAD, i], patches[Patch.HEAD_SHIFT, i]
         while patches[Patch.HEAD, root] != root:
-            offset += patches[Patch.TURN, root]
+            offset += patches[Patch.HEAD_SHIFT, root]
             root = patches[Patch.HEAD, root]
         patches[Patch.ROOT, i] = root
         patches[Patch.OFFSET, i] = offset

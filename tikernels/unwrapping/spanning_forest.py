@@ -21,6 +21,7 @@ from tikernels.unwrapping.edge_reliability import (
     NO_EDGE,
     NOWHERE,
     RIGHTWARDS,
+    TWO_SURFACES,
     UPWARDS,
     counted,
     cycles_to,
@@ -211,7 +212,7 @@ def draft_patches(
         if link[p] == p:
             y, x = top + (p >> ROW_BITS), left + (p & (CELL_WIDTH - 1))
             content = edges[Edge.COUNTED, y + 1, x + 1]
-            label[p] = ti.select(content > 3 * MISSING, BETWEEN, NOTHING)
+            label[p] = ti.select(content > TWO_SURFACES, BETWEEN, NOTHING)
             if content < MISSING:
                 patch = places[0] + ti.min(patch_count, places[1] - 1)
                 patch_count += 1
@@ -220,7 +221,7 @@ def draft_patches(
                 out_patches[Patch.WEIGHT, patch] = pixels[p] * brightness_weight(quality[y, x], mean_quality)
                 out_patches[Patch.FIRST, patch] = y * quality.shape[1] + x
                 out_trees[Tree.EXIT, patch] = -1
-            elif content > 3 * MISSING:
+            elif content > TWO_SURFACES:
                 steps = 1
     return patch_count, steps
 

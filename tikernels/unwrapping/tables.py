@@ -2,7 +2,9 @@
 
 A *cell* is a rectangle of 8 x 16 pixels. A *patch* is what surely belongs together of a cell's pixels, with orders that
 count from its own zero. A *contact* is where two patches touch: it says by how much the zeros of their orders differ,
-and how well that is supported. Patches that contacts have joined are a *region*, of which one patch is the *root*.
+and how well that is supported. Patches that contacts have joined are a *region*, of which one patch is the *root*. A
+*shift* is the whole cycles to add to one patch's orders to make them count from another one's zero; a *step* is one of
+the surface, across which nothing joins.
 
 Cells are worked on at the same time, so each first writes its patches and contacts as *drafts* to places of its own:
 `cell << bits` and the following ones. Then they are numbered without gaps. Counters that all threads share would do
@@ -42,9 +44,9 @@ class Patch(IntEnum):
     ROOT = 3  # the patch that stands for its region
     OFFSET = 4  # whole cycles to add to its orders to make them the region's
     PARENT = 5  # in a round of joining: the region that this root is joined to,
-    STEP = 6  # and the cycles between their orders
+    PARENT_SHIFT = 6  # and the shift from there to here
     HEAD = 7  # the root that this patch has been joined to, directly or through others,
-    TURN = 8  # and the cycles between their orders
+    HEAD_SHIFT = 8  # and the shift from there to here
     SUPPORT = 9  # scratch: votes of the best contact; a start's score
     KEY = 10  # scratch: name of the best contact
     CHOICE = 11  # scratch: the best contact
@@ -55,7 +57,7 @@ class Contact(IntEnum):
 
     FROM = 0  # the other patch,
     TO = 1  # the one patch,
-    SHIFT = 2  # and the shift, whole cycles
+    SHIFT = 2  # and the shift from there to here
     VOTES = 3  # how well it is supported; 0: it is spent
     NAME = 4  # different for each, and in no order: it decides between equal votes
 
@@ -113,9 +115,9 @@ class Tree(IntEnum):
 
     EXIT = 0  # by which pixel and on which side the patch's best edge leaves its cell; -1: by none
     PARENT = 1  # the patch where that edge leads,
-    STEP = 2  # and the cycles between their orders
+    PARENT_SHIFT = 2  # and the shift from there to here
     ROOT = 3  # the patch at the root,
-    OFFSET = 4  # and the cycles between their orders
+    ROOT_SHIFT = 4  # and the shift from there to here
 
 
 class Seam(IntEnum):

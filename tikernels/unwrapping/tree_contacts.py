@@ -53,8 +53,8 @@ def tree_link(
         if trees[Tree.EXIT, other] != back or patch > other:
             rate = (x2 - x) * rates[0] + (y2 - y) * rates[1]
             phase, phase2 = edges[Edge.COUNTED, y + 1, x + 1], edges[Edge.COUNTED, y2 + 1, x2 + 1]
-            turn = (labels[y2, x2] & ORDER_MASK) - (labels[y, x] & ORDER_MASK)
-            link = ivec2(other, turn - cycles_to(phase, phase2, rate))
+            difference = (labels[y2, x2] & ORDER_MASK) - (labels[y, x] & ORDER_MASK)
+            link = ivec2(other, difference - cycles_to(phase, phase2, rate))
     return link
 
 
@@ -78,16 +78,16 @@ def join_trees_kernel(
             patch = (cell << draft_bits) + k
             link = tree_link(edges, counted_rates, labels, trees, patch, top, left)
             trees[Tree.PARENT, patch] = link[0]
-            trees[Tree.STEP, patch] = link[1]
+            trees[Tree.PARENT_SHIFT, patch] = link[1]
     for cell in range(cell_total):
         for k in range(ti.min(cells[Cell.PATCHES, cell], 1 << draft_bits)):
             patch = (cell << draft_bits) + k
-            root, offset = trees[Tree.PARENT, patch], trees[Tree.STEP, patch]
+            root, offset = trees[Tree.PARENT, patch], trees[Tree.PARENT_SHIFT, patch]
             while trees[Tree.PARENT, root] != root:
-                offset += trees[Tree.STEP, root]
+                offset += trees[Tree.PARENT_SHIFT, root]
                 root = trees[Tree.PARENT, root]
             trees[Tree.ROOT, patch] = root
-            trees[Tree.OFFSET, patch] = offset
+            trees[Tree.ROOT_SHIFT, patch] = offset
 
 
 @ti.func
@@ -137,7 +137,7 @@ def note_contacts_kernel(
         # Two rows of the cell with a column more to the right.
         root, order, phase = framed_row(0), framed_row(0), framed_row(0)
         root_below, order_below, phase_below = framed_row(-1), framed_row(0), framed_row(0)
-        cost, turn, other, between = row_of_edges(0), row_of_edges(0), row_of_edges(0), row_of_edges(0)
+        cost, shift, other, between = row_of_edges(0), row_of_edges(0), row_of_edges(0), row_of_edges(0)
         known = known_of_integers(-1)
         places = ivec2(cell << draft_bits, 1 << draft_bits) << CONTACT_BITS
         noted, steps = 0, 0
@@ -150,25 +150,25 @@ def note_contacts_kernel(
                     label = labels[y + 1, left + k]
                     patch = ti.max(label, 0) >> ORDER_BITS
                     root_below[k] = trees[Tree.ROOT, patch]
-                    order_below[k] = (label & ORDER_MASK) + trees[Tree.OFFSET, patch]
+                    order_below[k] = (label & ORDER_MASK) + trees[Tree.ROOT_SHIFT, patch]
                     phase_below[k] = edges[Edge.COUNTED, y + 2, left + k + 1]
             if y >= top:
                 for k in range(CELL_WIDTH):
                     cost[k] = edges[Edge.RIGHT, y + 1, left + k + 1]
-                    turn[k] = order[k] - order[k + 1] + cycles_to(phase[k], phase[k + 1], along)
+                    shift[k] = order[k] - order[k + 1] + cycles_to(phase[k], phase[k + 1], along)
                     other[k] = root[k + 1]
                     cost[CELL_WIDTH + k] = edges[Edge.DOWN, y + 1, left + k + 1]
-                    turn[CELL_WIDTH + k] = order[k] - order_below[k] + cycles_to(phase[k], phase_below[k], across)
+                    shift[CELL_WIDTH + k] = order[k] - order_below[k] + cycles_to(phase[k], phase_below[k], across)
                     other[CELL_WIDTH + k] = root_below[k]
                 count = 0
                 for k in range(2 * CELL_WIDTH):
                     exists, alike = cost[k] < NO_EDGE, other[k] == root[k & (CELL_WIDTH - 1)]
-                    steps |= ti.cast(exists & alike & (turn[k] != 0), i32)
+                    steps |= ti.cast(exists & alike & (shift[k] != 0), i32)
                     between[count] = k
                     count += ti.cast(exists & (not alike), i32)
                 for j in range(count):
                     k = between[j]
-                    edge = ivec4(root[k & (CELL_WIDTH - 1)], other[k], turn[k], NO_EDGE - cost[k])
+                    edge = ivec4(root[k & (CELL_WIDTH - 1)], other[k], shift[k], NO_EDGE - cost[k])
                     steps |= note_best_edge(edge, places, known, noted, out_contacts)
         out_cells[Cell.CONTACTS, cell] = noted
         out_cells[Cell.STEPS, cell] = out_cells[Cell.STEPS, cell] | steps
@@ -187,4 +187,4 @@ def root_trees_kernel(
         for k in range(cells[Cell.PATCHES, cell + 1] - cells[Cell.PATCHES, cell]):
             draft, patch = (cell << draft_bits) + k, cells[Cell.PATCHES, cell] + k
             patches[Patch.HEAD, patch] = patch_number(trees[Tree.ROOT, draft], cells, draft_bits)
-            patches[Patch.TURN, patch] = trees[Tree.OFFSET, draft]
+            patches[Patch.HEAD_SHIFT, patch] = trees[Tree.ROOT_SHIFT, draft]

@@ -50,7 +50,7 @@ class PatchMethod(Protocol):
         """
 
     def hang_together(self, drafts: Drafts, table: I32) -> None:
-        """Hang patches that belong together without a contact under one of them: see `Patch.HEAD` and `Patch.TURN`.
+        """Hang patches that belong together without a contact under one of them: see `Patch.HEAD` and its shift.
 
         Parameters
         ----------

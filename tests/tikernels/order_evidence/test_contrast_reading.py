@@ -8,7 +8,7 @@ from support.wrapped_surfaces import join
 import tikernels
 from tikernels import runtime
 from tikernels.order_evidence import match_stretches, measure_contrast
-from tikernels.order_evidence.contrast_reading import BACKGROUND, MODULATION, ORDER_SLOTS, TOTAL
+from tikernels.order_evidence.contrast_reading import BACKGROUND, LEAST, MODULATION, ORDER_SLOTS, SECOND, TOTAL, WINDOW
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.wrapped_phase import NO_PHASE
@@ -61,8 +61,8 @@ def test_stretches_find_their_windows(arch, count):
     stretches = (windows[rng.integers(90, size=count)] + rng.normal(0, 0.03, (count, 5))).astype(np.float32)
     matches = match_stretches(stretches, windows)
     distances = ((stretches[:, None].astype(np.float64) - windows) ** 2).sum(axis=-1)
-    np.testing.assert_array_equal(matches[:, 0], distances.argmin(axis=1))
-    np.testing.assert_allclose(matches[:, 1:], np.sort(distances, axis=1)[:, :2], rtol=1e-4, atol=1e-6)
+    np.testing.assert_array_equal(matches[:, WINDOW], distances.argmin(axis=1))
+    np.testing.assert_allclose(matches[:, [LEAST, SECOND]], np.sort(distances, axis=1)[:, :2], rtol=1e-4, atol=1e-6)
 
 
 def test_what_is_refused(arch):

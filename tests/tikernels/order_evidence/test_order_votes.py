@@ -9,6 +9,7 @@ import tikernels
 from tikernels import runtime
 from tikernels.order_evidence import vote_orders
 from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, SOUND, VOTES_A_CELL
+from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.tables import cells_of, numbers_of
 
 
@@ -59,7 +60,7 @@ def test_as_the_twin(arch, shape, method):
     rng = np.random.default_rng(5)
     true = surface(*shape)
     phase = reference.wrapped(true)
-    phase[rng.random(shape) < 0.02] = 100.0  # no phase
+    phase[rng.random(shape) < 0.02] = NO_PHASE
     before = (true + 0.3 * rng.standard_normal(shape)).astype(np.float32)
     before[rng.random(shape) < 0.01] = np.nan
     region = np.where(np.isnan(before), 0, rng.integers(1, 4, shape)).astype(np.int32)

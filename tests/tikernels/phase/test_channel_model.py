@@ -3,15 +3,18 @@
 import numpy as np
 import pytest
 import reference
+from support.array_forms import every_second, on_device, read_only
 
+import tikernels
 from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import HARMONICS, flat_template, known_template
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.equalization import correction_table, measure_distribution
+from tikernels.phase.equalization import correction_table
 from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_fit import count_phases
 from tikernels.phase.wrapped_phase import NO_PHASE
 
 MATRIX = np.array(TYPICAL_CROSSTALK)
@@ -37,8 +40,8 @@ def fitted(image: np.ndarray) -> tuple[ChannelModel, Gains]:
     gains = Gains(*SHAPE, PERIOD_PX)
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, LEVELS)
-    model.recover_samples(crosstalk, LEVELS)
-    model.fit(correction_table(measure_distribution(model.phases, 256), 9), flat_template())
+    correction = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9)
+    model.fit(crosstalk, LEVELS, correction, flat_template())
     return model, gains
 
 
@@ -84,3 +87,21 @@ def test_a_dark_frame_keeps_what_is_known(arch):
     model, _ = fitted(np.zeros((*SHAPE, 3), np.float32))
     np.testing.assert_allclose(model.template, flat_template(), atol=1e-6)
     assert np.isnan(model.contrast) and np.isnan(model.mismatch)
+
+
+def test_what_a_fit_takes_and_refuses(arch):
+    """Every form of an array gives the same; and whatever was fitted before, a frame gives what it gives."""
+    image, crosstalk = frame(2.0, 0.05), Crosstalk.of(MATRIX, balance_first=True)
+    model, gains = fitted(image)
+    first = model.template.copy(), runtime.to_host(model.nodes).copy()
+    correction, known = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9), flat_template()
+    for form in (np.copy, every_second, read_only, on_device):
+        model.fit(crosstalk, LEVELS, form(correction), form(known))
+        np.testing.assert_array_equal(model.template, first[0])
+        np.testing.assert_array_equal(runtime.to_host(model.nodes), first[1])
+    for bad in (correction.astype(np.float64), correction[None], correction[:0], correction.tolist()):
+        with pytest.raises(tikernels.ShapeError, match=r"correction (has shape|is)"):
+            model.fit(crosstalk, LEVELS, bad, known)
+    for bad in (known.astype(np.float64), known[None], known[:, :-1], known[:2], known.tolist()):
+        with pytest.raises(tikernels.ShapeError, match=r"known (has shape|is)"):
+            model.fit(crosstalk, LEVELS, correction, bad)

@@ -5,7 +5,9 @@ import pytest
 import reference
 from support.wrapped_surfaces import drafts_and_orders, join, orders, surface, written
 
+import tikernels
 from tikernels import runtime
+from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.tables import numbers_of
 
 both_methods = pytest.mark.parametrize("method", ["directional", "reliability"])
@@ -72,8 +74,8 @@ def test_parts_get_orders_of_their_own(arch, method):
 def test_regions_that_were_written(arch):
     """Two surfaces beside a gap: roots and pixels of both, the larger first; specks are none."""
     phase = reference.wrapped(reference.ramp(64, 100))
-    phase[:, 30:34] = 100.0  # no phase
-    phase[:, 98] = 100.0
+    phase[:, 30:34] = NO_PHASE
+    phase[:, 98] = NO_PHASE
     patches, rates = join(phase)
     outputs = tuple(runtime.empty(phase.shape, dtype) for dtype in (np.float32, np.uint8, np.int32))
     table = patches.write(phase, rates, *outputs)
@@ -84,7 +86,30 @@ def test_regions_that_were_written(arch):
 
 
 def test_nothing_at_all(arch):
-    patches, rates = join(np.full((32, 24), 100.0, np.float32))
+    patches, rates = join(np.full((32, 24), NO_PHASE, np.float32))
     assert patches.count == 0 and len(patches.roots()) == 0 and patches.graph().ends.shape == (2, 0)
-    unwrapped, mask, region = written(patches, np.full((32, 24), 100.0, np.float32), rates)
+    unwrapped, mask, region = written(patches, np.full((32, 24), NO_PHASE, np.float32), rates)
     assert np.isnan(unwrapped).all() and not mask.any() and not region.any()
+
+
+def test_what_are_not_patches_is_refused(arch):
+    """Nothing is written: the patches' roots and the regions' orders stay."""
+    patches, _ = join(reference.wrapped(surface()))
+    roots, count = patches.roots(), patches.count
+    regions = np.unique(roots)
+    orders_before = patches.orders(regions)
+    for bad, message in (
+        (roots[:-1], rf"roots has shape \({count - 1},\), expected one for each of {count} patches"),
+        (roots.astype(np.float64), "roots is 1-dimensional float64, expected a row of integers"),
+        (roots - count, rf"roots holds -\d+ to -\d+, expected numbers of patches, 0 to {count - 1}"),
+        (roots + count, rf"roots holds \d+ to \d+, expected numbers of patches, 0 to {count - 1}"),
+    ):
+        with pytest.raises(tikernels.ShapeError, match=message):
+            patches.split(bad)
+    for bad, message in ((regions - count, "roots holds"), (regions[None], "roots is 2-dimensional int32")):
+        with pytest.raises(tikernels.ShapeError, match=message):
+            patches.set_orders(bad, np.zeros(bad.shape, int))
+    with pytest.raises(tikernels.ShapeError, match=r"orders has shape \(\d+,\), expected \(\d+,\): one for each root"):
+        patches.set_orders(regions, np.zeros(len(regions) + 1, int))
+    np.testing.assert_array_equal(patches.roots(), roots)
+    np.testing.assert_array_equal(patches.orders(regions), orders_before)

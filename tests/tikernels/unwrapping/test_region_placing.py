@@ -6,6 +6,7 @@ import reference
 from support.wrapped_surfaces import join, orders, written
 
 from tikernels import ProjectorGeometry, ShapeError
+from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.patches import MIN_REGION_PX
 
 
@@ -25,7 +26,7 @@ def test_regions_are_numbered_by_their_size(arch):
     """Three surfaces with gaps between them; a fourth is too small to be one."""
     true = reference.ramp(64, 100)
     phase = reference.wrapped(true)
-    phase[:, 20:24] = phase[:, 70:74] = phase[:, 96] = 100.0  # no phase
+    phase[:, 20:24] = phase[:, 70:74] = phase[:, 96] = NO_PHASE
     patches, rates = join(phase)
     unwrapped, mask, region = written(patches, phase, rates)
     assert (region[:, 24:70] == 1).all() and (region[:, 74:96] == 2).all() and (region[:, :20] == 3).all()

@@ -35,7 +35,7 @@ def test_trees_are_parts_of_the_forest(arch, noise):
     _, drafts, trees = drafted(phase)
     expected, _ = reference.unwrap_by_reliability(phase, np.ones(phase.shape, bool), (0.0, 0.0), ANYTHING)
     own, order = drafts_and_orders(runtime.to_host(drafts.labels))
-    root, order = trees[Tree.ROOT, own], order + trees[Tree.OFFSET, own]
+    root, order = trees[Tree.ROOT, own], order + trees[Tree.ROOT_SHIFT, own]
     for tree in np.unique(root):
         assert np.ptp((order - expected)[root == tree]) == 0
     assert len(np.unique(root)) < 0.5 * len(np.unique(own))
@@ -82,7 +82,7 @@ def test_patches_hang_under_their_tree(arch):
     own = np.concatenate([(cell << drafts.bits) + np.arange(count) for cell, count in enumerate(counts)])
     heads = runtime.to_host(table)[Patch.HEAD]
     np.testing.assert_array_equal(own[heads], trees[Tree.ROOT, own])
-    np.testing.assert_array_equal(runtime.to_host(table)[Patch.TURN], trees[Tree.OFFSET, own])
+    np.testing.assert_array_equal(runtime.to_host(table)[Patch.HEAD_SHIFT], trees[Tree.ROOT_SHIFT, own])
     ends, votes = method.complete_graph(heads, np.zeros((2, 0), np.int32), np.zeros(0, np.int32))
     assert ends.shape[1] == (heads != np.arange(len(heads))).sum() == len(votes)
     assert (heads[ends[1]] == ends[0]).all()
@@ -94,7 +94,7 @@ def test_contacts_keep_their_claims(arch):
     _, drafts, trees = drafted(phase)
     expected, _ = reference.unwrap_by_reliability(phase, np.ones(phase.shape, bool), (0.0, 0.0), ANYTHING)
     own, order = drafts_and_orders(runtime.to_host(drafts.labels))
-    root, zero = trees[Tree.ROOT, own], expected - order - trees[Tree.OFFSET, own]
+    root, zero = trees[Tree.ROOT, own], expected - order - trees[Tree.ROOT_SHIFT, own]
     cells, contacts = runtime.to_host(drafts.cell_table), runtime.to_host(drafts.contacts)
     for cell in range(drafts.cells):
         start = cell << (drafts.bits + 2)

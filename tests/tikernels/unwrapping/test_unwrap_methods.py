@@ -9,8 +9,18 @@ import tikernels
 from pipeline import DecodeSettings
 from pipeline.errors import SettingsError
 from tikernels import runtime
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 from tikernels.unwrapping import METHODS, PatchMethod, RegionUnwrapper
-from tikernels.unwrapping.tables import NOTHING, ORDER_BITS, ORDER_ZERO
+from tikernels.unwrapping.tables import (
+    CELL_HEIGHT,
+    CELL_WIDTH,
+    NOTHING,
+    ORDER_BITS,
+    ORDER_ZERO,
+    Cell,
+    Patch,
+    cells_of,
+)
 
 
 class CellsAlone(PatchMethod):
@@ -25,13 +35,14 @@ class CellsAlone(PatchMethod):
         """See `PatchMethod.grow`."""
         phase = runtime.to_host(phase)
         y, x = np.mgrid[: phase.shape[0], : phase.shape[1]]
-        cell = (y // 16) * -(-phase.shape[1] // 8) + x // 8
-        labels = np.where(phase < 50, (cell << (ORDER_BITS + drafts.bits)) + ORDER_ZERO, NOTHING)
+        cell = (y // CELL_HEIGHT) * cells_of(*phase.shape)[1] + x // CELL_WIDTH
+        labels = np.where(phase < LEAST_NO_PHASE, (cell << (ORDER_BITS + drafts.bits)) + ORDER_ZERO, NOTHING)
         cells = np.zeros(drafts.cell_table.shape, np.int32)
-        cells[0, :-1] = 1
+        cells[Cell.PATCHES, :-1] = 1
         table = np.zeros(drafts.patches.shape, np.int32)
-        table[0, :: 1 << drafts.bits] = table[1, :: 1 << drafts.bits] = 128
-        table[2, :: 1 << drafts.bits] = [np.flatnonzero(cell == number)[0] for number in range(drafts.cells)]
+        own = np.s_[:: 1 << drafts.bits]
+        table[Patch.PIXELS, own] = table[Patch.WEIGHT, own] = CELL_HEIGHT * CELL_WIDTH
+        table[Patch.FIRST, own] = [np.flatnonzero(cell == number)[0] for number in range(drafts.cells)]
         for buffer, host in ((drafts.labels, labels), (drafts.cell_table, cells), (drafts.patches, table)):
             buffer[...] = host
 
