@@ -16,5 +16,5 @@ class WheelLayout(BuildHookInterface):
         if version == "standard":
             build_data["force_include"] = {
                 "colorphase.py": "colorphase/__init__.py",
-                "pipeline/py.typed": "colorphase/py.typed",
+                ".ci/py.typed": "colorphase/py.typed",
             }
