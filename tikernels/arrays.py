@@ -15,6 +15,10 @@ class DeviceArray(Protocol[E]):
     def shape(self) -> tuple[int, ...]:
         """Length of each axis."""
 
+    @property
+    def element_type(self) -> object:
+        """The kernel language's type of its elements."""
+
     def to_numpy(self) -> npt.NDArray[E]:
         """Return a copy on the host."""
 

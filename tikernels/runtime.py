@@ -177,17 +177,17 @@ def to_host(buffer: Array[E]) -> npt.NDArray[E]:
     return buffer if isinstance(buffer, np.ndarray) else buffer.to_numpy()
 
 
-def is_device_array(array: object) -> TypeGuard[DeviceArray[Any]]:
+def is_device_array(array: object) -> TypeGuard[DeviceArray[np.generic]]:
     """Whether this is an ndarray of the kernel language."""
     return isinstance(array, ti.Ndarray)
 
 
-def has_dtype(buffer: Any, dtypes: Sequence[type[np.generic]]) -> bool:
+def has_dtype(buffer: DeviceArray[E], dtypes: Sequence[type[np.generic]]) -> bool:
     """Whether a device ndarray's element type is one of NumPy's."""
     return any(_DEVICE_TYPES.get(dtype.__name__) == buffer.element_type for dtype in dtypes)
 
 
-def dtype_name(array: Any) -> str:
+def dtype_name(array: Array[E]) -> str:
     """Return the NumPy name of an array's element type."""
     if isinstance(array, np.ndarray):
         return str(array.dtype.name)

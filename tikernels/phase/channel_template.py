@@ -6,8 +6,6 @@ has projector response, crosstalk and lateral colour in it. `channel_model.py` r
 is known of it beforehand, and the mathematics of a pixel. Its rows are 1, c_i1, c_i2, s_i1, s_i2.
 """
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -21,7 +19,7 @@ TERMS = 1 + 2 * HARMONICS
 
 
 def known_template(
-    matrix: npt.NDArray[np.floating[Any]],
+    matrix: npt.NDArray[np.floating],
     response: npt.NDArray[np.float64],
     lag: npt.NDArray[np.float64] | None = None,
 ) -> npt.NDArray[np.float32]:

@@ -8,8 +8,6 @@ The assumption fails where few cycles are in view. But a response is the same ev
 often is not: histograms of tiles of the image tell the two apart, harmonic by harmonic.
 """
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -28,7 +26,9 @@ _ROUNDING = 1e-3
 _MIN_COUNTS_A_BIN = 4
 
 
-def correction_table(histogram: npt.NDArray[Any], harmonics: int | None = None) -> npt.NDArray[np.float32]:
+def correction_table(
+    histogram: npt.NDArray[np.float64 | np.int64], harmonics: int | None = None
+) -> npt.NDArray[np.float32]:
     """Return what to add to a phase, at the edges of the histogram's bins.
 
     Parameters

@@ -6,8 +6,6 @@ of it, three times a cycle (S. Zhang and S.-T. Yau, Generic nonsinusoidal phase 
 shape measurement using a digital video projector, Applied Optics 46, 2007, doi:10.1364/AO.46.000036).
 """
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -65,7 +63,7 @@ def response_table(
 
 
 def prefers_response(
-    histogram: npt.NDArray[Any],
+    histogram: npt.NDArray[np.float64 | np.int64],
     response: npt.NDArray[np.float64],
     lag: npt.NDArray[np.float64] | None = None,
 ) -> bool:

@@ -18,7 +18,7 @@ from tikernels.errors import ShapeError
 TRANSFERS = ("linear", "srgb", "bt709")
 
 #: A name, or the linear light of evenly spaced levels from 0 to full scale.
-Transfer = str | npt.NDArray[np.floating[Any]]
+Transfer = str | npt.NDArray[np.floating]
 
 #: Element types in which frames come, and the full scale of each.
 LEVEL_TYPES = (np.uint8, np.uint16, np.float32)

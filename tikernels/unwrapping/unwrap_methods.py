@@ -98,7 +98,9 @@ class VotedRuns(PatchMethod):
 
 
 class SpanningForest(PatchMethod):
-    """The spanning forest of the most reliable edges between pixels.
+    """The spanning forest of the most reliable edges between pixels, those of least second difference.
+
+    scikit-image's `unwrap_phase` goes by the same edges. Unwrapping by it takes three times as long as by `VotedRuns`.
 
     Parameters
     ----------

@@ -140,10 +140,9 @@ def unwrap_phase(
         Valid pixels.
     stripes : {"horizontal", "vertical"}
         "horizontal" where the phase changes from row to row.
-    method : {"directional", "reliability"}
-        "directional" joins row runs by votes, the best supported first. "reliability" joins pixels along the edges of
-        least second difference, as scikit-image's `unwrap_phase` does, and takes three times as long. Neither crosses a
-        step, which is where neighbours change by 0.8 rad more or less than usual.
+    method : str
+        A name in `tikernels.unwrapping.METHODS`: its class says how it sorts pixels into patches. None joins them
+        across a step, which is where neighbours change by 0.8 rad more or less than usual.
     out : (H, W) float32, optional
         Where the result goes.
 
