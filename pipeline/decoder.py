@@ -1,15 +1,15 @@
 """Turn one colour frame into phase, orders and points: `Decoder.decode` is the way of a frame, top to bottom."""
 
 import warnings
-from dataclasses import dataclass, field, replace
+from contextlib import nullcontext
+from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.doubts import fringe_doubt, light_doubts
-from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, RegionOrders
+from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, FrameSetup, Measured
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
@@ -25,18 +25,6 @@ from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
-
-
-@dataclass(frozen=True, eq=False)
-class _Measured:
-    """What the stages make of a frame, apart from its buffers; of one without fringes, nothing."""
-
-    order_doubt: str | None  # what the user should know of the orders
-    light_doubts: tuple[str, ...] = ()  # and of the light
-    phase_counts: npt.NDArray[np.float64] | None = None
-    orders: RegionOrders = field(default_factory=RegionOrders.of_no_region)
-    constant_known: bool = False
-    constant_sigma: float = np.nan  # rad, by the light alone
 
 
 class Decoder:
@@ -82,10 +70,10 @@ class Decoder:
     ) -> None:
         self.settings = settings or DecodeSettings()
         self.calibration = calibration
-        self._reference = None if reference is None else reference.unwrapped_phase
         self._path = LightPath(self.settings, calibration)
         geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
-        self._reader = FrameReader(self.settings, self._path, geometry, self._reference)
+        plane = None if reference is None else reference.unwrapped_phase.copy()  # its frame may become `out`
+        self._reader = FrameReader(self.settings, self._path, geometry, plane)
         self._orders = OrderFinder(self._path, geometry, None if calibration is None else calibration.depth_range_mm)
         self._unwrapping = METHODS[self.settings.unwrap_method]
         if unwrapper is not None:
@@ -93,7 +81,8 @@ class Decoder:
         self._pool = BufferPool()
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)
-        self._rays = None if geometry is None else CameraRays.of(geometry, self.settings.stripes)
+        rays = None if geometry is None else CameraRays.of(geometry, self.settings.stripes)
+        self._setup = FrameSetup(self.settings.stripes, self.settings.smoothing_px // 2, rays, plane)
 
     def decode(
         self, image: LevelsImage, previous: DecodedFrame | None = None, out: DecodedFrame | None = None
@@ -127,45 +116,34 @@ class Decoder:
             `previous` was decoded with stripes the other way.
         FootageError
             The image holds NaN, or values outside 0..white level.
+        DeviceNotReady
+            Another arch has been started since this decoder was made.
         """
         with runtime.lock:
+            runtime.require(self.arch)
             frame = self._reader.read(image)  # linear light, colours aligned, stripes along the rows
-            memory = None if previous is None else previous.memory.checked(frame.shape, self.settings.stripes)
+            memory = None if previous is None else previous.memory.checked(frame.shape, self._setup.stripes)
             if out is None:
-                phases, surface = self._pool.lend(frame.shape, points=self._rays is not None)
+                buffers = self._pool.lend(frame.shape, points=self._setup.rays is not None)
             else:
-                phases, surface = out.buffers_for(frame.shape, self.settings.stripes, self._rays)
+                buffers = out.buffers_for(frame.shape, self._setup)
             statistics = measure_frame(frame.image, frame.white)
             levels = frame_levels(self.settings, statistics, frame.white, self._path.crosstalk)
             period_px = self.settings.camera_period_px or statistics.period_px
-            if statistics.period_px is None or period_px is None:
-                clear_buffers(phases, surface)
-                found = _Measured(order_doubt=fringe_doubt(frame, self.settings.stripes))
-            else:
-                found = self._measure(frame, levels, period_px, memory, phases, surface)
-                if self._learn_light(frame, period_px, surface):
-                    first = found
-                    memory = None if out is previous else memory  # its buffers have just been written
-                    found = self._measure(frame, levels, period_px, memory, phases, surface)
-                    found = replace(found, order_doubt=found.order_doubt or first.order_doubt)
-            doubts = tuple(doubt for doubt in (found.order_doubt, *found.light_doubts) if doubt is not None)
-            for doubt in doubts:
+            with nullcontext() if out is None else out.emptied_on_error():
+                if statistics.period_px is None or period_px is None:
+                    clear_buffers(*buffers)
+                    measured = Measured(*buffers, order_doubt=fringe_doubt(frame, self._setup.stripes))
+                else:
+                    measured = self._measure(frame, levels, period_px, memory, *buffers)
+                    if self._learn_light(frame, period_px, measured.surface):
+                        first = measured
+                        memory = None if out is previous else memory  # its buffers have just been written
+                        measured = self._measure(frame, levels, period_px, memory, *buffers)
+                        measured = replace(measured, order_doubt=measured.order_doubt or first.order_doubt)
+            for doubt in measured.doubts:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
-            result = DecodedFrame(
-                period_px=period_px,
-                noise_levels=levels.noise,
-                warnings=doubts,
-                constant_known=found.constant_known,
-                light_constant_sigma=found.constant_sigma,
-                smoothing_pairs=self.settings.smoothing_px // 2,
-                stripes=self.settings.stripes,
-                phases=phases,
-                surface=surface,
-                orders=found.orders,
-                rays=self._rays,
-                reference=self._reference,
-                phase_counts=found.phase_counts,
-            )
+            result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)
             return result if out is None else out.become(result)
 
     @property
@@ -190,10 +168,11 @@ class Decoder:
         memory: FrameMemory | None,
         phases: PhaseBuffers,
         surface: SurfaceBuffers,
-    ) -> _Measured:
+    ) -> Measured:
         """Go through all stages, from a frame with fringes to its points."""
         image, path, work = frame.image, self._path, self._work(frame, period_px)
         crosstalk, gains, model, rates = path.crosstalk, work.gains, work.model, work.rates
+        rays = self._setup.rays
         # The phase of every pixel: balance, response, each channel's wave, and a fit to all three.
         gains.measure(image, crosstalk, levels)
         counts = count_phases(image, gains, crosstalk, levels).astype(np.float64)
@@ -206,17 +185,19 @@ class Decoder:
         fit_phase(image, gains, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
-        smooth_phase(work.raw_phase, phases.precision, rates, self.settings.smoothing_px // 2, out=phases.phase)
+        smooth_phase(work.raw_phase, phases.precision, rates, self._setup.smoothing_pairs, out=phases.phase)
         patches = work.unwrapper.join(phases.phase, phases.modulation, rates)
         seen = SeenPhase(image, gains, phases, work.raw_phase, rates, correction, period_px)
-        placement = self._orders.place(seen, patches, self._rays, memory)
+        placement = self._orders.place(seen, patches, rays, memory)
         regions = patches.write(phases.phase, rates, surface.unwrapped, surface.mask, surface.region)
         orders = placement.region_orders(patches, regions, memory)
         lost = self._orders.refine(seen, patches, regions, orders, out=surface)
         # Its place.
-        if self._rays is not None:
-            triangulate(surface.unwrapped, self._rays.rays, self._rays.projector, out=surface.points)
-        return _Measured(
+        if rays is not None:
+            triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
+        return Measured(
+            phases,
+            surface,
             phase_counts=counts,
             orders=orders,
             constant_known=path.constant_known,

@@ -177,6 +177,23 @@ def test_only_host_functions_launch_kernels():
                     assert not [name.name for name in node.names if name.name.endswith("_kernel")], path
 
 
+def levels_below(node: ast.AST) -> int:
+    """Return how deep loops and conditions are nested in a function, those of functions inside it left out."""
+    nested = (ast.For, ast.While, ast.If, ast.With, ast.Try)
+    inside = [child for child in ast.iter_child_nodes(node) if not isinstance(child, ast.FunctionDef | ast.Lambda)]
+    return max((levels_below(child) + isinstance(child, nested) for child in inside), default=0)
+
+
+def test_kernels_are_held_in_the_head():
+    """None is longer than 80 lines or nested deeper than five levels."""
+    for path in sources("tikernels"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            decorators = {ast.unparse(name) for name in getattr(node, "decorator_list", [])}
+            if isinstance(node, ast.FunctionDef) and decorators & {"ti.kernel", "ti.func"}:
+                assert (node.end_lineno or 0) - node.lineno < 80, (path, node.name)
+                assert levels_below(node) <= 5, (path, node.name)
+
+
 def test_peers_are_no_dependencies():
     """SciPy and scikit-image stand beside us in tests and benchmarks only."""
     for package in PACKAGES:

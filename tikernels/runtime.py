@@ -19,7 +19,7 @@ from tikernels.errors import DeviceNotReady
 #: Every arch by name, in the order in which "auto" prefers them.
 ARCHS = ("cuda", "metal", "vulkan", "cpu")
 
-#: Kernels are launched by one thread at a time: held while a frame is decoded, and while results are read.
+#: Held while a frame is decoded, and while its results are read: kernels are to be launched by one thread at a time.
 lock = threading.RLock()
 
 _started: str | None = None
@@ -86,6 +86,18 @@ def started() -> str:
     if _started is None:
         raise DeviceNotReady('no device is started: call tikernels.init("auto") first')
     return _started
+
+
+def require(arch: str) -> None:
+    """Make sure that this arch runs: another one has dropped its buffers.
+
+    Raises
+    ------
+    DeviceNotReady
+        Another one runs, or none.
+    """
+    if started() != arch:
+        raise DeviceNotReady(f"{_started} has been started since, and what lay on {arch} is gone: make a new decoder")
 
 
 def is_started() -> bool:

@@ -1,7 +1,8 @@
 """What decoding a frame gives: the fields of every pixel, and what the next frame of a video may know of it."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from dataclasses import field as attribute
 from functools import cached_property
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
-from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers
+from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.fields import (
     MODULATION_DIGITS,
     PHASE_DIGITS,
@@ -100,11 +101,41 @@ class FrameMemory:
         return self
 
 
+@dataclass(frozen=True, eq=False)
+class FrameSetup:
+    """What all frames of a decoder have in common."""
+
+    stripes: str  # "horizontal" or "vertical"; the buffers have stripes along the rows
+    smoothing_pairs: int  # neighbours on either side that the smoothing averages over
+    rays: CameraRays | None  # with a calibration
+    reference: Floats | None  # (H, W) rad, unwrapped phase of a plane that ranges are measured from without one
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What the stages make of a frame; of one without fringes, nothing."""
+
+    phases: PhaseBuffers
+    surface: SurfaceBuffers
+    order_doubt: str | None = None  # what the user should know of the orders, or why there are none
+    light_doubts: tuple[str, ...] = ()  # and of the light
+    orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
+    phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
+    constant_known: bool = False
+    constant_sigma: float = np.nan  # rad, by the light alone
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the user should know."""
+        return self.light_doubts if self.order_doubt is None else (self.order_doubt, *self.light_doubts)
+
+
 @dataclass(eq=False)
 class DecodedFrame:
     """A decoded frame: every pixel's phase, its order and, with a calibration, its place.
 
-    The fields are NumPy arrays, read back from the device when they are first looked at, from any thread.
+    The fields are NumPy arrays, read back from the device when they are first looked at, from any thread. On the CPU
+    they may be the very buffers that the next frame of a video looks back at: copy what you want to change.
     """
 
     period_px: float | None
@@ -113,32 +144,23 @@ class DecodedFrame:
     """Standard deviation of a channel where the frame is half as bright as at its brightest, grey levels."""
     warnings: tuple[str, ...]
     """What the user should know about this frame."""
-    constant_known: bool
-    """Whether the constant of all phases is known: crosstalk that is not known turns all colours about grey."""
-    light_constant_sigma: float = attribute(repr=False)
-    """Standard deviation of that constant by the light alone, rad; NaN without fringes."""
-    smoothing_pairs: int = attribute(repr=False)
-    """Neighbours on either side that the smoothing averages over."""
-    stripes: str = attribute(repr=False)
-    """"horizontal" or "vertical"; the buffers have stripes along the rows."""
-    phases: PhaseBuffers = attribute(repr=False)
-    surface: SurfaceBuffers = attribute(repr=False)
-    orders: RegionOrders = attribute(repr=False)
-    rays: CameraRays | None = attribute(repr=False)
-    reference: Floats | None = attribute(repr=False)
-    """(H, W) unwrapped phase of a plane, rad, that `range_image` is measured from without a calibration."""
-    phase_counts: npt.NDArray[np.float64] | None = attribute(repr=False)
-    """(tiles, bins) how often each bare phase was seen here and, fading, in the frames before; None without fringes."""
+    _measured: Measured = attribute(repr=False)
+    _setup: FrameSetup = attribute(repr=False)
+
+    @property
+    def constant_known(self) -> bool:
+        """Whether the constant of all phases is known: crosstalk that is not known turns all colours about grey."""
+        return self._measured.constant_known
 
     @property
     def calibrated(self) -> bool:
         """Whether `range_image` is a depth in mm."""
-        return self.rays is not None
+        return self._setup.rays is not None
 
     @property
     def order_is_known(self) -> npt.NDArray[np.bool_]:
         """(regions + 1,) bool: by region, whether its orders are absolute; False for 0, no region."""
-        return self.orders.known
+        return self._measured.orders.known
 
     @field("float32", "rad", needs=("mask", "_phase"), rounding=WRAPPED_PHASE_DIGITS)
     def wrapped_phase(self) -> Floats:
@@ -150,7 +172,7 @@ class DecodedFrame:
     @field("float32", "rad", needs=("unwrapped_phase",), rounding=PHASE_DIGITS)
     def unwrapped_phase(self) -> Floats:
         """The phase with its whole cycles; NaN outside the mask."""
-        return self._read(self.surface.unwrapped)
+        return self._read(self._measured.surface.unwrapped)
 
     @field("int32", needs=("mask", "_phase", "unwrapped_phase"))
     def fringe_order(self) -> npt.NDArray[np.int32]:
@@ -161,17 +183,17 @@ class DecodedFrame:
     @field("bool", needs=("mask",))
     def mask(self) -> npt.NDArray[np.bool_]:
         """Lit, modulated, and not between two surfaces: where the other fields hold."""
-        return self._read(self.surface.mask).view(np.bool_)
+        return self._read(self._measured.surface.mask).view(np.bool_)
 
     @field("float32", "grey levels", needs=("modulation",), vertex="modulation", rounding=MODULATION_DIGITS)
     def modulation(self) -> Floats:
         """The fringe's amplitude, in levels of the input."""
-        return self._read(self.phases.modulation)
+        return self._read(self._measured.phases.modulation)
 
     @field("int32", needs=("region",))
     def region(self) -> npt.NDArray[np.int32]:
         """Connected surfaces from 1, the largest first; 0: none."""
-        return self._read(self.surface.region)
+        return self._read(self._measured.surface.region)
 
     @field("bool", needs=("region",))
     def absolute(self) -> npt.NDArray[np.bool_]:
@@ -180,7 +202,7 @@ class DecodedFrame:
         A plain pattern tells only where a calibration's depth range leaves a region one order; a coded pattern does
         where a region shows enough of it.
         """
-        return self.orders.known[self.region]
+        return self._measured.orders.known[self.region]
 
     @field("float32", "1", needs=("region",), vertex="order_error_probability")
     def order_error_probability(self) -> Floats:
@@ -188,7 +210,7 @@ class DecodedFrame:
 
         The same all over a region, and 1 where neither a code, a depth range nor the frame before tells.
         """
-        return self.orders.error_probability[self.region]
+        return self._measured.orders.error_probability[self.region]
 
     @field("float32", "rad", needs=("phase_sigma",), vertex="sigma_rad", rounding=SIGMA_DIGITS)
     def phase_sigma(self) -> Floats:
@@ -208,30 +230,31 @@ class DecodedFrame:
         turn the phase by about as much as these differ from what they should be. Only what turns all three colours
         alike leaves no trace. Smoothing adds its bias on surfaces that bend along the stripes. NaN without fringes.
         """
-        phase = (self.unwrapped_phase.T if self.stripes == "vertical" else self.unwrapped_phase)[::_BEND_ROWS]
-        pairs, bias = self.smoothing_pairs, 0.0
+        phase = (self.unwrapped_phase.T if self._setup.stripes == "vertical" else self.unwrapped_phase)[::_BEND_ROWS]
+        pairs, bias = self._setup.smoothing_pairs, 0.0
         if pairs and phase.shape[1] > 2 * _BEND_PX:
             bend = phase[:, 2 * _BEND_PX :] - 2 * phase[:, _BEND_PX:-_BEND_PX] + phase[:, : -2 * _BEND_PX]
             smooth = np.abs(bend) < 1  # more is a step
             if smooth.any():
                 # A window of n px has a variance of (n^2 - 1) / 12, and n = 2 pairs + 1.
                 bias = float(bend[smooth].mean()) / _BEND_PX**2 * pairs * (pairs + 1) / 6
-        return np.float32(np.sqrt(_LEAST_CONSTANT**2 + bias**2 + self.light_constant_sigma**2))
+        return np.float32(np.sqrt(_LEAST_CONSTANT**2 + bias**2 + self._measured.constant_sigma**2))
 
     @field("float32", "mm", axes=("y", "x", "xyz"), needs=("points",), in_mm=True)
     def points(self) -> Floats | None:
         """Place in the camera's frame (x right, y down, z forward); NaN outside the mask; only with a calibration."""
-        return None if self.surface.points is None else self._read(self.surface.points)
+        return None if self._measured.surface.points is None else self._read(self._measured.surface.points)
 
     @field("float32", "mm", needs=("point_sigma",), in_mm=True, vertex="sigma_mm", rounding=SIGMA_DIGITS)
     def point_sigma(self) -> Floats | None:
         """One standard deviation along the pixel's ray, by `phase_sigma`; NaN where there is no point."""
-        if self.rays is None or self.surface.points is None:
+        rays, surface = self._setup.rays, self._measured.surface
+        if rays is None or surface.points is None:
             return None
         # Other fields first: whoever holds the device's lock must not wait for a thread that computes a field.
-        known = (self.surface.unwrapped, self._phase_sigma, self.surface.points)
+        known = (surface.unwrapped, self._phase_sigma, surface.points)
         with runtime.lock:
-            return self._read(point_sigma(*known, self.rays.rays, self.rays.projector))
+            return self._read(point_sigma(*known, rays.rays, rays.projector))
 
     @field("float32", "range", needs=("points", "mask", "unwrapped_phase"), rounding=RELATIVE_RANGE_DIGITS)
     def range_image(self) -> Floats:
@@ -241,36 +264,34 @@ class DecodedFrame:
         """
         if self.points is not None:
             return np.ascontiguousarray(self.points[..., 2])
-        if self.reference is not None:
-            return self.unwrapped_phase - self.reference
+        if self._setup.reference is not None:
+            return self.unwrapped_phase - self._setup.reference
         return self.unwrapped_phase - _best_ramp(self.unwrapped_phase, self.mask)
 
     @cached_property
     def _phase(self) -> Floats:
-        return self._read(self.phases.phase)
+        return self._read(self._measured.phases.phase)
 
     @cached_property
     def _phase_sigma(self) -> F32:
         """`phase_sigma` on the device, stripes along the rows."""
-        surface, pairs = self.surface, self.smoothing_pairs
+        measured, pairs = self._measured, self._setup.smoothing_pairs
+        known = (measured.surface.unwrapped, measured.phases.precision, measured.surface.mask)
         with runtime.lock:
-            return estimate_phase_sigma(
-                surface.unwrapped, self.phases.precision, surface.mask, pairs, self.period_px or 1.0
-            )
+            return estimate_phase_sigma(*known, pairs, self.period_px or 1.0)
 
     @property
     def memory(self) -> FrameMemory:
         """What the next frame of a video may know of this one."""
-        return FrameMemory(self.stripes, self.phase_counts, self.surface, self.orders)
+        measured = self._measured
+        return FrameMemory(self._setup.stripes, measured.phase_counts, measured.surface, measured.orders)
 
     def fetch(self, fields: Iterable[str]) -> None:
         """Read from the device now what these fields are made of; looking at them later asks it nothing more."""
         for name in {needed for wanted in fields for needed in FIELDS[wanted].needs}:
             getattr(self, name)
 
-    def buffers_for(
-        self, shape: tuple[int, int], stripes: str, rays: CameraRays | None
-    ) -> tuple[PhaseBuffers, SurfaceBuffers]:
+    def buffers_for(self, shape: tuple[int, int], setup: FrameSetup) -> tuple[PhaseBuffers, SurfaceBuffers]:
         """Return this frame's buffers, to be written again for an image of this shape.
 
         Raises
@@ -278,9 +299,21 @@ class DecodedFrame:
         ShapeError
             They do not fit.
         """
-        if (self.surface.mask.shape, self.stripes, self.calibrated) != (shape, stripes, rays is not None):
+        there = (self._measured.surface.mask.shape, self._setup.stripes, self.calibrated)
+        if there != (shape, setup.stripes, setup.rays is not None):
             raise ShapeError("out is of another size, stripes or calibration: leave it away for this frame")
-        return self.phases, self.surface
+        return self._measured.phases, self._measured.surface
+
+    @contextmanager
+    def emptied_on_error(self) -> Iterator[None]:
+        """Leave nothing in this frame where it was to be written again and could not."""
+        try:
+            yield
+        except BaseException:
+            phases, surface = self._measured.phases, self._measured.surface
+            clear_buffers(phases, surface)
+            self.become(replace(self, _measured=Measured(phases, surface)))
+            raise
 
     def become(self, other: "DecodedFrame") -> "DecodedFrame":
         """Take all that another frame holds, and forget what has been read; return this frame."""
@@ -291,7 +324,7 @@ class DecodedFrame:
     def _read(self, buffer: Array[Any]) -> npt.NDArray[Any]:
         """Return a buffer on the host, turned as the image was."""
         with runtime.lock:
-            return runtime.to_host(transpose(buffer) if self.stripes == "vertical" else buffer)
+            return runtime.to_host(transpose(buffer) if self._setup.stripes == "vertical" else buffer)
 
 
 #: Every field of a frame by name: the one table that store, reader, meshes and docs take them from.

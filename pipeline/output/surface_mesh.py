@@ -5,6 +5,7 @@ import numpy.typing as npt
 
 from pipeline.decoding.frame import FIELDS, DecodedFrame
 from pipeline.output.mesh import Mesh, Unit
+from tikernels import runtime
 from tikernels.depth.meshing import triangulate_mesh
 
 # An edge of the mesh may rise by this many times what neighbouring pixels are apart: steeper surfaces are steps.
@@ -67,5 +68,6 @@ def surface_mesh(
         x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
         points = np.stack([x, y, values], axis=-1)
         max_step, unit = _MAX_STEP_RAD, "rad"
-    faces = triangulate_mesh(np.where(mask[..., None], points, np.float32(0)), mask, max_step)
+    with runtime.lock:
+        faces = triangulate_mesh(np.where(mask[..., None], points, np.float32(0)), mask, max_step)
     return Mesh(np.ascontiguousarray(points[mask]), faces, properties=properties, unit=unit)

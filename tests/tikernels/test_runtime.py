@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import tikernels
-from tikernels import runtime
+from tikernels import DeviceNotReady, runtime
 
 MODULES = sorted(module.name for module in pkgutil.walk_packages(tikernels.__path__, "tikernels."))
 
@@ -33,6 +33,12 @@ def test_buffers_come_and_go(arch):
     assert runtime.is_device_array(buffer) == (arch != "cpu")
     np.testing.assert_array_equal(runtime.to_host(buffer), host)
     assert tuple(runtime.empty((2, 5), np.uint8).shape) == (2, 5)
+
+
+def test_what_lay_on_another_arch_is_gone(cpu):
+    runtime.require("cpu")
+    with pytest.raises(DeviceNotReady, match="cpu has been started since, and what lay on vulkan is gone"):
+        runtime.require("vulkan")
 
 
 def test_the_cpu_is_always_there():

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.decoding.frame import FIELDS, RegionOrders
-from pipeline.errors import SettingsError
+from pipeline.errors import CalibrationError, SettingsError
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import ShapeError
 
@@ -92,6 +92,42 @@ def test_fetched_is_what_is_needed(cpu):
     frame.fetch(["fringe_order"])
     assert {"mask", "unwrapped_phase"} <= set(vars(frame))
     assert "points" not in vars(frame)
+
+
+class Failing:
+    """An unwrapping that gives up."""
+
+    def unwrap(self, phase, quality):
+        """Fail."""
+        raise ArithmeticError("no luck")
+
+
+def test_what_could_not_be_written_again_holds_nothing(cpu):
+    """Half of one frame and half of another would look like a result."""
+    decoder, images, (frame, _) = frames("cpu", 2)
+    assert frame.mask.any()
+    failing = Decoder(decoder.settings, decoder.calibration, arch="cpu", unwrapper=Failing())
+    with pytest.raises(ArithmeticError):
+        failing.decode(images[1], out=frame)
+    assert not frame.mask.any()
+    assert np.isnan(frame.unwrapped_phase).all()
+    assert not frame.modulation.any()
+    # What is refused before anything is written leaves it as it was.
+    whole = decoder.decode(images[0])
+    expected = values(whole)
+    with pytest.raises(CalibrationError):
+        decoder.decode(images[0][:40], out=whole)
+    assert_same(values(whole), expected)
+
+
+def test_the_reference_stays_when_its_frame_is_written_again(cpu):
+    rig = simulated_rig(SIZE, period_px=2 * 768 / 44)
+    plane, bust = (simulate_frame(rig, SimulationSettings(scene=scene)).image for scene in ("plane", "bust"))
+    settings = DecodeSettings(crosstalk_matrix=SimulationSettings().crosstalk_matrix)
+    reference = Decoder(settings, arch="cpu").decode(plane)
+    decoder = Decoder(settings, reference=reference, arch="cpu")
+    expected = np.array(decoder.decode(bust).range_image)
+    np.testing.assert_array_equal(decoder.decode(bust, out=reference).range_image, expected)
 
 
 def test_out_takes_the_new_frame_and_forgets_the_old(cpu):

@@ -176,7 +176,8 @@ def test_a_cut_starts_afresh(scenes):
     before, after = scenes.split()
     previous = decoder.decode(simulate_frame(rig, SimulationSettings(scene=before)).image)
     regions = len(previous.order_is_known)
-    previous = replace(previous, orders=RegionOrders(np.ones(regions, bool), np.zeros(regions, np.float32)))
+    sure = RegionOrders(np.ones(regions, bool), np.zeros(regions, np.float32))
+    previous = replace(previous, _measured=replace(previous._measured, orders=sure))
     image = simulate_frame(rig, SimulationSettings(scene=after, gamma=1.0)).image
     with pytest.warns(DecodeWarning, match="nothing of the frame before is seen again"):
         frame = decoder.decode(image, previous=previous)
