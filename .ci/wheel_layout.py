@@ -2,10 +2,11 @@
 
 from typing import Any
 
+from hatchling.builders.config import BuilderConfig
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
-class WheelLayout(BuildHookInterface):
+class WheelLayout(BuildHookInterface[BuilderConfig]):
     """Makes a package of `colorphase.py`: type checkers find `py.typed` beside a package only, not beside a module.
 
     Editable installs go without: a copy in there would be found in place of the file that is edited.

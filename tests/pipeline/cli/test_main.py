@@ -38,7 +38,10 @@ from pipeline.cli.main import app
         (("pattern", "x.pdf", "--board", "charuco", "--squares", "30x20", "--dictionary", "DICT_4X4_50"), "50 markers"),
         (("pattern", "x.pdf", "--board", "charuco", "--square-mm", "0"), "must be above 0"),
         (("project", "black.png", "--seconds", "nan"), "must be above 0"),
-        (("calibrate", "check", "black.png", "--shape", "ball", "--radius-mm", "-1"), "must be above 0"),
+        (
+            ("calibrate", "check", "black.png", "--calibration", "calibration.json", "--radius-mm", "-1"),
+            "must be above 0",
+        ),
         (("calibrate", "radiometry", ".", "--out", "y.json", "--white-level", "0"), "must be above 0"),
         (("calibrate", "radiometry", ".", "--out", "x/y.json"), "create the folder first"),
         (("calibrate", "radiometry", ".", "--out", "y.json", "--exposure-s", "0"), "exposure_s"),
