@@ -5,6 +5,7 @@ import json
 import pytest
 from support.command_line import colorphase
 
+from pipeline.acquisition import simulated_capture
 from pipeline.acquisition.capture_folder import CaptureProgress
 from pipeline.cli.capture import _frames, _line
 
@@ -21,6 +22,14 @@ exposure_s = 0.01
 """
 
 
+@pytest.fixture
+def small(monkeypatch):
+    """Let the simulated rig render less than a real one shows."""
+    monkeypatch.setattr(simulated_capture, "_SIZE_PX", (160, 120))
+    monkeypatch.setattr(simulated_capture, "_POSES", 2)
+
+
+@pytest.mark.usefixtures("kernels_on_disk")
 def test_bursts_of_a_simulated_rig_are_recorded_and_can_be_decoded(tmp_path):
     (tmp_path / "rig.toml").write_text(SIMULATED, encoding="utf-8")
     done = colorphase("capture", "--rig", "rig.toml", "--out", "face", "--bursts", 2, "--arch", "cpu", cwd=tmp_path)
@@ -45,7 +54,7 @@ def test_bursts_of_a_simulated_rig_are_recorded_and_can_be_decoded(tmp_path):
         (SIMULATED + '[projector]\ncontrol = "no_such:Own"', (), 0, "recorded"),  # nothing of it is there
     ],
 )
-def test_what_cannot_be_captured_is_one_line(command, tmp_path, rig, arguments, code, message):
+def test_what_cannot_be_captured_is_one_line(command, small, tmp_path, rig, arguments, code, message):
     (tmp_path / "rig.toml").write_text(rig, encoding="utf-8")
     ended, said, complained = command("capture", "--rig", "rig.toml", "--out", "face", "--arch", "cpu", *arguments)
     assert ended == code

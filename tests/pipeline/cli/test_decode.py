@@ -47,31 +47,31 @@ def test_decode_with_a_calibration(folder):
     assert read_image(out / "range.png").shape[0] == 240
 
 
-def test_decode_without_one_is_relative(folder):
-    done = colorphase("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
+def test_decode_without_one_is_relative(folder, command):
+    done = command("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert json.loads((folder / "rad" / "report.json").read_text())["range_unit"] == "rad"
     assert read_mesh(folder / "rad" / "mesh.ply").unit == "rad"
     assert "points" not in set(zarr.open_group(folder / "rad" / "result.zarr", mode="r").array_keys())
     # Our own results may be replaced.
-    again = colorphase("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
+    again = command("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
     assert again.returncode == 0, again.stderr
 
 
-def test_a_frame_without_fringes(folder):
-    done = colorphase("decode", "black.png", "--out", "none", "--arch", "cpu", cwd=folder)
+def test_a_frame_without_fringes(folder, command):
+    done = command("decode", "black.png", "--out", "none", "--arch", "cpu", cwd=folder)
     assert done.returncode == 1
     assert "no fringe stands out" in done.stderr
     assert "Traceback" not in done.stderr
     assert json.loads((folder / "none" / "report.json").read_text())["valid_fraction"] == 0
 
 
-def test_a_jpeg_is_read_as_footage_is(folder):
+def test_a_jpeg_is_read_as_footage_is(folder, command):
     """From its planes, which costs less than the RGB that libraries make of them; and damage is told."""
     jpeg = cv2.imencode(".jpg", cv2.imread(str(folder / "frame.png")))[1].tobytes()
     (folder / "frame.jpg").write_bytes(jpeg)
     (folder / "broken.jpg").write_bytes(jpeg[:5000] + bytes(2000) + jpeg[7000:])
-    done = colorphase("decode", "frame.jpg", "--out", "jpeg", "--calibration", "calibration.json", cwd=folder)
+    done = command("decode", "frame.jpg", "--out", "jpeg", "--calibration", "calibration.json", cwd=folder)
     assert done.returncode == 0, done.stderr
     decoder = Decoder(DecodeSettings(), Calibration.read(folder / "calibration.json"), arch="cpu")
     expected = decoder.decode(read_image(folder / "frame.png"))
@@ -84,12 +84,12 @@ def test_a_jpeg_is_read_as_footage_is(folder):
         return np.sqrt(np.mean(np.angle(np.exp(1j * (phase - expected.wrapped_phase)[both])) ** 2))
 
     assert error(stored["wrapped_phase"][0]) < 0.95 * error(by_library.wrapped_phase)
-    refused = colorphase("decode", "broken.jpg", "--out", "broken", cwd=folder)
+    refused = command("decode", "broken.jpg", "--out", "broken", cwd=folder)
     assert refused.returncode == 1 and "damaged" in refused.stderr and len(refused.stderr.splitlines()) == 1
     assert not (folder / "broken").exists()
 
 
-def test_decode_footage(folder):
+def test_decode_footage(folder, command):
     """Bad frames are told by number and by the exit code; a second run finds everything else done."""
     film = folder / "film é 1"
     film.mkdir()
@@ -97,13 +97,13 @@ def test_decode_footage(folder):
         shutil.copy(folder / "frame.png", film / name)
     (film / "f3.png").write_bytes((folder / "frame.png").read_bytes()[:1000])
     options = ("--out", "footage", "--arch", "cpu", "--calibration", "calibration.json", "--fields", "points", "mask")
-    done = colorphase("decode", film, *options, cwd=folder)
+    done = command("decode", film, *options, cwd=folder)
     assert done.returncode == 3, done.stderr
     assert "frame 2 is bad" in done.stderr and "truncated" in done.stderr
     assert "3 of 4 frames decoded; they are in footage/result.zarr" in done.stdout
     group = zarr.open_group(folder / "footage" / "result.zarr", mode="r")
     assert group["points"].shape == (4, 240, 320, 3)
-    again = colorphase("decode", film, *options, cwd=folder)
+    again = command("decode", film, *options, cwd=folder)
     assert again.returncode == 3 and "3 of them before" in again.stdout
     for arguments, message in [
         (("--settings", "settings.toml"), r"settings.smoothing_px is 5 there, 3 here"),
@@ -114,14 +114,14 @@ def test_decode_footage(folder):
         (("--step", "0"), "must be 1 or more"),
         (("--start", "9"), "none of which is asked for"),
     ]:
-        refused = colorphase("decode", film, *options, *arguments, cwd=folder)
+        refused = command("decode", film, *options, *arguments, cwd=folder)
         assert refused.returncode in (1, 2) and message in refused.stderr, refused.stderr
         assert "Traceback" not in refused.stderr
-    with_meshes = colorphase("decode", film, *options, "--export", "glb", cwd=folder)
+    with_meshes = command("decode", film, *options, "--export", "glb", cwd=folder)
     assert with_meshes.returncode == 3 and "3 meshes in footage/meshes" in with_meshes.stdout, with_meshes.stderr
     names = sorted(path.name for path in (folder / "footage" / "meshes").iterdir())
     assert names == ["frame_000000.glb", "frame_000001.glb", "frame_000003.glb"]
-    strict = colorphase("decode", film, *options[2:], "--out", "strict", "--strict", cwd=folder)
+    strict = command("decode", film, *options[2:], "--out", "strict", "--strict", cwd=folder)
     assert strict.returncode == 1 and "frame 2 of" in strict.stderr
-    picture = colorphase("decode", "frame.png", "--out", "footage", "--force", cwd=folder)
+    picture = command("decode", "frame.png", "--out", "footage", "--force", cwd=folder)
     assert picture.returncode == 1 and "holds the frames of footage" in picture.stderr

@@ -3,7 +3,6 @@
 from importlib.metadata import version
 
 import pytest
-from support.command_line import colorphase
 
 from pipeline.cli.main import app
 
@@ -47,9 +46,9 @@ from pipeline.cli.main import app
         (("calibrate", "radiometry", ".", "--out", "y.json", "--exposure-s", "0"), "exposure_s"),
     ],
 )
-def test_mistakes_get_one_line_and_leave_nothing(folder, arguments, message):
+def test_mistakes_get_one_line_and_leave_nothing(folder, arguments, message, command):
     before = sorted(p.name for p in folder.iterdir())
-    done = colorphase(*arguments, cwd=folder)
+    done = command(*arguments, cwd=folder)
     assert done.returncode != 0
     lines = done.stderr.strip().splitlines()
     assert len(lines) == 1, done.stderr
@@ -58,20 +57,20 @@ def test_mistakes_get_one_line_and_leave_nothing(folder, arguments, message):
     assert sorted(p.name for p in folder.iterdir()) == before
 
 
-@pytest.mark.parametrize("command", ["demo", "pattern", "decode", "render", "devices"])
-def test_help_has_an_example(folder, command):
-    done = colorphase(command, "--help", cwd=folder)
+@pytest.mark.parametrize("name", ["demo", "pattern", "decode", "render", "devices"])
+def test_help_has_an_example(folder, name, command):
+    done = command(name, "--help", cwd=folder)
     assert done.returncode == 0
-    assert f"Example: colorphase {command}" in done.stdout
+    assert f"Example: colorphase {name}" in done.stdout
 
 
-def test_names_are_printed_as_they_are(folder):
+def test_names_are_printed_as_they_are(folder, command):
     """Brackets and colons are not markup."""
     for name in ("no [red] film", "no [/film].png", "a :smile:.ply"):
-        for command in (("decode", name, "--out", "x"), ("render", name, "--out", "x.png")):
-            done = colorphase(*command, cwd=folder)
+        for words in (("decode", name, "--out", "x"), ("render", name, "--out", "x.png")):
+            done = command(*words, cwd=folder)
             assert done.returncode == 1 and f"cannot read {name}" in done.stderr, done.stderr
-    done = colorphase("decode", "x", "--out", "x", "--arch", "[/red]", cwd=folder)
+    done = command("decode", "x", "--out", "x", "--arch", "[/red]", cwd=folder)
     assert done.returncode == 2 and 'Invalid value "[/red]"' in done.stderr, done.stderr
 
 
