@@ -28,7 +28,7 @@ def pytest_configure() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-#: Beside the first case of every test in `tests/tikernels`, what runs on Vulkan where `long` does not.
+#: Beside the first test of each file in `tests/tikernels`, what runs on Vulkan where `long` does not: all that decodes.
 ON_VULKAN = {"test_accuracy_on_every_scene"}
 
 
@@ -45,10 +45,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return callspec is not None and callspec.params.get("arch") == "vulkan"
 
     for item in filter(on_vulkan, items):
-        test = item.nodeid.partition("[")[0]
-        if test in seen or not (test.startswith("tests/tikernels") or test.rpartition("::")[2] in ON_VULKAN):
+        file, _, test = item.nodeid.partition("[")[0].partition("::")
+        if file in seen or not (file.startswith("tests/tikernels") or test in ON_VULKAN):
             item.add_marker("long")
-        seen.add(test)
+        else:
+            seen.add(file)
     items.sort(key=on_vulkan)
 
 

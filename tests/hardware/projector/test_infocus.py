@@ -78,6 +78,7 @@ def test_a_power_state_of_its_own_is_not_guessed():
         projector.close()
 
 
+@pytest.mark.long
 def test_input_and_blank():
     with InFocusProjector() as device:
         device.settings["PWR"] = 1
@@ -101,6 +102,7 @@ def test_input_and_blank():
         projector.close()
 
 
+@pytest.mark.long
 def test_an_answer_to_an_earlier_question_is_not_taken(monkeypatch):
     monkeypatch.setattr(infocus, "PAUSE_S", 0.3)
     with InFocusProjector() as device:

@@ -194,6 +194,7 @@ def shared_by_rfc2217(device: Emulator) -> Iterator[str]:
         port.close()
 
 
+@pytest.mark.long
 @pytest.mark.filterwarnings("ignore:set(Daemon|Name):DeprecationWarning")  # pyserial's own
 def test_an_instrument_at_a_terminal_server():
     with DG645Emulator() as device, shared_by_rfc2217(device) as url:

@@ -365,7 +365,7 @@ def test_cables_that_are_out(simavr_board: Start):
     assert complaint.startswith("the projector reported no picture:")
 
 
-@pytest.mark.parametrize("period_cycles", [10, 100, 700])
+@pytest.mark.parametrize("period_cycles", [pytest.param(10, marks=pytest.mark.long), 100, 700])
 def test_a_loose_strobe_wire_moves_no_edge(simavr_board: Start, period_cycles: int):
     board = simavr_board()
     box = TriggerBox(board.link(), strobe=True)

@@ -467,6 +467,7 @@ def test_a_picture_does_not_replace_footage(job, tmp_path):
             pass
 
 
+@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
 def test_memory_stays_flat(folder, rig, tmp_path):
     """From the time that all buffers are there, less than 20 MB; `tests/benchmarks/throughput.py` does 2,000 frames."""

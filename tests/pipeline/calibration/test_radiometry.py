@@ -85,6 +85,7 @@ def test_a_transfer_that_no_standard_names():
     np.testing.assert_allclose(found.response, np.tile((np.arange(256) / 255) ** 2, (3, 1)), atol=0.01)
 
 
+@pytest.mark.long
 def test_the_compensated_pattern_leaves_no_ripple(cpu):
     """Light that is sinusoidal needs no equalisation: 0.030 rad is noise, smoothed."""
     rig = simulated_rig()

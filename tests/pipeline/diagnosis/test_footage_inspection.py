@@ -114,6 +114,7 @@ def test_stripes_the_other_way(tmp_path, wanted, there):
     assert faults(path, settings=DecodeSettings(stripes=there)) == {}
 
 
+@pytest.mark.long
 def test_drift_of_exposure_and_of_white_balance(tmp_path, clip):
     gains = {
         "exposure": lambda part: 0.7 + 0.25 * part,
@@ -130,10 +131,12 @@ def test_an_object_that_turns_is_no_drift(tmp_path):
     assert "drift" not in faults(record(tmp_path / "turns.mkv", frames))
 
 
+@pytest.mark.long
 def test_repeated_frames(tmp_path, clip):
     assert faults(record(tmp_path / "twice.mkv", [clip[i // 2] for i in range(14)])) == {"repeated": "costs"}
 
 
+@pytest.mark.long
 def test_dropped_frames(tmp_path, clip):
     stamps = [*range(6), *range(8, 16)]
     path = film(tmp_path / "gap.mkv", clip, FULL, "ffv1", "yuv444p", stamps=stamps)
@@ -143,7 +146,7 @@ def test_dropped_frames(tmp_path, clip):
     assert faults(film(tmp_path / "whole.mkv", clip, FULL, "ffv1", "yuv444p")) == {}
 
 
-@pytest.mark.parametrize("stripes", ["horizontal", pytest.param("vertical", marks=pytest.mark.long)])
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
 def test_subsampled_chroma_and_where_it_sits(tmp_path, stripes):
     settings = DecodeSettings(stripes=stripes)
     frames = shoot(3, stripes, seed=14)
@@ -157,6 +160,7 @@ def test_subsampled_chroma_and_where_it_sits(tmp_path, stripes):
     assert faults(centre, StoredAs(siting="centre"), settings).keys() == {"chroma"}
 
 
+@pytest.mark.long
 def test_a_codec_that_is_given_too_few_bits(tmp_path):
     costs = []
     for crf in ("10", "23"):
@@ -231,6 +235,7 @@ def test_motion_of_more_than_a_third_of_a_cycle(tmp_path):
     assert faults(path) == {"motion": "spoils"}
 
 
+@pytest.mark.long
 def test_colours_that_are_shown_one_after_another(tmp_path):
     """A plane that swings to and fro; green and blue see it 0.3 of a frame later than the colour before them."""
 

@@ -31,7 +31,7 @@ def test_one_fault_is_named(cause, fault, size_px):
 
 
 @pytest.mark.parametrize("scene", ["plane", "ball", "waves", "bust"])
-@pytest.mark.parametrize("gain", [None, (1.1, 1.0, 1.0)])
+@pytest.mark.parametrize("gain", [None, pytest.param((1.1, 1.0, 1.0), marks=pytest.mark.long)])
 def test_a_clean_frame_is_fine(scene, gain):
     """So is one whose colours are not balanced: that is what a surface's colour looks like."""
     assert not diagnosed(*photographed(scene, 3, size_px=HALF, gain=gain)).findings

@@ -70,6 +70,7 @@ def test_a_ball_of_another_size():
     assert not checked("ball", "ball", 86.0).fine
 
 
+@pytest.mark.long
 def test_what_a_plane_cannot_show():
     """A projector turned about the stripes leaves a plane flat: the verdict says so, and a ball's radius shows it."""
     plane = checked("plane", "plane", rotation=turned([0.3, 0.0, 0.0]))

@@ -146,6 +146,7 @@ def test_absolute_orders_are_carried_where_the_code_is_not_seen(arch):
     assert frame.order_error_probability[known].max() < 0.1
 
 
+@pytest.mark.long
 def test_doubt_grows_until_the_code_is_seen_again():
     """A ball that swings by 0.3 cycles a frame stops being absolute before the next order may pass for its own."""
     rigs = [simulated_rig(code=code) for code in ("contrast", None)]

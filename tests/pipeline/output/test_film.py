@@ -69,6 +69,7 @@ def test_a_film_shows_each_frame_in_its_turn(tmp_path):
     assert not inside[-8:, -10:].any()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_turning_and_swaying(tmp_path):
     path = store(tmp_path / "r.zarr", 5 * [400.0])
@@ -97,6 +98,7 @@ def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
     assert shown(seen[0]).mean() > 0.1
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_every_second_frame_is_no_gap(tmp_path):
     path = store(tmp_path / "r.zarr", 7 * [400.0], missing=(0, 2, 4, 6), step=2)

@@ -74,7 +74,7 @@ def test_the_view_is_the_cameras(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("can_draw")
-@pytest.mark.parametrize("unit", ["mm", "rad"])
+@pytest.mark.parametrize("unit", ["mm", pytest.param("rad", marks=pytest.mark.long)])
 def test_without_colors_depth_is_colored(tmp_path: Path, unit: Any) -> None:
     picture, shown = draw(dome(unit, colors=False), tmp_path)
     colors = picture[shown]
@@ -82,6 +82,7 @@ def test_without_colors_depth_is_colored(tmp_path: Path, unit: Any) -> None:
     assert np.ptp(colors[:, 0] - colors[:, 2]) > 100, "from blue to red"
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_a_dead_screen_does_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("DISPLAY", "203.0.113.1:7")  # an address that never answers
@@ -89,6 +90,7 @@ def test_a_dead_screen_does_not_matter(tmp_path: Path, monkeypatch: pytest.Monke
     assert shown.any()
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_a_namesake_in_the_current_folder_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "pipeline.py").write_text("raise SystemExit('the wrong one')")

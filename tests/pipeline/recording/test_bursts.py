@@ -177,7 +177,7 @@ while True:
 
 
 @both
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_killed_program_leaves_what_it_had_committed(tmp_path, suffix, seed):
     """Under its temporary name, which the user may change; nothing of it needs repair."""
     arguments = [sys.executable, "-c", RECORD_FOR_EVER, tmp_path / f"a{suffix}", *sys.path]
