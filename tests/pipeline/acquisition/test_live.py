@@ -176,7 +176,7 @@ def test_the_capturing_process_is_killed(moment):
     """No orphan stays, whether it is still starting or at work, nor anything else that was its parent's."""
     wait = "time.sleep(60)"
     if moment == "decoding":
-        wait = "while True: decoder.offer(frame, 0, 0) and print('taken', flush=True)"
+        wait = "while True: decoder.offer(frame, 0, 0) and print('taken', flush=True); time.sleep(0.001)"
     with subprocess.Popen([*PYTHON, START + wait], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as parent:
         pid = int(parent.stdout.readline())
         assert is_alive(pid)
