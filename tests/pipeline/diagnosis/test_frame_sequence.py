@@ -97,7 +97,8 @@ def rendered(scene, share, swing_mm, direction, count=14):
     return images, 255, [frame.unwrapped_phase for frame in decoded], [frame.mask for frame in decoded]
 
 
-@pytest.mark.parametrize("scene", ["plane", pytest.param("bust", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("scene", ["plane", "bust"])
 def test_rendered_motion(scene):
     """A bust before a wall that stands still tells the time between two fields as well as a plane does."""
     (found,) = diagnose_sequence(*rendered(scene, 0.3, 4.0, (0, 0, 1))).findings
