@@ -146,7 +146,7 @@ def test_dropped_frames(tmp_path, clip):
     assert faults(film(tmp_path / "whole.mkv", clip, FULL, "ffv1", "yuv444p")) == {}
 
 
-@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+@pytest.mark.parametrize("stripes", ["horizontal", pytest.param("vertical", marks=pytest.mark.long)])
 def test_subsampled_chroma_and_where_it_sits(tmp_path, stripes):
     settings = DecodeSettings(stripes=stripes)
     frames = shoot(3, stripes, seed=14)
