@@ -59,7 +59,7 @@ def capture(
     endless
         Let pulses run on without a gap, until Ctrl-C.
     keep_last
-        Keep frames in memory until Ctrl-C, and record only so many seconds before it.
+        Keep frames in memory until Ctrl-C, and record only the seconds before it that this says.
     format
         "zarr" is fast, "mkv" (FFV1) a third smaller.
     live

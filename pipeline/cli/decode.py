@@ -40,13 +40,13 @@ class FootageOptions:
     stop: Annotated[int | None, Parameter(validator=bounded(0))] = None
     """The first frame that is left out again."""
     step: Annotated[int, Parameter(validator=bounded(1))] = 1
-    """Every so many frames."""
+    """Decode every n-th frame."""
     roi: str | None = None
     """The part of each frame that is decoded, in px: x,y,width,height."""
     strict: bool = False
     """Stop at the first bad frame, instead of leaving it out."""
     workers: Annotated[int, Parameter(validator=bounded(0))] = 0
-    """Decode in so many processes."""
+    """Number of processes to start for decoding; 0: decode in this one."""
     cluster: str | None = None
     """Decode on a Dask cluster: the scheduler's address, as tcp://10.0.0.1:8786."""
     export: MeshKind | None = None

@@ -56,7 +56,7 @@ def pattern(
     calibration
         The rig's calibration.json; the projector's response is then undone in the pattern.
     brightness
-        Show the same with so much of the light, above 0 to 1; without a calibration as if light were linear in the
+        Show the same with this share of the light, above 0 to 1; without a calibration as if light were linear in the
         codes. A rig that shows two pictures in turn tells them apart by it.
     board
         Write this kind of calibration board instead, in its true size, as PDF, SVG or PNG.
@@ -93,7 +93,7 @@ def project(
     display
         Which one, as `colorphase devices` numbers them; left out, the only one there is.
     seconds
-        Stop after so long.
+        Stop after this time, s.
     """
     codes = read_codes(picture)
     with suppress(KeyboardInterrupt), Display(display) as screen:

@@ -41,9 +41,9 @@ def render(
     size
         Width and height of the picture in px.
     turn
-        A film's eye goes round the surface by so many degrees.
+        How far a film's eye goes round the surface, degrees.
     sway
-        It swings by so many degrees to either side, once.
+        How far it swings to either side, once, degrees.
     colors
         What a film's colours show.
     fps
