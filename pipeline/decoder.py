@@ -187,7 +187,12 @@ class Decoder:
         smooth_phase(work.raw_phase, phases.precision, rates, self._setup.smoothing_pairs, out=phases.phase)
         patches = work.unwrapper.join(phases.phase, phases.modulation, rates)
         seen = SeenPhase(image, gains, phases, work.raw_phase, rates, correction, period_px)
-        placement = self._orders.place(seen, patches, rays, memory)
+        placement = self._orders.find(seen, patches, rays, memory)
+        if placement.roots is not None:
+            patches.split(placement.roots)
+        if rays is not None and self._orders.expected_depth_mm is not None:
+            patches.place(phases.phase, rays.rays, rays.projector, self._orders.expected_depth_mm)
+        patches.set_orders(*placement.offsets())
         regions = patches.write(phases.phase, rates, surface.unwrapped, surface.mask, surface.region)
         orders = placement.region_orders(patches, regions, memory)
         lost = self._orders.refine(seen, patches, regions, orders, out=surface)

@@ -15,11 +15,11 @@ PACKAGES = ("tikernels", "pipeline", "hardware")
 #: The rooms of each package, from the ground up: one imports those to the left of it, and what lies in it.
 FLOORS = {
     "tikernels": (
-        "_taichi errors arrays runtime _checks strips transposing raw phase depth unwrapping order_evidence scene"
+        "_taichi errors arrays runtime checks strips transposing raw phase depth unwrapping order_evidence scene"
     ),
     "pipeline": (
-        "errors models settings files processes zarr_chunks footage recording calibration pattern decoding orders "
-        "decoder simulation output diagnosis batch acquisition cli"
+        "errors models settings robust files processes zarr_chunks footage recording calibration pattern decoding "
+        "orders decoder simulation output diagnosis batch acquisition cli"
     ),
     "hardware": (
         "errors drivers settings pulses protocols link display colour_cycle pairing alternating_pictures simulated "

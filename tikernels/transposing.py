@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import AnyArray2, AnyArray3, ti
 from tikernels.arrays import Array, E
 
@@ -58,9 +58,9 @@ def transpose(image: Array[E], out: Array[E] | None = None) -> Array[E]:
     [[1], [2], [3]]
     """
     colored = len(getattr(image, "shape", ())) == 3
-    image = _checks.read_array("image", image, (None, None, 3) if colored else (None, None), *_TYPES)
+    image = checks.read_array("image", image, (None, None, 3) if colored else (None, None), *_TYPES)
     shape = (image.shape[1], image.shape[0], *image.shape[2:])
-    out = _checks.out_buffer("out", out, shape, _checks.element_type(image))
+    out = checks.out_buffer("out", out, shape, checks.element_type(image))
     kernel = transpose_color_kernel if colored else transpose_kernel
     kernel(image, out)
     return out

@@ -15,6 +15,7 @@ from pipeline.calibration.board import Board
 from pipeline.calibration.multishot import ProjectorMap, decode_multishot
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray, ImageArray
+from pipeline.robust import robust_sigma
 
 # A pose with fewer corners says little of the lenses beside what its own place takes up (six parameters).
 _MIN_CORNERS = 12
@@ -162,7 +163,7 @@ def _local_homography(seen: ProjectorMap, corner: FloatArray, radius: float) -> 
         if matrix is None:
             return None
         misfit = np.linalg.norm(cv2.perspectiveTransform(from_px[None], matrix)[0] - to_px, axis=1)
-        keep = misfit < max(3 * 1.4826 * np.median(misfit), 0.02)
+        keep = misfit < max(3 * robust_sigma(misfit), 0.02)
         from_px, to_px = from_px[keep], to_px[keep]
         if len(from_px) < _MIN_LIT_PX // 2:
             return None

@@ -1,27 +1,17 @@
 """`colorphase capture`."""
 
 import sys
-from collections.abc import Callable
-from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from hardware.drivers import SIMULATED
-from hardware.errors import ProjectorError
-from hardware.instruments import open_instruments
-from hardware.projector import open_projector
-from hardware.protocols import Camera, Trigger
-from hardware.settings import RigSettings
 from pipeline.acquisition import session
 from pipeline.acquisition.capture_folder import CALIBRATION, LOG, CapturePlan, CaptureProgress
-from pipeline.acquisition.rig_file import read_rig
+from pipeline.acquisition.chosen_rig import choose_rig
 from pipeline.acquisition.session import CaptureSummary
 from pipeline.acquisition.stopping import Stopping
-from pipeline.calibration import Calibration
-from pipeline.cli.console import Arch, above_zero, read_calibration, read_settings, remark, say, stderr, steps
+from pipeline.cli.console import Arch, above_zero, read_settings, remark, say, stderr, steps
 from pipeline.errors import SettingsError
 
 #: Exit code where it was stopped before all bursts were there.
@@ -82,57 +72,23 @@ def capture(
     stopping = Stopping()
     with stopping.listening():  # to the last line, which who asks twice is not to miss
         with steps() as show:
-            wiring, opened, calibration = _choose_rig(rig, arch, show)
-            for note in _differences(wiring, calibration):
+            chosen = choose_rig(rig, arch, show)
+            for note in chosen.differences():
                 remark(f"note: {note}")
             show("opening trigger source and camera")
             summary = session.capture_bursts(
-                wiring,
-                opened,
+                chosen.settings,
+                chosen.open_instruments,
                 out,
                 plan,
-                calibration=calibration,
+                calibration=chosen.calibration,
                 decoding=read_settings(settings),
                 stopping=stopping,
                 tell=lambda progress: show(_line(progress)),
             )
-        _say_summary(summary, out, calibrated=calibration is not None)
+        _say_summary(summary, out, calibrated=chosen.calibration is not None)
         if not summary.n_frames or (summary.stopped and bursts is not None):
             sys.exit(_STOPPED)
-
-
-def _choose_rig(
-    rig: str, arch: str, show: Callable[[str], None]
-) -> tuple[RigSettings, Callable[[], tuple[Trigger, Camera]], Calibration | None]:
-    """Return a rig's settings, what opens its instruments, and its calibration."""
-    from pipeline.acquisition.simulated_capture import SETTINGS, simulated_instruments
-
-    wiring = SETTINGS if rig == SIMULATED else read_rig(rig)
-    if wiring.trigger.driver == wiring.camera.driver == SIMULATED:
-        return wiring, *simulated_instruments(wiring, arch, show)
-    calibration = read_calibration(None if wiring.calibration is None else Path(wiring.calibration))
-    _check_projector(wiring, rig)
-    return wiring, partial(open_instruments, wiring), calibration
-
-
-def _check_projector(wiring: RigSettings, rig: str) -> None:
-    """Refuse a projector that is known to show nothing."""
-    if wiring.projector.control is None:
-        return
-    with closing(open_projector(wiring.projector)) as projector:
-        found = projector.status()
-    if found.power not in ("on", None):
-        raise ProjectorError(f"the projector is {found.power}: run `colorphase projector on --rig {rig}`")
-    if found.blank:
-        raise ProjectorError(f"the projector shows black: run `colorphase projector unblank --rig {rig}`")
-
-
-def _differences(wiring: RigSettings, calibration: Calibration | None) -> list[str]:
-    """Say where the camera stands otherwise than at calibration."""
-    before = None if calibration is None or calibration.capture is None else calibration.capture.exposure_s
-    if before is None or abs(wiring.camera.exposure_s / before - 1) < 1e-3:
-        return []
-    return [f"the exposure is {wiring.camera.exposure_s:g} s, and was {before:g} s at calibration"]
 
 
 def _say_summary(summary: CaptureSummary, out: Path, *, calibrated: bool) -> None:

@@ -10,7 +10,7 @@ from pipeline.calibration import Geometry
 from pipeline.decoding.light_path import LightPath
 from pipeline.errors import CalibrationError, FootageError
 from pipeline.settings import DecodeSettings
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels.arrays import LevelsImage
 from tikernels.errors import ShapeError
 from tikernels.phase.frame_statistics import count_out_of_range
@@ -74,7 +74,7 @@ class FrameReader:
         dtype = runtime.dtype_name(image)
         if dtype not in WHITE_LEVELS:
             raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
-        image = _checks.read_array("image", image, (None, None, 3), _checks.element_type(image))
+        image = checks.read_array("image", image, (None, None, 3), checks.element_type(image))
         white = self._settings.white_level or WHITE_LEVELS[dtype]
         if dtype == "float32" or white < WHITE_LEVELS[dtype]:
             missing, outside = count_out_of_range(image, white)

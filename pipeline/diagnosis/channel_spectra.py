@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from pipeline.models import FloatArray
 from pipeline.pattern.fringes import CHANNEL_PHASES
+from pipeline.robust import robust_sigma
 
 PHASES = np.array(CHANNEL_PHASES)
 #: Harmonics of the phase at which the ripples of a three-channel arctangent are.
@@ -166,7 +167,7 @@ def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None
             covariance = np.linalg.inv((shapes.T * trust) @ shapes)
             fitted_column = covariance @ (shapes.T * trust) @ column
             residual = abs(column - shapes @ fitted_column) * np.sqrt(weight)
-            scale = 1.4826 * np.median(residual) + 1e-12
+            scale = robust_sigma(residual) + 1e-12
             trust = weight / np.maximum(1.0, residual / (2 * scale))
         fitted.append(fitted_column)
         errors.append(OVERLAP * scale * np.sqrt(np.diag(covariance)))

@@ -11,6 +11,7 @@ from pipeline.decoding.frame import DecodedFrame
 from pipeline.diagnosis.check_result import BLIND_SPOTS, CheckResult, Measure
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
+from pipeline.robust import robust_sigma
 from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
 
@@ -140,7 +141,7 @@ def _fit_shape(
             away = points - position
             distance = np.linalg.norm(away, axis=1)
             residual, towards = distance - radius, away / distance[:, None]
-        limit = _OUTLIER_SIGMAS * 1.4826 * np.median(np.abs(residual[keep]))
+        limit = _OUTLIER_SIGMAS * robust_sigma(residual[keep])
         keep = np.isfinite(residual) & (np.abs(residual) <= max(limit, 1e-6))
     # A point moves along its ray; across the surface it moves by the cosine.
     rays = points / np.linalg.norm(points, axis=1, keepdims=True)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, SOUND
+from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, RESTS_A_CYCLE, SOUND
 from tikernels.order_evidence.part_joining import CANDIDATES, join_parts
 from tikernels.unwrapping.patches import PatchGraph
 
@@ -59,7 +59,7 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     root = roots[votes[:, PATCH]].astype(np.int64)
     sound = np.bincount(root, votes[:, SOUND], len(roots)) >= _MIN_VOTES
     counting = (votes[:, SOUND] == 1) | ~sound[root]
-    clear = np.abs(votes[:, REST]) < 64 * _MAX_CHANGE
+    clear = np.abs(votes[:, REST]) < RESTS_A_CYCLE * _MAX_CHANGE
     void = np.bincount(root[counting & ~clear], minlength=len(roots))
     coherence = _coherence(root[counting], votes[counting, REST], len(roots))
     everyone = int(counting.sum())
@@ -72,7 +72,7 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     cycles_span = int(votes[:, LACKING].max()) - low + 1
     keys = (root * cycles_span + votes[:, LACKING] - low) * before_span + votes[:, BEFORE]
     origins, member, voters = np.unique(keys, return_inverse=True, return_counts=True)
-    rest = np.bincount(member, np.abs(votes[:, REST]) / 64)
+    rest = np.bincount(member, np.abs(votes[:, REST]) / RESTS_A_CYCLE)
     ballots, starts = np.unique(origins // before_span, return_index=True)
     counts, change = np.add.reduceat(voters, starts), np.add.reduceat(rest, starts)
     commonest = np.lexsort((-voters, origins // before_span))[starts]
@@ -95,7 +95,7 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
 
 def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
     """(count,) float: how alike a region's phase changes, 1 where by the same everywhere, 0 where nobody votes."""
-    turn = np.exp(2j * np.pi / 64 * rest)
+    turn = np.exp(2j * np.pi / RESTS_A_CYCLE * rest)
     sums = [np.bincount(root, component, count) for component in (turn.real, turn.imag)]
     return np.asarray(np.hypot(*sums) / np.maximum(np.bincount(root, minlength=count), 1))
 

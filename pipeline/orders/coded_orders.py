@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pipeline.models import FloatArray
 from pipeline.orders.posterior import NOTHING_KNOWN, AbsoluteOrders, Integers, OrderRange, Posterior
 from pipeline.pattern.contrast_code import CYCLES, contrast_steps
+from pipeline.robust import robust_sigma
 from tikernels.order_evidence.contrast_reading import (
     BACKGROUND,
     LEAST,
@@ -326,7 +327,7 @@ def _seen_steps(steps: _Steps, roots: npt.NDArray[np.int32], parts: Integers) ->
 
 
 def _scatter(deviations: FloatArray) -> float:
-    return 1.4826 * float(np.median(deviations)) if len(deviations) else 0.0
+    return robust_sigma(deviations) if len(deviations) else 0.0
 
 
 def _log_likelihood(part: _PartSteps) -> tuple[int, FloatArray]:

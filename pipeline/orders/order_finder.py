@@ -1,7 +1,8 @@
 """Which whole cycles every region of a frame has: by the pattern's code, the frame before, or the expected depth.
 
-`place` asks all that tells and gives the regions their offsets, `region_orders` says of each what is known of it, and
-`refine` uses a code that is known now: it takes in pixels at steps, and corrects the phase by each cycle's modulation.
+`find` asks all that tells and returns where regions are to be split and what their offsets are, `region_orders` says of
+each region what is known of it, and `refine` uses a code that is known now: it takes in pixels at steps, and corrects
+the phase by each cycle's modulation.
 """
 
 from dataclasses import dataclass
@@ -58,9 +59,29 @@ class SeenPhase:
 class Placement:
     """The evidence of a frame's orders, and what it gives reason to doubt."""
 
+    roots: npt.NDArray[np.int32] | None  # (P,) where regions are split: the patch that stands for each patch's part
     absolute: AbsoluteOrders | None  # by a code, or by the depth range
     carried: CarriedOrders | None  # by the frame before
+    coded: bool  # whether `absolute` is by a code
     warning: str | None  # what the user should know
+
+    def offsets(self) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]:
+        """Return the roots of regions, and the whole cycles to add to their orders; later ones overrule earlier ones.
+
+        These are the likeliest offsets by the code, those of the frame before, and those that are almost certain. Of
+        what the depth range alone leaves possible, the order nearest its middle stays.
+        """
+        named = []
+        if self.absolute is not None:
+            likeliest = self.absolute.offsets
+            errors = self.absolute.error_probability(likeliest)
+            told, sure = errors < (1 if self.coded else 0), errors < MAX_ABSOLUTE_ERROR
+            named = [(self.absolute.parts[which], likeliest[which]) for which in (told, sure)]
+        if self.carried is not None:
+            named.insert(1, (self.carried.roots, self.carried.offsets))
+        none = np.zeros((2, 0), np.int64)
+        roots, offsets = np.concatenate([none, *named], axis=1)
+        return roots, offsets
 
     def region_orders(self, patches: Patches, regions: RegionTable, memory: FrameMemory | None) -> RegionOrders:
         """Return of every region whether its orders are absolute, and how probably they are not.
@@ -68,7 +89,7 @@ class Placement:
         Parameters
         ----------
         patches : Patches
-            With the offsets that `OrderFinder.place` has given them.
+            With these offsets added to their orders.
         regions : RegionTable
             The regions that were written.
         memory : FrameMemory, optional
@@ -123,59 +144,48 @@ class OrderFinder:
         self._path = path
         self._geometry = geometry
         self._depth_range_mm = depth_range_mm
-        if geometry is not None:
-            self._depth_mm = _expected_depth(geometry, depth_range_mm)
+        #: Where the object is expected, mm; regions that nothing places are put nearest to it.
+        self.expected_depth_mm = None if geometry is None else _expected_depth(geometry, depth_range_mm)
 
     def ask_for_no_code(self) -> None:
         """Do not look in the first frame for a code that nobody has told of."""
         self._code_looked_for = True
 
-    def place(
-        self, seen: SeenPhase, patches: Patches, rays: CameraRays | None, memory: FrameMemory | None
-    ) -> Placement:
-        """Split the regions that the evidence contradicts, and give each the offset that the evidence names.
-
-        What is said later overrules what was said before: the expected depth, the likeliest offset by the code, the
-        frame before, and last the offsets that are almost certain.
+    def find(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None, memory: FrameMemory | None) -> Placement:
+        """Find where the evidence contradicts regions, and which offsets it names.
 
         Parameters
         ----------
         seen : SeenPhase
             The frame.
         patches : Patches
-            Its patches, joined to regions; they are split, and their orders set.
+            Its patches, joined to regions.
         rays : CameraRays, optional
             With a calibration.
         memory : FrameMemory, optional
             Of the frame before.
         """
+        roots, absolute, carried, warning = None, None, None, None
         coded = self._code == "contrast"
-        absolute, readable = None, True
         if coded:
-            absolute, readable = self._read_code(seen, patches, rays)
-        carried = None if memory is None else self._carry_orders(seen, patches, memory)
-        if absolute is None and self._depth_range_mm is not None:
-            absolute = self._place_by_depth(seen, patches, rays)
-        if rays is not None:
-            patches.place(seen.phases.phase, rays.rays, rays.projector, self._depth_mm)
-        if absolute is not None:
-            errors = absolute.error_probability(absolute.offsets)
-            # Of what the range alone leaves possible, the order nearest its middle stays.
-            told = (errors < 1) if coded else np.zeros(len(errors), np.bool_)
-            patches.set_orders(absolute.parts[told], absolute.offsets[told])
-        if carried is not None:
-            patches.set_orders(carried.roots, carried.offsets)
-        if absolute is not None:
-            sure = errors < MAX_ABSOLUTE_ERROR
-            patches.set_orders(absolute.parts[sure], absolute.offsets[sure])
-        warning = None if readable else _CODE_NOT_SEEN
-        if carried is not None and not carried.same_scene:
-            warning = _OTHER_SCENE
+            graph = patches.graph()
+            absolute, readable = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
+            roots, warning = absolute.roots, None if readable else _CODE_NOT_SEEN
+        if memory is not None:
+            votes = vote_orders(seen.phases.phase, patches, memory.surface.unwrapped, memory.surface.region)
+            if roots is not None:  # the code has split them, and knows better
+                carried = count_votes(votes, roots)
+            else:
+                parts = split_by_votes(votes, patches.graph(), memory.orders.known)
+                carried = count_votes(votes, parts)
+                roots = parts if carried.same_scene else None
+            warning = warning if carried.same_scene else _OTHER_SCENE
+        if not coded and self._depth_range_mm is not None:
+            absolute = self._place_by_depth(seen, patches.graph(), roots, rays)
         if not self._code_looked_for:
             self._code_looked_for = True
-            if self._shows_a_code(seen, patches):
-                warning = _CODE_NOT_TOLD
-        return Placement(absolute, carried, warning)
+            warning = _CODE_NOT_TOLD if self._shows_a_code(seen, patches) else warning
+        return Placement(roots, absolute, carried, coded, warning)
 
     def refine(
         self, seen: SeenPhase, patches: Patches, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers
@@ -217,14 +227,6 @@ class OrderFinder:
             return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
         return None
 
-    def _read_code(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None) -> tuple[AbsoluteOrders, bool]:
-        """Find the absolute orders, split the regions that the code contradicts, and say whether the code is seen."""
-        graph = patches.graph()
-        absolute, readable = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
-        if not np.array_equal(absolute.roots, graph.root):
-            patches.split(absolute.roots)
-        return absolute, readable
-
     def _shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
         """Whether the frame shows the code that nobody has told of."""
         graph = patches.graph()
@@ -241,27 +243,17 @@ class OrderFinder:
         rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
         return find_absolute_orders(sums, graph, int(seen.image.shape[1]), rising, order_range)
 
-    def _place_by_depth(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None) -> AbsoluteOrders | None:
+    def _place_by_depth(
+        self, seen: SeenPhase, graph: PatchGraph, roots: npt.NDArray[np.int32] | None, rays: CameraRays | None
+    ) -> AbsoluteOrders | None:
         """Find the orders that the depth range leaves possible."""
-        graph = patches.graph()
         order_range = self._order_range(seen, graph, rays)
         if order_range is None:
             return None
-        parts = np.flatnonzero(np.bincount(graph.root, graph.pixels, len(graph.root)) >= MIN_REGION_PX)
-        ranges = order_range.by_part(graph.root, parts, graph.pixels)
-        return AbsoluteOrders(graph.root, parts, tuple(within.alone() for within in ranges))
-
-    def _carry_orders(self, seen: SeenPhase, patches: Patches, memory: FrameMemory) -> CarriedOrders:
-        """Find the orders that agree with the frame before, and split the regions that it contradicts."""
-        votes = vote_orders(seen.phases.phase, patches, memory.surface.unwrapped, memory.surface.region)
-        if self._code is not None:  # the code has split them already, and knows better
-            return count_votes(votes, patches.roots())
-        graph = patches.graph()
-        roots = split_by_votes(votes, graph, memory.orders.known)
-        carried = count_votes(votes, roots)
-        if carried.same_scene and not np.array_equal(roots, graph.root):
-            patches.split(roots)
-        return carried
+        roots = graph.root if roots is None else roots
+        parts = np.flatnonzero(np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX)
+        ranges = order_range.by_part(roots, parts, graph.pixels)
+        return AbsoluteOrders(roots, parts, tuple(within.alone() for within in ranges))
 
     def _order_range(self, seen: SeenPhase, graph: PatchGraph, rays: CameraRays | None) -> OrderRange | None:
         """Return how many cycles every patch may lack: its first pixel's ray in the depth range and the pattern."""

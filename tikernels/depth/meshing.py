@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import F32Array3, I32Array1, I32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, Mask
 
@@ -123,9 +123,9 @@ def triangulate_mesh(points: F32, mask: Mask, max_step: float) -> npt.NDArray[np
     ShapeError
         A shape or dtype is another one.
     """
-    points = _checks.read_array("points", points, (None, None, 3), np.float32)
+    points = checks.read_array("points", points, (None, None, 3), np.float32)
     shape = (int(points.shape[0]), int(points.shape[1]))
-    mask = _checks.read_mask("mask", mask, shape)
+    mask = checks.read_mask("mask", mask, shape)
     triangles, vertices = np.empty(shape[0], np.int32), np.empty(shape[0], np.int32)
     count_triangles_kernel(points, mask, max_step, triangles, vertices)
     numbers = np.empty(shape, np.int32)

@@ -7,7 +7,7 @@ The derivative is the difference quotient of `triangulation.py`'s own depth over
 
 import numpy as np
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, ti, vec3
 from tikernels.arrays import F32
 from tikernels.depth.triangulation import ProjectorGeometry, load_projector, ray_depth
@@ -74,11 +74,11 @@ def point_sigma(
     ShapeError
         A shape or dtype is another one, or `out` cannot be written.
     """
-    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    phase = checks.read_array("phase", phase, (None, None), np.float32)
     shape = (int(phase.shape[0]), int(phase.shape[1]))
-    phase_sigma = _checks.read_array("phase_sigma", phase_sigma, shape, np.float32)
-    points = _checks.read_array("points", points, (*shape, 3), np.float32)
-    rays = _checks.read_array("rays", rays, (*shape, 2), np.float32)
-    out = _checks.out_buffer("out", out, shape, np.float32)
+    phase_sigma = checks.read_array("phase_sigma", phase_sigma, shape, np.float32)
+    points = checks.read_array("points", points, (*shape, 3), np.float32)
+    rays = checks.read_array("rays", rays, (*shape, 2), np.float32)
+    out = checks.out_buffer("out", out, shape, np.float32)
     point_sigma_kernel(phase, phase_sigma, points, rays, *projector.arguments(), out)
     return out

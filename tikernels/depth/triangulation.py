@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
 from tikernels.arrays import F32
 from tikernels.depth.lens_distortion import distorted
@@ -154,9 +154,9 @@ def triangulate(unwrapped_phase: F32, rays: F32, projector: ProjectorGeometry, o
     ShapeError
         A shape or dtype is another one, or `out` cannot be written.
     """
-    unwrapped_phase = _checks.read_array("unwrapped_phase", unwrapped_phase, (None, None), np.float32)
+    unwrapped_phase = checks.read_array("unwrapped_phase", unwrapped_phase, (None, None), np.float32)
     shape = (int(unwrapped_phase.shape[0]), int(unwrapped_phase.shape[1]))
-    rays = _checks.read_array("rays", rays, (*shape, 2), np.float32)
-    out = _checks.out_array("out", out, (*shape, 3), np.float32)
+    rays = checks.read_array("rays", rays, (*shape, 2), np.float32)
+    out = checks.out_array("out", out, (*shape, 3), np.float32)
     triangulate_kernel(unwrapped_phase, rays, *projector.arguments(), out)
     return out

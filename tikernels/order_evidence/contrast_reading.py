@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, Static, f32, i32, mat3, ti, vec3, vec4
 from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.color_balance import Gains, gain_at
@@ -147,9 +147,9 @@ def measure_contrast(
     ShapeError
         A shape or dtype is another one.
     """
-    image = _checks.read_array("image", image, (*patches.shape, 3), *LEVEL_TYPES)
-    phase = _checks.read_array("phase", phase, patches.shape, np.float32)
-    modulation = _checks.read_array("modulation", modulation, patches.shape, np.float32)
+    image = checks.read_array("image", image, (*patches.shape, 3), *LEVEL_TYPES)
+    phase = checks.read_array("phase", phase, patches.shape, np.float32)
+    modulation = checks.read_array("modulation", modulation, patches.shape, np.float32)
     sums = runtime.empty((patches.count, ORDER_SLOTS, 4), np.float32)
     light = (image, crosstalk.inverse, gains.gains, gains.spacing_px, phase, modulation)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
@@ -200,8 +200,8 @@ def match_stretches(stretches: F32, windows: F32) -> npt.NDArray[np.float32]:
     ShapeError
         A shape or dtype is another one.
     """
-    stretches = _checks.read_array("stretches", stretches, (None, None), np.float32)
-    windows = _checks.read_array("windows", windows, (None, int(stretches.shape[1])), np.float32)
+    stretches = checks.read_array("stretches", stretches, (None, None), np.float32)
+    windows = checks.read_array("windows", windows, (None, int(stretches.shape[1])), np.float32)
     matches = np.empty((int(stretches.shape[0]), 3), np.float32)
     match_stretches_kernel(stretches, windows, matches)
     return matches

@@ -8,7 +8,7 @@ a line stands for it.
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import F32Array1, F32Array2, I32Array1, I32Array2, f32, ti
 from tikernels.arrays import F32, I32
 from tikernels.phase.phase_vector import PI
@@ -72,9 +72,9 @@ def correct_by_modulation(
         A shape or dtype is another one, or an output cannot be written.
     """
     shape = (int(out[0].shape[0]), int(out[0].shape[1]))
-    region = _checks.read_array("region", region, shape, np.int32)
-    phase = _checks.out_array("out[0]", out[0], shape, np.float32)
-    unwrapped = _checks.out_array("out[1]", out[1], shape, np.float32)
-    known = _checks.read_array("known", known, (None,), np.bool_)
+    region = checks.read_array("region", region, shape, np.int32)
+    phase = checks.out_array("out[0]", out[0], shape, np.float32)
+    unwrapped = checks.out_array("out[1]", out[1], shape, np.float32)
+    known = checks.read_array("known", known, (None,), np.bool_)
     tables = (known.astype(np.int32), np.asarray(corrections, np.float32))
     correct_by_modulation_kernel(region, *tables, phase, unwrapped)

@@ -9,7 +9,7 @@ before shows no edge within reach.
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, I32Array2, i32, ti
 from tikernels.arrays import F32, I32
 from tikernels.phase.phase_vector import PI
@@ -26,9 +26,11 @@ from tikernels.unwrapping.tables import (
 
 #: Pixels of a cell that vote: every fourth both ways.
 VOTES_A_CELL = (CELL_HEIGHT // 4) * (CELL_WIDTH // 4)
-#: Columns of the votes: patch (-1: none), whole cycles lacking, what is left over in 64ths of a cycle, region there
+#: Columns of the votes: patch (-1: none), whole cycles lacking, what is left over in parts of a cycle, region there
 #: before, and whether the vote is sound.
 PATCH, LACKING, REST, BEFORE, SOUND = range(5)
+#: What is left over is counted in parts of a cycle.
+RESTS_A_CYCLE = 64
 # An edge is looked for at these distances (px): what moves by less from frame to frame votes for its own surface.
 _REACH = (5, 10)
 # Where the phase of three pixels in a row bends by more (rad), another surface begins, far enough away for its pixels
@@ -79,7 +81,7 @@ def vote_orders_kernel(
                 order = (label & ORDER_MASK) - ORDER_ZERO + patches[Patch.OFFSET, patch]
                 lacking = (before[y, x] - phase[y, x]) / (2.0 * PI) - ti.cast(order, ti.f32)
                 cycles = ti.cast(ti.round(lacking), i32)
-                rest = ti.cast(ti.round(64.0 * (lacking - ti.cast(cycles, ti.f32))), i32)
+                rest = ti.cast(ti.round(ti.cast(RESTS_A_CYCLE, ti.f32) * (lacking - ti.cast(cycles, ti.f32))), i32)
                 sound = smooth_around(before, y, x)
         out_votes[vote, PATCH] = patch
         out_votes[vote, LACKING] = cycles
@@ -105,7 +107,7 @@ def vote_orders(phase: F32, patches: Patches, unwrapped_before: F32, region_befo
     Returns
     -------
     (cells * VOTES_A_CELL, 5) int32
-        Patch (-1: no vote), whole cycles lacking, what is left over in 64ths of a cycle, region there before, and 1
+        Patch (-1: no vote), whole cycles lacking, what is left over in RESTS_A_CYCLE, region there before, and 1
         where the vote is sound.
 
     Raises
@@ -113,9 +115,9 @@ def vote_orders(phase: F32, patches: Patches, unwrapped_before: F32, region_befo
     ShapeError
         A shape or dtype is another one.
     """
-    phase = _checks.read_array("phase", phase, patches.shape, np.float32)
-    before = _checks.read_array("unwrapped_before", unwrapped_before, patches.shape, np.float32)
-    region_before = _checks.read_array("region_before", region_before, patches.shape, np.int32)
+    phase = checks.read_array("phase", phase, patches.shape, np.float32)
+    before = checks.read_array("unwrapped_before", unwrapped_before, patches.shape, np.float32)
+    region_before = checks.read_array("region_before", region_before, patches.shape, np.int32)
     votes = runtime.empty((patches.cells * VOTES_A_CELL, 5), np.int32)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits, patches.table)
     vote_orders_kernel(phase, *of_patches, before, region_before, votes)

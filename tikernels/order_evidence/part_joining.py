@@ -8,7 +8,7 @@ evidence of what they join adds up. Two parts stay apart where each prefers its 
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, f32, i32, ti, u1
 from tikernels.unwrapping.tables import add_alone
 
@@ -119,9 +119,9 @@ def join_parts(
         A shape or dtype is another one.
     """
     count = len(evidence)
-    ends = _checks.read_array("ends", ends, (2, None), np.int32)
-    orders = _checks.read_array("orders", orders, (count, 2), np.int32)
-    evidence = _checks.read_array("evidence", evidence, (count, CANDIDATES + 1), np.float32)
+    ends = checks.read_array("ends", ends, (2, None), np.int32)
+    orders = checks.read_array("orders", orders, (count, 2), np.int32)
+    evidence = checks.read_array("evidence", evidence, (count, CANDIDATES + 1), np.float32)
     parents = np.empty(count, np.int32)
     # The kernel adds up in place.
     join_parts_kernel(ends, span, min_margin, margin_a_pair, orders.copy(), evidence.copy(), parents)

@@ -7,7 +7,7 @@ continues that one's phase and brightness, and no other surface within reach.
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, F32Array3, I32Array1, I32Array2, U8Array2, f32, i32, ivec4, ti, u1, vec2, vec3
 from tikernels.arrays import F32, I32, U8
 from tikernels.phase.phase_vector import PI, wrap
@@ -213,14 +213,14 @@ def adopt_pixels(
         A shape or dtype is another one, or an output cannot be written.
     """
     shape = (int(out[0].shape[0]), int(out[0].shape[1]))
-    final = _checks.read_array("final", final, (len(Final), None), np.int32)
-    phase = _checks.out_array("phase", phase, shape, np.float32)
-    raw_phase = _checks.read_array("raw_phase", raw_phase, shape, np.float32)
-    modulation = _checks.read_array("modulation", modulation, shape, np.float32)
-    rates = _checks.read_array("rates", rates, (None, 5), np.float32)
-    known = _checks.read_array("known", known, (None,), np.bool_)
+    final = checks.read_array("final", final, (len(Final), None), np.int32)
+    phase = checks.out_array("phase", phase, shape, np.float32)
+    raw_phase = checks.read_array("raw_phase", raw_phase, shape, np.float32)
+    modulation = checks.read_array("modulation", modulation, shape, np.float32)
+    rates = checks.read_array("rates", rates, (None, 5), np.float32)
+    known = checks.read_array("known", known, (None,), np.bool_)
     unwrapped, mask, region = (
-        _checks.out_array(f"out[{i}]", array, shape, dtype)
+        checks.out_array(f"out[{i}]", array, shape, dtype)
         for i, (array, dtype) in enumerate(zip(out, (np.float32, np.uint8, np.int32), strict=True))
     )
     adopted = runtime.empty((*shape, 2), np.float32)

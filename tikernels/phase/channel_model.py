@@ -23,7 +23,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
 from tikernels.arrays import F32
 from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, template_mismatch, waves_of
@@ -121,8 +121,8 @@ class ChannelModel:
         ShapeError
             A shape or dtype is another one.
         """
-        correction = _checks.read_array("correction", correction, (None,), np.float32)
-        known = _checks.read_array("known", known, (3, TERMS), np.float32)
+        correction = checks.read_array("correction", correction, (None,), np.float32)
+        known = checks.read_array("known", known, (3, TERMS), np.float32)
         share = self._recover_samples(crosstalk, levels)
         gains, weights = self.gains, crosstalk.weights
         samples, spacing_px = (self._balanced, self.phases, correction), gains.spacing_px

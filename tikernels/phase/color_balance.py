@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2, f32, i32, mat3, ti, vec3
 from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
@@ -98,7 +98,7 @@ class Gains:
         ShapeError
             The image has another shape or dtype.
         """
-        image = _checks.read_array("image", image, (self.height, self.width, 3), *LEVEL_TYPES)
+        image = checks.read_array("image", image, (self.height, self.width, 3), *LEVEL_TYPES)
         rows, balance_first = self.window.rows, crosstalk.balance_first
         _collect_samples_kernel(balance_first)(image, crosstalk.inverse, levels.intensity, rows, self.samples)
         sum_blocks_kernel(self.samples, rows, self._sums)
@@ -367,17 +367,17 @@ def balance_color(
     ShapeError
         A shape or dtype is another one, the period is below 4 px, or `out` cannot be written.
     """
-    image = _checks.read_array("image", image, (None, None, 3), np.float32)
+    image = checks.read_array("image", image, (None, None, 3), np.float32)
     height, width = int(image.shape[0]), int(image.shape[1])
     if not period_px >= MIN_PERIOD_PX:
         raise ShapeError(f"period_px is {period_px}: three colours resolve a cycle of {MIN_PERIOD_PX:g} px or more")
     counted = image
     if mask is not None:
-        mask = _checks.read_mask("mask", mask, (height, width))
+        mask = checks.read_mask("mask", mask, (height, width))
         counted = np.empty((height, width, 3), np.float32)
         darken_kernel(image, mask, counted)
     crosstalk = Crosstalk.of(np.eye(3) if crosstalk_matrix is None else crosstalk_matrix, balance_first=True)
-    out = _checks.out_array("out", out, (height, width, 3), np.float32)
+    out = checks.out_array("out", out, (height, width, 3), np.float32)
     gains = Gains(height, width, period_px)
     gains.measure(counted, crosstalk, _ANYTHING_LIT)
     apply_gains_kernel(image, gains.gains, gains.spacing_px, out)

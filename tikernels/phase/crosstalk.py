@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import F32Array2, F32Array3, Static, mat3, ti, vec3
 from tikernels.arrays import F32
 from tikernels.errors import ShapeError
@@ -160,8 +160,8 @@ def correct_crosstalk(image: F32, crosstalk_matrix: npt.ArrayLike, out: F32 | No
     >>> bool(np.abs(correct_crosstalk(seen, matrix)[0, 0] - [0, 1, 0]).max() < 1e-6)
     True
     """
-    image = _checks.read_array("image", image, (None, None, 3), np.float32)
+    image = checks.read_array("image", image, (None, None, 3), np.float32)
     inverse = invert_crosstalk(crosstalk_matrix)
-    out = _checks.out_array("out", out, tuple(image.shape), np.float32)
+    out = checks.out_array("out", out, tuple(image.shape), np.float32)
     correct_crosstalk_kernel(image, inverse.astype(np.float32), out)
     return out

@@ -11,13 +11,15 @@ often is not: histograms of tiles of the image tell the two apart, harmonic by h
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import PI, wrap
 from tikernels.phase.wrapped_phase import has_phase, mark_no_phase_kernel
 
+#: Bins of the cycle that phases are counted in.
+BINS = 256
 # Threads add to one of these histograms each, so that they seldom wait for each other.
 _COPIES = 32
 # A phase this far beyond +-pi still counts: float32 leaves less than that, rad.
@@ -164,7 +166,7 @@ def measure_distribution(phase: F32, bins: int, step: int = 1) -> npt.NDArray[np
     ShapeError
         The shape or dtype is another one.
     """
-    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    phase = checks.read_array("phase", phase, (None, None), np.float32)
     histogram = np.zeros((_COPIES, bins), np.int32)
     measure_distribution_kernel(phase, step, histogram)
     runtime.synchronize()
@@ -187,7 +189,7 @@ def equalize_phase_kernel(
 
 
 def equalize_phase(
-    wrapped_phase: F32, mask: Mask, bins: int = 256, *, harmonics: int | None = None, out: F32 | None = None
+    wrapped_phase: F32, mask: Mask, bins: int = BINS, *, harmonics: int | None = None, out: F32 | None = None
 ) -> F32:
     """Spread the phases of the masked pixels evenly over the cycle.
 
@@ -226,12 +228,12 @@ def equalize_phase(
     >>> round(float(np.abs(bent - true).max()), 2), bool(np.abs(error).max() < 0.02)
     (0.2, True)
     """
-    wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
+    wrapped_phase = checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
     shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
-    mask = _checks.read_mask("mask", mask, shape)
+    mask = checks.read_mask("mask", mask, shape)
     if bins < 8:
         raise ShapeError(f"bins is {bins}: take 8 or more")
-    out = _checks.out_array("out", out, shape, np.float32)
+    out = checks.out_array("out", out, shape, np.float32)
     marked = runtime.empty(shape, np.float32)
     mark_no_phase_kernel(wrapped_phase, mask, marked)
     # Some hundred thousand samples pin the table down to a milliradian; more only cost time.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti
 from tikernels.arrays import LevelsImage
 from tikernels.phase.phase_vector import color_at, phase_vector
@@ -99,7 +99,7 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     ShapeError
         Shape or dtype is another one.
     """
-    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
+    image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     columns = min(_COLUMNS, int(image.shape[1]))
     samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
     probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[runtime.dtype_name(image)]), samples)
@@ -187,7 +187,7 @@ def count_out_of_range(image: LevelsImage, white_level: float) -> tuple[int, int
     white_level : float
         Full scale.
     """
-    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
+    image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     counts = np.zeros(2, np.int32)
     count_out_of_range_kernel(image, white_level, counts)
     runtime.synchronize()

@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import (
     AnyArray3,
     F32Array1,
@@ -50,7 +50,7 @@ from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk, colored_channels, weighed_vector
-from tikernels.phase.equalization import equalized, place_in_cycle
+from tikernels.phase.equalization import BINS, equalized, place_in_cycle
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of, squared_modulation
 from tikernels.phase.wrapped_phase import NO_PHASE
@@ -64,8 +64,6 @@ _GAPS_A_THREAD = 8
 _MAX_STEP = 0.3
 # A misfit of up to three standard deviations is noise; the square of that.
 _MAX_MISFIT = 9.0
-# Bins of the cycle that phases are counted in.
-_BINS = 256
 # The image is counted in this many tiles both ways.
 _TILES = 6
 # This many pixels pin the equalisation down: the cumulative distribution of N phases errs by up to pi / sqrt(N).
@@ -289,8 +287,8 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
     ShapeError
         The image has another shape or dtype.
     """
-    image = _checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
-    histogram = np.zeros((_TILES**2, _BINS), np.int32)
+    image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
+    histogram = np.zeros((_TILES**2, BINS), np.int32)
     step = max(1, gains.height * gains.width // _COUNTED)
     thresholds = (levels.intensity, levels.modulation, levels.clipped)
     kernel = _count_phases_kernel(crosstalk.balance_first)
@@ -342,10 +340,10 @@ def fit_phase(
         A shape or dtype is another one, or an output cannot be written.
     """
     shape = (model.gains.height, model.gains.width)
-    image = _checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
-    correction = _checks.read_array("correction", correction, (None,), np.float32)
+    image = checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
+    correction = checks.read_array("correction", correction, (None,), np.float32)
     names, outs = ("phase", "modulation", "precision"), (None, None, None) if out is None else out
-    results = tuple(_checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
+    results = tuple(checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
     _fit_phase_kernel(crosstalk.balance_first, model.gains.spacing_px)(
         image,
         crosstalk.inverse,

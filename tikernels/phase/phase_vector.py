@@ -4,7 +4,7 @@
 
 are linear in a, b cos(phi) and b sin(phi): `channel_waves` is the matrix that makes the channels of them,
 `phase_weights` its inverse after the crosstalk has been undone, and `phase_vector` the same written out for channels
-without lag and crosstalk (equation 2.4 of Je, Lee and Park, Color-phase analysis for sinusoidal structured light in
+without lag and crosstalk (equation 3.3 of Je, Lee and Park, Color-phase analysis for sinusoidal structured light in
 rapid range imaging, 2004). Every stage that looks at the phase of a pixel takes it from here.
 """
 

@@ -9,6 +9,7 @@ shape measurement using a digital video projector, Applied Optics 46, 2007, doi:
 import numpy as np
 import numpy.typing as npt
 
+from tikernels.phase.equalization import BINS
 from tikernels.phase.phase_vector import channel_delays, channel_waves
 
 _TURNS = 2 * np.pi * np.array([[-1], [0], [1]])
@@ -47,7 +48,7 @@ def response_map(
 
 
 def response_table(
-    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, bins: int = 256
+    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, bins: int = BINS
 ) -> npt.NDArray[np.float32]:
     """Return what to add to a phase, at the edges of evenly spaced bins, to undo a known response; see `response_map`.
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, Static, f32, i32, ti, u1
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
@@ -157,9 +157,9 @@ def measure_rates(phase: F32, quality: F32, out: F32 | None = None) -> F32:
     ShapeError
         A shape or dtype is another one, or `out` cannot be written.
     """
-    phase = _checks.read_array("phase", phase, (None, None), np.float32)
-    quality = _checks.read_array("quality", quality, phase.shape, np.float32)
-    out = _checks.out_buffer("out", out, _rates_shape(int(phase.shape[0])), np.float32)
+    phase = checks.read_array("phase", phase, (None, None), np.float32)
+    quality = checks.read_array("quality", quality, phase.shape, np.float32)
+    out = checks.out_buffer("out", out, _rates_shape(int(phase.shape[0])), np.float32)
     measure_rates_kernel(phase, quality, out)
     return out
 
@@ -190,11 +190,11 @@ def smooth_phase(phase: F32, precision: F32, rates: F32, pairs: int, out: F32 | 
     ShapeError
         A shape or dtype is another one, or `out` cannot be written.
     """
-    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    phase = checks.read_array("phase", phase, (None, None), np.float32)
     shape = (int(phase.shape[0]), int(phase.shape[1]))
-    precision = _checks.read_array("precision", precision, shape, np.float32)
-    rates = _checks.read_array("rates", rates, _rates_shape(shape[0]), np.float32)
-    out = _checks.out_buffer("out", out, shape, np.float32)
+    precision = checks.read_array("precision", precision, shape, np.float32)
+    rates = checks.read_array("rates", rates, _rates_shape(shape[0]), np.float32)
+    out = checks.out_buffer("out", out, shape, np.float32)
     _smooth_phase_kernel(pairs)(phase, precision, rates, out)
     return out
 
@@ -283,12 +283,12 @@ def smooth_along_stripes(wrapped_phase: F32, mask: Mask, smoothing_px: int = 5, 
     ShapeError
         A shape or dtype is another one, the window is even or too long, or `out` cannot be written.
     """
-    wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
+    wrapped_phase = checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
     shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
-    mask = _checks.read_mask("mask", mask, shape)
+    mask = checks.read_mask("mask", mask, shape)
     if smoothing_px % 2 == 0 or not 1 <= smoothing_px <= 33:
         raise ShapeError(f"smoothing_px is {smoothing_px}: take an odd number from 1 to 33")
-    out = _checks.out_array("out", out, shape, np.float32)
+    out = checks.out_array("out", out, shape, np.float32)
     marked = np.empty(shape, np.float32)
     mark_no_phase_kernel(wrapped_phase, mask, marked)
     of_noise_nothing_is_known = np.zeros(shape, np.float32)

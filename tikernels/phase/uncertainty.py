@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
@@ -118,11 +118,11 @@ def phase_sigma(
     ShapeError
         A shape or dtype is another one, or `out` cannot be written.
     """
-    precision = _checks.read_array("precision", precision, (None, None), np.float32)
+    precision = checks.read_array("precision", precision, (None, None), np.float32)
     shape = (int(precision.shape[0]), int(precision.shape[1]))
-    neighbours = _checks.read_array("neighbours", neighbours, shape, np.uint8)
-    empty = _checks.read_array("empty", empty, shape, np.float32)
-    out = _checks.out_buffer("out", out, shape, np.float32)
+    neighbours = checks.read_array("neighbours", neighbours, shape, np.uint8)
+    empty = checks.read_array("empty", empty, shape, np.float32)
+    out = checks.out_buffer("out", out, shape, np.float32)
     phase_sigma_kernel(precision, neighbours, empty, averaged, scatter, out)
     return out
 
@@ -157,13 +157,13 @@ def compare_rows(
     ShapeError
         A shape or dtype is another one, four rows are more than there are, or `out` cannot be written.
     """
-    phase = _checks.read_array("phase", phase, (None, None), np.float32)
+    phase = checks.read_array("phase", phase, (None, None), np.float32)
     height, width = int(phase.shape[0]), int(phase.shape[1])
-    precision = _checks.read_array("precision", precision, (height, width), np.float32)
-    neighbours = _checks.read_array("neighbours", neighbours, (height, width), np.uint8)
+    precision = checks.read_array("precision", precision, (height, width), np.float32)
+    neighbours = checks.read_array("neighbours", neighbours, (height, width), np.uint8)
     if height <= 3 * step:
         raise ShapeError(f"phase has {height} rows: four rows {step} px apart need {3 * step + 1}")
-    out = _checks.out_buffer("out", out, (height - 3 * step, -(-width // every)), np.float32)
+    out = checks.out_buffer("out", out, (height - 3 * step, -(-width // every)), np.float32)
     compare_rows_kernel(phase, precision, neighbours, averaged, step, every, out)
     return out
 
@@ -194,7 +194,7 @@ def estimate_phase_sigma(unwrapped: F32, precision: F32, mask: Mask, pairs: int,
     ShapeError
         A shape or dtype is another one.
     """
-    inside = runtime.to_host(_checks.read_mask("mask", mask, tuple(unwrapped.shape)))  # synchronises
+    inside = runtime.to_host(checks.read_mask("mask", mask, tuple(unwrapped.shape)))  # synchronises
     neighbours = _neighbours(inside, pairs)
     averaged = 1 / (2 * pairs + 1)
     scatter = _scatter(unwrapped, precision, neighbours, averaged, period_px)

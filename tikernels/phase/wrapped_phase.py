@@ -1,12 +1,12 @@
 """Wrapped phase, modulation and background of three sinusoids a third of a cycle apart.
 
 R, G, B = a + b cos(phi - 2 pi/3), a + b cos(phi), a + b cos(phi + 2 pi/3) gives
-phi = atan2(sqrt(3) (R - B), 2 G - R - B) (equation 2.4 of Je, Lee and Park 2004).
+phi = atan2(sqrt(3) (R - B), 2 G - R - B) (equation 3.3 of Je, Lee and Park 2004).
 """
 
 import numpy as np
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, ti, u1
 from tikernels.arrays import F32
 from tikernels.phase.phase_vector import arctangent, color_at, modulation_of, phase_vector
@@ -93,10 +93,10 @@ def compute_wrapped_phase(image: F32, out: tuple[F32, F32, F32] | None = None) -
     >>> round(float(phase[0, 0]), 4), round(float(modulation[0, 0]), 4), round(float(background[0, 0]), 4)
     (1.0, 0.25, 0.5)
     """
-    image = _checks.read_array("image", image, (None, None, 3), np.float32)
+    image = checks.read_array("image", image, (None, None, 3), np.float32)
     shape = (int(image.shape[0]), int(image.shape[1]))
     names = ("wrapped_phase", "modulation", "background")
     outs = out if out is not None else (None, None, None)
-    results = tuple(_checks.out_array(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
+    results = tuple(checks.out_array(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
     compute_wrapped_phase_kernel(image, *results)
     return results[0], results[1], results[2]

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import AnyArray2, F32Array3, Static, f32, i32, ti, vec2, vec3
 from tikernels.arrays import F32, Plane
 from tikernels.raw.pixel_format import LUMA_WEIGHTS, PixelFormat
@@ -178,14 +178,14 @@ def convert_chroma(planes: tuple[Plane, ...], format: PixelFormat, out: F32 | No
     >>> [round(float(value), 3) for value in convert_chroma((white, neutral, neutral), format)[0, 0]]
     [1.0, 1.0, 1.0]
     """
-    luma = _checks.read_array("luma", planes[0], (None, None), format.dtype)
+    luma = checks.read_array("luma", planes[0], (None, None), format.dtype)
     height, width = luma.shape
     names = ("chroma",) if format.interleaved else ("blue chroma", "red chroma")
     chroma = [
-        _checks.read_array(name, plane, shape, format.dtype)
+        checks.read_array(name, plane, shape, format.dtype)
         for name, plane, shape in zip(names, planes[1:], format.plane_shapes(height, width)[1:], strict=True)
     ]
-    out = _checks.out_buffer("out", out, (height, width, 3), np.float32)
+    out = checks.out_buffer("out", out, (height, width, 3), np.float32)
     black, luma_gain, zero, chroma_gain = ycc_scales(format)
     red, green_of_blue, green_of_red, blue = chroma_gains(format)
     x, y = format.subsampling

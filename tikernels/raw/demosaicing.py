@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import AnyArray2, F32Array3, Static, f32, i32, ti
 from tikernels.arrays import F32, Plane
 from tikernels.errors import ShapeError
@@ -132,11 +132,11 @@ def demosaic(mosaic: Plane, format: PixelFormat, stripes: str = "horizontal", ou
     """
     if stripes not in ("horizontal", "vertical"):
         raise ShapeError(f"stripes is {stripes!r}: choose horizontal or vertical")
-    mosaic = _checks.read_array("mosaic", mosaic, (None, None), format.dtype)
+    mosaic = checks.read_array("mosaic", mosaic, (None, None), format.dtype)
     height, width = mosaic.shape
     if min(height, width) < _MIN_SIZE_PX:
         raise ShapeError(f"mosaic is {height}x{width}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
-    out = _checks.out_buffer("out", out, (height, width, 3), np.float32)
+    out = checks.out_buffer("out", out, (height, width, 3), np.float32)
     red = format.bayer.index("r")
     _demosaic_kernel(stripes, red // 2, red % 2)(mosaic, 1 / format.white_level, out)
     return out

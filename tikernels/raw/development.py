@@ -3,7 +3,7 @@
 from functools import cache
 from typing import Any, cast
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import AnyArray2, AnyArray3, f32, ti
 from tikernels.arrays import F32, LevelsImage, Plane
 from tikernels.errors import ShapeError
@@ -82,12 +82,12 @@ def develop(
     if format.layout == "bayer":
         return demosaic(planes[0], format, stripes, cast(F32 | None, out))
     shape = (None, None, len(format.channels)) if len(planes) == 1 else planes[0].shape[:2]
-    planes = tuple(_checks.read_array("plane", plane, shape, format.dtype) for plane in planes)
+    planes = tuple(checks.read_array("plane", plane, shape, format.dtype) for plane in planes)
     scaled = format.rgb_dtype != format.dtype
     if len(planes) == 1 and format.channels == "rgb" and not scaled:
         return planes[0]
     height, width = planes[0].shape[:2]
-    out = _checks.out_buffer("out", out, (height, width, 3), format.rgb_dtype)
+    out = checks.out_buffer("out", out, (height, width, 3), format.rgb_dtype)
     scale = 1 / format.white_level
     if len(planes) == 1:
         _reorder_channels_kernel(format.channels, scaled)(planes[0], scale, out)

@@ -7,7 +7,7 @@ A lens that refracts red and blue differently shows them beside their places; at
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, f32, ti, vec4
 from tikernels.arrays import F32, LevelsImage
 from tikernels.errors import ShapeError
@@ -73,10 +73,10 @@ def align_channels(image: LevelsImage, shift_px: npt.ArrayLike, out: F32 | None 
     ShapeError
         Shape or dtype is another one, or `out` cannot be written.
     """
-    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
+    image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     shift = np.ascontiguousarray(shift_px, np.float32)
     if shift.shape != (3, 2) or not np.isfinite(shift).all():
         raise ShapeError(f"shift_px must be 3x2 finite numbers, got shape {shift.shape}")
-    out = _checks.out_array("out", out, tuple(image.shape), np.float32)
+    out = checks.out_array("out", out, tuple(image.shape), np.float32)
     align_channels_kernel(image, shift, out)
     return out

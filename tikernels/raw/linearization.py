@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array3, f32, ti
 from tikernels.arrays import F32, LevelsImage
 from tikernels.errors import ShapeError
@@ -148,8 +148,8 @@ def linearize(
     """
     if isinstance(transfer, str) and transfer not in TRANSFERS:
         raise ShapeError(f"transfer is {transfer!r}: choose {', '.join(TRANSFERS)}")
-    image = _checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
-    out = _checks.out_array("out", out, tuple(image.shape), np.float32)
+    image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
+    out = checks.out_array("out", out, tuple(image.shape), np.float32)
     scale = 1.0 / (white_level or WHITE_LEVELS[runtime.dtype_name(image)])
     if isinstance(transfer, str):
         _linearize_kernel(transfer)(image, scale, full_scale, out)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks
+from tikernels import checks
 from tikernels._taichi import (
     F32Array1,
     F32Array3,
@@ -242,8 +242,8 @@ def render_scene(
     if scene not in SCENES:
         raise ShapeError(f"scene is {scene!r}: choose {', '.join(SCENES)}")
     views, height, width = (int(n) for n in rays.shape[:3])
-    rays = _checks.read_array("rays", rays, (views, height, width, 2), np.float32)
-    light = _checks.read_array("light", light, (None, None, 3), np.float32)
+    rays = checks.read_array("rays", rays, (views, height, width, 2), np.float32)
+    light = checks.read_array("light", light, (None, None, 3), np.float32)
     truth = SceneTruth(
         np.empty((height, width, 3), np.float32),
         np.empty((height, width, 2), np.float32),

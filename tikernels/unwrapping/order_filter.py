@@ -14,7 +14,7 @@ while the mean lies within 2^15 / window^2 cycles.
 
 import numpy as np
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
@@ -275,10 +275,10 @@ def correct_fringe_order(
         raise ShapeError(f"stripes is {stripes!r}: choose horizontal or vertical")
     if window_px % 2 == 0 or not 3 <= window_px <= _MAX_WINDOW_PX:
         raise ShapeError(f"window_px is {window_px}: take an odd number from 3 to {_MAX_WINDOW_PX}")
-    unwrapped_phase = _checks.read_array("unwrapped_phase", unwrapped_phase, (None, None), np.float32)
+    unwrapped_phase = checks.read_array("unwrapped_phase", unwrapped_phase, (None, None), np.float32)
     shape = (int(unwrapped_phase.shape[0]), int(unwrapped_phase.shape[1]))
-    mask = _checks.read_mask("mask", mask, shape)
-    out = _checks.out_array("out", out, shape, np.float32)
+    mask = checks.read_mask("mask", mask, shape)
+    out = checks.out_array("out", out, shape, np.float32)
     unwrapped, result = unwrapped_phase, out
     if stripes == "vertical":
         unwrapped, mask, shape = transpose(unwrapped), transpose(mask), shape[::-1]

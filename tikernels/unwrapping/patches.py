@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels.arrays import F32, I32, U8
 from tikernels.depth.triangulation import ProjectorGeometry
 from tikernels.errors import ShapeError
@@ -138,6 +138,8 @@ class Patches:
     def set_orders(self, roots: npt.NDArray[np.integer], orders: npt.NDArray[np.integer]) -> None:
         """Add these whole cycles to the orders that the regions with these roots had when they were joined.
 
+        Where a root is named twice, the last order counts.
+
         Parameters
         ----------
         roots : (R,) int
@@ -153,6 +155,8 @@ class Patches:
         self._check_numbers("roots", roots)
         if np.shape(orders) != np.shape(roots):
             raise ShapeError(f"orders has shape {np.shape(orders)}, expected {np.shape(roots)}: one for each root")
+        if len(roots) == 0:
+            return
         regions = runtime.to_host(self._regions)
         regions[Region.ORDER, roots] = -orders
         _write_back(self._regions, regions)
@@ -180,8 +184,8 @@ class Patches:
         ShapeError
             A shape or dtype is another one.
         """
-        phase = _checks.read_array("phase", phase, self.shape, np.float32)
-        rays = _checks.read_array("rays", rays, (*self.shape, 2), np.float32)
+        phase = checks.read_array("phase", phase, self.shape, np.float32)
+        rays = checks.read_array("rays", rays, (*self.shape, 2), np.float32)
         packed, axis, _ = projector.arguments()
         arguments = (self.count, phase, self.labels, rays, depth_mm, packed, axis)
         place_regions_kernel(one_thread_is_faster(self.count), *arguments, self.table, self._regions)
@@ -214,11 +218,11 @@ class Patches:
         ShapeError
             A shape or dtype is another one, or an output cannot be written.
         """
-        phase = _checks.read_array("phase", phase, self.shape, np.float32)
-        rates = _checks.read_array("rates", rates, (None, 5), np.float32)
-        out_unwrapped = _checks.out_array("out_unwrapped", out_unwrapped, self.shape, np.float32)
-        out_mask = _checks.out_array("out_mask", out_mask, self.shape, np.uint8)
-        out_region = _checks.out_array("out_region", out_region, self.shape, np.int32)
+        phase = checks.read_array("phase", phase, self.shape, np.float32)
+        rates = checks.read_array("rates", rates, (None, 5), np.float32)
+        out_unwrapped = checks.out_array("out_unwrapped", out_unwrapped, self.shape, np.float32)
+        out_mask = checks.out_array("out_mask", out_mask, self.shape, np.uint8)
+        out_region = checks.out_array("out_region", out_region, self.shape, np.int32)
         # Numbering a handful of regions by their size is the host's work; ties go to the start's place in the image.
         regions = runtime.to_host(self._regions)[:, : self.count]  # synchronises
         roots = np.flatnonzero(regions[Region.PIXELS] >= MIN_REGION_PX)

@@ -8,7 +8,7 @@ nothing connects to the rest becomes a region of its own, whose start is its rel
 
 import numpy as np
 
-from tikernels import _checks, runtime
+from tikernels import checks, runtime
 from tikernels.arrays import F32, I32, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.smoothing import measure_rates
@@ -79,9 +79,9 @@ class RegionUnwrapper:
         ShapeError
             A shape or dtype is another one.
         """
-        phase = _checks.read_array("phase", phase, self.shape, np.float32)
-        quality = _checks.read_array("quality", quality, self.shape, np.float32)
-        rates = _checks.read_array("rates", rates, (None, 5), np.float32)
+        phase = checks.read_array("phase", phase, self.shape, np.float32)
+        quality = checks.read_array("quality", quality, self.shape, np.float32)
+        rates = checks.read_array("rates", rates, (None, 5), np.float32)
         count, contacts = self._grow(phase, quality, rates)
         drafts, table = self._drafts, self._table
         noted = (drafts.cells, drafts.bits, drafts.patches, drafts.contacts, drafts.cell_table)
@@ -177,11 +177,11 @@ def unwrap_phase(
         raise ShapeError(f"stripes is {stripes!r}: choose horizontal or vertical")
     if method not in METHODS:
         raise ShapeError(f"method is {method!r}: choose {' or '.join(METHODS)}")
-    wrapped_phase = _checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
+    wrapped_phase = checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
     shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
-    quality = _checks.read_array("quality", quality, shape, np.float32)
-    mask = _checks.read_mask("mask", mask, shape)
-    out = _checks.out_array("out", out, shape, np.float32)
+    quality = checks.read_array("quality", quality, shape, np.float32)
+    mask = checks.read_mask("mask", mask, shape)
+    out = checks.out_array("out", out, shape, np.float32)
     phase = runtime.empty(shape, np.float32)
     mark_no_phase_kernel(wrapped_phase, mask, phase)
     result = out

@@ -27,19 +27,23 @@ def patches(offsets):
     return SimpleNamespace(orders=lambda parts: np.array([offsets[int(part)] for part in parts], np.int32))
 
 
+def placement(**found):
+    return Placement(**{"roots": None, "absolute": None, "carried": None, "coded": False, "warning": None, **found})
+
+
 def carried(**values):
     return CarriedOrders(**{"same_scene": True, **{name: np.array(value) for name, value in values.items()}})
 
 
 def test_nothing_told_is_nothing_known():
-    orders = Placement(None, None, None).region_orders(patches({}), REGIONS, None)
+    orders = placement().region_orders(patches({}), REGIONS, None)
     assert orders.known.tolist() == [False] * 4
     np.testing.assert_array_equal(orders.error_probability, [np.nan, 1, 1, 1])
 
 
 def test_orders_that_are_carried_on_err_as_before_and_on_the_way():
     found = carried(roots=[2, 4], offsets=[1, 0], before=[2, 1], error_probability=[0.5, 0.001])
-    orders = Placement(None, found, None).region_orders(patches({}), REGIONS, memory([True, True], [0.002, 1e-6]))
+    orders = placement(carried=found).region_orders(patches({}), REGIONS, memory([True, True], [0.002, 1e-6]))
     # Region 1 (root 4) goes on from region 1 and region 3 (root 2) from region 2; region 2 is new.
     np.testing.assert_allclose(orders.error_probability[1:], [1 - 0.998 * 0.999, 1, 1 - (1 - 1e-6) * 0.5], rtol=1e-5)
     assert orders.known.tolist() == [False, True, False, False]
@@ -47,18 +51,18 @@ def test_orders_that_are_carried_on_err_as_before_and_on_the_way():
 
 def test_what_was_not_known_before_is_not_known_now():
     found = carried(roots=[4], offsets=[0], before=[1], error_probability=[1e-9])
-    orders = Placement(None, found, None).region_orders(patches({}), REGIONS, memory([False], [1e-9]))
+    orders = placement(carried=found).region_orders(patches({}), REGIONS, memory([False], [1e-9]))
     assert not orders.known.any()
 
 
 def test_the_code_speaks_for_itself():
     sure, open_ = Posterior(7, np.array([1 - 1e-6, 1e-6])), Posterior(3, np.array([0.6, 0.4]))
     absolute = AbsoluteOrders(np.arange(10), np.array([2, 4, 9]), (open_, sure, Posterior(0, np.zeros(0))))
-    orders = Placement(absolute, None, None).region_orders(patches({2: 3, 4: 7, 9: 0}), REGIONS, None)
+    orders = placement(absolute=absolute, coded=True).region_orders(patches({2: 3, 4: 7, 9: 0}), REGIONS, None)
     assert orders.known.tolist() == [False, True, False, False]
     np.testing.assert_allclose(orders.error_probability[1:], [1e-6, 1, 0.4], rtol=1e-5)
     # An offset that is not the likeliest is as wrong as the posterior says.
-    orders = Placement(absolute, None, None).region_orders(patches({2: 4, 4: 8, 9: 0}), REGIONS, None)
+    orders = placement(absolute=absolute, coded=True).region_orders(patches({2: 4, 4: 8, 9: 0}), REGIONS, None)
     np.testing.assert_allclose(orders.error_probability[1:], [1 - 1e-6, 1, 0.6], rtol=1e-5)
     assert not orders.known.any()
 
@@ -67,10 +71,21 @@ def test_a_carried_order_stands_where_the_code_is_in_doubt():
     doubt = Posterior(3, np.array([0.6, 0.4]))
     absolute = AbsoluteOrders(np.arange(10), np.array([2, 4, 9]), (doubt, doubt, doubt))
     found = carried(roots=[4], offsets=[3], before=[1], error_probability=[1e-4])
-    placement = Placement(absolute, found, None)
-    orders = placement.region_orders(patches({2: 3, 4: 3, 9: 3}), REGIONS, memory([True], [1e-4]))
+    told = placement(absolute=absolute, carried=found, coded=True)
+    orders = told.region_orders(patches({2: 3, 4: 3, 9: 3}), REGIONS, memory([True], [1e-4]))
     assert orders.known.tolist() == [False, True, False, False]
     np.testing.assert_allclose(orders.error_probability[1:], [2e-4, 0.4, 0.4], rtol=1e-3)
+
+
+@pytest.mark.parametrize("coded", [True, False])
+def test_the_later_evidence_overrules_the_earlier(coded):
+    sure, doubt = Posterior(7, np.array([1 - 1e-6, 1e-6])), Posterior(3, np.array([0.6, 0.4]))
+    absolute = AbsoluteOrders(np.arange(10), np.array([2, 4, 6, 9]), (doubt, doubt, sure, Posterior(0, np.zeros(0))))
+    before = carried(roots=[4, 6], offsets=[5, 1], before=[1, 1], error_probability=[1e-4, 1e-4])
+    roots, offsets = placement(absolute=absolute, carried=before, coded=coded).offsets()
+    found = dict(zip(roots.tolist(), offsets.tolist(), strict=True))  # the last one stays, as in an assignment
+    assert found == ({2: 3} if coded else {}) | {4: 5, 6: 7}
+    assert [len(part) for part in placement().offsets()] == [0, 0]
 
 
 def test_axes_in_parallel_need_a_range():
