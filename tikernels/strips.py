@@ -31,5 +31,6 @@ def strip_count(length: i32, size: i32) -> i32:
 def strip_at(number: i32, length: i32, size: i32):
     """Return the row of a strip, its first place there, and how many places of the row it holds."""
     strips = strip_count(length, size)
-    row, first = number // strips, number % strips * size
+    row = number // strips
+    first = (number - row * strips) * size
     return row, first, ti.min(size, length - first)

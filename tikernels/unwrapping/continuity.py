@@ -7,7 +7,7 @@ as bright, surely lies on the same.
 
 from tikernels._taichi import F32Array2, I32Array2, f32, i32, ivec2, ti, u1
 from tikernels.phase.phase_vector import PI
-from tikernels.phase.smoothing import MAX_DEPARTURE, MEAN_QUALITY, RATE_ACROSS, RATE_ALONG, departure
+from tikernels.phase.smoothing import MAX_DEPARTURE, MEAN_QUALITY, RATE_ACROSS, RATE_ALONG
 
 # Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
 # across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again.
@@ -24,10 +24,15 @@ def frame_rates(rates: F32Array2):
 
 
 @ti.func
-def cycles_between(difference: f32, rate: f32) -> i32:
-    """Whole cycles to add to a difference of two wrapped phases to bring it nearest to the usual change."""
+def cycles_and_departure(difference: f32, rate: f32):
+    """Return the whole cycles between two wrapped phases, and how far the rest of their difference is off the rate.
+
+    The cycles are those that bring the difference nearest to the usual change. What is no phase departs by far more
+    than any phase.
+    """
     excess = difference - rate
-    return ti.cast(excess < -PI, ti.i32) - ti.cast(excess > PI, ti.i32)
+    cycles = ti.cast(excess < -PI, ti.i32) - ti.cast(excess > PI, ti.i32)
+    return cycles, ti.abs(excess + 2.0 * PI * ti.cast(cycles, ti.f32))
 
 
 @ti.func
@@ -74,8 +79,7 @@ def vote_above(phase: F32Array2, quality: F32Array2, labels: I32Array2, y: i32, 
     above = labels[y - 1, x]
     if above >= 0:
         difference = phase[y, x] - phase[y - 1, x]
-        cycles = cycles_between(difference, rate)
-        departs = departure(difference, rate)
+        cycles, departs = cycles_and_departure(difference, rate)
         if departs <= MAX_DEPARTURE:
             sure = surely_across(departs, quality[y, x], quality[y - 1, x])
             vote = ti.Vector([above + cycles - order, ti.cast(sure, ti.i32)])

@@ -6,8 +6,8 @@ phase of the other surface goes on over many pixels, too, but the orders step by
 """
 
 from tikernels._taichi import F32Array2, I32Array2, f32, i32, ti
-from tikernels.phase.smoothing import MAX_DEPARTURE, departure
-from tikernels.unwrapping.continuity import cycles_between, frame_rates
+from tikernels.phase.smoothing import MAX_DEPARTURE
+from tikernels.unwrapping.continuity import cycles_and_departure, frame_rates
 from tikernels.unwrapping.tables import (
     CELL_HEIGHT,
     CELL_WIDTH,
@@ -32,9 +32,9 @@ def on_seam(phase: F32Array2, labels: I32Array2, final: I32Array2, rate: f32, y:
     if (label | label2) >= 0:
         draft, draft2 = label >> ORDER_BITS, label2 >> ORDER_BITS
         difference = phase[y2, x2] - phase[y, x]
-        cycles = cycles_between(difference, rate)
+        cycles, departs = cycles_and_departure(difference, rate)
         jump = (label2 & ORDER_MASK) + final[Final.ORDER, draft2] - (label & ORDER_MASK) - final[Final.ORDER, draft]
-        goes_on = departure(difference, rate) < MAX_DEPARTURE
+        goes_on = departs < MAX_DEPARTURE
         if goes_on and jump != cycles and final[Final.REGION, draft] > 0 and final[Final.REGION, draft2] > 0:
             contradicts = 1
     return contradicts

@@ -4,8 +4,8 @@ A contact joins two patches by what pixels on either side say of their orders, w
 """
 
 from tikernels._taichi import F32Array2, I32Array2, Static, i32, ivec2, ivec4, ti, vec3
-from tikernels.phase.smoothing import MAX_DEPARTURE, departure
-from tikernels.unwrapping.continuity import cycles_between, frame_rates, vote_above, vote_weight
+from tikernels.phase.smoothing import MAX_DEPARTURE
+from tikernels.unwrapping.continuity import cycles_and_departure, frame_rates, vote_above, vote_weight
 from tikernels.unwrapping.tables import (
     CELL_HEIGHT,
     CELL_WIDTH,
@@ -63,7 +63,7 @@ def note_outvoted(
             vote = vote_above(phase, quality, labels, y, voter, labels[y, voter] - chosen, usual[1])
             if vote.x == choice.x:
                 difference = phase[y, voter] - phase[y - 1, voter]
-                departs = departure(difference, usual[1])
+                _, departs = cycles_and_departure(difference, usual[1])
                 tally += _LOWER_SIDE * vote_weight(departs, quality[y, voter], quality[y - 1, voter], usual[2])
                 if voter < candidate:
                     noted = 1
@@ -89,8 +89,7 @@ def note_run_before(
     label = labels[y, start - 1]
     if label >= 0:
         difference = phase[y, start] - phase[y, start - 1]
-        cycles = cycles_between(difference, usual[0])
-        departs = departure(difference, usual[0])
+        cycles, departs = cycles_and_departure(difference, usual[0])
         other, patch = label >> ORDER_BITS, chosen >> ORDER_BITS
         if departs <= MAX_DEPARTURE and other != patch:
             shift = (label & ORDER_MASK) + cycles - (chosen & ORDER_MASK)
@@ -131,8 +130,7 @@ def note_side(
         difference[k] = phase[y2, x2] - phase[y, x]
         low[k], high[k] = quality[y, x], quality[y2, x2]
     for k in range(CELL_HEIGHT):
-        cycles = cycles_between(difference[k], usual[side])
-        departs = departure(difference[k], usual[side])
+        cycles, departs = cycles_and_departure(difference[k], usual[side])
         weight[k] = ti.static((1, _LOWER_SIDE)[side]) * vote_weight(departs, low[k], high[k], usual[2])
         touches = ((label[k] | label2[k]) >= 0) & (departs <= MAX_DEPARTURE) & (k < length)
         shift[k] = (label[k] & ORDER_MASK) - (label2[k] & ORDER_MASK) + cycles

@@ -6,11 +6,10 @@ where two of its patches touch, they note a contact with its votes (`patch_conta
 """
 
 from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3
-from tikernels.phase.smoothing import departure
 from tikernels.phase.wrapped_phase import LEAST_STEP_PHASE, has_phase
 from tikernels.unwrapping.continuity import (
     brightness_weight,
-    cycles_between,
+    cycles_and_departure,
     frame_rates,
     surely_across,
     surely_along,
@@ -59,15 +58,13 @@ def continue_row(
     sure = 1
     for k in range(CELL_WIDTH):
         difference = here_phase[k] - above_phase[k]
-        cycles = cycles_between(difference, usual[1])
-        departs = departure(difference, usual[1])
+        cycles, departs = cycles_and_departure(difference, usual[1])
         continues = (labels[k] >= 0) & surely_across(departs, here_quality[k], above_quality[k])
         labels[k] += cycles
         sure &= ti.cast(continues, ti.i32)
     for k in range(1, CELL_WIDTH):
         difference = here_phase[k] - here_phase[k - 1]
-        cycles = cycles_between(difference, usual[0])
-        departs = departure(difference, usual[0])
+        cycles, departs = cycles_and_departure(difference, usual[0])
         agrees = labels[k] == labels[k - 1] + cycles
         agrees &= surely_along(departs, here_quality[k], here_quality[k - 1])
         sure &= ti.cast(agrees, ti.i32)
@@ -116,10 +113,8 @@ def follow_run(
         going = 0
         if x < bounds[3]:
             here = phase[y, x]
-            cycles = cycles_between(here - before, usual[0])
+            cycles, departs = cycles_and_departure(here - before, usual[0])
             quality_here = quality[y, x]
-            # What is no phase departs by far more.
-            departs = departure(here - before, usual[0])
             if surely_along(departs, quality_here, quality_before):
                 order += cycles
                 before, quality_before = here, quality_here

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, ti
-from tikernels.phase.smoothing import MAX_DEPARTURE, departure
+from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.continuity import (
     brightness_weight,
-    cycles_between,
+    cycles_and_departure,
     surely_across,
     surely_along,
     vote_weight,
@@ -24,8 +24,7 @@ def judge_kernel(
     out_words: I32Array2,  # (5, N) cycles, sure along, sure across, weight, brightness
 ):
     for i in range(difference.shape[0]):
-        cycles = cycles_between(difference[i], rate)
-        departs = departure(difference[i], rate)
+        cycles, departs = cycles_and_departure(difference[i], rate)
         out_departs[i] = departs
         out_words[0, i] = cycles
         out_words[1, i] = ti.cast(surely_along(departs, quality[0, i], quality[1, i]), ti.i32)
