@@ -14,7 +14,7 @@ from ray_samples import NOTHING, Room, paints_of
 from spectra import effective_matrix, reflectance
 
 # Paths a pixel, and the blur, px, that evens out what their chance leaves. Light from another surface changes slowly.
-_PATHS = 32
+_PATHS = 16
 _EVEN_OUT_PX = 2.0
 
 

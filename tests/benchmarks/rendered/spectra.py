@@ -127,10 +127,10 @@ _PAINTS: dict[str, Callable[[], Spectrum]] = {
     "sclera": lambda: 0.62 + 0.10 * edge(520, 40),
     "iris": lambda: 0.05 + 0.06 * bell(470, 50),
     "cream": lambda: 0.50 + 0.27 * edge(505, 25),
-    "orange": lambda: 0.05 + 0.63 * edge(583, 11),
-    "yellow": lambda: 0.06 + 0.72 * edge(513, 12),
-    "green": lambda: 0.05 + 0.38 * bell(528, 33),
-    "blue": lambda: 0.05 + 0.45 * bell(458, 36),
+    "orange": lambda: 0.09 + 0.58 * edge(580, 14),
+    "yellow": lambda: 0.11 + 0.64 * edge(510, 16),
+    "green": lambda: 0.10 + 0.33 * bell(530, 38),
+    "blue": lambda: 0.10 + 0.38 * bell(460, 42),
     "red": lambda: 0.04 + 0.60 * edge(612, 10),
 }
 PAINTS = tuple(_PAINTS)

@@ -206,7 +206,7 @@ class _Only:
         return self._row_light.at(rows, extra_px) * self._channels
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=9)
 def _samples(scene_name: str, offset_mm: tuple[float, ...], subpixels: int) -> Samples:
     geometry = rig().geometry()
     return Room(scenes()[scene_name], geometry, offset_mm).look(pixel_grid(geometry.camera.size_px, subpixels))
