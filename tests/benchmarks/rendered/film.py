@@ -57,7 +57,9 @@ class RowLight:
     @staticmethod
     def _blurred(fine: F64, sigma_px: float) -> F32:
         if sigma_px > 0:
-            fine = cv2.GaussianBlur(fine, (1, 0), sigmaX=1e-3, sigmaY=sigma_px * _STEPS, borderType=cv2.BORDER_REPLICATE)
+            fine = cv2.GaussianBlur(
+                fine, (1, 0), sigmaX=1e-3, sigmaY=sigma_px * _STEPS, borderType=cv2.BORDER_REPLICATE
+            )
         return fine.astype(np.float32)
 
     def at(self, rows: F32, extra_px: F32 | None = None) -> F32:

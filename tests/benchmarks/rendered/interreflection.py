@@ -1,7 +1,7 @@
 """Light that has bounced off several surfaces before the camera sees it.
 
-Paths are followed from the camera in random directions (J. T. Kajiya 1986, doi:10.1145/15922.15902); at every place they
-reach, the projector's light there is added. All surfaces are matt, so a path's weight is the product of its
+Paths are followed from the camera in random directions (J. T. Kajiya 1986, doi:10.1145/15922.15902); at every place
+they reach, the projector's light there is added. All surfaces are matt, so a path's weight is the product of its
 reflectances; the paths with the same paints share one 3x3 matrix, computed at 1 nm like that of a single bounce.
 """
 

@@ -119,7 +119,7 @@ class Room:
         mi = self._mi
         hit = self._world.ray_intersect(mi.Ray3f(self._point(origins), mi.Vector3f(self._point(directions))))
         found = np.array(hit.is_valid())
-        # In double precision: a cycle is 46 mm, and float32 would round a distance by 0.00006 mm only, but rows by more.
+        # In double precision from here: float32 would round rows, not distances, by too much.
         places = origins + directions * np.where(found, np.array(hit.t), 0)[:, None].astype(np.float64)
         normals = np.array(hit.sh_frame.n).T.astype(np.float64)
         normals *= -np.sign((normals * directions).sum(axis=1, keepdims=True))
@@ -192,7 +192,7 @@ class Room:
 def _highlight(body: Body, normals, to_light, to_camera) -> npt.NDArray[np.float64]:
     """Return what a clear coat mirrors, over what white paint would send back (Blinn 1977, doi:10.1145/563858.563893).
 
-    The lobe is normalised to (n + 8) / (8 pi), and the share that is mirrored rises towards grazing by Schlick's formula.
+    The lobe is normalised to (n + 8) / (8 pi); what is mirrored rises towards grazing by Schlick's formula.
     """
     half = to_light + to_camera
     half /= np.linalg.norm(half, axis=1, keepdims=True)

@@ -51,7 +51,9 @@ class RenderedScene:
 def _transform(center: tuple[float, float, float], turn_deg: tuple[float, float], size: Any) -> Points:
     """Return the (4, 4) matrix of a standard shape's place: scaled, turned about x and then y, moved."""
     matrix = np.eye(4)
-    tilt, turn = (cv2.Rodrigues(np.radians(angle) * axis)[0] for angle, axis in zip(turn_deg, np.eye(3)[:2], strict=True))
+    tilt, turn = (
+        cv2.Rodrigues(np.radians(angle) * axis)[0] for angle, axis in zip(turn_deg, np.eye(3)[:2], strict=True)
+    )
     matrix[:3, :3] = turn @ tilt * np.asarray(size)
     matrix[:3, 3] = center
     return matrix

@@ -4,8 +4,8 @@ With primaries P_j (unit area), a camera's filters F_i and a surface's reflectan
 
     camera_i = sum over j of M_ij p_j,    M_ij = integral of F_i rho P_j over the wavelength.
 
-That is exact for any spectra, so nothing has to be rendered wavelength by wavelength. Light that has bounced off several
-surfaces has the product of their reflectances for rho.
+That is exact for any spectra, so nothing has to be rendered wavelength by wavelength. Light that has bounced off
+several surfaces has the product of their reflectances for rho.
 """
 
 from collections.abc import Callable
@@ -111,8 +111,8 @@ def _flat(albedo: float) -> Callable[[], Spectrum]:
     return lambda: np.full(len(WAVELENGTHS), albedo)
 
 
-# Paints by name. What the reflectances of pigments have in common is taken from their textbook shapes: reds, oranges and
-# yellows are steps, greens and blues are bells, and none is black anywhere.
+# Paints by name, in the shapes that pigments have: reds, oranges and yellows are steps, greens and blues are bells, and
+# none is black anywhere.
 _PAINTS: dict[str, Callable[[], Spectrum]] = {
     "white": _flat(0.85),
     "corner white": _flat(0.8),

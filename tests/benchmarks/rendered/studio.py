@@ -1,5 +1,6 @@
 """Take frames: a scene, a pattern and a light become the linear light of a frame, kept on disk; and its calibration."""
 
+import ast
 import hashlib
 import os
 from dataclasses import dataclass, replace
@@ -39,17 +40,23 @@ _INSTANTS_A_FIELD = 3
 _BRIGHTEST = 0.86
 
 
+_OPTICS = Optics()
+
+
 @dataclass(frozen=True)
 class Rig:
     """Projector, camera and their optics, by name, so that frames can be kept under what they were taken with."""
 
     projector: str = LED.name
     camera: str = INDUSTRIAL.name
-    optics: Optics = Optics()
+    optics: Optics = _OPTICS
 
     def light(self) -> Light:
         """Return what shades samples."""
         return Light(PROJECTORS[self.projector], CAMERAS[self.camera], self.optics)
+
+
+_RIG = Rig()
 
 
 def default_folder() -> Path:
@@ -58,9 +65,14 @@ def default_folder() -> Path:
 
 
 def _digest_of_sources() -> bytes:
+    """Return a digest of what the renderer does: of its syntax, which comments and line breaks are no part of."""
     digest = hashlib.sha256()
     for name in ("spectra", "rendered_scenes", "ray_samples", "film", "interreflection", "studio"):
-        digest.update(Path(__file__).with_name(f"{name}.py").read_bytes())
+        tree = ast.parse(Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
+                node.body = node.body[1:]
+        digest.update(ast.dump(tree).encode())
     return digest.digest()
 
 
@@ -105,7 +117,7 @@ class Studio:
 
     # --- frames ----------------------------------------------------------------------------------------------------
 
-    def light(self, scene_name: str, pattern: str = "plain", taken_with: Rig = Rig()) -> F32:
+    def light(self, scene_name: str, pattern: str = "plain", taken_with: Rig = _RIG) -> F32:
         """Return the linear light (H, W, 3) of a frame, of one that the camera's full scale is the same for."""
         kept = self._kept("light", scene_name, pattern, repr(taken_with))
         if not kept.exists():
@@ -124,13 +136,13 @@ class Studio:
         with np.load(kept) as file:
             return Truth(**file)
 
-    def exposure(self, scene_name: str, taken_with: Rig = Rig()) -> float:
+    def exposure(self, scene_name: str, taken_with: Rig = _RIG) -> float:
         """Return by what light is multiplied, as one who looks at a white picture would choose it."""
         light = self.light(scene_name, "white", replace(taken_with, optics=replace(taken_with.optics, point=False)))
         return _BRIGHTEST / float(np.quantile(light.max(axis=2), 0.995))
 
     def frame(
-        self, scene_name: str, pattern: str, sensor: Sensor, taken_with: Rig = Rig(), seed: int = 1
+        self, scene_name: str, pattern: str, sensor: Sensor, taken_with: Rig = _RIG, seed: int = 1
     ) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
         """Return the levels of a frame."""
         return sensor.expose(self.light(scene_name, pattern, taken_with), self.exposure(scene_name, taken_with), seed)
@@ -166,7 +178,7 @@ class Studio:
 
     # --- calibration -----------------------------------------------------------------------------------------------
 
-    def calibration(self, taken_with: Rig = Rig()) -> Calibration:
+    def calibration(self, taken_with: Rig = _RIG) -> Calibration:
         """Return the rig's true geometry, with matrix and response as ramps on a white plane tell them."""
         kept = self._kept("calibration", repr(taken_with)).with_suffix(".json")
         if not kept.exists():
@@ -191,9 +203,10 @@ class Studio:
             captures[name] = Sensor().expose(light, exposure, seed=1000 + number)
         return measure_radiometry(captures, transfer="linear").add_to(rig())
 
-    def _kept(self, *description: str) -> Path:
-        digest = hashlib.sha256(_SOURCES + "\n".join(description).encode()).hexdigest()[:16]
-        return self._folder / f"{'-'.join(description[:3] if description[0] == 'light' else description[:1])}-{digest}.npz"
+    def _kept(self, kind: str, *description: str) -> Path:
+        digest = hashlib.sha256(_SOURCES + "\n".join((kind, *description)).encode()).hexdigest()[:16]
+        named = description[:2] if kind == "light" else ()
+        return self._folder / f"{'-'.join((kind, *named, digest))}.npz"
 
 
 class _Only:

@@ -1,0 +1,268 @@
+"""Measure decoding on rendered frames, and write the second half of docs/accuracy.md.
+
+    python tests/benchmarks/rendered/measure.py [--cache FOLDER] [--print] [SECTION ...]
+
+Frames are rendered once and kept in FOLDER (a folder of the user's cache if none is given), so that measuring again
+takes the time of decoding. Rendering needs the extra `rendered`, and libLLVM beside it.
+"""
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+from decoding_cases import KNOWN, Case, Judged, study, study_orders, with_gamma
+from film import Optics, Sensor
+from judgement import Verdict
+from rendered_scenes import scenes
+from spectra import INDUSTRIAL, LAMP, LED, PHOTOGRAPHIC, effective_matrix
+from studio import Rig, Studio
+
+from tikernels import runtime
+from tikernels.phase.crosstalk import invert_crosstalk
+
+_PAGE = Path(__file__).resolve().parents[3] / "docs" / "accuracy.md"
+_BEGIN, _END = "<!-- rendered frames: begin -->", "<!-- rendered frames: end -->"
+# The truth may be off by this, rad, before anything is measured against it.
+_TRUE_RAD = 0.0005
+_HEADINGS = (
+    "scene", "surface", "pattern", "known", "bands", "mosaic", "RMS", "RMS inside", "constant", "harmonics 1, 2, 3",
+    "with noise: RMS inside", "constant", "error over sigma", "within two",
+)  # fmt: skip
+_ALL = "all"
+
+
+def main() -> None:
+    """Measure what was asked for; write the page if that is everything."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("section", nargs="*", choices=[*SECTIONS, []], help=f"of {', '.join(SECTIONS)}; none: all")
+    parser.add_argument("--cache", type=Path, help="where rendered frames are kept")
+    parser.add_argument("--print", action="store_true", help="print the tables and leave the page as it is")
+    arguments = parser.parse_args()
+    runtime.init("cpu")
+    studio = Studio(arguments.cache)
+    off = truth_error(studio)
+    if off > _TRUE_RAD:
+        raise SystemExit(f"the truth is off by {off:.5f} rad: the renderer is wrong, nothing is measured")
+    parts = [_INTRODUCTION.format(off=off)]
+    for name in arguments.section or SECTIONS:
+        part = "\n".join(SECTIONS[name](studio)) + "\n"
+        print(part, flush=True)
+        parts.append(part)
+    if not (arguments.print or arguments.section):
+        write_page(_PAGE, "\n".join(parts))
+
+
+def write_page(page: Path, text: str) -> None:
+    """Put text between the page's two markers."""
+    before, rest = page.read_text(encoding="utf-8").split(_BEGIN)
+    _, after = rest.split(_END)
+    page.write_text(f"{before}{_BEGIN}\n\n{text}\n{_END}{after}", encoding="utf-8")
+
+
+def truth_error(studio: Studio) -> float:
+    """Return the largest error, rad, of the plain arctangent on ideal fringes on a white plane, against the truth."""
+    ideal = Rig(optics=Optics(gamma=1.0, ambient=0.0, point=True))
+    light = studio.light("plane", "plain", ideal)
+    truth = studio.truth("plane")
+    primaries = light @ invert_crosstalk(effective_matrix(LED, INDUSTRIAL)).T
+    red, green, blue = np.moveaxis(primaries, -1, 0)
+    phase = np.arctan2(np.sqrt(3) * (red - blue), 2 * green - red - blue)
+    true = 2 * np.pi / studio.geometry.pattern.period_px * truth.projector_row
+    return float(np.abs(np.angle(np.exp(1j * (phase - true))))[truth.lit].max())
+
+
+# --- rows --------------------------------------------------------------------------------------------------------
+
+
+def table(headings: Iterable[str]) -> list[str]:
+    """Return the first two lines of a table."""
+    headings = list(headings)
+    return ["| " + " | ".join(headings) + " |", "|" + "---|" * len(headings)]
+
+
+def row(result: Judged, surface: str, scene: str | None = None) -> str:
+    """Return a row of the standard table."""
+    case, clean, noisy = result.case, result.clean[surface], result.noisy.get(surface)
+    cells = [
+        scene or case.scene.replace("_", " "),
+        surface,
+        case.pattern,
+        case.known,
+        case.bands,
+        "yes" if case.sensor.mosaic else "no",
+        f"{clean.rms:.4f}",
+        f"{clean.rms_inside:.4f}",
+        f"{clean.constant_inside:+.4f}",
+        ", ".join(f"{wave:.3f}" for wave in clean.harmonics),
+    ]
+    if noisy is None:
+        cells += ["-"] * 4
+    else:
+        cells += [f"{noisy.rms_inside:.4f}", f"{noisy.constant_inside:+.4f}", f"{noisy.pull:.2f}"]
+        cells += [f"{noisy.within_two:.2f}"]
+    return "| " + " | ".join(cells) + " |"
+
+
+def rows(cases: Iterable[Case], studio: Studio, surfaces: Callable[[Case, Verdict], bool]) -> Iterator[str]:
+    """Yield the rows of cases, of those surfaces that are to be shown."""
+    for case in cases:
+        result = study(case, studio)
+        for name, verdict in result.clean.items():
+            if surfaces(case, verdict):
+                yield row(result, name)
+
+
+def knowledge(scene: str, **more) -> list[Case]:
+    """Return a scene under both patterns with all that may be known of each."""
+    plain = [Case(scene, "plain", known, **more) for known in KNOWN]
+    return [*plain, *(Case(scene, "compensated", known, **more) for known in (KNOWN[0], KNOWN[-1]))]
+
+
+# --- sections ----------------------------------------------------------------------------------------------------
+
+
+def gray_and_painted(studio: Studio) -> Iterator[str]:
+    """Yield plane and faces."""
+    yield "### A plane, and a face in grey paint and in colour\n"
+    yield from table(_HEADINGS)
+    for scene in ("plane", "grey_face", "face", "face_alone"):
+        yield from rows(knowledge(scene), studio, lambda case, verdict: True)
+
+
+def colors(studio: Studio) -> Iterator[str]:
+    """Yield coloured objects and the board."""
+    yield "### Several colours\n"
+    yield from table(_HEADINGS)
+    for scene in ("objects", "grey_objects", "board"):
+
+        def shown(case: Case, verdict: Verdict) -> bool:
+            whole = case.scene == "grey_objects" or case.pattern != "plain" or case.known == "matrix"
+            return verdict.surface == _ALL or not whole
+
+        yield from rows(knowledge(scene), studio, shown)
+
+
+def narrow_bands(studio: Studio) -> Iterator[str]:
+    """Yield what the other order of balance and crosstalk does."""
+    yield '### With `reflectance_bands = "narrow"`\n'
+    yield from table(_HEADINGS)
+    for scene in ("plane", "face", "objects", "board"):
+        yield from rows([Case(scene, known=KNOWN[-1], bands="narrow")], studio, lambda case, verdict: True)
+
+
+def board_steps(studio: Studio) -> Iterator[str]:
+    """Yield how flat one board of six colours comes out."""
+    yield "### Steps between the colours of one flat board\n"
+    yield from table(("pattern", "known", "bands", "largest step, rad", "between", "step, mm", "constant sigma, rad"))
+    for case in [*knowledge("board"), Case("board", known=KNOWN[-1], bands="narrow")]:
+        result = study(case, studio)
+        constants = {name: verdict.constant_inside for name, verdict in result.clean.items() if name != _ALL}
+        most = max(combinations(constants, 2), key=lambda pair: abs(constants[pair[0]] - constants[pair[1]]))
+        step = abs(constants[most[0]] - constants[most[1]])
+        per_rad = float(np.nanmedian(np.abs(studio.truth("board").mm_per_rad)))
+        yield (
+            f"| {case.pattern} | {case.known} | {case.bands} | {step:.3f} | {most[0]}, {most[1]} "
+            f"| {step * per_rad:.2f} | {result.constant_sigma:.3f} |"
+        )
+
+
+def other_light(studio: Studio) -> Iterator[str]:
+    """Yield what light does besides bouncing once off something matt, and motion."""
+    yield "### Corners, gloss, depth of focus, motion\n"
+    names = ("corner", "colored_corner", "gloss", "dark_beside_bright", "deep", "deep_out_of_focus",
+             "moving", "in_turns_still", "in_turns")  # fmt: skip
+    yield from (f"- *{name.replace('_', ' ')}*: {scenes()[name].notes}" for name in names)
+    yield ""
+    yield from table(_HEADINGS)
+    for name in names:
+        cases = [Case(name, known=known) for known in (KNOWN[0], KNOWN[-1])]
+        yield from rows(cases, studio, lambda case, verdict: not verdict.surface.startswith("plate"))
+
+
+def other_rigs(studio: Studio) -> Iterator[str]:
+    """Yield other projectors, cameras, sensors and responses."""
+    yield "### Other projectors, cameras and sensors\n"
+    yield from table(("rig", *_HEADINGS))
+    lamp, photographic = Rig(projector=LAMP.name), Rig(camera=PHOTOGRAPHIC.name)
+    rigs = [("LED, industrial filters", Rig(), Sensor())]
+    rigs += [("lamp, industrial filters", lamp, Sensor()), ("LED, photographic filters", photographic, Sensor())]
+    rigs += [("lamp, photographic filters", Rig(LAMP.name, PHOTOGRAPHIC.name), Sensor())]
+    rigs += [("LED, 12 bits", Rig(), Sensor(bits=12)), ("LED, Bayer", Rig(), Sensor(mosaic=True))]
+    rigs += [("lamp, Bayer, 12 bits", lamp, Sensor(bits=12, mosaic=True))]
+    rigs += [(f"LED, gamma {gamma}", with_gamma(Rig(), gamma), Sensor()) for gamma in (1.0, 1.4, 1.8, 2.3)]
+    for name, taken_with, sensor in rigs:
+        for scene in ("plane", "face", "objects"):
+            cases = [Case(scene, known=known, sensor=sensor, rig=taken_with) for known in (KNOWN[0], KNOWN[-1])]
+            for line in rows(cases, studio, lambda case, verdict: verdict.surface in (_ALL, "plane", "face")):
+                yield f"| {name} {line}"
+
+
+def worth_of_calibration(studio: Studio) -> Iterator[str]:
+    """Yield whether a calibration makes it better."""
+    yield "### A calibration against none\n"
+    yield "RMS of the whole frame with its constant, 4 px inside, noise and 8 bits; the same noise in both columns.\n"
+    yield from table(("scene", "pattern", "mosaic", "nothing known", "matrix", "matrix and response", "ratio"))
+    names = [name for name, scene in scenes().items() if not name.startswith("in_turns")]
+    for name in names:
+        for pattern in ("plain", "compensated") if name in ("plane", "grey_face", "face", "objects") else ("plain",):
+            found = []
+            for known in KNOWN:
+                noisy = study(Case(name, pattern, known), studio).noisy
+                found.append((noisy.get(_ALL) or next(iter(noisy.values()))).rms_inside_with_constant)
+            figures = " | ".join(f"{value:.4f}" for value in found)
+            yield f"| {name.replace('_', ' ')} | {pattern} | no | {figures} | {found[2] / found[0]:.2f} |"
+
+
+def orders(studio: Studio) -> Iterator[str]:
+    """Yield what the contrast code tells."""
+    yield "### Absolute orders under the contrast code\n"
+    yield "Shares of the judged pixels; noise and 8 bits.\n"
+    yield from table(("scene", "known", "mosaic", "decoded", "absolute and right", "absolute and wrong"))
+    for name in ("plane", "grey_face", "face", "grey_objects", "objects", "board", "corner", "deep"):
+        for known in (KNOWN[0], KNOWN[-1]):
+            found = study_orders(Case(name, "coded", known), studio)
+            yield (
+                f"| {name.replace('_', ' ')} | {known} | no | {found.decoded:.4f} | {found.absolute:.4f} "
+                f"| {found.wrong:.5f} |"
+            )
+
+
+SECTIONS: dict[str, Callable[[Studio], Iterator[str]]] = {
+    "surfaces": gray_and_painted,
+    "colors": colors,
+    "narrow": narrow_bands,
+    "board": board_steps,
+    "light": other_light,
+    "rigs": other_rigs,
+    "calibration": worth_of_calibration,
+    "orders": orders,
+}
+
+_INTRODUCTION = """\
+## On rendered frames
+
+`python tests/benchmarks/rendered/measure.py` renders scenes from spectra at 1 nm and measures what decoding makes of
+them; it writes all that follows, and needs the extra `rendered`. A 640x480 camera of 1.9 widths focal length looks at
+44 cycles of a 1024x768 projector, some 900 mm away and 180 mm beside it: 12 px a cycle. The projector has
+light-emitting diodes and a response of gamma 2, the camera the filters of an industrial sensor, unless said; the
+projector's lens blurs by 0.6 of its px, the camera's by 0.5, and pixels are the mean of their area. Ambient light is
+3 % of the projector's white. The sensor has 8 bits, shot noise of a full well of 10,000 electrons, read noise of 5, and a
+pedestal of 2 %; noise-free frames have 16 bits and show what decoding itself does wrong.
+
+The decoder has its default settings and the true geometry. Of the light it knows what the row says: *nothing*; the
+*matrix* of the crosstalk; *matrix and response*. Both are what `colorphase calibrate radiometry` finds on rendered
+ramps. Of a compensated pattern it is known that it is one; it was made with that same response. "Mosaic" says whether
+the frame went through a Bayer mosaic.
+
+RMS is that of the phase error in rad, one constant removed, over the pixels brighter than 20 of 255 and 4 px inside the
+lit area; "inside" leaves out 4 px at surface borders, too. The constant, the harmonics of the error over the phase,
+and "error over sigma", the RMS of the error over its own standard deviation, are those inside. A radian is some 7 mm
+there. Surfaces of fewer than 2,000 such pixels are left out.
+
+The truth was checked first: ideal fringes on the white plane come back within {off:.5f} rad.
+"""
+
+if __name__ == "__main__":
+    main()
