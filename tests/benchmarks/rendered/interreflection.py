@@ -1,72 +1,143 @@
 """Light that has bounced off several surfaces before the camera sees it.
 
-Paths are followed from the camera in random directions (J. T. Kajiya 1986, doi:10.1145/15922.15902); at every place
-they reach, the projector's light there is added. All surfaces are matt, so a path's weight is the product of its
-reflectances; the paths with the same paints share one 3x3 matrix, computed at 1 nm like that of a single bounce.
+Paths are followed from the camera in many directions (J. T. Kajiya 1986, doi:10.1145/15922.15902); at every place they
+reach, the projector's light there is added. All surfaces are matt, so a path's weight is the product of its
+reflectances; the paths with the same paints share one 3x3 matrix, computed at 1 nm like that of a single bounce. Where
+a path meets light, the light depends on the projector's row only, so that what is kept of all paths is how much of
+each row's light arrives: any pattern then follows by one multiplication.
+
+Light from other surfaces changes slowly, so that a grid of places is enough; between them it is interpolated, on each
+body by itself. All places send their paths in the same directions, whose error then has no grain.
 """
 
-from functools import cache
+from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
-from film import F32, IdealLight, Light, RowLight, pixel_grid
-from ray_samples import NOTHING, Room, paints_of
+import numpy.typing as npt
+from film import F32, IdealLight, Light, RowLight
+from ray_samples import NOTHING, Room, paints_of, rig
+from rendered_scenes import RenderedScene, scenes
 from spectra import effective_matrix, reflectance
 
-# Paths a pixel, and the blur, px, that evens out what their chance leaves. Light from another surface changes slowly.
-_PATHS = 16
-_EVEN_OUT_PX = 2.0
+# Px between the places of the grid, and paths from each.
+_STEP_PX = 6
+_PATHS = 1024
+# Places at a time.
+_CHUNK = 800
 
 
-def indirect_light(room: Room, light: Light, row_light: RowLight | IdealLight, seed: int = 0) -> F32:
+@dataclass(frozen=True)
+class Transport:
+    """How much of each projector row's light reaches each place of the grid after several bounces."""
+
+    pixels: npt.NDArray[np.float64]  # (N, 2)
+    shape: tuple[int, int]  # of the grid, rows and columns
+    body: npt.NDArray[np.uint8]  # (N,) what the places lie on
+    by_paints: dict[int, F32]  # for each kind of path, (N, rows); see `_matrix_of`
+
+
+def indirect_light(scene: RenderedScene, light: Light, row_light: RowLight | IdealLight) -> F32:
     """Return the camera's linear light, (H, W, 3), that has bounced more than once."""
-    size = room.geometry.camera.size_px
-    rng = np.random.default_rng(seed)
-    total = np.zeros((size[1] * size[0], 3))
-    for _ in range(_PATHS):
-        total += _one_path_each(room, light, row_light, rng)
-    film = (total / _PATHS).reshape(size[1], size[0], 3).astype(np.float32)
-    return cv2.GaussianBlur(film, (0, 0), _EVEN_OUT_PX, borderType=cv2.BORDER_REPLICATE)
+    transport = _transport(scene.name)
+    rows = next(iter(transport.by_paints.values())).shape[1]
+    projected = row_light.at(np.arange(rows, dtype=np.float32))
+    arriving = np.zeros((len(transport.pixels), 3), np.float32)
+    for code, weights in transport.by_paints.items():
+        arriving += (weights @ projected) @ _matrix_of(code, scene, light).T.astype(np.float32)
+    return _between(transport, arriving)
 
 
-def _one_path_each(room: Room, light: Light, row_light, rng: np.random.Generator) -> np.ndarray:
-    """Return what one path through a random place of every pixel brings."""
-    paints = paints_of(room.scene)
+def _matrix_of(code: int, scene: RenderedScene, light: Light) -> npt.NDArray[np.float64]:
+    """Return the matrix of all paths that met each paint as often as the code's digits say."""
+    rho = 1.0
+    for name in paints_of(scene):
+        code, times = divmod(code, scene.bounces + 1)
+        rho = rho * reflectance(name) ** times
+    return effective_matrix(light.projector, light.camera, rho)
 
-    @cache
-    def matrix_of(code: int) -> np.ndarray:
-        """Return the matrix of all paths that met each paint as often as the code's digits say."""
-        rho = 1.0
-        for name in paints:
-            code, times = divmod(code, room.scene.bounces + 1)
-            rho = rho * reflectance(name) ** times
-        return effective_matrix(light.projector, light.camera, rho)
 
-    grid = pixel_grid(room.geometry.camera.size_px, 1)
-    grid += rng.uniform(-0.5, 0.5, grid.shape)
-    matrix = room.geometry.camera.matrix
-    directions = np.column_stack([(grid - matrix[:2, 2]) / matrix[[0, 1], [0, 1]], np.ones(len(grid))])
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    origins = np.zeros_like(directions)
-    result = np.zeros((len(grid), 3))
-    alive = np.arange(len(grid))
-    codes = np.zeros(len(grid), np.int64)
-    for bounce in range(room.scene.bounces):
-        samples, places, normals = room.follow(origins, directions)
-        hit = samples.paint != NOTHING
-        alive, codes = alive[hit], codes[hit] + (room.scene.bounces + 1) ** samples.paint[hit].astype(np.int64)
-        if bounce > 0:  # the first meeting with light is the film's
-            arriving = row_light.at(samples.row[hit]) * samples.diffuse[hit, None]
-            for code in np.unique(codes):
-                on = codes == code
-                result[alive[on]] += arriving[on] @ matrix_of(int(code)).T
-        origins = places[hit] + 1e-3 * normals[hit]
-        directions = _around(normals[hit], rng)
+def _between(transport: Transport, values: F32) -> F32:
+    """Interpolate (N, 3) values of the grid at every pixel, from places on the pixel's own body."""
+    geometry = rig().geometry()
+    width, height = geometry.camera.size_px
+    x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
+    at = (x / _STEP_PX, y / _STEP_PX)
+    bodies = transport.body.reshape(transport.shape)
+    grid = values.reshape(*transport.shape, 3)
+    result = np.zeros((height, width, 3), np.float32)
+    most = np.full((height, width), 1e-3, np.float32)
+    for number in np.unique(bodies[bodies != NOTHING]):
+        on = (bodies == number).astype(np.float32)
+        share = cv2.remap(on, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        total = cv2.remap(grid * on[..., None], *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        # A pixel lies on the body that most of its neighbours in the grid lie on.
+        more = share > most
+        result[more], most[more] = total[more] / share[more, None], share[more]
     return result
 
 
-def _around(normals: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return random directions, as likely as the cosine to the normals: a point of the unit sphere about their tips."""
-    ball = rng.normal(size=normals.shape)
-    directions = normals + ball / np.linalg.norm(ball, axis=1, keepdims=True)
-    return directions / np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
+@lru_cache(maxsize=1)
+def _transport(scene_name: str) -> Transport:
+    scene, geometry = scenes()[scene_name], rig().geometry()
+    room = Room(scene, geometry)
+    width, height = geometry.camera.size_px
+    x, y = np.meshgrid(np.arange(0, width + _STEP_PX, _STEP_PX), np.arange(0, height + _STEP_PX, _STEP_PX))
+    pixels = np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64)
+    matrix = geometry.camera.matrix
+    rays = np.column_stack([(pixels - matrix[:2, 2]) / matrix[[0, 1], [0, 1]], np.ones(len(pixels))])
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    first, places, normals = room.follow(np.zeros_like(rays), rays)
+    by_paints: dict[int, F32] = {}
+    rows = geometry.projector.size_px[1]
+    there = np.flatnonzero(first.body != NOTHING)
+    for start in range(0, len(there), _CHUNK):
+        on = there[start : start + _CHUNK]
+        for code, weights in _followed(room, places[on], normals[on], first.paint[on], rows).items():
+            by_paints.setdefault(code, np.zeros((len(pixels), rows), np.float32))[on] = weights
+    return Transport(pixels, x.shape, first.body, by_paints)
+
+
+def _followed(room: Room, places, normals, paint, rows: int) -> dict[int, F32]:
+    """Return what paths from N places bring of each row's light, (N, rows) for each kind of path."""
+    bounces = room.scene.bounces
+    point = np.repeat(np.arange(len(places)), _PATHS)
+    path = np.tile(np.arange(_PATHS), len(places))
+    digit = (bounces + 1) ** np.arange(len(paints_of(room.scene)), dtype=np.int64)
+    codes = digit[paint[point]]
+    origins, directions = places[point] + 1e-3 * normals[point], _around(normals[point], path, 0)
+    found: dict[int, F32] = {}
+    for bounce in range(1, bounces):
+        samples, reached, facing = room.follow(origins, directions)
+        hit = samples.body != NOTHING
+        point, path = point[hit], path[hit]
+        codes = codes[hit] + digit[samples.paint[hit]]
+        row = np.clip(np.rint(samples.row[hit]), 0, rows - 1).astype(np.int64)
+        for code in np.unique(codes):
+            on = codes == code
+            place = point[on] * rows + row[on]
+            sums = np.bincount(place, samples.diffuse[hit][on], len(places) * rows) / _PATHS
+            found[int(code)] = found.get(int(code), 0) + sums.reshape(-1, rows).astype(np.float32)
+        origins = reached[hit] + 1e-3 * facing[hit]
+        directions = _around(facing[hit], path, bounce)
+    return found
+
+
+def _around(normals, path, bounce: int):
+    """Return directions as likely as their cosine to the normals, the same for paths of one number.
+
+    They follow a sequence that fills the square evenly (M. Roberts 2018, the generalised golden ratio), turned by
+    another angle for every bounce.
+    """
+    plastic = 1.324717957244746
+    first = (0.5 + path / plastic + 0.381966 * bounce) % 1
+    second = (0.5 + path / plastic**2 + 0.618034 * bounce * (1 + path // 7)) % 1
+    radius, turn = np.sqrt(first), 2 * np.pi * second
+    # A frame about the normal that changes smoothly with it.
+    helper = np.where(np.abs(normals[:, 1:2]) < 0.9, [[0.0, 1.0, 0.0]], [[1.0, 0.0, 0.0]])
+    side = np.cross(helper, normals)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    up = np.cross(normals, side)
+    along = (radius * np.cos(turn))[:, None] * side + (radius * np.sin(turn))[:, None] * up
+    return along + np.sqrt(np.maximum(1 - first, 1e-6))[:, None] * normals

@@ -31,6 +31,20 @@ _HEADINGS = (
     "with noise: RMS inside", "constant", "error over sigma", "within two",
 )  # fmt: skip
 _ALL = "all"
+# Scenes under a compensated pattern, under the contrast code, and under every light.
+_COMPENSATED = ("plane", "grey_face", "face", "face_alone", "objects", "grey_objects", "board")
+_CODED = ("plane", "grey_face", "face", "grey_objects", "objects", "board", "corner", "deep")
+_WITH_EVERY_RIG = ("plane", "face", "objects")
+_RIGS = (
+    ("LED, industrial filters", Rig(), Sensor()),
+    ("lamp, industrial filters", Rig(LAMP.name), Sensor()),
+    ("LED, photographic filters", Rig(camera=PHOTOGRAPHIC.name), Sensor()),
+    ("lamp, photographic filters", Rig(LAMP.name, PHOTOGRAPHIC.name), Sensor()),
+    ("LED, 12 bits", Rig(), Sensor(bits=12)),
+    ("LED, Bayer", Rig(), Sensor(mosaic=True)),
+    ("lamp, Bayer, 12 bits", Rig(LAMP.name), Sensor(bits=12, mosaic=True)),
+    *((f"LED, gamma {gamma}", with_gamma(Rig(), gamma), Sensor()) for gamma in (1.0, 1.4, 1.8, 2.3)),
+)
 
 
 def main() -> None:
@@ -45,6 +59,7 @@ def main() -> None:
     off = truth_error(studio)
     if off > _TRUE_RAD:
         raise SystemExit(f"the truth is off by {off:.5f} rad: the renderer is wrong, nothing is measured")
+    render(studio)
     parts = [_INTRODUCTION.format(off=off)]
     for name in arguments.section or SECTIONS:
         part = "\n".join(SECTIONS[name](studio)) + "\n"
@@ -52,6 +67,22 @@ def main() -> None:
         parts.append(part)
     if not (arguments.print or arguments.section):
         write_page(_PAGE, "\n".join(parts))
+
+
+def render(studio: Studio) -> None:
+    """Render what is not there yet, scene by scene: its rays are followed once for all patterns and lights."""
+    for taken_with in {rig for _, rig, _ in _RIGS}:
+        studio.calibration(taken_with)
+    for name in scenes():
+        patterns = ["plain"]
+        patterns += ["compensated"] * (name in _COMPENSATED)
+        patterns += ["coded"] * (name in _CODED)
+        for pattern in patterns:
+            studio.exposure(name)
+            studio.light(name, pattern)
+        for taken_with in {rig for _, rig, _ in _RIGS} if name in _WITH_EVERY_RIG else ():
+            studio.exposure(name, taken_with)
+            studio.light(name, "plain", taken_with)
 
 
 def write_page(page: Path, text: str) -> None:
@@ -185,15 +216,8 @@ def other_rigs(studio: Studio) -> Iterator[str]:
     """Yield other projectors, cameras, sensors and responses."""
     yield "### Other projectors, cameras and sensors\n"
     yield from table(("rig", *_HEADINGS))
-    lamp, photographic = Rig(projector=LAMP.name), Rig(camera=PHOTOGRAPHIC.name)
-    rigs = [("LED, industrial filters", Rig(), Sensor())]
-    rigs += [("lamp, industrial filters", lamp, Sensor()), ("LED, photographic filters", photographic, Sensor())]
-    rigs += [("lamp, photographic filters", Rig(LAMP.name, PHOTOGRAPHIC.name), Sensor())]
-    rigs += [("LED, 12 bits", Rig(), Sensor(bits=12)), ("LED, Bayer", Rig(), Sensor(mosaic=True))]
-    rigs += [("lamp, Bayer, 12 bits", lamp, Sensor(bits=12, mosaic=True))]
-    rigs += [(f"LED, gamma {gamma}", with_gamma(Rig(), gamma), Sensor()) for gamma in (1.0, 1.4, 1.8, 2.3)]
-    for name, taken_with, sensor in rigs:
-        for scene in ("plane", "face", "objects"):
+    for name, taken_with, sensor in _RIGS:
+        for scene in _WITH_EVERY_RIG:
             cases = [Case(scene, known=known, sensor=sensor, rig=taken_with) for known in (KNOWN[0], KNOWN[-1])]
             for line in rows(cases, studio, lambda case, verdict: verdict.surface in (_ALL, "plane", "face")):
                 yield f"| {name} {line}"
@@ -206,7 +230,7 @@ def worth_of_calibration(studio: Studio) -> Iterator[str]:
     yield from table(("scene", "pattern", "mosaic", "nothing known", "matrix", "matrix and response", "ratio"))
     names = [name for name, scene in scenes().items() if not name.startswith("in_turns")]
     for name in names:
-        for pattern in ("plain", "compensated") if name in ("plane", "grey_face", "face", "objects") else ("plain",):
+        for pattern in ("plain", "compensated") if name in _COMPENSATED else ("plain",):
             found = []
             for known in KNOWN:
                 noisy = study(Case(name, pattern, known), studio).noisy
@@ -220,7 +244,7 @@ def orders(studio: Studio) -> Iterator[str]:
     yield "### Absolute orders under the contrast code\n"
     yield "Shares of the judged pixels; noise and 8 bits.\n"
     yield from table(("scene", "known", "mosaic", "decoded", "absolute and right", "absolute and wrong"))
-    for name in ("plane", "grey_face", "face", "grey_objects", "objects", "board", "corner", "deep"):
+    for name in _CODED:
         for known in (KNOWN[0], KNOWN[-1]):
             found = study_orders(Case(name, "coded", known), studio)
             yield (
@@ -246,10 +270,10 @@ _INTRODUCTION = """\
 `python tests/benchmarks/rendered/measure.py` renders scenes from spectra at 1 nm and measures what decoding makes of
 them; it writes all that follows, and needs the extra `rendered`. A 640x480 camera of 1.9 widths focal length looks at
 44 cycles of a 1024x768 projector, some 900 mm away and 180 mm beside it: 12 px a cycle. The projector has
-light-emitting diodes and a response of gamma 2, the camera the filters of an industrial sensor, unless said; the
+light-emitting diodes and a response of gamma 2, the camera an industrial sensor's filters, unless said; the
 projector's lens blurs by 0.6 of its px, the camera's by 0.5, and pixels are the mean of their area. Ambient light is
-3 % of the projector's white. The sensor has 8 bits, shot noise of a full well of 10,000 electrons, read noise of 5, and a
-pedestal of 2 %; noise-free frames have 16 bits and show what decoding itself does wrong.
+3 % of the projector's white. The sensor has 8 bits, shot noise of a full well of 10,000 electrons, read noise of 5
+and a pedestal of 2 %; noise-free frames have 16 bits and show what decoding itself does wrong.
 
 The decoder has its default settings and the true geometry. Of the light it knows what the row says: *nothing*; the
 *matrix* of the crosstalk; *matrix and response*. Both are what `colorphase calibrate radiometry` finds on rendered

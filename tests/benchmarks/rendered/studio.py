@@ -159,7 +159,7 @@ class Studio:
             total = total + part / len(instants)
         film = to_pixels(np.asarray(total), size, subpixels, 0.0 if optics.point else optics.camera_blur_px)
         if scene.bounces > 1:
-            film += indirect_light(Room(scene, self.geometry), light, row_light)
+            film += indirect_light(scene, light, row_light)
         return film
 
     @staticmethod
