@@ -116,6 +116,11 @@ class Light:
         """Return the matrix of every paint of a scene, (paints, 3, 3)."""
         return np.stack([effective_matrix(self.projector, self.camera, reflectance(name)) for name in paints_of(scene)])
 
+    def ambient_colors(self, scene: RenderedScene) -> F64:
+        """Return what the channels see of the ambient light on every paint of a scene, (paints, 3)."""
+        colors = [ambient_color(self.projector, self.camera, reflectance(name)) for name in paints_of(scene)]
+        return self.optics.ambient * np.stack(colors)
+
     def shade(self, scene: RenderedScene, samples: Samples, row_light: RowLight | IdealLight) -> F32:
         """Return the camera's linear light of every sample, (N, 3), of light that has bounced once."""
         extra = None
@@ -124,10 +129,8 @@ class Light:
         projected = row_light.at(samples.row, extra)
         result = np.zeros_like(projected)
         clear = effective_matrix(self.projector, self.camera)
-        for number, name in enumerate(paints_of(scene)):
+        for number, (matrix, around) in enumerate(zip(self.matrices(scene), self.ambient_colors(scene), strict=True)):
             on = samples.paint == number
-            matrix = effective_matrix(self.projector, self.camera, reflectance(name))
-            around = self.optics.ambient * ambient_color(self.projector, self.camera, reflectance(name))
             light = (projected[on] @ matrix.T.astype(np.float32)) * samples.diffuse[on, None]
             if samples.glossy[on].any():
                 light += (projected[on] @ clear.T.astype(np.float32)) * samples.glossy[on, None]

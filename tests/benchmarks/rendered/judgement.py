@@ -81,7 +81,8 @@ def judge(
         rms, constant = spread(error[seen])
         rms_inside, constant_inside = spread(error[seen_inside])
         centred = np.angle(np.exp(1j * (error[seen_inside] - constant_inside)))
-        pull = centred / frame.phase_sigma[seen_inside]
+        with np.errstate(divide="ignore"):  # a sigma of zero is infinitely wrong, not left out
+            pull = centred / frame.phase_sigma[seen_inside]
         waves = [2 * abs(np.mean(centred * np.exp(-1j * n * phase[seen_inside]))) for n in (1, 2, 3)]
         verdicts.append(
             Verdict(

@@ -33,7 +33,7 @@ _HEADINGS = (
 _ALL = "all"
 # Scenes under a compensated pattern, under the contrast code, and under every light.
 _COMPENSATED = ("plane", "grey_face", "face", "face_alone", "objects", "grey_objects", "board")
-_CODED = ("plane", "grey_face", "face", "grey_objects", "objects", "board", "corner", "deep")
+_CODED = ("plane", "grey_face", "face", "grey_objects", "objects", "board", "corner", "lying_corner", "deep")
 _WITH_EVERY_RIG = ("plane", "face", "objects")
 _RIGS = (
     ("LED, industrial filters", Rig(), Sensor()),
@@ -202,7 +202,7 @@ def board_steps(studio: Studio) -> Iterator[str]:
 def other_light(studio: Studio) -> Iterator[str]:
     """Yield what light does besides bouncing once off something matt, and motion."""
     yield "### Corners, gloss, depth of focus, motion\n"
-    names = ("corner", "colored_corner", "gloss", "dark_beside_bright", "deep", "deep_out_of_focus",
+    names = ("corner", "lying_corner", "colored_corner", "gloss", "dark_beside_bright", "deep", "deep_out_of_focus",
              "moving", "in_turns_still", "in_turns")  # fmt: skip
     yield from (f"- *{name.replace('_', ' ')}*: {scenes()[name].notes}" for name in names)
     yield ""

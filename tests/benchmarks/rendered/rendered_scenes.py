@@ -194,13 +194,17 @@ def _saturated(grey: bool) -> tuple[Body, ...]:
     )
 
 
-def _corner(left: str, right: str) -> tuple[Body, ...]:
-    """Return two planes that meet at 90 degrees in an upright edge, open towards the camera."""
+def _corner(first: str, second: str, lying: bool = False) -> tuple[Body, ...]:
+    """Return two planes that meet at 90 degrees in an edge, upright or lying, open towards the camera."""
     half = 420.0
     at = half / np.sqrt(2)
+    names = ("upper wall", "lower wall") if lying else ("left wall", "right wall")
     bodies = []
-    for name, paint, sign in (("left wall", left, -1), ("right wall", right, 1)):
-        to_world = _transform((sign * at, 0, 985 - at), (180, sign * 45), [half, 500, 1])
+    for name, paint, sign in zip(names, (first, second), (-1, 1), strict=True):
+        if lying:
+            to_world = _transform((0, sign * at, 985 - at), (180 - sign * 45, 0), [500, half, 1])
+        else:
+            to_world = _transform((sign * at, 0, 985 - at), (180, sign * 45), [half, 500, 1])
         bodies.append(Body(name, {"type": "rectangle", "to_world": to_world}, (paint,)))
     return tuple(bodies)
 
@@ -231,8 +235,24 @@ def _scenes() -> list[RenderedScene]:
         RenderedScene("objects", _saturated(grey=False), notes="saturated objects before a cream wall"),
         RenderedScene("grey_objects", _saturated(grey=True), notes="the same in grey paint"),
         RenderedScene("board", (board,), notes="one flat board of six colours"),
-        RenderedScene("corner", _corner("corner white", "corner white"), 4, notes="90 degrees, albedo .8"),
-        RenderedScene("colored_corner", _corner("cream", "orange"), 4, notes="90 degrees, cream and orange"),
+        RenderedScene(
+            "corner",
+            _corner("corner white", "corner white"),
+            4,
+            notes="90 degrees, its edge across the stripes, albedo .8",
+        ),
+        RenderedScene(
+            "lying_corner",
+            _corner("corner white", "corner white", lying=True),
+            4,
+            notes="90 degrees, its edge along the stripes, albedo .8",
+        ),
+        RenderedScene(
+            "colored_corner",
+            _corner("cream", "orange"),
+            4,
+            notes="90 degrees, its edge across the stripes, cream and orange",
+        ),
         RenderedScene("gloss", gloss, notes="a glossy blue ball before a grey wall"),
         RenderedScene("dark_beside_bright", (two_fields,), notes="albedo .05 beside .9 on one plane"),
         RenderedScene("deep", _deep(), notes="plates from 780 to 1010 mm, all in focus"),

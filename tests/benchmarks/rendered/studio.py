@@ -2,13 +2,17 @@
 
 import ast
 import hashlib
+import inspect
 import os
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
+import film
+import interreflection
 import numpy as np
 import numpy.typing as npt
+import ray_samples
 from film import (
     F32,
     SUBPIXELS,
@@ -23,9 +27,9 @@ from film import (
     true_at_centers,
 )
 from interreflection import indirect_light
-from ray_samples import Room, Samples, rig
-from rendered_scenes import RenderedScene, scenes
-from spectra import CAMERAS, INDUSTRIAL, LED, PROJECTORS
+from ray_samples import Room, Samples, paints_of, rig
+from rendered_scenes import RenderedScene, mesh_of, scenes
+from spectra import CAMERAS, INDUSTRIAL, LED, PROJECTORS, effective_matrix, reflectance
 
 from pipeline.calibration import Calibration
 from pipeline.calibration.radiometry import measure_radiometry, radiometry_codes, radiometry_sequence
@@ -33,6 +37,7 @@ from pipeline.pattern import make_pattern
 
 #: Kinds of pattern: three sinusoids; the same with the contrast code; with the projector's response undone.
 PATTERNS = ("plain", "coded", "compensated")
+_FIELDS = {"black": (0, 0, 0), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "white": (1, 1, 1)}
 # Instants of an exposure during which something moves, and of one colour's part of it.
 _INSTANTS = 9
 _INSTANTS_A_FIELD = 3
@@ -64,20 +69,42 @@ def default_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "colorphase-rendered"
 
 
-def _digest_of_sources() -> bytes:
-    """Return a digest of what the renderer does: of its syntax, which comments and line breaks are no part of."""
-    digest = hashlib.sha256()
-    for name in ("spectra", "rendered_scenes", "ray_samples", "film", "interreflection", "studio"):
-        tree = ast.parse(Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8"))
+def _syntax(*sources: str) -> bytes:
+    """Return what code does, for a digest: its syntax, which comments, docstrings and line breaks are no part of."""
+    dumps = []
+    for source in sources:
+        tree = ast.parse(source)
         for node in ast.walk(tree):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
                 node.body = node.body[1:]
-        digest.update(ast.dump(tree).encode())
-    return digest.digest()
+        dumps.append(ast.dump(tree))
+    return "".join(dumps).encode()
 
 
 # Part of every kept frame's name, so that none outlives the code that made it.
-_SOURCES = _digest_of_sources()
+_SOURCES = _syntax(*(inspect.getsource(module) for module in (ray_samples, film, interreflection)))
+
+
+def _describe(scene: RenderedScene, taken_with: "Rig | None") -> bytes:
+    """Return all that a scene's frames depend on: its bodies, their paints' spectra, and its motion."""
+    words: list[object] = [scene.bounces, scene.motion_mm, scene.in_turns, scene.start]
+    words += [scene.focus_mm, scene.defocus_px, scene.surfaces]
+    described = b""
+    for body in scene.bodies:
+        words += [{name: np.asarray(value).tolist() for name, value in body.shape.items()}]
+        words += [body.moves, body.gloss, body.shininess, len(body.paints)]
+        if body.painter is not None:
+            described += _syntax(inspect.getsource(body.painter))
+        if body.shape["type"] == "mesh":
+            described += b"".join(part.tobytes() for part in mesh_of(body))
+    if taken_with is not None:
+        light = taken_with.light()
+        words += [taken_with]
+        described += light.matrices(scene).tobytes() + light.ambient_colors(scene).tobytes()
+        described += effective_matrix(light.projector, light.camera).tobytes()
+        if scene.bounces > 1:
+            described += b"".join(reflectance(name).tobytes() for name in paints_of(scene))
+    return repr(words).encode() + described
 
 
 class Studio:
@@ -93,6 +120,7 @@ class Studio:
         self._folder = folder or default_folder()
         self._folder.mkdir(parents=True, exist_ok=True)
         self.geometry = rig().geometry()
+        self._calibrations: dict[Rig, Calibration] = {}
 
     # --- what is shown ---------------------------------------------------------------------------------------------
 
@@ -105,32 +133,31 @@ class Studio:
         picture = make_pattern(self.geometry.projector.size_px, known, response)
         return np.rint(picture[:, 0].astype(np.float64) * 255) / 255
 
-    def _row_light(self, taken_with: Rig, pattern: str, scene: RenderedScene) -> RowLight | IdealLight:
-        if taken_with.optics.point:
-            return IdealLight(self.geometry.pattern.period_px)
-        return RowLight(self._shown(taken_with, pattern), taken_with.optics, scene.defocus_px)
-
     def _shown(self, taken_with: Rig, pattern: str) -> npt.NDArray[np.float64]:
-        if pattern == "white":
-            return np.ones((self.geometry.projector.size_px[1], 3))
+        """Return the (rows, 3) codes of a pattern, or of a full field."""
+        if pattern in _FIELDS:
+            return np.tile(np.array(_FIELDS[pattern], np.float64), (self.geometry.projector.size_px[1], 1))
         return self.codes(taken_with, pattern)
 
     # --- frames ----------------------------------------------------------------------------------------------------
 
     def light(self, scene_name: str, pattern: str = "plain", taken_with: Rig = _RIG) -> F32:
         """Return the linear light (H, W, 3) of a frame, of one that the camera's full scale is the same for."""
-        kept = self._kept("light", scene_name, pattern, repr(taken_with))
+        scene, codes = scenes()[scene_name], self._shown(taken_with, pattern)
+        kept = self._kept(f"{scene_name}-{pattern}", _describe(scene, taken_with), codes.tobytes())
         if not kept.exists():
-            scene = scenes()[scene_name]
-            _write(kept, light=self._render(scene, self._row_light(taken_with, pattern, scene), taken_with))
+            optics = taken_with.optics
+            period_px = self.geometry.pattern.period_px
+            row_light = IdealLight(period_px) if optics.point else RowLight(codes, optics, scene.defocus_px)
+            _write(kept, light=self._render(scene, row_light, taken_with))
         with np.load(kept) as file:
             return file["light"]
 
     def truth(self, scene_name: str) -> Truth:
         """Return what is true of a scene in the middle of the exposure."""
-        kept = self._kept("truth", scene_name)
+        scene = scenes()[scene_name]
+        kept = self._kept(f"{scene_name}-truth", _describe(scene, None))
         if not kept.exists():
-            scene = scenes()[scene_name]
             middle = Room(scene, self.geometry, np.array(scene.motion_mm) * scene.start)
             _write(kept, **vars(true_at_centers(middle, self.geometry.pattern.period_px)))
         with np.load(kept) as file:
@@ -180,33 +207,24 @@ class Studio:
 
     def calibration(self, taken_with: Rig = _RIG) -> Calibration:
         """Return the rig's true geometry, with matrix and response as ramps on a white plane tell them."""
-        kept = self._kept("calibration", repr(taken_with)).with_suffix(".json")
-        if not kept.exists():
-            self._measured(taken_with).write(kept)
-        return Calibration.read(kept)
+        if taken_with not in self._calibrations:
+            self._calibrations[taken_with] = self._measured(taken_with)
+        return self._calibrations[taken_with]
 
     def _measured(self, taken_with: Rig) -> Calibration:
         """Show the full fields of `colorphase calibrate radiometry` to the white plane, and measure them."""
-        rows = self.geometry.projector.size_px[1]
-        scene, optics = scenes()["plane"], taken_with.optics
-
-        def field(codes: npt.NDArray[np.float64]) -> F32:
-            return self._render(scene, RowLight(np.broadcast_to(codes, (rows, 3)), optics), taken_with)
-
         # Light adds up, so that of every full field follows from black and the three primaries.
-        black = field(np.zeros(3))
-        primaries = [field(np.eye(3)[k]) - black for k in range(3)]
+        black = self.light("plane", "black", taken_with)
+        primaries = [self.light("plane", color, taken_with) - black for color in ("red", "green", "blue")]
         exposure, captures = self.exposure("plane", taken_with), {}
         for number, name in enumerate(radiometry_sequence(self.geometry.projector.size_px).names):
-            light = sum((part * np.float32(code**optics.gamma) for part, code in
+            light = sum((part * np.float32(code**taken_with.optics.gamma) for part, code in
                          zip(primaries, radiometry_codes(name), strict=True)), start=black)  # fmt: skip
             captures[name] = Sensor().expose(light, exposure, seed=1000 + number)
         return measure_radiometry(captures, transfer="linear").add_to(rig())
 
-    def _kept(self, kind: str, *description: str) -> Path:
-        digest = hashlib.sha256(_SOURCES + "\n".join((kind, *description)).encode()).hexdigest()[:16]
-        named = description[:2] if kind == "light" else ()
-        return self._folder / f"{'-'.join((kind, *named, digest))}.npz"
+    def _kept(self, name: str, *depends_on: bytes) -> Path:
+        return self._folder / f"{name}-{hashlib.sha256(b''.join((_SOURCES, *depends_on))).hexdigest()[:16]}.npz"
 
 
 class _Only:
