@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from film import Sensor, noise_free
+from camera_film import Sensor, noise_free
 from judgement import Verdict, judge, judged
 from ray_samples import NOTHING
 from rendered_scenes import scenes

@@ -16,7 +16,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import numpy.typing as npt
-from film import F32, IdealLight, Light, RowLight
+from camera_film import F32, IdealLight, Light, RowLight
 from ray_samples import NOTHING, Room, paints_of, rig
 from rendered_scenes import RenderedScene, scenes
 from spectra import effective_matrix, reflectance

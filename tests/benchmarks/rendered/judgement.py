@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
-from film import Truth
+from camera_film import Truth
 from ray_samples import NOTHING
 
 from pipeline.decoding.frame import DecodedFrame

@@ -12,8 +12,8 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from camera_film import Optics, Sensor
 from decoding_cases import KNOWN, Case, Judged, study, study_orders, with_gamma
-from film import Optics, Sensor
 from judgement import Verdict
 from rendered_scenes import scenes
 from spectra import INDUSTRIAL, LAMP, LED, PHOTOGRAPHIC, effective_matrix
@@ -226,7 +226,7 @@ def other_rigs(studio: Studio) -> Iterator[str]:
 def worth_of_calibration(studio: Studio) -> Iterator[str]:
     """Yield whether a calibration makes it better."""
     yield "### A calibration against none\n"
-    yield "RMS of the whole frame with its constant, 4 px inside, noise and 8 bits; the same noise in both columns.\n"
+    yield "RMS of the whole frame with its constant, 4 px inside, noise and 8 bits; the same noise in all columns.\n"
     yield from table(("scene", "pattern", "mosaic", "nothing known", "matrix", "matrix and response", "ratio"))
     names = [name for name, scene in scenes().items() if not name.startswith("in_turns")]
     for name in names:

@@ -1,7 +1,7 @@
 """Where the camera's rays end, found by Mitsuba: projector row, shading, paint and body of every sample of the film.
 
 W. Jakob et al., Mitsuba 3 renderer, 2022, https://mitsuba-renderer.org. Only its intersection of rays is used; light is
-added in `film`. It needs libLLVM beside the package (version 19 works).
+added in `camera_film`. It needs libLLVM beside the package (version 19 works).
 """
 
 from dataclasses import dataclass

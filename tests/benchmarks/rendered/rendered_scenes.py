@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
+from spectra import CHART
 
 Points = npt.NDArray[np.floating]
 #: From (N, 3) places of a body at rest to the numbers of its paints.
@@ -167,6 +168,12 @@ def _six_fields(places: Points) -> npt.NDArray[np.uint8]:
     return (2 * column + (places[:, 1] > 0)).astype(np.uint8)
 
 
+def _chart_patches(places: Points) -> npt.NDArray[np.uint8]:
+    """Return four rows of six patches."""
+    column = np.clip((places[:, 0] + 222) // 74, 0, 5)
+    return (6 * np.clip((places[:, 1] + 148) // 74, 0, 3) + column).astype(np.uint8)
+
+
 def _dark_beside_bright(places: Points) -> npt.NDArray[np.uint8]:
     """Return dark on the right, and a few dark bars of falling width on the left."""
     x, y = places[:, 0], places[:, 1]
@@ -224,6 +231,7 @@ def _scenes() -> list[RenderedScene]:
     wall_behind = wall(930, "light grey", **_BACK)
     moving = (_head(painted=True, moves=True), wall_behind)
     board = wall(890, turn_deg=(5, 6), painter=_six_fields, paints=_BOARD, surfaces=_BOARD)
+    chart = wall(890, turn_deg=(3, -4), painter=_chart_patches, paints=CHART, surfaces=CHART)
     two_fields = wall(890, turn_deg=(5, 6), painter=_dark_beside_bright, paints=("bright", "dark"))
     two_fields = Body(**{**vars(two_fields), "surfaces": ("bright", "dark")})
     gloss = (ball("glossy ball", "blue", (0, 0, 850), 75, gloss=0.04), back)
@@ -235,6 +243,7 @@ def _scenes() -> list[RenderedScene]:
         RenderedScene("objects", _saturated(grey=False), notes="saturated objects before a cream wall"),
         RenderedScene("grey_objects", _saturated(grey=True), notes="the same in grey paint"),
         RenderedScene("board", (board,), notes="one flat board of six colours"),
+        RenderedScene("chart", (chart,), notes="a colour chart of 24 patches with known spectra"),
         RenderedScene(
             "corner",
             _corner("corner white", "corner white"),

@@ -133,7 +133,21 @@ _PAINTS: dict[str, Callable[[], Spectrum]] = {
     "blue": lambda: 0.10 + 0.38 * bell(460, 42),
     "red": lambda: 0.04 + 0.60 * edge(612, 10),
 }
+
+
+def _chart() -> dict[str, Callable[[], Spectrum]]:
+    """Return the 24 patches of a colour chart: steps up and down, bells and greys."""
+    rising = [lambda at=at: 0.06 + 0.60 * edge(at, 14) for at in (480, 510, 540, 570, 595, 620)]
+    falling = [lambda at=at: 0.06 + 0.50 * edge(at, -18) for at in (470, 495, 520, 550, 580, 610)]
+    bells = [lambda at=at: 0.07 + 0.42 * bell(at, 34) for at in (440, 470, 505, 535, 570, 600)]
+    grays = [_flat(albedo) for albedo in (0.88, 0.59, 0.36, 0.19, 0.09, 0.035)]
+    return {f"patch {number:02d}": made for number, made in enumerate([*rising, *falling, *bells, *grays])}
+
+
+_PAINTS |= _chart()
 PAINTS = tuple(_PAINTS)
+#: Names of the chart's patches, row by row of six.
+CHART = tuple(name for name in PAINTS if name.startswith("patch"))
 
 
 @cache

@@ -4,16 +4,17 @@ import ast
 import hashlib
 import inspect
 import os
+import textwrap
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
-import film
+import camera_film
 import interreflection
 import numpy as np
 import numpy.typing as npt
 import ray_samples
-from film import (
+from camera_film import (
     F32,
     SUBPIXELS,
     IdealLight,
@@ -37,7 +38,8 @@ from pipeline.pattern import make_pattern
 
 #: Kinds of pattern: three sinusoids; the same with the contrast code; with the projector's response undone.
 PATTERNS = ("plain", "coded", "compensated")
-_FIELDS = {"black": (0, 0, 0), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "white": (1, 1, 1)}
+#: Full fields, as the codes of red, green and blue.
+FIELDS = {"black": (0, 0, 0), "red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "white": (1, 1, 1)}
 # Instants of an exposure during which something moves, and of one colour's part of it.
 _INSTANTS = 9
 _INSTANTS_A_FIELD = 3
@@ -70,10 +72,11 @@ def default_folder() -> Path:
 
 
 def _syntax(*sources: str) -> bytes:
-    """Return what code does, for a digest: its syntax, which comments, docstrings and line breaks are no part of."""
+    """Return what code does, for a digest: its syntax, which comments, docstrings and imports are no part of."""
     dumps = []
     for source in sources:
         tree = ast.parse(source)
+        tree.body = [node for node in tree.body if not isinstance(node, ast.Import | ast.ImportFrom)]
         for node in ast.walk(tree):
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef) and ast.get_docstring(node) is not None:
                 node.body = node.body[1:]
@@ -82,14 +85,14 @@ def _syntax(*sources: str) -> bytes:
 
 
 # Part of every kept frame's name, so that none outlives the code that made it.
-_SOURCES = _syntax(*(inspect.getsource(module) for module in (ray_samples, film, interreflection)))
+_SOURCES = _syntax(*(inspect.getsource(module) for module in (ray_samples, camera_film, interreflection)))
 
 
 def _describe(scene: RenderedScene, taken_with: "Rig | None") -> bytes:
     """Return all that a scene's frames depend on: its bodies, their paints' spectra, and its motion."""
-    words: list[object] = [scene.bounces, scene.motion_mm, scene.in_turns, scene.start]
+    words: list[object] = [_INSTANTS, _INSTANTS_A_FIELD, scene.bounces, scene.motion_mm, scene.in_turns, scene.start]
     words += [scene.focus_mm, scene.defocus_px, scene.surfaces]
-    described = b""
+    described = _syntax(*(textwrap.dedent(inspect.getsource(part)) for part in (Studio._render, Studio._instants)))
     for body in scene.bodies:
         words += [{name: np.asarray(value).tolist() for name, value in body.shape.items()}]
         words += [body.moves, body.gloss, body.shininess, len(body.paints)]
@@ -135,14 +138,14 @@ class Studio:
 
     def _shown(self, taken_with: Rig, pattern: str) -> npt.NDArray[np.float64]:
         """Return the (rows, 3) codes of a pattern, or of a full field."""
-        if pattern in _FIELDS:
-            return np.tile(np.array(_FIELDS[pattern], np.float64), (self.geometry.projector.size_px[1], 1))
+        if pattern in FIELDS:
+            return np.tile(np.array(FIELDS[pattern], np.float64), (self.geometry.projector.size_px[1], 1))
         return self.codes(taken_with, pattern)
 
     # --- frames ----------------------------------------------------------------------------------------------------
 
     def light(self, scene_name: str, pattern: str = "plain", taken_with: Rig = _RIG) -> F32:
-        """Return the linear light (H, W, 3) of a frame, of one that the camera's full scale is the same for."""
+        """Return the linear light (H, W, 3) of a frame; the pattern is one of `PATTERNS` or of `FIELDS`."""
         scene, codes = scenes()[scene_name], self._shown(taken_with, pattern)
         kept = self._kept(f"{scene_name}-{pattern}", _describe(scene, taken_with), codes.tobytes())
         if not kept.exists():
