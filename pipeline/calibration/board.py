@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from pipeline.calibration.chessboard import find_chessboard
+from pipeline.calibration.chessboard import find_chessboard, refine_corners
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import write_atomically
 from pipeline.models import FloatArray, Model
@@ -76,7 +76,9 @@ class Board(Model):
             return self._front_side(places), places
         name, count, seen = "{}x{} chessboard".format(*self.squares), size[0] * size[1], search.seen
         if seen >= count:
-            raise CalibrationError(f"a grid of {seen} corners is seen, not the {count} of a {name}: give its true squares")
+            raise CalibrationError(
+                f"a grid of {seen} corners is seen, not the {count} of a {name}: give its true squares"
+            )
         only = f"only {seen} of the {count} inner corners of a {name} are seen" if seen >= 4 else f"no {name} is seen"
         raise CalibrationError(f"{only}: show it whole, sharp, lit and with nothing before it")
 
@@ -85,19 +87,16 @@ class Board(Model):
         levels = grey.astype(np.uint8)
         corners, ids, _, markers = detector.detectBoard(levels)
         if ids is not None and self.spans(np.asarray(ids).ravel()):
-            return np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, np.float64).reshape(-1, 2)
+            places = refine_corners(grey, np.asarray(corners, np.float64).reshape(-1, 2))
+            return np.asarray(ids).ravel().astype(np.intp), places
         if detector.detectBoard(np.ascontiguousarray(levels[:, ::-1]))[1] is not None:
             raise CalibrationError("the camera's pictures are mirrored: switch that off")
         name, seen = "{}x{} charuco".format(*self.squares), 0 if markers is None else len(markers)
         if seen == 0:
-            raise CalibrationError(
-                f"no {name} is seen, nor any marker of {self.dictionary}: show it sharp and lit, and give its dictionary"
-            )
-        corners_seen = 0 if ids is None else len(ids)
-        raise CalibrationError(
-            f"no {name} is seen, but {seen} of its {self.squares[0] * self.squares[1] // 2} markers and {corners_seen} of "
-            "its corners: show more of it, sharp and lit, and give its true squares"
-        )
+            wrong = f"not a marker of {self.dictionary}: show it sharp and lit, and name its dictionary"
+        else:
+            wrong = f"but {seen} of its markers: show more of it, sharp and lit, and give its true squares"
+        raise CalibrationError(f"no {name} is seen, {wrong}")
 
     def spans(self, numbers: npt.NDArray[np.integer]) -> bool:
         """Return whether these corners tell how the board stands: two rows of it with two corners each, or more."""

@@ -33,9 +33,15 @@ _MIN_BALANCE = 0.3
 # Half the window, px, in which contrast is measured.
 _WINDOW_PX = 7
 # A board has up to 39 by 39 corners; the strongest saddles of a picture that is full of things are searched.
-_MAX_SADDLES = 4000
+_MAX_SADDLES = 2000
+# So many are looked at closely: OpenCV reads no more than 32767 rows at once.
+_MAX_PEAKS = 20000
 # Of a corner's nearest saddles of other sign the first two ways are found among so many.
 _NEIGHBOURS = 8
+# The least height or width, px, of a picture that is searched: in a smaller one what hides a corner passes for blur.
+_MIN_SIZE_PX = 240
+# A corner that moves further when it is refined, px, has found something else.
+_MAX_MOVE_PX = 2.0
 # A corner lies this near to where its neighbours put it, over a square's side.
 _REACH = 0.2
 # So near does it lie to the board's homography, which a lens bends by less; the rim of a margin lies further off.
@@ -65,28 +71,30 @@ def find_chessboard(grey: npt.NDArray[np.floating], size: tuple[int, int]) -> Ch
     ChessboardSearch
         Row by row, from any of the board's ends, and perhaps mirrored.
     """
-    seen = 0
-    picture, scale = np.asarray(grey, np.float32), 1.0
-    # A blur of many pixels is sharp in a smaller picture.
-    while min(picture.shape) >= 60:
-        search = _search(picture, size)
-        seen = max(seen, search.seen)
-        if search.corners_px is not None:
-            return ChessboardSearch((search.corners_px + 0.5) / scale - 0.5, seen)
-        scale /= 2
-        picture = cv2.resize(picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2], None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-    return ChessboardSearch(None, seen)
+    search = _search(grey.astype(np.float32), size)
+    height, width = (length // 2 for length in grey.shape)
+    if search.corners_px is not None or min(height, width) < _MIN_SIZE_PX:
+        return search
+    # What is blurred by many pixels is sharp in a smaller picture.
+    half = cv2.resize(grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    smaller = find_chessboard(half, size)
+    places = None if smaller.corners_px is None else refine_corners(grey, 2 * smaller.corners_px + 0.5)
+    return ChessboardSearch(places, max(search.seen, smaller.seen))
 
 
 def refine_corners(grey: npt.NDArray[np.floating], corners: FloatArray) -> FloatArray:
-    """Return corners to a few hundredths of a pixel, (N, 2) px, from places a pixel or two beside them."""
-    slopes = _slopes(np.asarray(grey, np.float32))
+    """Return corners to a few hundredths of a pixel, (..., 2) px, from places a pixel beside them.
+
+    A corner stays where it is where the picture has no saddle point near it.
+    """
+    slopes = _slopes(grey.astype(np.float32))
     height, width = grey.shape
-    places = np.array(corners, np.float64)
+    places = corners.reshape(-1, 2)
     for _ in range(3):
-        u, v = np.clip(np.rint(places), 1, (width - 2, height - 2)).astype(int).T
+        u, v = np.clip(np.rint(places), 0, (width - 1, height - 1)).astype(int).T
         places = np.column_stack([u, v]) + np.clip(_to_saddle(slopes, v, u), -1, 1)
-    return places
+    ran_away = np.linalg.norm(places - corners.reshape(-1, 2), axis=1) > _MAX_MOVE_PX
+    return np.where(ran_away[:, None], corners.reshape(-1, 2), places).reshape(corners.shape)
 
 
 def _slopes(picture: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], ...]:
@@ -119,6 +127,10 @@ def _saddles(picture: npt.NDArray[np.float32]) -> tuple[FloatArray, npt.NDArray[
     peak = (strength == cv2.dilate(strength, np.ones((5, 5)))) & (contrast > _MIN_CONTRAST)
     peak &= (strength > (_MIN_CURVATURE * contrast) ** 2) & (strength > _MIN_BALANCE * (xx + yy) ** 2)
     v, u = np.nonzero(peak)
+    if len(v) == 0:
+        return np.zeros((0, 2)), np.zeros(0, np.complex128)
+    strongest = np.argsort(-strength[v, u])[:_MAX_PEAKS]
+    v, u = v[strongest], u[strongest]
     places = np.column_stack([u, v]) + np.clip(_to_saddle(slopes, v, u), -1, 1)
     around = np.exp(2j * np.pi * np.arange(_CIRCLE_SAMPLES) / _CIRCLE_SAMPLES)
     on_circle = (places[:, :1] + 1j * places[:, 1:] + _CIRCLE_PX * around).astype(np.complex64)
@@ -129,8 +141,8 @@ def _saddles(picture: npt.NDArray[np.float32]) -> tuple[FloatArray, npt.NDArray[
     bright = (circle * around**2).mean(axis=1)
     good = 2 * np.abs(bright) ** 2 > _MIN_TWOFOLD * (circle**2).mean(axis=1)
     good &= np.abs(bright) > _MIN_CONTRAST
-    strongest = np.flatnonzero(good)[np.argsort(-np.abs(bright[good]))[:_MAX_SADDLES]]
-    return places[strongest], bright[strongest]
+    best = np.flatnonzero(good)[np.argsort(-np.abs(bright[good]))[:_MAX_SADDLES]]
+    return np.asarray(places[best], np.float64), np.asarray(bright[best], np.complex128)
 
 
 def _search(picture: npt.NDArray[np.float32], size: tuple[int, int]) -> ChessboardSearch:

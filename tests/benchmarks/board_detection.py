@@ -14,7 +14,6 @@ import numpy as np
 from support.board_photographs import View, photograph, rms_px, wall
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.chessboard import refine_corners
 from pipeline.errors import CalibrationError
 
 CHESSBOARDS = [Board(kind="chessboard", squares=s) for s in ((10, 7), (8, 6), (7, 7), (12, 9), (6, 5), (11, 8))]
@@ -52,12 +51,11 @@ def found_by_one_call(board, grey):
 
 
 def found_by_us(board, grey):
-    """Return what the library finds, refined as it is used; None where it finds nothing."""
+    """Return what the library finds, None where it finds nothing."""
     try:
-        numbers, places = board.find(grey)
+        return board.find(grey)
     except CalibrationError:
         return None
-    return numbers, refine_corners(grey, places)
 
 
 def row(name, boards, view, count, finders):

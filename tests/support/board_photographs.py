@@ -55,7 +55,9 @@ def photograph(board, view, rng):
         scene[mount] = (0.06 * light)[mount]
     paper = (u > -left) & (u < columns + right) & (v > -top) & (v < rows + bottom)
     drawn = np.pad(board.draw(TEXELS) / 255.0, TEXELS, constant_values=1.0)
-    texel = [np.clip(TEXELS * (w[paper] + 1), 0, n - 1).astype(int) for w, n in ((u, drawn.shape[1]), (v, drawn.shape[0]))]
+    texel = [
+        np.clip(TEXELS * (w[paper] + 1), 0, n - 1).astype(int) for w, n in ((u, drawn.shape[1]), (v, drawn.shape[0]))
+    ]
     black = rng.uniform(*view.black_part)
     scene[paper] = (black + (1 - black) * drawn[texel[1], texel[0]]) * (light * _fringe(x, y, view, rng))[paper]
     scene = cv2.GaussianBlur(scene, (0, 0), SAMPLES * rng.uniform(*view.blur_px))
@@ -79,7 +81,9 @@ def wall(view, rng):
     scene = _wall(view, rng) * _light(x / width, y / height, view, rng) * _fringe(x, y, view, rng)
     grey = cv2.GaussianBlur(scene, (0, 0), SAMPLES * rng.uniform(*view.blur_px))
     grey = grey.reshape(height, SAMPLES, width, SAMPLES).mean(axis=(1, 3))
-    levels = rng.uniform(*view.white) * grey[..., None] + rng.uniform(*view.noise) * rng.standard_normal((*grey.shape, 3))
+    levels = rng.uniform(*view.white) * grey[..., None] + rng.uniform(*view.noise) * rng.standard_normal(
+        (*grey.shape, 3)
+    )
     return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
 
@@ -92,12 +96,15 @@ def _pose(board, view, rng):
     grid = np.stack(np.meshgrid(np.arange(columns + 1), np.arange(rows + 1)), axis=-1).astype(float)
     for _ in range(1000):
         tilt, axis, roll = np.radians(rng.uniform(*view.tilt_deg)), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
-        turn = cv2.Rodrigues(tilt * np.array([np.cos(axis), np.sin(axis), 0]))[0] @ cv2.Rodrigues(np.array([0, 0, roll]))[0]
+        turn = (
+            cv2.Rodrigues(tilt * np.array([np.cos(axis), np.sin(axis), 0]))[0]
+            @ cv2.Rodrigues(np.array([0, 0, roll]))[0]
+        )
         least = np.exp(rng.uniform(*np.log(view.square_px)))
         middle = np.array([rng.uniform(-0.4, 0.4) * width / focal, rng.uniform(-0.4, 0.4) * height / focal, 1.0])
         camera = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]])
 
-        def to_px(distance):
+        def to_px(distance, middle=middle, turn=turn, camera=camera):
             origin = middle * distance - turn @ np.array([columns / 2, rows / 2, 0])
             return camera @ np.column_stack([turn[:, :2], origin])
 
@@ -117,7 +124,7 @@ def _pose(board, view, rng):
 
 
 def _light(x, y, view, rng):
-    """Return the light on the scene, (H, W), at most 1, from places 0..1: brightest about a place, less along a line."""
+    """Return the light on the scene, (H, W), at most 1, from places 0..1; it falls from a place and along a line."""
     middle, angle = rng.uniform(0.2, 0.8, 2), rng.uniform(0, 2 * np.pi)
     fall = np.hypot(x - middle[0], y - middle[1]) + 0.5 * (x * np.cos(angle) + y * np.sin(angle))
     fall = (fall - fall.min()) / np.ptp(fall)
@@ -145,9 +152,17 @@ def _wall(view, rng):
         elif kind == 1:
             cv2.circle(picture, at.astype(int), int(size / 2), level, -1)
         elif kind == 2:  # a cable, an edge
-            cv2.line(picture, at.astype(int), (rng.uniform(0, 1, 2) * (width, height)).astype(int), level, int(rng.uniform(1, 6) * SAMPLES))
+            cv2.line(
+                picture,
+                at.astype(int),
+                (rng.uniform(0, 1, 2) * (width, height)).astype(int),
+                level,
+                int(rng.uniform(1, 6) * SAMPLES),
+            )
         elif kind == 3:
-            cv2.putText(picture, "Calibration 4711", at.astype(int), cv2.FONT_HERSHEY_SIMPLEX, size / 300, level, SAMPLES)
+            cv2.putText(
+                picture, "Calibration 4711", at.astype(int), cv2.FONT_HERSHEY_SIMPLEX, size / 300, level, SAMPLES
+            )
         else:  # tiles, keys, a grille
             side, angle = rng.uniform(8, 40) * SAMPLES, rng.uniform(0, np.pi)
             steps = np.stack(np.meshgrid(np.arange(6), np.arange(4)), -1).reshape(-1, 2) * side
