@@ -133,7 +133,9 @@ def test_ctrl_c_at_any_moment(tmp_path, suffix):
                 add(recorder, BURST)
                 recorder.commit()
         takes_s = time.monotonic() - begin
-        for k in range(40):
+        for k in range(400):
+            if k >= 40 and stopped >= 10:  # on a busy machine the first run may have taken longer than the others
+                break
             path = tmp_path / f"{k}{suffix}"
             recorder = Recorder(path, RGB8)
             committed, recording_now = 0, True
