@@ -34,9 +34,9 @@ _MIN_BALANCE = 0.3
 _WINDOW_PX = 7
 # A board has up to 39 by 39 corners; the strongest saddles of a picture that is full of things are searched.
 _MAX_SADDLES = 2000
-# So many are looked at closely: OpenCV reads no more than 32767 rows at once.
+# Peaks that are looked at closely, at most: OpenCV reads no more than 32767 rows at once.
 _MAX_PEAKS = 20000
-# Of a corner's nearest saddles of other sign the first two ways are found among so many.
+# A corner's first two ways are found among this many of its nearest saddles of other sign.
 _NEIGHBOURS = 8
 # The least height or width, px, of a picture that is searched: in a smaller one what hides a corner passes for blur.
 _MIN_SIZE_PX = 240
@@ -44,7 +44,8 @@ _MIN_SIZE_PX = 240
 _MAX_MOVE_PX = 2.0
 # A corner lies this near to where its neighbours put it, over a square's side.
 _REACH = 0.2
-# So near does it lie to the board's homography, which a lens bends by less; the rim of a margin lies further off.
+# And this near to the board's homography, over a square's side: a lens bends it by less, and the rim of a margin lies
+# further off.
 _FIT = 0.05
 
 
