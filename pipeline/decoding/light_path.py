@@ -124,7 +124,7 @@ class LightPath:
         told = max(3, int(_HARMONICS_A_PIXEL * period_px)) if self._equalize else 0
         measured = measure_correction(histogram, told)
         if not self._priors:
-            return measured.table(measured.certain), flat_template()
+            return measured.table(measured.beyond(0.0)), flat_template()
         fits = [prior.fit(measured, period_px) for prior in self._priors]
         likeliest = int(np.argmin([misfit for _, misfit in fits]))
         prior, blur = self._priors[likeliest], fits[likeliest][0]

@@ -40,11 +40,11 @@ class MeasuredCorrection(NamedTuple):
     counts: npt.NDArray[np.float64]
     """(bins,) how often a phase fell into each bin."""
 
-    @property
-    def certain(self) -> npt.NDArray[np.complex128]:
-        """The spectrum with every harmonic weighed by its certainty, as Wiener's filter has it."""
-        power = np.maximum(np.abs(self.spectrum) ** 2, 1e-20)
-        return np.asarray(self.spectrum * np.maximum(1 - self.variance / power, 0))
+    def beyond(self, expected: npt.NDArray[np.complex128] | float) -> npt.NDArray[np.complex128]:
+        """Return what the spectrum has beyond an expected one, each harmonic weighed by how certain that is (Wiener)."""
+        rest = self.spectrum - expected
+        power = np.maximum(np.abs(rest) ** 2, 1e-20)
+        return np.asarray(rest * np.maximum(1 - self.variance / power, 0))
 
     def table(self, spectrum: npt.NDArray[np.complex128]) -> npt.NDArray[np.float32]:
         """Return (bins + 1,) float32: the correction with this spectrum, its mean over all counted phases zero, rad."""
@@ -101,7 +101,7 @@ def correction_table(
         rad; zero where there are too few counts.
     """
     measured = measure_correction(histogram, harmonics)
-    return measured.table(measured.certain)
+    return measured.table(measured.beyond(0.0))
 
 
 def _scatter(tiles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -147,9 +147,8 @@ class ResponsePrior:
     def corrected(self, measured: MeasuredCorrection, blur: float) -> npt.NDArray[np.complex128]:
         """Return the spectrum of the correction: the expected one, and of the rest what the frame is sure of."""
         expected = self._spectra[int(np.abs(_BLURS - blur).argmin())]
-        width = self._width(expected)
-        trust = width / (width + measured.variance)
-        return np.asarray(expected + trust * (measured.spectrum - expected))
+        rest = measured.beyond(expected)
+        return np.asarray(expected + self._width(expected) / (self._width(expected) + measured.variance) * rest)
 
     def template(self, matrix: npt.NDArray[np.floating], blur: float) -> npt.NDArray[np.float32]:
         """Return one cycle of the channels that this matrix makes of the light; see `known_template`."""
