@@ -102,8 +102,8 @@ class LightPath:
     def cycle(self, histogram: FloatArray, period_px: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Return what undoes the projector's response, and what one cycle of each channel then looks like.
 
-        What is known of the response is a prior: the fringe is blurred after it, and the frame has the last word, as far
-        as its phases tell.
+        What is known of the response is a prior: the fringe is blurred after it, and the frame has the last word, as
+        far as its phases tell.
 
         Parameters
         ----------

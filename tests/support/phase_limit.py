@@ -19,8 +19,8 @@ def phase_limit(
     """Return the bound of Cramer and Rao on the phase's standard deviation, (H, W) float64, rad.
 
     With a channel's light I_i in levels and its noise sigma, var(phase) >= sigma^2 / sum_i (dI_i / dphase)^2, where
-    everything but the phase is known, and no pixel knows its neighbours. Where a pixel's brightness is not known either,
-    only what stands across the projector's light counts of the derivative.
+    everything but the phase is known, and no pixel knows its neighbours. Where a pixel's brightness is not known
+    either, only what stands across the projector's light counts of the derivative.
     """
     geometry = truth.rig.geometry()
     exposure = settings.exposure or _exposure(truth, settings)

@@ -12,8 +12,9 @@ Everything is fitted by linear least squares to the samples of `color_balance.py
 equalised. With the phase given, s t_i is linear in the template's numbers; s itself is what the channels' mean tells.
 With the template, A_i and B_i are a straight line through channel against s t_i, over the balance window. Where the
 window is cut off, at the edge of a surface or of the image, part of the fringe passes it, and the line is bent with it:
-there the nodes around, whose windows are whole, say what A_i and B_i are. What share of the mean background is ambient light, the frame tells: its modulation is proportional to what the projector sends, its
-background is not, so a straight line of one over the other crosses zero where only ambient light is left.
+there the nodes around, whose windows are whole, say what A_i and B_i are. What share of the mean background is ambient
+light, the frame tells: its modulation is proportional to what the projector sends, its background is not, so a straight
+line of one over the other crosses zero where only ambient light is left.
 
 The fit that takes phases from a frame's own intensities and intensities from phases, in turns, is that of Z. Wang and
 B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shifted interferograms, Optics Letters 29,
@@ -38,7 +39,7 @@ from tikernels.strips import strip_at, strip_count
 
 # Places of a symmetric matrix' upper triangle, row by row.
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
-_CORNERS = len(_UPPER)
+_CORNERS, _HALF = len(_UPPER), len(_UPPER) // 2
 # Samples that one thread adds up.
 _SAMPLES_A_THREAD = 64
 # Every second row of samples tells the template.
@@ -229,7 +230,9 @@ def sum_template_kernel(
         row, first, count = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
         y = row * _EVERY
         # The upper triangle of the symmetric equations, row by row, and the right sides.
-        gram, right = ti.Vector.zero(f32, _CORNERS), ti.Matrix.zero(f32, TERMS, 3)
+        # Taichi compiles vectors of up to 32 numbers well.
+        upper, lower = ti.Vector.zero(f32, _HALF), ti.Vector.zero(f32, _CORNERS - _HALF)
+        right = ti.Matrix.zero(f32, TERMS, 3)
         background_weights = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
         for j in range(first, first + count):
             if has_phase(phases[y, j]):
@@ -239,11 +242,15 @@ def sum_template_kernel(
                 # Each sample with its own brightness: bright ones count more, as they are more certain. The background
                 # tells it whatever the phase, apart from what is known of the response and lateral colour.
                 waves *= light.dot(background_weights) / cycle_at(known, waves).dot(background_weights)
-                for place in ti.static(range(_CORNERS)):
-                    gram[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
+                for place in ti.static(range(_HALF)):
+                    upper[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
+                for place in ti.static(range(_HALF, _CORNERS)):
+                    lower[place - _HALF] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
                 right += waves.outer_product(light)
-        for place in ti.static(range(_CORNERS)):
-            out_normal[strip, place] = gram[place]
+        for place in ti.static(range(_HALF)):
+            out_normal[strip, place] = upper[place]
+        for place in ti.static(range(_HALF, _CORNERS)):
+            out_normal[strip, place] = lower[place - _HALF]
         for a in ti.static(range(TERMS)):
             for k in ti.static(range(3)):
                 out_normal[strip, _CORNERS + 3 * a + k] = right[a, k]

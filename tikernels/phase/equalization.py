@@ -41,7 +41,7 @@ class MeasuredCorrection(NamedTuple):
     """(bins,) how often a phase fell into each bin."""
 
     def beyond(self, expected: npt.NDArray[np.complex128] | float) -> npt.NDArray[np.complex128]:
-        """Return what the spectrum has beyond an expected one, each harmonic weighed by how certain that is (Wiener)."""
+        """Return what the spectrum has beyond an expected one, each harmonic weighed by its certainty (Wiener)."""
         rest = self.spectrum - expected
         power = np.maximum(np.abs(rest) ** 2, 1e-20)
         return np.asarray(rest * np.maximum(1 - self.variance / power, 0))

@@ -183,8 +183,8 @@ def test_the_capturing_process_is_killed(moment):
         if moment == "decoding":
             assert parent.stdout.readline() == "taken\n"
         parent.kill()
-        # Its pipes are closed when nobody has them open any more: the other process looks for its parent once its kernels
-        # are compiled, and takes only what others leave of the cores.
+        # Its pipes are closed when nobody has them open any more: the other process looks for its parent once its
+        # kernels are compiled, and takes only what others leave of the cores.
         said = parent.communicate(timeout=4 * PATIENCE_S)
     wait_for(lambda: not is_alive(pid), 10)
     assert said[1] == ""
