@@ -24,8 +24,9 @@ _HARMONICS_A_PIXEL = 0.8
 # a surface, but a code changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
 _CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
 _LINEAR = np.array([[0.0, 1.0]] * 3)
-# Crosstalk of which nothing is known turns the phase about grey; leaks of up to a fifth do it by some 0.05 rad.
-_UNKNOWN_CONSTANT = 0.05
+# Crosstalk of which nothing is known turns the phase about grey. Leaks to one side outweigh those to the other: camera
+# filters leak up to a quarter of the neighbouring primary, and turn it by 0.1 rad.
+_UNKNOWN_CONSTANT = 0.1
 
 
 class LightPath:
