@@ -59,7 +59,7 @@ def test_the_template_is_read_off_the_frame(arch, gamma, ambient):
 
 
 def test_a_fourth_harmonic_is_read_off_a_response_that_has_a_third(cpu):
-    """At gamma 2.3 the brightness that a sample is divided by has a third harmonic, which the first one turns into it."""
+    """At gamma 2.3 the brightness that samples are divided by has a third harmonic, which makes the fourth."""
     model, _ = fitted(frame(2.3, 0.0))
     phase = np.linspace(0, 2 * np.pi, 1024, endpoint=False)
     light = MATRIX @ (0.5 + 0.5 * np.cos(phase + DELAYS[:, None])) ** 2.3
