@@ -42,8 +42,8 @@ _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
 _CORNERS, _HALF = len(_UPPER), len(_UPPER) // 2
 # Samples that one thread adds up.
 _SAMPLES_A_THREAD = 64
-# Every second row of samples tells the template.
-_EVERY = 2
+# Every fourth row of samples tells the template.
+_EVERY = 4
 # What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
 _PRIOR_SAMPLES = 30
 # Ambient light is at most this share of a surface's; more, and it is the contrast that is read wrongly.
