@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from pipeline.errors import OutputError
+from pipeline.calibration.chessboard import find_chessboard, refine_corners
+from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import write_atomically
 from pipeline.models import FloatArray, Model
 
@@ -45,7 +46,7 @@ class Board(Model):
         x, y = np.meshgrid(np.arange(1, columns + 1), np.arange(1, rows + 1))
         return np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
 
-    def find(self, image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.intp], FloatArray] | None:
+    def find(self, image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.intp], FloatArray]:
         """Find the inner corners in an image.
 
         Parameters
@@ -56,22 +57,46 @@ class Board(Model):
         Returns
         -------
         (N,) int, (N, 2) float64
-            Which of `corners_mm`, and where, px; None if the board is not there.
+            Which of `corners_mm`, and where, px. A chessboard may be numbered from either end.
+
+        Raises
+        ------
+        CalibrationError
+            The board is not there, or not as described.
         """
-        # Fringes and shading go: corners are black and white wherever they lie.
-        grey = np.clip(255 * image / max(float(np.percentile(image, 99.5)), 1e-6), 0, 255).astype(np.uint8)
-        if self.kind == "chessboard":
-            size = (self.squares[0] - 1, self.squares[1] - 1)
-            flags = cv2.CALIB_CB_NORMALIZE_IMAGE | cv2.CALIB_CB_EXHAUSTIVE | cv2.CALIB_CB_ACCURACY
-            found, corners = cv2.findChessboardCornersSB(grey, size, flags=flags)
-            if not found:
-                return None
-            places = np.asarray(corners, np.float64).reshape(-1, 2)
+        # Corners are black and white wherever they lie: the brightest of the picture counts as white.
+        grey = np.clip(255 * image / max(float(np.percentile(image, 99.5)), 1e-6), 0, 255)
+        return self._find_chessboard(grey) if self.kind == "chessboard" else self._find_charuco(grey)
+
+    def _find_chessboard(self, grey: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+        size = (self.squares[0] - 1, self.squares[1] - 1)
+        search = find_chessboard(grey, size)
+        if search.corners_px is not None:
+            places = search.corners_px.reshape(-1, 2)
             return self._front_side(places), places
-        corners, ids, _, _ = cv2.aruco.CharucoDetector(self._charuco()).detectBoard(grey)
-        if ids is None or not self.spans(np.asarray(ids).ravel()):
-            return None
-        return np.asarray(ids).ravel().astype(np.intp), np.asarray(corners, np.float64).reshape(-1, 2)
+        name, count, seen = "{}x{} chessboard".format(*self.squares), size[0] * size[1], search.seen
+        if seen >= count:
+            raise CalibrationError(
+                f"a grid of {seen} corners is seen, not the {count} of a {name}: give its true squares"
+            )
+        only = f"only {seen} of the {count} inner corners of a {name} are seen" if seen >= 4 else f"no {name} is seen"
+        raise CalibrationError(f"{only}: show it whole, sharp, lit and with nothing before it")
+
+    def _find_charuco(self, grey: FloatArray) -> tuple[npt.NDArray[np.intp], FloatArray]:
+        detector = cv2.aruco.CharucoDetector(self._charuco())
+        levels = grey.astype(np.uint8)
+        corners, ids, _, markers = detector.detectBoard(levels)
+        if ids is not None and self.spans(np.asarray(ids).ravel()):
+            places = refine_corners(grey, np.asarray(corners, np.float64).reshape(-1, 2))
+            return np.asarray(ids).ravel().astype(np.intp), places
+        if detector.detectBoard(np.ascontiguousarray(levels[:, ::-1]))[1] is not None:
+            raise CalibrationError("the camera's pictures are mirrored: switch that off")
+        name, seen = "{}x{} charuco".format(*self.squares), 0 if markers is None else len(markers)
+        if seen == 0:
+            wrong = f"not a marker of {self.dictionary}: show it sharp and lit, and name its dictionary"
+        else:
+            wrong = f"but {seen} of its markers: show more of it, sharp and lit, and give its true squares"
+        raise CalibrationError(f"no {name} is seen, {wrong}")
 
     def spans(self, numbers: npt.NDArray[np.integer]) -> bool:
         """Return whether these corners tell how the board stands: two rows of it with two corners each, or more."""

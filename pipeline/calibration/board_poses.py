@@ -76,16 +76,10 @@ def measure_pose(
     """
     seen = decode_multishot(captures, projector_size_px, name, white_level)
     grey = seen.white.mean(axis=-1)
-    found = board.find(grey)
-    if found is None:
-        if board.kind == "charuco" and board.find(np.ascontiguousarray(grey[:, ::-1])) is not None:
-            raise CalibrationError(f"{name}: the camera's pictures are mirrored: switch that off")
-        whole = "whole, " if board.kind == "chessboard" else ""
-        columns, rows = board.squares
-        raise CalibrationError(
-            f"{name}: no {columns}x{rows} {board.kind} is seen: it must be {whole}sharp and lit, and as described"
-        )
-    numbers, corners = found
+    try:
+        numbers, corners = board.find(grey)
+    except CalibrationError as error:
+        raise CalibrationError(f"{name}: {error}") from None
     side = _square_px(corners, board.corners_mm()[numbers], board.square_mm)
     window = _half_window(side, board)
     corners = _refined(grey, corners, window)
