@@ -178,8 +178,8 @@ class Decoder:
         counts = count_phases(image, gains, crosstalk, levels).astype(np.float64)
         if memory is not None:
             counts += memory.faded_phase_counts
-        correction = path.correction(counts, work.period_px)
-        model.fit(crosstalk, levels, correction, path.template())
+        correction, cycle = path.cycle(counts, work.period_px)
+        model.fit(crosstalk, levels, correction, cycle)
         fit = (work.raw_phase, phases.modulation, phases.precision)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.

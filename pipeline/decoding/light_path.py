@@ -9,11 +9,12 @@ from pipeline.calibration import Calibration
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import CameraState, FloatArray
+from pipeline.pattern.contrast_code import cycle_modulations
 from pipeline.settings import DecodeSettings
-from tikernels.phase.channel_template import flat_template, known_template
+from tikernels.phase.channel_template import flat_template
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.equalization import correction_table
-from tikernels.phase.projector_response import pattern_light, prefers_response, response_table
+from tikernels.phase.equalization import measure_correction
+from tikernels.phase.projector_response import ResponsePrior
 from tikernels.raw.linearization import Transfer
 
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
@@ -22,9 +23,10 @@ _HARMONICS_A_PIXEL = 0.8
 # How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
 # a surface, but a code changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
 _CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
-_NO_CORRECTION = np.zeros(2, np.float32)
-# Crosstalk of which nothing is known turns the phase about grey; leaks of up to a fifth do it by some 0.05 rad.
-_UNKNOWN_CONSTANT = 0.05
+_LINEAR = np.array([[0.0, 1.0]] * 3)
+# Crosstalk of which nothing is known turns the phase about grey. Leaks to one side outweigh those to the other: camera
+# filters leak up to a quarter of the neighbouring primary, and turn it by 0.1 rad.
+_UNKNOWN_CONSTANT = 0.1
 
 
 class LightPath:
@@ -55,8 +57,8 @@ class LightPath:
         self._balance_first = settings.reflectance_bands == "broad"
         self.code = settings.code
         self._equalize = settings.equalize
-        self._response: FloatArray | None = None  # of a pattern in which it has not been undone, or may not have been
-        self._compensated: bool | None = None
+        responses: list[FloatArray] = []  # that the pattern's codes may go through
+        compensated: bool | None = None
         self._learned: npt.NDArray[np.float32] | None = None
         matrix, light = settings.crosstalk_matrix, np.ones(3)
         if calibration is not None:
@@ -66,17 +68,21 @@ class LightPath:
                         f"settings say {settings.stripes} stripes but the calibration's pattern has "
                         f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
                     )
-                self._compensated = calibration.pattern.compensated
+                compensated = calibration.pattern.compensated
                 self.code = calibration.pattern.code
             self.transfer = _transfer(settings, calibration)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
-            if calibration.response is not None and self._compensated is not True:
-                self._response = calibration.response
-                if self._compensated is False:
-                    light = pattern_light(calibration.response)
+            if calibration.response is not None and compensated is not True:
+                responses.append(calibration.response)
+            if compensated is True or (compensated is None and responses):
+                responses.append(_LINEAR)
             if calibration.color_shift_px is not None:
                 self.camera_shift_px = calibration.color_shift_px.camera
                 self._lag = calibration.projector_lag_rad()
+        modulation = float(cycle_modulations().mean()) if self.code == "contrast" else 0.5
+        self._priors = [ResponsePrior(response, self._lag, modulation) for response in responses]
+        if len(self._priors) == 1:
+            light = self._priors[0].light
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
         self.unknown = matrix is None and self._balance_first
@@ -94,42 +100,42 @@ class LightPath:
         self.constant_known = light.constant_known
         self.constant_sigma = light.constant_sigma if light.constant_known else _UNKNOWN_CONSTANT
 
-    def template(self) -> npt.NDArray[np.float32]:
-        """Return one cycle of each balanced channel as far as it is known; see `ChannelModel.fit`."""
-        response = self._response if self._compensated is False else None
-        if self._compensated:
-            response = np.array([[0.0, 1.0]] * 3)
-        if response is None:
-            return flat_template()
-        return known_template(self.crosstalk.matrix if self._balance_first else np.eye(3), response, self._lag)
+    def cycle(self, histogram: FloatArray, period_px: float) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Return what undoes the projector's response, and what one cycle of each channel then looks like.
 
-    def correction(self, histogram: FloatArray, period_px: float) -> npt.NDArray[np.float32]:
-        """Return what undoes the projector's response, rad to add to the arctangent, as a table over the cycle.
+        What is known of the response is a prior: the fringe is blurred after it, and the frame has the last word, as
+        far as its phases tell.
 
-        What is known of the response is better than the assumption that a surface shows every phase equally often,
-        which the histogram of the phases stands for.
+        Parameters
+        ----------
+        histogram : (tiles, bins)
+            How often each phase was seen; see `phase_fit.count_phases`.
+        period_px : float
+            Camera px a cycle.
+
+        Returns
+        -------
+        (bins + 1,) float32
+            rad to add to the arctangent, over the cycle.
+        (3, terms) float32
+            One cycle of each balanced channel as far as it is known; see `ChannelModel.fit`.
         """
         if self._learned is not None:
-            return self._learned
-        if self._compensated:
-            return _NO_CORRECTION
-        if self._response is None:
-            if not self._equalize:
-                return _NO_CORRECTION
-            return correction_table(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
-        if self._compensated is False or prefers_response(histogram.sum(axis=0), self._response, self._lag):
-            return response_table(self._response, self._lag)
-        return _NO_CORRECTION
+            return self._learned, flat_template()
+        told = max(3, int(_HARMONICS_A_PIXEL * period_px)) if self._equalize else 0
+        measured = measure_correction(histogram, told)
+        if not self._priors:
+            return measured.table(measured.beyond(0.0)), flat_template()
+        fits = [prior.fit(measured, period_px) for prior in self._priors]
+        likeliest = int(np.argmin([misfit for _, misfit in fits]))
+        prior, blur = self._priors[likeliest], fits[likeliest][0]
+        matrix = self.crosstalk.matrix if self._balance_first else np.eye(3)
+        return measured.table(prior.corrected(measured, blur)), prior.template(matrix, blur)
 
     @property
     def contrast_doubt(self) -> float:
         """Standard deviation of a pixel's contrast about its neighbourhood's, by the pattern's code."""
         return _CONTRAST_DOUBT[self.code]
-
-    @property
-    def response_is_full(self) -> bool:
-        """Whether the correction is that of the full modulation, not what the pattern's mean modulation shows."""
-        return self._learned is None and self._response is not None
 
     def _use(self, matrix: FloatArray) -> None:
         self.crosstalk = Crosstalk.of(matrix, balance_first=self._balance_first, lag=self._lag)

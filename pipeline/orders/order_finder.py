@@ -213,9 +213,8 @@ class OrderFinder:
             surface = (out.unwrapped, out.mask, out.region)
             found = (phases.phase, seen.raw_phase, phases.modulation, seen.rates)
             adopt_pixels(patches.final, *found, known, out=surface)
-        # The response is taken from all cycles alike; a table of the pattern's own response holds for full modulation.
-        usual = 0.5 if self._path.response_is_full else float(cycle_modulations().mean())
-        deviations, slopes = code_deviations(usual)
+        # The response's correction is for the pattern's mean modulation.
+        deviations, slopes = code_deviations(float(cycle_modulations().mean()))
         columns = (slice(None), slice(None, None, _EVERY_COLUMN))
         sampled = runtime.to_host(out.unwrapped)[columns], runtime.to_host(out.region)[columns]
         corrections = modulation_corrections(deviations, modulation_tables(seen.correction))

@@ -13,11 +13,14 @@ _SHIFT = 0.02
 _ROUNDING = 1 / 12
 
 
-def phase_limit(truth: SimulatedFrame, settings: SimulationSettings) -> npt.NDArray[np.float64]:
+def phase_limit(
+    truth: SimulatedFrame, settings: SimulationSettings, *, brightness_known: bool = True
+) -> npt.NDArray[np.float64]:
     """Return the bound of Cramer and Rao on the phase's standard deviation, (H, W) float64, rad.
 
     With a channel's light I_i in levels and its noise sigma, var(phase) >= sigma^2 / sum_i (dI_i / dphase)^2, where
-    everything but the phase is known, and no pixel knows its neighbours.
+    everything but the phase is known, and no pixel knows its neighbours. Where a pixel's brightness is not known
+    either, only what stands across the projector's light counts of the derivative.
     """
     geometry = truth.rig.geometry()
     exposure = settings.exposure or _exposure(truth, settings)
@@ -31,6 +34,11 @@ def phase_limit(truth: SimulatedFrame, settings: SimulationSettings) -> npt.NDAr
         shown = np.ascontiguousarray(np.broadcast_to(line, (height, width, 3)), np.float32)
         light.append(simulate_frame(truth.rig, clean, shown).image / 65535)
     slope = (light[1] - light[0]) / (2 * _SHIFT) * 255
+    if not brightness_known:
+        lit = simulate_frame(truth.rig, clean.model_copy(update={"ambient": 0.0})).image.astype(np.float64)
+        with np.errstate(invalid="ignore"):
+            lit /= np.linalg.norm(lit, axis=-1, keepdims=True)
+        slope -= (slope * lit).sum(axis=-1, keepdims=True) * lit
     variance = settings.noise_levels**2 + _ROUNDING * (255 / truth.white_level) ** 2
     with np.errstate(divide="ignore"):
         return np.asarray(np.sqrt(variance / (slope**2).sum(axis=-1)))

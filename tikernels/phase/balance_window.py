@@ -42,6 +42,8 @@ class BalanceWindow:
         # Across, a node stands between two blocks, so the taps sit at half-integer distances.
         self._across = half_gaussian(SIGMA_ACROSS * period_px / self.rows, offset=0.5)
         self._along = half_gaussian(SIGMA_ALONG * period_px / self.spacing_px)
+        #: How many samples, one a row of each block, a window that nothing cuts off has, by their weights.
+        self.samples = float(self.rows * 2 * self._across.sum() * (2 * self._along.sum() - self._along[0]))
 
     def smooth(self, sums: F32, half: F32, out: F32) -> None:
         """Add up the blocks' sums over the window at every node.

@@ -10,9 +10,11 @@ stays: only a model with B_i knows.
 
 Everything is fitted by linear least squares to the samples of `color_balance.py`, whose phase is the arctangent's,
 equalised. With the phase given, s t_i is linear in the template's numbers; s itself is what the channels' mean tells.
-With the template, A_i and B_i are a straight line through channel against s t_i, over the balance window. What share of
-the mean background is ambient light, the frame tells: its modulation is proportional to what the projector sends, its
-background is not, so a straight line of one over the other crosses zero where only ambient light is left.
+With the template, A_i and B_i are a straight line through channel against s t_i, over the balance window. Where the
+window is cut off, at the edge of a surface or of the image, part of the fringe passes it, and the line is bent with it:
+there the nodes around, whose windows are whole, say what A_i and B_i are. What share of the mean background is ambient
+light, the frame tells: its modulation is proportional to what the projector sends, its background is not, so a straight
+line of one over the other crosses zero where only ambient light is left.
 
 The fit that takes phases from a frame's own intensities and intensities from phases, in turns, is that of Z. Wang and
 B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shifted interferograms, Optics Letters 29,
@@ -37,11 +39,11 @@ from tikernels.strips import strip_at, strip_count
 
 # Places of a symmetric matrix' upper triangle, row by row.
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
-_CORNERS = len(_UPPER)
+_CORNERS, _HALF = len(_UPPER), len(_UPPER) // 2
 # Samples that one thread adds up.
 _SAMPLES_A_THREAD = 64
-# Every second row of samples tells the template.
-_EVERY = 2
+# Every fourth row of samples tells the template.
+_EVERY = 4
 # What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
 _PRIOR_SAMPLES = 30
 # Ambient light is at most this share of a surface's; more, and it is the contrast that is read wrongly.
@@ -52,6 +54,11 @@ _MIN_VARIATION = 0.03
 _RIDGE = 1e-3
 # Per-channel corrections beyond a factor of two are a fit gone wrong, at a speck of a few samples.
 _MIN_FACTOR, _MAX_FACTOR = 0.5, 2.0
+# A node speaks for itself as far as less than this share of its window is empty: a window that ends 2.5 of its standard
+# deviations away is that empty, and passes 0.003 of the fringe; one that ends in its middle passes 0.15.
+_EMPTY = 0.006
+# Numbers of a node that its neighbours may take over: A, B, and the weight that they have.
+_SHARED = 7
 
 
 class LineSum(IntEnum):
@@ -86,6 +93,9 @@ class ChannelModel:
         self._sums = runtime.empty((*blocks, _LINE_SUMS), np.float32)
         self._half = runtime.empty((*grid, _LINE_SUMS), np.float32)
         self._smooth = runtime.empty((*grid, _LINE_SUMS), np.float32)
+        self._shared = runtime.empty((*blocks, _SHARED), np.float32)
+        self._half_around = runtime.empty((*grid, _SHARED), np.float32)
+        self._around = runtime.empty((*grid, _SHARED), np.float32)
         #: (Hg, Wg, 6) A and B of the channels that the gains belong to, in levels where s is in levels.
         self.nodes = runtime.empty((*grid, 6), np.float32)
         #: (3, terms) t_i: 1, cosines, sines.
@@ -140,7 +150,9 @@ class ChannelModel:
         self.mismatch = template_mismatch(self.template, weights)
         sum_model_kernel(*samples, self.template, gains.smooth, gains.window.rows, share, self._sums)
         gains.window.smooth(self._sums, self._half, self._smooth)
-        fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, share, self.nodes)
+        fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, share, gains.window.samples, self._shared)
+        gains.window.smooth(self._shared, self._half_around, self._around)
+        settle_nodes_kernel(self._shared, self._around, self.nodes)
 
     def _recover_samples(self, crosstalk: Crosstalk, levels: FrameLevels) -> float:
         """Balance the samples, find their bare phase, and return which share of the background is ambient light."""
@@ -218,7 +230,9 @@ def sum_template_kernel(
         row, first, count = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
         y = row * _EVERY
         # The upper triangle of the symmetric equations, row by row, and the right sides.
-        gram, right = ti.Vector.zero(f32, _CORNERS), ti.Matrix.zero(f32, TERMS, 3)
+        # Taichi compiles vectors of up to 32 numbers well.
+        upper, lower = ti.Vector.zero(f32, _HALF), ti.Vector.zero(f32, _CORNERS - _HALF)
+        right = ti.Matrix.zero(f32, TERMS, 3)
         background_weights = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
         for j in range(first, first + count):
             if has_phase(phases[y, j]):
@@ -228,11 +242,15 @@ def sum_template_kernel(
                 # Each sample with its own brightness: bright ones count more, as they are more certain. The background
                 # tells it whatever the phase, apart from what is known of the response and lateral colour.
                 waves *= light.dot(background_weights) / cycle_at(known, waves).dot(background_weights)
-                for place in ti.static(range(_CORNERS)):
-                    gram[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
+                for place in ti.static(range(_HALF)):
+                    upper[place] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
+                for place in ti.static(range(_HALF, _CORNERS)):
+                    lower[place - _HALF] += waves[_UPPER[place][0]] * waves[_UPPER[place][1]]
                 right += waves.outer_product(light)
-        for place in ti.static(range(_CORNERS)):
-            out_normal[strip, place] = gram[place]
+        for place in ti.static(range(_HALF)):
+            out_normal[strip, place] = upper[place]
+        for place in ti.static(range(_HALF, _CORNERS)):
+            out_normal[strip, place] = lower[place - _HALF]
         for a in ti.static(range(TERMS)):
             for k in ti.static(range(3)):
                 out_normal[strip, _CORNERS + 3 * a + k] = right[a, k]
@@ -281,12 +299,15 @@ def fit_nodes_kernel(
     smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     gains: F32Array3,  # (Hg, Wg, 3)
     share: f32,
-    out_nodes: F32Array3,  # (Hg, Wg, 6) A and B
+    whole: f32,  # samples in a window that nothing cuts off
+    out_shared: F32Array3,  # (Hb, Wb, 7) at the two blocks around a node: A and B times their weight, and that
 ):
     """Draw a straight line through what each channel is over what it should be, around every node."""
     for node in range(sums.shape[0] * sums.shape[1]):
         i, j = node // sums.shape[1], node % sums.shape[1]
         ambient = ambient_at(smooth, 1, share, i, j)
+        empty = ti.max(1.0 - sums[i, j, LineSum.COUNT] / whole, 0.0)
+        weight = _EMPTY * _EMPTY / (_EMPTY * _EMPTY + empty * empty)
         for k in ti.static(range(3)):
             model, square = sums[i, j, LineSum.MODEL + k], sums[i, j, LineSum.SQUARE + k]
             count = sums[i, j, LineSum.COUNT] * (1.0 + _RIDGE)
@@ -297,5 +318,22 @@ def fit_nodes_kernel(
             if count > 1e-3 and determinant > 1e-3 * count * square:
                 factor = ti.min(ti.max((count * product - model * seen) / determinant, _MIN_FACTOR), _MAX_FACTOR)
                 left = (seen - factor * model) / count
-            out_nodes[i, j, k] = factor / gains[i, j, k]
-            out_nodes[i, j, 3 + k] = left / gains[i, j, k]
+            for block in range(2 * i, ti.min(2 * i + 2, out_shared.shape[0])):
+                out_shared[block, j, k] = weight * factor / gains[i, j, k]
+                out_shared[block, j, 3 + k] = weight * left / gains[i, j, k]
+                out_shared[block, j, _SHARED - 1] = weight
+
+
+@ti.kernel
+def settle_nodes_kernel(
+    shared: F32Array3,  # (Hb, Wb, 7) see `fit_nodes_kernel`
+    around: F32Array3,  # (Hg, Wg, 7) the same, over the window
+    out_nodes: F32Array3,  # (Hg, Wg, 6) A and B
+):
+    """Take the nodes whose windows are whole as they are, and the others as those around them are."""
+    for node in range(out_nodes.shape[0] * out_nodes.shape[1]):
+        i, j = node // out_nodes.shape[1], node % out_nodes.shape[1]
+        weight, total = shared[2 * i, j, _SHARED - 1], around[i, j, _SHARED - 1]
+        for k in ti.static(range(6)):
+            own, theirs = shared[2 * i, j, k] / ti.max(weight, 1e-9), around[i, j, k] / ti.max(total, 1e-9)
+            out_nodes[i, j, k] = theirs + weight * (own - theirs)

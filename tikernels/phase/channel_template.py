@@ -3,42 +3,37 @@
     t_i(phi) = 1 + sum over n of c_in cos(n phi) + s_in sin(n phi)
 
 has projector response, crosstalk and lateral colour in it. `channel_model.py` reads it off the frame; here stand what
-is known of it beforehand, and the mathematics of a pixel. Its rows are 1, c_i1, c_i2, s_i1, s_i2.
+is known of it beforehand, and the mathematics of a pixel. Its rows are 1, c_i1 to c_i4, s_i1 to s_i4.
+
+Four harmonics, although a response of gamma 2 makes two: a sample is divided by its own brightness, which has the
+response's third harmonic r in it, common to channels a third of a cycle apart. So cos(phi) becomes
+cos(phi) (1 - r cos 3 phi), a second and a fourth harmonic of r / 2; a template without the fourth leaves a ripple of
+three times a cycle, 0.026 rad at gamma 2.3. A third of its own has only what the channels do not have in common.
 """
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels._taichi import F32Array2, Static, f32, ti, vec3
-from tikernels.phase.phase_vector import channel_delays, cosine_and_sine
+from tikernels.phase.phase_vector import cosine_and_sine
 
-#: Harmonics of a channel over one cycle: gamma 2 makes two, and a third changes nothing.
-HARMONICS = 2
+#: Harmonics of a channel over one cycle.
+HARMONICS = 4
 #: Numbers of a channel's template.
 TERMS = 1 + 2 * HARMONICS
 
 
-def known_template(
-    matrix: npt.NDArray[np.floating],
-    response: npt.NDArray[np.float64],
-    lag: npt.NDArray[np.float64] | None = None,
-) -> npt.NDArray[np.float32]:
+def known_template(matrix: npt.NDArray[np.floating], light: npt.NDArray[np.complex128]) -> npt.NDArray[np.float32]:
     """Return (3, terms) float32: one cycle of each channel of a rig that is known.
 
     Parameters
     ----------
     matrix : (3, 3)
         What takes the projector's balanced channels to the template's.
-    response : (3, N)
-        Light of N evenly spaced codes of R, G, B.
-    lag : (3,), optional
-        See `channel_delays`.
+    light : (3, N) complex128
+        Harmonics from the zeroth on of the projector's light; see `projector_response.light_spectrum`.
     """
-    codes = 0.5 + 0.5 * np.cos(np.linspace(0, 2 * np.pi, 1024, endpoint=False))
-    light = np.stack([np.interp(codes, np.linspace(0, 1, response.shape[1]), row) for row in response])
-    n = np.arange(1, HARMONICS + 1)
-    spectrum = np.fft.rfft(light, axis=1).real
-    waves = 2 * spectrum[:, 1 : HARMONICS + 1] / spectrum[:, :1] * np.exp(1j * n * channel_delays(lag)[:, None])
+    waves = 2 * light[:, 1 : HARMONICS + 1] / light[:, :1].real
     mixed = matrix @ np.concatenate([np.ones((3, 1)), waves.real, -waves.imag], axis=1)
     return np.asarray(mixed / mixed[:, :1], np.float32)
 

@@ -8,6 +8,8 @@ The assumption fails where few cycles are in view. But a response is the same ev
 often is not: histograms of tiles of the image tell the two apart, harmonic by harmonic.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -28,53 +30,90 @@ _ROUNDING = 1e-3
 _MIN_COUNTS_A_BIN = 4
 
 
-def correction_table(
+class MeasuredCorrection(NamedTuple):
+    """What the distribution of a frame's phases says is to be added to them."""
+
+    spectrum: npt.NDArray[np.complex128]
+    """(bins / 2 + 1,) of the correction at the bins' lower edges, rad."""
+    variance: npt.NDArray[np.float64]
+    """(bins / 2 + 1,) of each harmonic; infinite where nothing is known."""
+    counts: npt.NDArray[np.float64]
+    """(bins,) how often a phase fell into each bin."""
+
+    def beyond(self, expected: npt.NDArray[np.complex128] | float) -> npt.NDArray[np.complex128]:
+        """Return what the spectrum has beyond an expected one, each harmonic weighed by its certainty (Wiener)."""
+        rest = self.spectrum - expected
+        power = np.maximum(np.abs(rest) ** 2, 1e-20)
+        return np.asarray(rest * np.maximum(1 - self.variance / power, 0))
+
+    def table(self, spectrum: npt.NDArray[np.complex128]) -> npt.NDArray[np.float32]:
+        """Return (bins + 1,) float32: the correction with this spectrum, its mean over all counted phases zero, rad."""
+        bins = len(self.counts)
+        correction = np.zeros(bins + 1)
+        correction[:-1] = np.fft.irfft(spectrum, bins)
+        correction[-1] = correction[0]
+        mean = self.counts @ (correction[1:] + correction[:-1]) / (2 * max(self.counts.sum(), 1))
+        return np.asarray(correction - mean, np.float32)
+
+
+def measure_correction(
     histogram: npt.NDArray[np.float64 | np.int64], harmonics: int | None = None
-) -> npt.NDArray[np.float32]:
-    """Return what to add to a phase, at the edges of the histogram's bins.
+) -> MeasuredCorrection:
+    """Measure what is to be added to phases so that all are equally frequent.
 
     Parameters
     ----------
     histogram : (bins,) or (tiles, bins) numbers
-        How often the wrapped phase fell into each bin of [-pi, pi], in the whole image or in each of its tiles. A
-        harmonic in which the tiles differ counts less: by the variance of its mean over its square, as Wiener's filter
-        has it.
+        How often the wrapped phase fell into each bin of [-pi, pi], in the whole image or in each of its tiles, whose
+        scatter tells the variance.
     harmonics : int, optional
-        Keep the correction's harmonics up to this one. A fringe of P pixels that runs along the pixel rows shows only P
+        Nothing is known of harmonics beyond this one. A fringe of P pixels that runs along the pixel rows shows only P
         phases, which look like a distortion of harmonic P: keep it below P.
+    """
+    tiles = np.atleast_2d(histogram).astype(np.float64)
+    counts = tiles.sum(axis=0)
+    bins, total = len(counts), counts.sum()
+    if total < _MIN_COUNTS_A_BIN * bins:
+        nothing = np.zeros(bins // 2 + 1)
+        return MeasuredCorrection(nothing.astype(np.complex128), np.full(len(nothing), np.inf), counts)
+    edges = np.linspace(-np.pi, np.pi, bins, endpoint=False)
+    correction = 2 * np.pi * np.concatenate([[0.0], np.cumsum(counts)[:-1]]) / total - np.pi - edges
+    spectrum = np.fft.rfft(correction)
+    variance = np.abs(spectrum) ** 2 * _scatter(tiles)
+    if harmonics is not None:
+        variance[harmonics + 1 :] = np.inf
+    return MeasuredCorrection(spectrum, variance, counts)
+
+
+def correction_table(
+    histogram: npt.NDArray[np.float64 | np.int64], harmonics: int | None = None
+) -> npt.NDArray[np.float32]:
+    """Return what to add to a phase, at the edges of the histogram's bins, where only the histogram tells.
+
+    Parameters
+    ----------
+    histogram, harmonics
+        See `measure_correction`.
 
     Returns
     -------
     (bins + 1,) float32
         rad; zero where there are too few counts.
     """
-    tiles = np.atleast_2d(histogram).astype(np.float64)
-    counts = tiles.sum(axis=0)
-    bins, total = len(counts), counts.sum()
-    if total < _MIN_COUNTS_A_BIN * bins:
-        return np.zeros(bins + 1, np.float32)
-    edges = np.linspace(-np.pi, np.pi, bins + 1)
-    correction = 2 * np.pi * np.concatenate([[0.0], np.cumsum(counts)]) / total - np.pi - edges
-    spectrum = np.fft.rfft(correction[:-1])
-    spectrum[1:] *= _certainty(tiles)[1:]
-    if harmonics is not None:
-        spectrum[harmonics + 1 :] = 0
-    correction[:-1] = np.fft.irfft(spectrum, bins)
-    correction[-1] = correction[0]
-    mean = counts @ (correction[1:] + correction[:-1]) / (2 * total)
-    return np.asarray(correction - mean, np.float32)
+    measured = measure_correction(histogram, harmonics)
+    return measured.table(measured.beyond(0.0))
 
 
-def _certainty(tiles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return by harmonic which share of it all (tiles, bins) have in common; 1 where there is only one."""
+def _scatter(tiles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return by harmonic the variance of the mean of all (tiles, bins) over its square; 0 where there is only one."""
     totals = tiles.sum(axis=1)
     spectra, seen = np.fft.rfft(tiles[totals > 0], axis=1), totals[totals > 0]
     if len(seen) < 2:
-        return np.ones(spectra.shape[1])
+        return np.zeros(spectra.shape[1])
     mean = spectra.sum(axis=0) / seen.sum()
     deviations = np.abs(spectra - seen[:, None] * mean) ** 2
     variance = deviations.sum(axis=0) / seen.sum() ** 2 * len(seen) / (len(seen) - 1)
-    return np.asarray(np.maximum(1 - variance / np.maximum(np.abs(mean) ** 2, 1e-20), 0))
+    return np.asarray(variance / np.maximum(np.abs(mean) ** 2, 1e-20))
 
 
 def modulation_tables(table: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

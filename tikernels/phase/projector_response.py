@@ -4,27 +4,36 @@ Through a response the sinusoids are no longer sinusoids, and the arctangent's p
 function of the cycle alone: `response_map` computes it, its inverse undoes it. Gamma 2 makes 0.23 rad
 of it, three times a cycle (S. Zhang and S.-T. Yau, Generic nonsinusoidal phase error correction for three-dimensional
 shape measurement using a digital video projector, Applied Optics 46, 2007, doi:10.1364/AO.46.000036).
+
+A response is measured on plain fields. Lenses, pixels and focus blur the fringe after it: a Gaussian one multiplies
+harmonic n by q^(n^2), so that less of the harmonics is left than the response alone would make. `ResponsePrior` knows
+what is to be expected for every q; how much it is, and what is left beyond, the frame says.
 """
 
 import numpy as np
 import numpy.typing as npt
 
-from tikernels.phase.equalization import BINS
+from tikernels.phase.channel_template import known_template
+from tikernels.phase.equalization import BINS, MeasuredCorrection
 from tikernels.phase.phase_vector import channel_delays, channel_waves
 
 _TURNS = 2 * np.pi * np.array([[-1], [0], [1]])
+# Points of a cycle that light is computed for, and harmonics of it that are not negligible.
+_POINTS, _HARMONICS = 4096, 64
+# Blurs that are tried, as -ln q; at the last one the third harmonic of gamma 2 is a fifth of its own.
+_BLURS = np.linspace(0.0, 0.6, 31)
+# Lens, pixels and focus together are usually a Gaussian of this deviation, px, give or take as much in its square.
+_USUAL_BLUR_PX = 0.7
+# How far a harmonic of the correction may be from what response and blur make it: rad, and as a fraction.
+_WIDTH, _FRACTION = 0.01, 0.1
+# Harmonics from which the blur is told.
+_TELLING = 12
 
 
-def pattern_light(response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the (3,) mean light of the sinusoids when their codes go through this response, (3, N)."""
-    codes = 0.5 + 0.5 * np.cos(np.linspace(-np.pi, np.pi, 4096, endpoint=False))
-    return np.array([np.interp(codes, np.linspace(0, 1, response.shape[1]), row).mean() for row in response])
-
-
-def response_map(
-    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return phases all around the cycle, and what the arctangent makes of them with this response of the projector.
+def light_spectrum(
+    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, modulation: float = 0.5
+) -> npt.NDArray[np.complex128]:
+    """Return the harmonics of what the projector sends through a response, (3, 65) complex128, from the zeroth on.
 
     Parameters
     ----------
@@ -32,50 +41,120 @@ def response_map(
         Light of N evenly spaced codes of R, G, B.
     lag : (3,), optional
         How far the fringe of R, G, B lags behind its place, rad; see `channel_delays`.
+    modulation : float
+        The pattern's, as a fraction of full scale.
+    """
+    codes = 0.5 + modulation * np.cos(np.linspace(0, 2 * np.pi, _POINTS, endpoint=False))
+    light = np.stack([np.interp(codes, np.linspace(0, 1, len(row)), row) for row in response])
+    n = np.arange(_HARMONICS + 1)
+    return np.asarray(np.fft.rfft(light, axis=1)[:, n].real / _POINTS * np.exp(1j * n * channel_delays(lag)[:, None]))
+
+
+def blurred(spectrum: npt.NDArray[np.complex128], blur: float) -> npt.NDArray[np.complex128]:
+    """Return a spectrum after a Gaussian blur that leaves exp(-blur) of the first harmonic."""
+    return np.asarray(spectrum * np.exp(-blur * np.arange(spectrum.shape[-1]) ** 2))
+
+
+def response_map(
+    spectrum: npt.NDArray[np.complex128], lag: npt.NDArray[np.float64] | None = None
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return phases all around the cycle, and what the arctangent makes of them with this light of the projector.
+
+    Parameters
+    ----------
+    spectrum : (3, N) complex128
+        See `light_spectrum`.
+    lag : (3,), optional
+        See `channel_delays`.
 
     Returns
     -------
     (4097,), (4097,) float64
         rad; both rise by a whole cycle from the first to the last.
     """
-    phase = np.linspace(-np.pi, np.pi, 4097)
-    codes = 0.5 + 0.5 * np.cos(phase[:, None] + channel_delays(lag))
-    light = np.stack([np.interp(codes[:, j], np.linspace(0, 1, response.shape[1]), response[j]) for j in range(3)], 1)
-    light /= light[:-1].mean(axis=0)  # the colours are balanced
-    vector = np.linalg.inv(channel_waves(lag))[1:] @ light.T
+    phase = np.linspace(-np.pi, np.pi, _POINTS + 1)
+    full = np.zeros((3, _POINTS // 2 + 1), np.complex128)
+    full[:, : spectrum.shape[1]] = spectrum / spectrum[:, :1].real  # the colours are balanced
+    light = np.roll(np.fft.irfft(full, _POINTS, axis=1) * _POINTS, _POINTS // 2, axis=1)  # from -pi on
+    vector = np.linalg.inv(channel_waves(lag))[1:] @ np.concatenate([light, light[:, :1]], axis=1)
     bare = np.unwrap(np.arctan2(vector[1], vector[0]))
     return phase, bare - 2 * np.pi * np.round((bare - phase).mean() / (2 * np.pi))
 
 
 def response_table(
-    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, bins: int = BINS
+    spectrum: npt.NDArray[np.complex128], lag: npt.NDArray[np.float64] | None = None, bins: int = BINS
 ) -> npt.NDArray[np.float32]:
-    """Return what to add to a phase, at the edges of evenly spaced bins, to undo a known response; see `response_map`.
+    """Return what to add to a phase, at the edges of evenly spaced bins, to undo this light; see `response_map`.
 
     Returns
     -------
     (bins + 1,) float32
         rad.
     """
-    phase, bare = response_map(response, lag)
+    phase, bare = response_map(spectrum, lag)
     edges = np.linspace(-np.pi, np.pi, bins + 1)
     around = np.interp(edges, (bare[:-1] + _TURNS).ravel(), (phase[:-1] + _TURNS).ravel())
     return np.asarray(around - edges, np.float32)
 
 
-def prefers_response(
-    histogram: npt.NDArray[np.float64 | np.int64],
-    response: npt.NDArray[np.float64],
-    lag: npt.NDArray[np.float64] | None = None,
-) -> bool:
-    """Whether the phases look as if the response bent them, rather than as if it had been compensated.
+class ResponsePrior:
+    """What a known response is expected to do to the phase and to the channels, for every blur.
 
-    Surfaces show every phase equally often; with the response the density is the slope of `response_map`'s inverse. The
-    likelier of the two wins.
+    Parameters
+    ----------
+    response : (3, N)
+        Light of N evenly spaced codes of R, G, B; of a pattern in which it has been undone, that of a linear one.
+    lag : (3,), optional
+        See `channel_delays`.
+    modulation : float
+        The pattern's mean one, as a fraction of full scale.
     """
-    phase, bare = response_map(response, lag)
-    bins = len(histogram)
-    centres = -np.pi + (np.arange(bins) + 0.5) * 2 * np.pi / bins
-    middles = ((bare[1:] + bare[:-1]) / 2 + _TURNS).ravel()
-    slope = np.interp(centres, middles, np.tile(np.diff(phase) / np.diff(bare), 3))
-    return bool(histogram @ np.log(np.maximum(slope, 1e-3)) > 0)
+
+    def __init__(
+        self, response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None, modulation: float = 0.5
+    ) -> None:
+        self._light = light_spectrum(response, lag, modulation)
+        #: (3,) the mean light of R, G and B, as a fraction of full scale.
+        self.light = self._light[:, 0].real
+        tables = np.stack([response_table(blurred(self._light, blur), lag)[:-1] for blur in _BLURS])
+        self._spectra = np.fft.rfft(tables.astype(np.float64), axis=1)
+
+    def fit(self, measured: MeasuredCorrection, period_px: float) -> tuple[float, float]:
+        """Find the blur that explains a measured correction best.
+
+        Parameters
+        ----------
+        measured : MeasuredCorrection
+            Of a frame, see `equalization.measure_correction`.
+        period_px : float
+            Camera px a cycle: blur is known in px.
+
+        Returns
+        -------
+        blur : float
+            exp(-blur) is left of the first harmonic.
+        misfit : float
+            What speaks against this response, in squares of standard deviations.
+        """
+        usual = 2 * (np.pi * _USUAL_BLUR_PX / period_px) ** 2
+        told = slice(1, _TELLING + 1)
+        expected, seen = self._spectra[:, told], measured.spectrum[told]
+        deviations = np.abs(expected - seen) ** 2 / (measured.variance[told] + self._width(expected))
+        misfit = deviations.sum(axis=1) + ((_BLURS - usual) / usual) ** 2
+        best = int(misfit.argmin())
+        return float(_BLURS[best]), float(misfit[best])
+
+    def corrected(self, measured: MeasuredCorrection, blur: float) -> npt.NDArray[np.complex128]:
+        """Return the spectrum of the correction: the expected one, and of the rest what the frame is sure of."""
+        expected = self._spectra[int(np.abs(_BLURS - blur).argmin())]
+        rest = measured.beyond(expected)
+        return np.asarray(expected + self._width(expected) / (self._width(expected) + measured.variance) * rest)
+
+    def template(self, matrix: npt.NDArray[np.floating], blur: float) -> npt.NDArray[np.float32]:
+        """Return one cycle of the channels that this matrix makes of the light; see `known_template`."""
+        return known_template(matrix, blurred(self._light, blur))
+
+    @staticmethod
+    def _width(expected: npt.NDArray[np.complex128]) -> npt.NDArray[np.float64]:
+        """Return the variance of the expected spectrum, in its own units: those of BINS samples of rad."""
+        return np.asarray((0.5 * BINS * _WIDTH) ** 2 + (_FRACTION * np.abs(expected)) ** 2)

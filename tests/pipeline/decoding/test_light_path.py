@@ -49,7 +49,7 @@ def test_nothing_known_asks_one_frame():
     assert path.constant_known
     assert path.constant_sigma == 0.01
     np.testing.assert_allclose(path.crosstalk.matrix, NORMAL, atol=1e-6)
-    np.testing.assert_array_equal(path.correction(UNIFORM, 12.0), TOLD.correction)
+    np.testing.assert_array_equal(path.cycle(UNIFORM, 12.0)[0], TOLD.correction)
 
 
 @pytest.mark.parametrize("light", [None, replace(TOLD, reliable=False)])
@@ -68,9 +68,9 @@ def test_narrow_bands_ask_no_frame():
 
 def test_uniform_phases_need_no_correction():
     path = LightPath(DecodeSettings(crosstalk_matrix=np.eye(3)), None)
-    assert np.abs(path.correction(UNIFORM, 12.0)).max() < 1e-3
+    assert np.abs(path.cycle(UNIFORM, 12.0)[0]).max() < 1e-3
     off = LightPath(DecodeSettings(crosstalk_matrix=np.eye(3), equalize=False), None)
-    assert not off.correction(UNIFORM + np.arange(256), 12.0).any()
+    assert not off.cycle(UNIFORM + np.arange(256), 12.0)[0].any()
 
 
 def test_the_code_is_the_patterns():

@@ -15,6 +15,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_fit import count_phases
+from tikernels.phase.projector_response import light_spectrum
 from tikernels.phase.wrapped_phase import NO_PHASE
 
 MATRIX = np.array(TYPICAL_CROSSTALK)
@@ -51,10 +52,31 @@ def test_the_template_is_read_off_the_frame(arch, gamma, ambient):
     model, _ = fitted(frame(gamma, ambient))
     waves = model.template[:, 1 : 1 + HARMONICS] - 1j * model.template[:, 1 + HARMONICS :]
     response = np.tile(np.linspace(0, 1, 4096) ** gamma, (3, 1))
-    known = known_template(MATRIX, response)
+    known = known_template(MATRIX, light_spectrum(response))
     expected = known[:, 1 : 1 + HARMONICS] - 1j * known[:, 1 + HARMONICS :]
     assert np.abs(waves - expected).max() < 0.03
     assert model.mismatch < 0.03
+
+
+def test_a_fourth_harmonic_is_read_off_a_response_that_has_a_third(cpu):
+    """At gamma 2.3 the brightness that samples are divided by has a third harmonic, which makes the fourth."""
+    model, _ = fitted(frame(2.3, 0.0))
+    phase = np.linspace(0, 2 * np.pi, 1024, endpoint=False)
+    light = MATRIX @ (0.5 + 0.5 * np.cos(phase + DELAYS[:, None])) ** 2.3
+    light /= (np.linalg.inv(MATRIX) @ light).mean(axis=0)
+    waves = 2 * np.fft.rfft(light / light.mean(axis=1, keepdims=True), axis=1)[:, 4] / 1024
+    found = model.template[:, 4] - 1j * model.template[:, 4 + HARMONICS]
+    assert np.abs(waves).min() > 0.01
+    assert np.abs(found - waves).max() < 0.003
+
+
+def test_a_window_that_is_cut_off_is_no_worse(cpu):
+    """At the first and the last rows half of the window is empty, and 0.15 of the fringe passes it."""
+    model, _ = fitted(frame(2.0, 0.0))
+    colors = runtime.to_host(model.nodes)[..., :3]
+    colors = colors / colors.mean(axis=-1, keepdims=True)
+    edges = colors[[0, -1], 6:-6]
+    np.testing.assert_allclose(edges, np.broadcast_to(COLOR / COLOR.mean(), edges.shape), rtol=0.015)
 
 
 def test_nodes_are_colour_and_ambient_light(arch):

@@ -17,6 +17,7 @@ from tikernels.phase.channel_template import (
     waves_of,
 )
 from tikernels.phase.phase_vector import phase_weights
+from tikernels.phase.projector_response import light_spectrum
 
 MATRIX = np.array(TYPICAL_CROSSTALK)
 DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
@@ -63,15 +64,15 @@ def test_nothing_known_is_flat():
 def test_the_template_of_a_known_rig():
     """Gamma 2 has a first harmonic of 4/3 and a second one of 1/3 of the mean; crosstalk mixes the channels."""
     response = np.tile(np.linspace(0, 1, 4096) ** 2, (3, 1))
-    template = known_template(np.eye(3), response)
+    template = known_template(np.eye(3), light_spectrum(response))
     waves = template[:, 1 : 1 + HARMONICS] - 1j * template[:, 1 + HARMONICS :]
     np.testing.assert_allclose(waves[:, 0], 4 / 3 * np.exp(1j * DELAYS), atol=1e-4)
     np.testing.assert_allclose(waves[:, 1], 1 / 3 * np.exp(2j * DELAYS), atol=1e-4)
-    mixed = known_template(MATRIX, response)
+    mixed = known_template(MATRIX, light_spectrum(response))
     expected = (MATRIX / MATRIX.sum(axis=1, keepdims=True)) @ waves
     np.testing.assert_allclose(mixed[:, 1 : 1 + HARMONICS], expected.real, atol=1e-4)
     lag = np.array([0.2, 0.0, -0.1])
-    lagging = known_template(np.eye(3), response, lag)
+    lagging = known_template(np.eye(3), light_spectrum(response, lag))
     waves = lagging[:, 1] - 1j * lagging[:, 1 + HARMONICS]
     np.testing.assert_allclose(np.angle(waves * np.exp(-1j * (DELAYS - lag))), 0, atol=1e-6)
 
