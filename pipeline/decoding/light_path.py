@@ -128,7 +128,8 @@ class LightPath:
             return measured.table(measured.beyond(0.0)), flat_template()
         fits = [prior.fit(measured, period_px) for prior in self._priors]
         likeliest = int(np.argmin([misfit for _, misfit in fits]))
-        prior, blur = self._priors[likeliest], fits[likeliest][0]
+        # Without the frame's word the response is taken as it is.
+        prior, blur = self._priors[likeliest], fits[likeliest][0] if self._equalize else 0.0
         matrix = self.crosstalk.matrix if self._balance_first else np.eye(3)
         return measured.table(prior.corrected(measured, blur)), prior.template(matrix, blur)
 
