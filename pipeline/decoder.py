@@ -182,6 +182,7 @@ class Decoder:
         model.fit(crosstalk, levels, correction, cycle)
         fit = (work.raw_phase, phases.modulation, phases.precision)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
+        error = work.model_error.measure(image, work.raw_phase, model, crosstalk, levels, path.contrast_doubt)
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         smooth_phase(work.raw_phase, phases.precision, rates, self._setup.smoothing_pairs, out=phases.phase)
@@ -202,6 +203,8 @@ class Decoder:
         return Measured(
             phases,
             surface,
+            model_error=error,
+            node_spacing_px=gains.spacing_px,
             phase_counts=counts,
             orders=orders,
             constant_known=path.constant_known,

@@ -119,6 +119,8 @@ class Measured:
     surface: SurfaceBuffers
     order_doubt: str | None = None  # what the user should know of the orders, or why there are none
     light_doubts: tuple[str, ...] = ()  # and of the light
+    model_error: F32 | None = None  # (Hg, Wg) rad^2, by node: the variance that the channels' model leaves
+    node_spacing_px: int = 1
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
     constant_known: bool = False
@@ -216,9 +218,9 @@ class DecodedFrame:
     def phase_sigma(self) -> Floats:
         """One standard deviation of `wrapped_phase`; NaN outside the mask.
 
-        The camera's noise through the chain, scaled to what neighbouring rows really differ by, which also sees the
-        ripple that balance and crosstalk leave; what is the same over a whole cycle and more, as near an edge, is not
-        in it.
+        The camera's noise through the chain, and what the model of the light is wrong by around a place, as for a
+        surface of another colour than most; scaled to what neighbouring rows really differ by. What is the same over a
+        whole cycle and more is not in it.
         """
         return self._read(self._phase_sigma)
 
@@ -276,9 +278,12 @@ class DecodedFrame:
     def _phase_sigma(self) -> F32:
         """`phase_sigma` on the device, stripes along the rows."""
         measured, pairs = self._measured, self._setup.smoothing_pairs
-        known = (measured.surface.unwrapped, measured.phases.precision, measured.surface.mask)
         with runtime.lock:
-            return estimate_phase_sigma(*known, pairs, self.period_px or 1.0)
+            if measured.model_error is None:
+                return runtime.to_device(np.full(measured.surface.mask.shape, np.nan, np.float32))
+            known = (measured.surface.unwrapped, measured.phases.precision)
+            error = (measured.model_error, measured.node_spacing_px)
+            return estimate_phase_sigma(*known, *error, measured.surface.mask, pairs, self.period_px or 1.0)
 
     @property
     def memory(self) -> FrameMemory:

@@ -118,7 +118,10 @@ def model_at(phase: f32, color: vec3, ambient: vec3, harmonics: Static, matrix: 
 
 @ti.func
 def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
-    """Return the phase's step, rad, and one over its variance; see the module. All channels in units of their noise."""
+    """Return the phase's step, rad, one over its variance, and the misfit: see the module.
+
+    All channels are in units of their noise. The misfit is the square of what is left, over its variance.
+    """
     inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
     brightness = ti.max(light.dot(model) * inverse_square, 1e-6)
     of_phase = change - change.dot(model) * inverse_square * model
@@ -133,7 +136,7 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
     residual = light.dot(model.cross(of_phase))
     misfit = residual * residual * inverse_square * curvature * brightness * reciprocal
     precision = brightness * brightness * brightness * curvature * curvature * square * reciprocal
-    return step, precision / ti.max(1.0, misfit / _MAX_MISFIT)
+    return step, precision, misfit
 
 
 @cache
@@ -203,10 +206,10 @@ def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
                         )
                         weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
                         light = weight * (seen - rest)
-                        step, precise = fitted_step(
+                        step, precise, misfit = fitted_step(
                             light, weight * model, weight * change, weight * swing, contrast_doubt
                         )
-                        precision[k] = precise
+                        precision[k] = precise / ti.max(1.0, misfit / _MAX_MISFIT)
                         valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
                         value = start_phase[k] + ti.min(ti.max(step, -_MAX_STEP), _MAX_STEP)
                         phase[k] = ti.select(valid, value, NO_PHASE)

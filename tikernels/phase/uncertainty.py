@@ -1,10 +1,11 @@
 """How sure the phase of each pixel is: what the fit says, checked against what rows really differ by.
 
-    sigma^2 = scatter^2 (averaged + model) / precision + edge^2 empty
+    sigma^2 = scatter^2 ((averaged + model) / precision + error) + edge^2 empty
 
 One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. Smoothing over n pixels leaves
 averaged = 1 / n of it, but only where all the neighbours are there, and never the channels' model's own error, which
-they share. Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the
+they share. What that model is wrong by around a place, error, the misfit of the fit tells (`model_error.py`); smoothing
+leaves it, too. Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the
 scatter: third differences over four rows a quarter of a cycle apart, which leave a surface's bend out, in units of what
 the law of propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). Their median tells it,
 whatever they are at edges. Near an edge of the mask part of the balance window is empty.
@@ -41,10 +42,12 @@ _GRID = 2
 
 
 @ti.func
-def smoothed_variance(precision: F32Array2, neighbours: U8Array2, averaged: f32, y: i32, x: i32) -> f32:
+def smoothed_variance(
+    precision: F32Array2, error: F32Array2, neighbours: U8Array2, averaged: f32, y: i32, x: i32
+) -> f32:
     """Variance of a pixel's phase after smoothing, rad^2; NaN off the mask."""
     share = ti.select(neighbours[y, x] == WHOLE, averaged, 1.0) + _MODEL_ERROR
-    variance = share / ti.max(precision[y, x], _LEAST_PRECISION)
+    variance = share / ti.max(precision[y, x], _LEAST_PRECISION) + error[y, x]
     return ti.select(neighbours[y, x] == OFF, ti.math.nan, variance)
 
 
@@ -52,6 +55,7 @@ def smoothed_variance(precision: F32Array2, neighbours: U8Array2, averaged: f32,
 def compare_rows_kernel(
     phase: F32Array2,  # (H, W) rad, unwrapped
     precision: F32Array2,  # (H, W) 1 / rad^2
+    error: F32Array2,  # (H, W) rad^2, the model's
     neighbours: U8Array2,  # (H, W)
     averaged: f32,  # what smoothing leaves of the variance
     step: i32,  # px between the rows that are compared
@@ -66,13 +70,14 @@ def compare_rows_kernel(
         for k in ti.static(range(4)):
             weight = ti.static((1.0, -3.0, 3.0, -1.0)[k])
             difference += weight * phase[y + k * step, x]
-            variance += weight * weight * smoothed_variance(precision, neighbours, averaged, y + k * step, x)
+            variance += weight * weight * smoothed_variance(precision, error, neighbours, averaged, y + k * step, x)
         out[y, sample % columns] = ti.abs(difference) / ti.sqrt(variance)
 
 
 @ti.kernel
 def phase_sigma_kernel(
     precision: F32Array2,  # (H, W) 1 / rad^2
+    error: F32Array2,  # (H, W) rad^2, the model's
     neighbours: U8Array2,  # (H, W)
     empty: F32Array2,  # (H, W) the part of the model's window that is off the mask
     averaged: f32,  # what smoothing leaves of the variance
@@ -84,12 +89,12 @@ def phase_sigma_kernel(
     for t in range(height * strip_count(width, STRIP)):
         y, first, count = strip_at(t, width, STRIP)
         for x in range(first, first + count):
-            variance = scatter * scatter * smoothed_variance(precision, neighbours, averaged, y, x)
+            variance = scatter * scatter * smoothed_variance(precision, error, neighbours, averaged, y, x)
             out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
 
 
 def phase_sigma(
-    precision: F32, neighbours: U8, empty: F32, averaged: float, scatter: float, out: F32 | None = None
+    precision: F32, error: F32, neighbours: U8, empty: F32, averaged: float, scatter: float, out: F32 | None = None
 ) -> F32:
     """Return the standard deviation of the smoothed phase.
 
@@ -97,6 +102,8 @@ def phase_sigma(
     ----------
     precision : (H, W) float32
         1 / rad^2, one over the variance that the fit found.
+    error : (H, W) float32
+        rad^2, the variance that the channels' model leaves.
     neighbours : (H, W) uint8
         OFF, PARTLY or WHOLE.
     empty : (H, W) float32
@@ -120,15 +127,23 @@ def phase_sigma(
     """
     precision = checks.read_array("precision", precision, (None, None), np.float32)
     shape = (int(precision.shape[0]), int(precision.shape[1]))
+    error = checks.read_array("error", error, shape, np.float32)
     neighbours = checks.read_array("neighbours", neighbours, shape, np.uint8)
     empty = checks.read_array("empty", empty, shape, np.float32)
     out = checks.out_buffer("out", out, shape, np.float32)
-    phase_sigma_kernel(precision, neighbours, empty, averaged, scatter, out)
+    phase_sigma_kernel(precision, error, neighbours, empty, averaged, scatter, out)
     return out
 
 
 def compare_rows(
-    phase: F32, precision: F32, neighbours: U8, averaged: float, step: int, every: int, out: F32 | None = None
+    phase: F32,
+    precision: F32,
+    error: F32,
+    neighbours: U8,
+    averaged: float,
+    step: int,
+    every: int,
+    out: F32 | None = None,
 ) -> F32:
     """Return how far rows differ, in units of what the noise makes them: third differences, as surfaces bend.
 
@@ -138,6 +153,8 @@ def compare_rows(
         rad, unwrapped; NaN off the mask.
     precision : (H, W) float32
         1 / rad^2.
+    error : (H, W) float32
+        rad^2, the variance that the channels' model leaves.
     neighbours : (H, W) uint8
         OFF, PARTLY or WHOLE.
     averaged : float
@@ -160,15 +177,18 @@ def compare_rows(
     phase = checks.read_array("phase", phase, (None, None), np.float32)
     height, width = int(phase.shape[0]), int(phase.shape[1])
     precision = checks.read_array("precision", precision, (height, width), np.float32)
+    error = checks.read_array("error", error, (height, width), np.float32)
     neighbours = checks.read_array("neighbours", neighbours, (height, width), np.uint8)
     if height <= 3 * step:
         raise ShapeError(f"phase has {height} rows: four rows {step} px apart need {3 * step + 1}")
     out = checks.out_buffer("out", out, (height - 3 * step, -(-width // every)), np.float32)
-    compare_rows_kernel(phase, precision, neighbours, averaged, step, every, out)
+    compare_rows_kernel(phase, precision, error, neighbours, averaged, step, every, out)
     return out
 
 
-def estimate_phase_sigma(unwrapped: F32, precision: F32, mask: Mask, pairs: int, period_px: float) -> F32:
+def estimate_phase_sigma(
+    unwrapped: F32, precision: F32, error: F32, spacing_px: int, mask: Mask, pairs: int, period_px: float
+) -> F32:
     """Estimate every pixel's standard deviation, stripes along the rows.
 
     Parameters
@@ -177,6 +197,10 @@ def estimate_phase_sigma(unwrapped: F32, precision: F32, mask: Mask, pairs: int,
         rad; NaN off the mask.
     precision : (H, W) float32
         1 / rad^2, what the fit says of the phase before smoothing.
+    error : (Hg, Wg) float32
+        rad^2, what `ModelError` found, by node.
+    spacing_px : int
+        px between two nodes.
     mask : (H, W) bool or uint8
         Valid pixels.
     pairs : int
@@ -197,8 +221,16 @@ def estimate_phase_sigma(unwrapped: F32, precision: F32, mask: Mask, pairs: int,
     inside = runtime.to_host(checks.read_mask("mask", mask, tuple(unwrapped.shape)))  # synchronises
     neighbours = _neighbours(inside, pairs)
     averaged = 1 / (2 * pairs + 1)
-    scatter = _scatter(unwrapped, precision, neighbours, averaged, period_px)
-    return phase_sigma(precision, neighbours, _empty_share(inside, period_px), averaged, scatter)
+    everywhere = _between_nodes(runtime.to_host(error), inside.shape, spacing_px)
+    known = (precision, everywhere, neighbours)
+    scatter = _scatter(unwrapped, *known, averaged, period_px)
+    return phase_sigma(*known, _empty_share(inside, period_px), averaged, scatter)
+
+
+def _between_nodes(values: npt.NDArray[np.float32], shape: tuple[int, ...], spacing_px: int) -> npt.NDArray[np.float32]:
+    """Return values at nodes as values at pixels, (H, W) float32."""
+    size = (values.shape[1] * spacing_px, values.shape[0] * spacing_px)
+    return np.ascontiguousarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]])
 
 
 def _neighbours(inside: npt.NDArray[np.uint8], pairs: int) -> npt.NDArray[np.uint8]:
@@ -207,13 +239,15 @@ def _neighbours(inside: npt.NDArray[np.uint8], pairs: int) -> npt.NDArray[np.uin
 
 
 def _scatter(
-    unwrapped: F32, precision: F32, neighbours: npt.NDArray[np.uint8], averaged: float, period_px: float
+    unwrapped: F32, precision: F32, error: F32, neighbours: npt.NDArray[np.uint8], averaged: float, period_px: float
 ) -> float:
     """Return how far rows a quarter of a cycle apart differ, in units of what is expected; 1 where none tells."""
     step, every = max(2, round(period_px / 4)), max(1, neighbours.size // _SCATTER_SAMPLES)
     if len(neighbours) <= 3 * step:
         return 1.0
-    ratio = runtime.to_host(compare_rows(unwrapped, precision, neighbours, averaged, step, every))  # synchronises
+    ratio = runtime.to_host(
+        compare_rows(unwrapped, precision, error, neighbours, averaged, step, every)
+    )  # synchronises
     ratio = ratio[np.isfinite(ratio)]
     return max(_LEAST_SCATTER, float(np.median(ratio)) / _MEDIAN_SIZE) if len(ratio) else 1.0
 
