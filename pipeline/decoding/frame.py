@@ -274,15 +274,26 @@ class DecodedFrame:
     def _phase(self) -> Floats:
         return self._read(self._measured.phases.phase)
 
+    @property
+    def row_sigma(self) -> Floats:
+        """(H, W) float32, rad: `phase_sigma` by what rows really differ by alone, whatever the light's model is."""
+        measured = self._measured
+        if measured.model_error is None:
+            return self.phase_sigma
+        return self._read(self._sigma_with(np.zeros(measured.model_error.shape, np.float32)))
+
     @cached_property
     def _phase_sigma(self) -> F32:
         """`phase_sigma` on the device, stripes along the rows."""
+        if self._measured.model_error is None:
+            return runtime.to_device(np.full(self._measured.surface.mask.shape, np.nan, np.float32))
+        return self._sigma_with(self._measured.model_error)
+
+    def _sigma_with(self, model_error: F32) -> F32:
         measured, pairs = self._measured, self._setup.smoothing_pairs
         with runtime.lock:
-            if measured.model_error is None:
-                return runtime.to_device(np.full(measured.surface.mask.shape, np.nan, np.float32))
             known = (measured.surface.unwrapped, measured.phases.precision)
-            error = (measured.model_error, measured.node_spacing_px)
+            error = (model_error, measured.node_spacing_px)
             return estimate_phase_sigma(*known, *error, measured.surface.mask, pairs, self.period_px or 1.0)
 
     @property

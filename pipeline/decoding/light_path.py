@@ -122,11 +122,12 @@ class LightPath:
         """
         if self._learned is not None:
             return self._learned, flat_template()
-        told = max(3, int(_HARMONICS_A_PIXEL * period_px)) if self._equalize else 0
-        measured = measure_correction(histogram, told)
-        if not self._priors:
-            return measured.table(measured.beyond(0.0)), flat_template()
+        measured = measure_correction(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
         fits = [prior.fit(measured, period_px) for prior in self._priors]
+        if not self._equalize:
+            measured = measure_correction(histogram, 0)  # of what the phases tell, nothing is used
+        if not fits:
+            return measured.table(measured.beyond(0.0)), flat_template()
         likeliest = int(np.argmin([misfit for _, misfit in fits]))
         # Without the frame's word the response is taken as it is.
         prior, blur = self._priors[likeliest], fits[likeliest][0] if self._equalize else 0.0

@@ -101,7 +101,7 @@ def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> Fra
         contrast=float(np.median((np.sqrt(2 * variance) / np.maximum(mean, 1e-6)).mean(axis=-1))),
         limit_rad=float(noise / power),
         level_limit_rad=float(1 / (2**bits - 1) / np.sqrt(12) / power),
-        sigma_rad=float(np.nanmedian(frame.phase_sigma[frame.mask])),
+        sigma_rad=float(np.nanmedian(frame.row_sigma[frame.mask])),
         clipped=float(np.mean(lit > 0)),
         lost=float(np.mean(lit > 1)),
     )
@@ -185,10 +185,10 @@ def fit_siting(stored: StoredFrame, settings: DecodeSettings, arch: str) -> Siti
         return SitingFit(None, 0.0)
     change = np.exp(1j * (frames[1].wrapped_phase[both] - frames[0].wrapped_phase[both]))
     apart = np.angle(change * np.conj(change.mean()))
-    # Where the fringe runs across the samples, a wrong siting is lateral colour, and shows as ripple; where it runs
-    # along them, only edges tell.
+    # Where the fringe runs across the samples, a wrong siting is lateral colour: the channels' waves lag against each
+    # other as no crosstalk makes them, which leaves the constant unsure. Where it runs along them, only edges tell.
     if settings.stripes == "vertical":
-        left, centre = (float(np.nanmedian(frame.phase_sigma[both])) for frame in frames)
+        left, centre = (float(frame.constant_sigma) for frame in frames)
     else:
         left, centre = _left_of_edges(stored)
     better = next((name for name, a, b in (("left", left, centre), ("centre", centre, left)) if a < _CLEARLY * b), None)

@@ -42,7 +42,8 @@ _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
 _CORNERS, _HALF = len(_UPPER), len(_UPPER) // 2
 # Samples that one thread adds up.
 _SAMPLES_A_THREAD = 64
-# Every fourth row of samples tells the template.
+# Every fourth sample of a row tells the template, but of every row: a fringe of 12 px that runs along the rows shows
+# twelve phases, and nine numbers a channel want most of them.
 _EVERY = 4
 # What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
 _PRIOR_SAMPLES = 30
@@ -88,7 +89,7 @@ class ChannelModel:
         self.phases = runtime.empty((height, columns), np.float32)
         strips = height * -(-columns // _SAMPLES_A_THREAD)
         self._moments = runtime.empty((strips, 5), np.float32)
-        template_strips = -(-height // _EVERY) * -(-columns // _SAMPLES_A_THREAD)
+        template_strips = height * -(-columns // (_EVERY * _SAMPLES_A_THREAD))
         self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS), np.float32)
         self._sums = runtime.empty((*blocks, _LINE_SUMS), np.float32)
         self._half = runtime.empty((*grid, _LINE_SUMS), np.float32)
@@ -141,7 +142,7 @@ class ChannelModel:
         gram = np.zeros((TERMS, TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
         gram += np.triu(gram, 1).T
-        weight = max(gram[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases)[::_EVERY] < NO_PHASE), 1)
+        weight = max(gram[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases)[:, ::_EVERY] < NO_PHASE), 1)
         prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
         gram += np.diag(prior)
         right = normal[_CORNERS:].reshape(TERMS, 3) + prior[:, None] * runtime.to_host(known).T
@@ -226,15 +227,17 @@ def sum_template_kernel(
     out_normal: F32Array2,  # (strips, terms) the normal equations: upper triangle, right sides
 ):
     """Sum up the normal equations of the template's least squares, strip by strip."""
-    for strip in range(strip_count(samples.shape[0], _EVERY) * strip_count(samples.shape[1], _SAMPLES_A_THREAD)):
-        row, first, count = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
-        y = row * _EVERY
+    columns = strip_count(samples.shape[1], _EVERY)
+    for strip in range(samples.shape[0] * strip_count(columns, _SAMPLES_A_THREAD)):
+        y, first, count = strip_at(strip, columns, _SAMPLES_A_THREAD)
         # The upper triangle of the symmetric equations, row by row, and the right sides.
         # Taichi compiles vectors of up to 32 numbers well.
         upper, lower = ti.Vector.zero(f32, _HALF), ti.Vector.zero(f32, _CORNERS - _HALF)
         right = ti.Matrix.zero(f32, TERMS, 3)
         background_weights = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
-        for j in range(first, first + count):
+        for number in range(first, first + count):
+            # Another one from row to row, so that all columns are asked.
+            j = ti.min(number * _EVERY + y % _EVERY, samples.shape[1] - 1)
             if has_phase(phases[y, j]):
                 ambient = ambient_at(smooth, spacing_px, share, y, j * spacing_px)
                 waves = waves_of(equalized(phases[y, j], correction))

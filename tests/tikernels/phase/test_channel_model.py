@@ -127,3 +127,15 @@ def test_what_a_fit_takes_and_refuses(arch):
     for bad in (known.astype(np.float64), known[None], known[:, :-1], known[:2], known.tolist()):
         with pytest.raises(tikernels.ShapeError, match=r"known (has shape|is)"):
             model.fit(crosstalk, LEVELS, correction, bad)
+
+
+def test_a_fringe_that_shows_twelve_phases_tells_the_template(cpu):
+    """It runs along the rows with exactly 12 px a cycle; rows must not be left out, or three phases would be left."""
+    phase = np.broadcast_to(2 * np.pi / 12 * np.arange(SHAPE[0])[:, None], SHAPE)
+    light = 0.5 + 0.3 * np.cos(phase[..., None] + DELAYS)
+    noise = np.random.default_rng(3).standard_normal((*SHAPE, 3))
+    model, _ = fitted((200 * light @ MATRIX.T + noise).astype(np.float32))
+    waves = model.template[:, 1 : 1 + HARMONICS] - 1j * model.template[:, 1 + HARMONICS :]
+    first = 0.6 * MATRIX @ np.exp(1j * DELAYS)
+    assert np.abs(waves[:, 0] - first * np.exp(1j * np.angle((waves[:, 0] / first).mean()))).max() < 0.02
+    assert np.abs(waves[:, 1:]).max() < 0.02
