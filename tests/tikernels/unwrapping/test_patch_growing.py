@@ -115,5 +115,5 @@ def test_crowded_cells_count_on(arch):
     phase = rng.uniform(-np.pi, np.pi, (64, 64)).astype(np.float32)
     rates = flat_rates()
     ample, tight = (grown(phase, rates=rates, bits=bits) for bits in (7, 1))
-    np.testing.assert_array_equal(tight[3][Cell.PATCHES], ample[3][Cell.PATCHES])
+    np.testing.assert_array_equal(tight[3][Cell.PATCHES, :-1], ample[3][Cell.PATCHES, :-1])
     assert ample[3][Cell.PATCHES, :-1].max() > 2
