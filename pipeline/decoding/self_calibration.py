@@ -357,6 +357,14 @@ def estimate_light(
         H = H * np.exp(-1j * turn * np.arange(1, _HARMONICS + 1))
         matrices = np.stack([_matrix(row[:, 0]) for row in H])
         matrix = matrices[0]
+    return _estimate(H, matrices, constant_sigma, cycles, before)
+
+
+def _estimate(
+    H: _Complexes, matrices: FloatArray, constant_sigma: float, cycles: float, ripple: float
+) -> LightEstimate:
+    """Return what the channels' harmonics say, (_GROUPS + 1, 3, _HARMONICS): all together, then a group left out."""
+    matrix, floor = matrices[0], _FLOOR / max(cycles, 1)
     ratios = np.stack([_ratios(row[:, 0], row) for row in H])
     harmonics = _regularise(ratios[0], np.hypot(_deviation(ratios), floor * (np.arange(_HARMONICS) > 0)))
     shift = _shift(harmonics, _TRUE)
@@ -375,7 +383,7 @@ def estimate_light(
         constant_sigma=constant_sigma,
         constant_known=bool(constant_sigma < _MAX_CONSTANT and misfit < _MAX_CONSTANT),
         cycles=cycles,
-        ripple=before,
+        ripple=ripple,
         misfit=misfit,
-        reliable=bool(misfit < max(0.5 * before, 0.02) and cycles > _MIN_CYCLES and leaks.max() < _MAX_LEAK),
+        reliable=bool(misfit < max(0.5 * ripple, 0.02) and cycles > _MIN_CYCLES and leaks.max() < _MAX_LEAK),
     )

@@ -44,7 +44,7 @@ def judged(frame_levels: npt.NDArray[np.floating], truth: Truth) -> Mask:
 
 
 def _deeper(mask: Mask, px: float) -> Mask:
-    """Return where a mask is further than so many pixels from where it is not; the picture's edge is none."""
+    """Return where a mask is further than a number of pixels from where it is not; the image's edge does not count."""
     return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) > px
 
 
