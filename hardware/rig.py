@@ -44,7 +44,7 @@ class PairedFrame:
     frame: CameraFrame  # as it arrived
     pulse_s: float  # when its camera pulse began, from the burst's start, by the trigger source's clock
     strobe_s: float | None  # when the camera said that it was exposing, by that clock; None: it does not tell
-    exposed_at_s: float  # the same by this machine's time.monotonic(), to some milliseconds
+    exposed_at_s: float  # the same by this machine's time.monotonic(), to some milliseconds; of the middle colour
 
 
 @dataclass(frozen=True)
@@ -339,12 +339,13 @@ class Rig:
         if train.count is not None:
             self.camera.disarm()
         by_pulse = {strobe.pulse: strobe.time_s for strobe in strobes or ()}
-        paired = []
+        fields, paired = self.settings.projector.fields, []
         for pulse, frame in enumerate(frames, first):
             if frame.image is None:  # which is a fault
                 raise _Refused([Fault("its frame is not whole", pulse)])
             pulse_s, strobe_s = pulse * train.period_s + train.camera.delay_s, by_pulse.get(pulse)
             exposed_s = pulse_s if strobe_s is None else strobe_s
+            exposed_s = exposed_s if fields is None else pulse_s + fields.middle_s
             paired.append(PairedFrame(pulse, frame.image, frame, pulse_s, strobe_s, started_s + exposed_s))
         return Burst(number, tuple(paired), status, n_repeated, _camera_ppm(paired))
 

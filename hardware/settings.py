@@ -82,11 +82,26 @@ class CameraSettings(_Section):
     """The line that is to tell of exposures, as Line2; None: none."""
 
 
+class FieldSettings(_Section):
+    """When a projector shows its colours one after another: the middle of each, after the frame's pulse."""
+
+    red_s: NonNegative
+    green_s: NonNegative
+    blue_s: NonNegative
+
+    @property
+    def middle_s(self) -> float:
+        """The middle colour's, which is the frame's."""
+        return sorted((self.red_s, self.green_s, self.blue_s))[1]
+
+
 class ProjectorSettings(_Section):
     """The projector, how it makes colours, and how it is spoken to."""
 
     colour_cycle_s: Positive | None = None
     """How long R, G and B take together, where the projector shows them one after another; None: it does not."""
+    fields: FieldSettings | None = None
+    """When each frame sees them, where every pulse meets the projector at the same place of its colour cycle."""
     control: Annotated[str, AfterValidator(_one_of(PROJECTORS))] | None = None
     """What switches it on, a name in `hardware.drivers` or ``module:Class``; None: somebody does."""
     port: str | None = None

@@ -5,6 +5,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
+import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
@@ -13,6 +14,7 @@ from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, Frame
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
+from pipeline.decoding.surface_search import FoundSurfaces
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError, DecodeWarning
@@ -21,6 +23,7 @@ from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.depth.triangulation import triangulate
+from tikernels.phase.field_motion import FieldMotion, measure_motion, undo_field_motion
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
@@ -175,19 +178,29 @@ class Decoder:
         rays = self._setup.rays
         # The phase of every pixel: balance, response, each channel's wave, and a fit to all three.
         gains.measure(image, crosstalk, levels)
-        counts = count_phases(image, gains, crosstalk, levels).astype(np.float64)
-        if memory is not None:
-            counts += memory.faded_phase_counts
+        faded = 0.0 if memory is None else memory.faded_phase_counts
+        counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
         correction, cycle = path.cycle(counts, work.period_px)
-        model.fit(crosstalk, levels, correction, cycle)
+        motion = self._measure_motion(frame, levels, work, correction, cycle, memory)
+        found = self._find_surfaces(frame, levels, work, correction, cycle, memory, motion)
+        if found is not None:
+            crosstalk, cycle = found.crosstalk, found.template
+            gains.measure(image, crosstalk, levels)
+            counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
+            correction, _ = path.cycle(counts, work.period_px)
+        model.fit(crosstalk, levels, correction, cycle, fixed=found is not None)
         fit = (work.raw_phase, phases.modulation, phases.precision)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
+        if motion is not None:
+            known = (model, crosstalk, levels, path.contrast_doubt)
+            own = motion.beyond_mean(phases.modulation) if found is None else motion
+            undo_field_motion(image, own, *known, out=(work.raw_phase, phases.precision))
         error = work.model_error.measure(image, work.raw_phase, model, crosstalk, levels, path.contrast_doubt)
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         smooth_phase(work.raw_phase, phases.precision, rates, self._setup.smoothing_pairs, out=phases.phase)
         patches = work.unwrapper.join(phases.phase, phases.modulation, rates)
-        seen = SeenPhase(image, gains, phases, work.raw_phase, rates, correction, period_px)
+        seen = SeenPhase(image, gains, crosstalk, phases, work.raw_phase, rates, correction, period_px)
         placement = self._orders.find(seen, patches, rays, memory)
         if placement.roots is not None:
             patches.split(placement.roots)
@@ -200,18 +213,60 @@ class Decoder:
         # Its place.
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
+        mismatch = model.mismatch if found is None else found.mismatch
+        fast = 0.0 if motion is None else motion.too_fast
+        doubt = mismatch if found is None else found.constant_sigma
         return Measured(
             phases,
             surface,
             model_error=error,
             node_spacing_px=gains.spacing_px,
             phase_counts=counts,
+            surfaces=found,
             orders=orders,
             constant_known=path.constant_known,
-            constant_sigma=float(np.hypot(path.constant_sigma, model.mismatch)),
+            constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
             order_doubt=placement.warning or lost,
-            light_doubts=light_doubts(model, constant_known=path.constant_known),
+            light_doubts=light_doubts(model.contrast, mismatch, fast, constant_known=path.constant_known),
         )
+
+    def _find_surfaces(
+        self,
+        frame: LinearFrame,
+        levels: FrameLevels,
+        work: Workspace,
+        correction: npt.NDArray[np.float32],
+        cycle: npt.NDArray[np.float32],
+        memory: FrameMemory | None,
+        motion: FieldMotion | None,
+    ) -> FoundSurfaces | None:
+        """Find what the surfaces' colours make of the crosstalk; None: nothing beyond what the balance undoes."""
+        path, model = self._path, work.model
+        if path.surfaces is None:
+            return None
+        if not path.light_known:  # then this frame tells what a cycle looks like
+            model.fit(path.crosstalk, levels, correction, cycle)
+            cycle = model.template
+        before = None if memory is None else memory.surfaces
+        seen = (frame.image, work.gains, path.crosstalk, levels, correction, cycle)
+        return path.surfaces.find(*seen, template_known=path.light_known, before=before, motion=motion)
+
+    def _measure_motion(
+        self,
+        frame: LinearFrame,
+        levels: FrameLevels,
+        work: Workspace,
+        correction: npt.NDArray[np.float32],
+        cycle: npt.NDArray[np.float32],
+        memory: FrameMemory | None,
+    ) -> FieldMotion | None:
+        """Measure what moved between the frame's colours, by a first look at its phase and the frame before."""
+        times, path, model = self.settings.field_times, self._path, work.model
+        if times is None or memory is None:
+            return None
+        model.fit(path.crosstalk, levels, correction, cycle)
+        phase = fit_phase(frame.image, model, path.crosstalk, levels, correction, path.contrast_doubt)[0]
+        return measure_motion(phase, memory.surface.unwrapped, times, work.period_px)
 
     def _learn_light(self, frame: LinearFrame, period_px: float, surface: SurfaceBuffers) -> bool:
         """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.errors import SettingsError
-from pipeline.models import CameraState, Matrix3, Model, NonNegative, Positive, build, read_file
+from pipeline.models import CameraState, Matrix3, Model, NonNegative, Positive, Vector3, build, read_file
 from tikernels.errors import ShapeError
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX
@@ -38,9 +38,9 @@ class DecodeSettings(Model):
     """"horizontal" where the phase changes from row to row; stripes may be tilted by 20 degrees."""
     crosstalk_matrix: Matrix3 | None = None
     """camera = matrix @ projector in linear light; wins over the calibration's."""
-    reflectance_bands: Literal["broad", "narrow"] = "broad"
-    """Whether a surface's colour acts on the camera's channels (balance, then undo the crosstalk) or on the projector's
-    primaries (the other way round). Broad suits surfaces whose reflectance changes slowly with wavelength, as skin."""
+    reflectance_bands: Literal["broad", "narrow"] | None = None
+    """Where a surface's colour acts: "broad" on the camera's channels, after the crosstalk, "narrow" on the projector's
+    primaries, before it. Real surfaces are between the two; None: found in the frame, surface by surface."""
     transfer: Literal["linear", "srgb", "bt709"] = "linear"
     """How the camera encoded light; undone before anything else. Left out, a calibration's is used."""
     capture: CameraState | None = None
@@ -56,6 +56,9 @@ class DecodeSettings(Model):
     code: Literal["contrast"] | None = None
     """The pattern's code, by which orders become absolute; a calibration's pattern wins. "contrast": the modulation of
     each cycle tells which one it is (`colorphase pattern --code contrast`)."""
+    field_times: Vector3 | None = None
+    """When the projector shows red, green and blue where it shows them one after another: the middle of each, in times
+    from frame to frame. Then `previous` tells what moved in between. None: all at once."""
     noise: tuple[NonNegative, NonNegative] | None = None
     """Read noise's standard deviation s and gain g, in grey levels: a channel's variance is s^2 + g times its level.
     None: estimated from the frame."""

@@ -19,14 +19,14 @@ from pipeline.acquisition.capture_log import CaptureLog
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError
-from pipeline.files import explain
+from pipeline.files import explain, write_atomically
 from pipeline.footage.recording_tags import MOST_FRAMES_A_SECOND
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
 from tikernels.raw.pixel_format import PixelFormat
 
 #: What a capture's folder holds, beside the recording.
-LOG, CALIBRATION, PREVIEW = "log.jsonl", "calibration.json", "live.png"
+LOG, CALIBRATION, SETTINGS, PREVIEW = "log.jsonl", "calibration.json", "settings.toml", "live.png"
 # Rates are averages over this many bursts.
 _RATE_BURSTS = 10
 
@@ -144,6 +144,10 @@ class CaptureFolder:
         try:
             if calibration is not None:
                 calibration.write(folder / CALIBRATION)
+            fields = rig.settings.projector.fields
+            if fields is not None:
+                times = [time_s / self._period_s for time_s in (fields.red_s, fields.green_s, fields.blue_s)]
+                write_atomically(folder / SETTINGS, f"field_times = {times}\n".encode())
             self._log = CaptureLog(folder / LOG)
             self._log.say(
                 "start",

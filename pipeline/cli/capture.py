@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from pipeline.acquisition import session
-from pipeline.acquisition.capture_folder import CALIBRATION, LOG, CapturePlan, CaptureProgress
+from pipeline.acquisition.capture_folder import CALIBRATION, LOG, SETTINGS, CapturePlan, CaptureProgress
 from pipeline.acquisition.chosen_rig import choose_rig
 from pipeline.acquisition.session import CaptureSummary
 from pipeline.acquisition.stopping import Stopping
@@ -101,7 +101,8 @@ def _say_summary(summary: CaptureSummary, out: Path, *, calibrated: bool) -> Non
         remark(f"{_times(summary.n_rejected)} a burst was thrown away; {out / LOG} says why")
     say(f"recorded {_frames(summary)} in {summary.recording}; each frame's pulse is in {out / LOG}")
     rig_file = f" --calibration {out / CALIBRATION}" if calibrated else ""
-    say(f"colorphase decode {summary.recording} --out {out / 'decoded'}{rig_file}")
+    settings = f" --settings {out / SETTINGS}" if (out / SETTINGS).exists() else ""
+    say(f"colorphase decode {summary.recording} --out {out / 'decoded'}{rig_file}{settings}")
 
 
 def _times(n: int) -> str:

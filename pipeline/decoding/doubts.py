@@ -1,7 +1,6 @@
 """What a frame gives reason to doubt, each in one line that says what to do."""
 
 from pipeline.decoding.frame_reader import LinearFrame
-from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.frame_statistics import measure_frame
 from tikernels.transposing import transpose
 
@@ -9,6 +8,8 @@ from tikernels.transposing import transpose
 _MIN_CONTRAST = 0.12
 # A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
 _MAX_MISMATCH = 0.12
+# A share of the surface that is lost unnoticed at edges.
+_MAX_TOO_FAST = 0.05
 
 
 def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
@@ -19,25 +20,34 @@ def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
     return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
 
 
-def light_doubts(model: ChannelModel, *, constant_known: bool) -> tuple[str, ...]:
+def light_doubts(contrast: float, mismatch: float, too_fast: float, *, constant_known: bool) -> tuple[str, ...]:
     """Say where the light is not as decoding assumes.
 
     Parameters
     ----------
-    model : ChannelModel
-        Fitted to the frame.
+    contrast : float
+        The fringe's mean modulation over its mean background.
+    mismatch : float
+        How far the channels' fundamentals are from what the crosstalk makes of them, as a fraction.
+    too_fast : float
+        Share of the surface that moves too fast for colours that follow each other.
     constant_known : bool
         Whether the crosstalk is known, so that a mismatch means that it has changed.
     """
     doubts = []
-    if model.contrast < _MIN_CONTRAST:
+    if contrast < _MIN_CONTRAST:
         doubts.append(
-            f"the fringe's contrast is only {model.contrast:.0%}: less motion blur, a sharper focus or less other "
+            f"the fringe's contrast is only {contrast:.0%}: less motion blur, a sharper focus or less other "
             "light would make it certain"
         )
-    if constant_known and model.mismatch > _MAX_MISMATCH:
+    if constant_known and mismatch > _MAX_MISMATCH:
         doubts.append(
-            f"the colours' fringes differ by {model.mismatch:.0%} from what the crosstalk matrix makes of them: "
+            f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them: "
             "calibrate the light anew (colorphase calibrate check says what is wrong)"
+        )
+    if too_fast > _MAX_TOO_FAST:
+        doubts.append(
+            f"{too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its colours, one "
+            "after another, cannot be put together there; take frames faster"
         )
     return tuple(doubts)

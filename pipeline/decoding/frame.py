@@ -22,6 +22,7 @@ from pipeline.decoding.fields import (
     fields_of,
 )
 from pipeline.decoding.frame_reader import size_text
+from pipeline.decoding.surface_search import FoundSurfaces
 from pipeline.errors import SettingsError
 from tikernels import runtime
 from tikernels.arrays import F32, Array
@@ -78,6 +79,7 @@ class FrameMemory:
     phase_counts: npt.NDArray[np.float64] | None  # (tiles, bins) bare phases seen, earlier ones faded; None: no fringe
     surface: SurfaceBuffers
     orders: RegionOrders
+    surfaces: FoundSurfaces | None  # what the frame's surfaces make of the crosstalk; None: nothing beyond the balance
 
     @property
     def faded_phase_counts(self) -> npt.NDArray[np.float64] | float:
@@ -123,6 +125,7 @@ class Measured:
     node_spacing_px: int = 1
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
+    surfaces: FoundSurfaces | None = None
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
 
@@ -300,7 +303,9 @@ class DecodedFrame:
     def memory(self) -> FrameMemory:
         """What the next frame of a video may know of this one."""
         measured = self._measured
-        return FrameMemory(self._setup.stripes, measured.phase_counts, measured.surface, measured.orders)
+        return FrameMemory(
+            self._setup.stripes, measured.phase_counts, measured.surface, measured.orders, measured.surfaces
+        )
 
     def fetch(self, fields: Iterable[str]) -> None:
         """Read from the device now what these fields are made of; looking at them later asks it nothing more."""

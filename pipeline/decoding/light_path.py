@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.self_calibration import LightEstimate
+from pipeline.decoding.surface_finding import SurfaceFinder
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import CameraState, FloatArray
 from pipeline.pattern.contrast_code import cycle_modulations
@@ -15,6 +16,7 @@ from tikernels.phase.channel_template import flat_template
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import measure_correction
 from tikernels.phase.projector_response import ResponsePrior
+from tikernels.phase.surfaces import Surfaces
 from tikernels.raw.linearization import Transfer
 
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
@@ -54,12 +56,12 @@ class LightPath:
         self.transfer: Transfer = settings.transfer
         self.camera_shift_px: FloatArray | None = None
         self._lag: FloatArray | None = None
-        self._balance_first = settings.reflectance_bands == "broad"
+        self._bands = settings.reflectance_bands
         self.code = settings.code
         self._equalize = settings.equalize
         responses: list[FloatArray] = []  # that the pattern's codes may go through
         compensated: bool | None = None
-        self._learned: npt.NDArray[np.float32] | None = None
+        self._learned: LightEstimate | None = None
         matrix, light = settings.crosstalk_matrix, np.ones(3)
         if calibration is not None:
             if calibration.pattern is not None:
@@ -85,7 +87,7 @@ class LightPath:
             light = self._priors[0].light
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
-        self.unknown = matrix is None and self._balance_first
+        self.unknown = matrix is None and self._bands != "narrow"
         self.constant_known = matrix is not None
         self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
         self._use(np.eye(3) if matrix is None else matrix @ np.diag(light))
@@ -95,8 +97,8 @@ class LightPath:
         self.unknown = False
         if light is None or not light.reliable:
             return
+        self._learned = light
         self._use(light.crosstalk_matrix)
-        self._learned = light.correction
         self.constant_known = light.constant_known
         self.constant_sigma = light.constant_sigma if light.constant_known else _UNKNOWN_CONSTANT
 
@@ -121,7 +123,8 @@ class LightPath:
             One cycle of each balanced channel as far as it is known; see `ChannelModel.fit`.
         """
         if self._learned is not None:
-            return self._learned, flat_template()
+            response = np.broadcast_to(self._learned.response, (3, len(self._learned.response)))
+            return self._learned.correction, ResponsePrior(response, None).template(self.crosstalk.matrix, 0.0)
         measured = measure_correction(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
         fits = [prior.fit(measured, period_px) for prior in self._priors]
         if not self._equalize:
@@ -131,8 +134,12 @@ class LightPath:
         likeliest = int(np.argmin([misfit for _, misfit in fits]))
         # Without the frame's word the response is taken as it is.
         prior, blur = self._priors[likeliest], fits[likeliest][0] if self._equalize else 0.0
-        matrix = self.crosstalk.matrix if self._balance_first else np.eye(3)
-        return measured.table(prior.corrected(measured, blur)), prior.template(matrix, blur)
+        return measured.table(prior.corrected(measured, blur)), prior.template(self.crosstalk.matrix, blur)
+
+    @property
+    def light_known(self) -> bool:
+        """Whether what the projector sends over a cycle is known, so that `cycle` tells what channels look like."""
+        return self._learned is not None or bool(self._priors)
 
     @property
     def contrast_doubt(self) -> float:
@@ -140,7 +147,16 @@ class LightPath:
         return _CONTRAST_DOUBT[self.code]
 
     def _use(self, matrix: FloatArray) -> None:
-        self.crosstalk = Crosstalk.of(matrix, balance_first=self._balance_first, lag=self._lag)
+        self.surfaces = None
+        coded = 0.0 if self.code is None else self.contrast_doubt
+        if self._bands is None and self._learned is not None:
+            self.surfaces = SurfaceFinder(None, coded)
+        elif self._bands is None and self.constant_known:
+            self.surfaces = SurfaceFinder(matrix.sum(axis=1), coded)
+        if self._bands == "narrow":
+            self.crosstalk = Crosstalk.of(np.eye(3), lag=self._lag, surfaces=Surfaces.of(matrix))
+        else:
+            self.crosstalk = Crosstalk.of(matrix, lag=self._lag)
 
 
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:

@@ -24,6 +24,7 @@ from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
 from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measure_contrast, vote_orders
 from tikernels.phase.color_balance import Gains
+from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import modulation_tables
 from tikernels.phase.smoothing import RATE_ACROSS
 from tikernels.unwrapping.patches import MIN_REGION_PX, Patches, PatchGraph, RegionTable
@@ -48,6 +49,7 @@ class SeenPhase:
 
     image: LevelsImage  # (H, W, 3) linear light
     gains: Gains  # of the colour balance
+    crosstalk: Crosstalk  # what they were measured with
     phases: PhaseBuffers  # smoothed
     raw_phase: F32  # (H, W) rad, before smoothing
     rates: F32  # of `measure_rates`
@@ -238,7 +240,7 @@ class OrderFinder:
         self, seen: SeenPhase, patches: Patches, graph: PatchGraph, order_range: OrderRange | None
     ) -> tuple[AbsoluteOrders, bool]:
         phases = seen.phases
-        sums = measure_contrast(seen.image, self._path.crosstalk, seen.gains, phases.phase, phases.modulation, patches)
+        sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, phases.phase, phases.modulation, patches)
         rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
         return find_absolute_orders(sums, graph, int(seen.image.shape[1]), rising, order_range)
 

@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, Static, f32, i32, mat3, ti, vec3, vec4
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3, vec4
 from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_vector import PI, color_at, matrix_of
+from tikernels.phase.surfaces import neutral_light, without_ambient
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import (
@@ -50,17 +51,6 @@ def cycle_weight(phase: f32) -> f32:
 
 
 @ti.func
-def background_weights(inverse: mat3, gain: vec3, balance_first: Static) -> vec3:
-    """Return what the camera's channels weigh in the background, the mean of the projector's."""
-    weights = vec3(0.0)
-    if ti.static(balance_first):
-        weights = inverse.transpose() @ vec3(1.0 / 3.0) * gain
-    else:
-        weights = inverse.transpose() @ gain / 3.0
-    return weights
-
-
-@ti.func
 def add_cycle(label: i32, sums: vec4, cells: I32Array2, draft_bits: i32, out_sums: F32Array3):
     """Add what one column shows of a cycle to the sums of its patch and order."""
     slot = (label & ORDER_MASK) - ORDER_ZERO + ORDER_SLOTS // 2
@@ -71,12 +61,15 @@ def add_cycle(label: i32, sums: vec4, cells: I32Array2, draft_bits: i32, out_sum
 
 
 @cache
-def measure_contrast_kernel(balance_first: bool) -> Any:
+def measure_contrast_kernel(mixed: bool) -> Any:
     """Return the kernel that sums every patch's modulation and background, order by order."""
 
     @ti.kernel
     def measure_contrast(
         image: AnyArray3,  # (H, W, 3) levels
+        surface_labels: U8Array2,  # (H, W) see `Surfaces`
+        unmixing: F32Array3,  # (N, 3, 3)
+        besides: F32Array2,  # (N, 3) levels
         inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
         gains: F32Array3,  # (Hg, Wg, 3)
         spacing_px: i32,  # px between two nodes of the gains
@@ -91,7 +84,8 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
         height, width = phase.shape[0], phase.shape[1]
         for cell in range(cells.shape[1] - 1):
             top, left, bottom, right = cell_bounds(cell, height, width)
-            inverse = matrix_of(inverse_matrix)
+            # The background is the mean of the projector's channels.
+            means = matrix_of(inverse_matrix).transpose() @ vec3(1.0 / 3.0)
             for patch in range(cells[Cell.PATCHES, cell], cells[Cell.PATCHES, cell + 1]):
                 for slot in range(ORDER_SLOTS):
                     for k in ti.static(range(4)):
@@ -103,12 +97,14 @@ def measure_contrast_kernel(balance_first: bool) -> Any:
                 for y in range(top, bottom):
                     if y & 3 == 0:  # one gain serves four rows of a cell
                         gain = gain_at(gains, spacing_px, y + 2, (left + right) // 2)
-                        background = background_weights(inverse, gain, balance_first)
+                        background = means * gain
                     if labels[y, x] != label:
                         add_cycle(label, sums, cells, draft_bits, out_sums)
                         label, sums = labels[y, x], vec4(0.0)
                     if label >= 0:
-                        light = background.dot(color_at(image, y, x))
+                        projected = without_ambient(color_at(image, y, x), besides, surface_labels, y, x, mixed)
+                        channels = neutral_light(projected, unmixing, surface_labels, y, x, mixed)
+                        light = background.dot(channels)
                         seen = vec4(1.0, modulation[y, x], light, phase[y, x])
                         sums += cycle_weight(phase[y, x]) * seen
                 add_cycle(label, sums, cells, draft_bits, out_sums)
@@ -151,9 +147,20 @@ def measure_contrast(
     phase = checks.read_array("phase", phase, patches.shape, np.float32)
     modulation = checks.read_array("modulation", modulation, patches.shape, np.float32)
     sums = runtime.empty((patches.count, ORDER_SLOTS, 4), np.float32)
-    light = (image, crosstalk.inverse, gains.gains, gains.spacing_px, phase, modulation)
+    surfaces = crosstalk.surfaces
+    light = (
+        image,
+        surfaces.labels,
+        surfaces.unmixing,
+        surfaces.ambient,
+        crosstalk.inverse,
+        gains.gains,
+        gains.spacing_px,
+        phase,
+        modulation,
+    )
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
-    measure_contrast_kernel(crosstalk.balance_first)(*light, *of_patches, sums)
+    measure_contrast_kernel(surfaces.mixed)(*light, *of_patches, sums)
     return runtime.to_host(sums)  # synchronises
 
 

@@ -47,6 +47,8 @@ _SAMPLES_A_THREAD = 64
 _EVERY = 4
 # What is known of the template beforehand weighs as much as this many samples: nothing where there is a surface.
 _PRIOR_SAMPLES = 30
+# Where it is known for sure, by this factor more.
+_SURE = 1e9
 # Ambient light is at most this share of a surface's; more, and it is the contrast that is read wrongly.
 _MAX_AMBIENT = 0.6
 # Surfaces that vary less in brightness than this, as a fraction, do not tell ambient light from a low contrast.
@@ -112,6 +114,8 @@ class ChannelModel:
         levels: FrameLevels,
         correction: F32,
         known: F32,
+        *,
+        fixed: bool = False,
     ) -> None:
         """Fit the template to the samples that the gains were measured from, then A and B around every node.
 
@@ -126,6 +130,8 @@ class ChannelModel:
         known : (3, terms) float32
             The template as far as it is known: it helps to tell the samples' brightness, and stays where there are
             hardly any.
+        fixed : bool
+            Whether the template is known for sure, and not fitted.
 
         Raises
         ------
@@ -142,7 +148,8 @@ class ChannelModel:
         gram = np.zeros((TERMS, TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
         gram += np.triu(gram, 1).T
-        weight = max(gram[0, 0], 1e-6) / max(np.count_nonzero(runtime.to_host(self.phases)[:, ::_EVERY] < NO_PHASE), 1)
+        asked = max(np.count_nonzero(runtime.to_host(self.phases)[:, ::_EVERY] < NO_PHASE), 1)
+        weight = (_SURE if fixed else 1.0) * max(gram[0, 0], 1e-6) / asked
         prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
         gram += np.diag(prior)
         right = normal[_CORNERS:].reshape(TERMS, 3) + prior[:, None] * runtime.to_host(known).T

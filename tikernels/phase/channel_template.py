@@ -38,6 +38,11 @@ def known_template(matrix: npt.NDArray[np.floating], light: npt.NDArray[np.compl
     return np.asarray(mixed / mixed[:, :1], np.float32)
 
 
+def channel_harmonics(template: npt.NDArray[np.floating]) -> npt.NDArray[np.complex128]:
+    """Return (3, harmonics): a template's harmonics from the first on, the real part of each times a turning wave."""
+    return np.asarray(template[:, 1 : 1 + HARMONICS] - 1j * template[:, 1 + HARMONICS :], np.complex128)
+
+
 def flat_template() -> npt.NDArray[np.float32]:
     """Return (3, terms) float32: the template of a rig of which nothing is known."""
     return np.eye(1, TERMS, dtype=np.float32).repeat(3, axis=0)
@@ -61,7 +66,7 @@ def template_mismatch(template: npt.NDArray[np.float32], weights: npt.NDArray[np
         0 or more; NaN for a flat template.
     """
     waves = np.linalg.inv(weights.astype(np.float64))
-    ratio = (template[:, 1] - 1j * template[:, 1 + HARMONICS]) / (waves[:, 0] - 1j * waves[:, 1])
+    ratio = channel_harmonics(template)[:, 0] / (waves[:, 0] - 1j * waves[:, 1])
     if abs(ratio.mean()) == 0:
         return np.nan
     return float(np.sqrt((np.abs(ratio / ratio.mean() - 1) ** 2).sum() / 2))

@@ -24,9 +24,10 @@ from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2,
 from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.balance_window import BalanceWindow
-from tikernels.phase.crosstalk import Crosstalk, colored_channels, unmixed
+from tikernels.phase.crosstalk import Crosstalk, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
 from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of, modulation_of
+from tikernels.phase.surfaces import neutral_light, shows_surface, without_ambient
 from tikernels.raw.linearization import LEVEL_TYPES
 
 # Sums below this hold no colour worth measuring.
@@ -65,7 +66,7 @@ class Gains:
     """
 
     def __init__(self, height: int, width: int, period_px: float) -> None:
-        self.height, self.width = height, width
+        self.height, self.width, self.period_px = height, width, period_px
         self.window = BalanceWindow(height, width, period_px)
         #: px between two nodes.
         self.spacing_px = self.window.spacing_px
@@ -88,8 +89,7 @@ class Gains:
         image : (H, W, 3) uint8, uint16 or float32
             Linear light, levels, stripes along the rows.
         crosstalk : Crosstalk
-            With `balance_first` the gains belong to the camera's channels, before it is undone, otherwise to the
-            projector's, after that.
+            The gains belong to a neutral surface's channels, before it is undone.
         levels : FrameLevels
             Darker pixels, and those with less modulation, say nothing of the colour.
 
@@ -99,14 +99,15 @@ class Gains:
             The image has another shape or dtype.
         """
         image = checks.read_array("image", image, (self.height, self.width, 3), *LEVEL_TYPES)
-        rows, balance_first = self.window.rows, crosstalk.balance_first
-        _collect_samples_kernel(balance_first)(image, crosstalk.inverse, levels.intensity, rows, self.samples)
+        rows, surfaces = self.window.rows, crosstalk.surfaces
+        shown = (surfaces.unmixing, surfaces.ambient, surfaces.labels)
+        _collect_samples_kernel(surfaces.mixed)(image, *shown, levels.intensity, rows, self.samples)
         sum_blocks_kernel(self.samples, rows, self._sums)
         self._find_gains(predicted=False)
         waves = channel_waves(crosstalk.lag)
         of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
         light = (self.samples, crosstalk.inverse, crosstalk.matrix, of_phase, to_phase, self.gains, rows)
-        _predict_blocks_kernel(balance_first)(*light, levels.modulation, self._contrast_sums, self._sums)
+        predict_blocks_kernel(*light, levels.modulation, self._contrast_sums, self._sums)
         self._find_gains(predicted=True)
 
     def _find_gains(self, predicted: bool) -> None:
@@ -133,27 +134,21 @@ def gain_at(gains: F32Array3, spacing_px: i32, y: i32, x: i32) -> vec3:
 
 
 @ti.func
-def projected_vector(sample: vec3, gain: vec3, inverse: mat3, to_phase: mat3, balance_first: Static) -> vec3:
+def projected_vector(sample: vec3, gain: vec3, inverse: mat3, to_phase: mat3) -> vec3:
     """Return b cos(phi), b sin(phi) and a of a sample, as a neutral surface sends the projector's light back."""
     # What `weighed_vector` gives in exact arithmetic; with the inverse in the weights, float32 rounds differently.
-    light = sample * gain
-    if ti.static(balance_first):
-        light = unmixed(light, inverse)
-    wave = to_phase @ light
+    wave = to_phase @ unmixed(sample * gain, inverse)
     return vec3(wave.y, wave.z, wave.x)
 
 
 @ti.func
-def neutral_channels(vector: vec3, share: f32, of_phase: mat3, matrix: mat3, balance_first: Static) -> vec3:
+def neutral_channels(vector: vec3, share: f32, of_phase: mat3, matrix: mat3) -> vec3:
     """Return what the channels of a neutral surface are, given a pixel's `projected_vector`.
 
     Its background, and its phase with the frame's contrast: `share` is that over the pixel's modulation. Cosine and
     sine come from the vector itself: no arctangent is needed.
     """
-    light = vector.z * (of_phase @ vec3(1.0, share * vector.x, share * vector.y))
-    if ti.static(balance_first):
-        light = matrix @ light
-    return light
+    return matrix @ (vector.z * (of_phase @ vec3(1.0, share * vector.x, share * vector.y)))
 
 
 @ti.func
@@ -179,97 +174,98 @@ def channels_at(sums: F32Array3, i: i32, j: i32, first: Static) -> vec3:
 
 
 @cache
-def _collect_samples_kernel(balance_first: bool) -> Any:
+def _collect_samples_kernel(mixed: bool) -> Any:
     @ti.kernel
     def collect_samples_kernel(
         image: AnyArray3,  # (H, W, 3) levels
-        inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
+        unmixing: F32Array3,  # (N, 3, 3) of each surface
+        besides: F32Array2,  # (N, 3) levels
+        labels: U8Array2,  # (H, W) its number
         min_intensity: f32,  # levels; darker pixels are left out
         rows: i32,
-        out_samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to; 0 where left out
+        out_samples: F32Array3,  # (H, Wb, 3) a neutral surface's channels; 0 where left out
     ):
         """Take one pixel a row of every block."""
         width, blocks = image.shape[1], out_samples.shape[1]
         for number in range(out_samples.shape[0] * blocks):
             y, j = number // blocks, number % blocks
-            inverse = matrix_of(inverse_matrix)
             x = j * 2 * rows + (y & 1) * rows
             kept = vec3(0.0)
             if x < width:
                 light = color_at(image, y, x)
                 if light.sum() > 3.0 * min_intensity:
-                    kept = colored_channels(light, inverse, balance_first)
+                    if ti.static(not mixed):
+                        kept = light
+                    elif shows_surface(labels, y, x):
+                        projected = without_ambient(light, besides, labels, y, x, mixed)
+                        kept = neutral_light(projected, unmixing, labels, y, x, mixed)
             for k in ti.static(range(3)):
                 out_samples[y, j, k] = kept[k]
 
     return collect_samples_kernel
 
 
-@cache
-def _predict_blocks_kernel(balance_first: bool) -> Any:
-    @ti.kernel
-    def predict_blocks_kernel(
-        samples: F32Array3,  # (H, Wb, 3)
-        inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
-        crosstalk_matrix: F32Array2,  # (3, 3)
-        channel_matrix: F32Array2,  # (3, 3) `channel_waves`
-        phase_matrix: F32Array2,  # (3, 3) its inverse
-        gains: F32Array3,  # (Hg, Wg, 3) of the first look
-        rows: i32,
-        min_modulation: f32,
-        contrast_sums: F32Array2,  # (H / 8 + 1, 2) scratch: see _MODULATION and so on
-        out_sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`
-    ):
-        """Measure the frame's contrast, then sum up every block's channels and what they should be."""
-        height, columns = samples.shape[0], 2 * rows
-        last = contrast_sums.shape[0] - 1
+@ti.kernel
+def predict_blocks_kernel(
+    samples: F32Array3,  # (H, Wb, 3)
+    inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
+    crosstalk_matrix: F32Array2,  # (3, 3)
+    channel_matrix: F32Array2,  # (3, 3) `channel_waves`
+    phase_matrix: F32Array2,  # (3, 3) its inverse
+    gains: F32Array3,  # (Hg, Wg, 3) of the first look
+    rows: i32,
+    min_modulation: f32,
+    contrast_sums: F32Array2,  # (H / 8 + 1, 2) scratch: see _MODULATION and so on
+    out_sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`
+):
+    """Measure the frame's contrast, then sum up every block's channels and what they should be."""
+    height, columns = samples.shape[0], 2 * rows
+    last = contrast_sums.shape[0] - 1
+    for i in range(last):
+        inverse, to_phase = matrix_of(inverse_matrix), matrix_of(phase_matrix)
+        modulation_sum, background_sum = 0.0, 0.0
+        y = i * _SPARSE
+        for j in range(samples.shape[1]):
+            gain = gain_at(gains, columns, y, j * columns + rows)
+            vector = projected_vector(sample_at(samples, y, j), gain, inverse, to_phase)
+            modulation = modulation_of(vector)
+            if modulation > min_modulation:
+                modulation_sum += modulation
+                background_sum += vector.z
+        contrast_sums[i, _MODULATION] = modulation_sum
+        contrast_sums[i, _BACKGROUND] = background_sum
+    # One thread adds the rows up in order, so that the sum is the same every time.
+    ti.loop_config(serialize=True)
+    for _ in range(1):
+        modulation_sum, background_sum = 0.0, 1e-12
         for i in range(last):
-            inverse, to_phase = matrix_of(inverse_matrix), matrix_of(phase_matrix)
-            modulation_sum, background_sum = 0.0, 0.0
-            y = i * _SPARSE
-            for j in range(samples.shape[1]):
-                gain = gain_at(gains, columns, y, j * columns + rows)
-                vector = projected_vector(sample_at(samples, y, j), gain, inverse, to_phase, balance_first)
-                modulation = modulation_of(vector)
-                if modulation > min_modulation:
-                    modulation_sum += modulation
-                    background_sum += vector.z
-            contrast_sums[i, _MODULATION] = modulation_sum
-            contrast_sums[i, _BACKGROUND] = background_sum
-        # One thread adds the rows up in order, so that the sum is the same every time.
-        ti.loop_config(serialize=True)
-        for _ in range(1):
-            modulation_sum, background_sum = 0.0, 1e-12
-            for i in range(last):
-                modulation_sum += contrast_sums[i, _MODULATION]
-                background_sum += contrast_sums[i, _BACKGROUND]
-            contrast_sums[last, _CONTRAST] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
-        for block in range(out_sums.shape[0] * out_sums.shape[1]):
-            i, j = block // out_sums.shape[1], block % out_sums.shape[1]
-            inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
-            of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
-            seen, predicted = vec3(0.0), vec3(0.0)
-            background, count = 0.0, 0.0
-            contrast = contrast_sums[last, _CONTRAST]
-            # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
-            gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), j * columns + rows)
-            for y in range(i * rows, ti.min((i + 1) * rows, height)):
-                sample = sample_at(samples, y, j)
-                vector = projected_vector(sample, gain, inverse, to_phase, balance_first)
-                modulation = modulation_of(vector)
-                if modulation > min_modulation:
-                    share = contrast / modulation
-                    seen += sample
-                    predicted += neutral_channels(vector, share, of_phase, matrix, balance_first)
-                    background += (sample * gain).sum() / 3.0
-                    count += 1.0
-            for k in ti.static(range(3)):
-                out_sums[i, j, WindowSum.SEEN + k] = seen[k]
-                out_sums[i, j, WindowSum.PREDICTED + k] = predicted[k]
-            out_sums[i, j, WindowSum.BACKGROUND] = background
-            out_sums[i, j, WindowSum.SAMPLES] = count
-
-    return predict_blocks_kernel
+            modulation_sum += contrast_sums[i, _MODULATION]
+            background_sum += contrast_sums[i, _BACKGROUND]
+        contrast_sums[last, _CONTRAST] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
+    for block in range(out_sums.shape[0] * out_sums.shape[1]):
+        i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+        inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
+        of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
+        seen, predicted = vec3(0.0), vec3(0.0)
+        background, count = 0.0, 0.0
+        contrast = contrast_sums[last, _CONTRAST]
+        # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
+        gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), j * columns + rows)
+        for y in range(i * rows, ti.min((i + 1) * rows, height)):
+            sample = sample_at(samples, y, j)
+            vector = projected_vector(sample, gain, inverse, to_phase)
+            modulation = modulation_of(vector)
+            if modulation > min_modulation:
+                share = contrast / modulation
+                seen += sample
+                predicted += neutral_channels(vector, share, of_phase, matrix)
+                background += (sample * gain).sum() / 3.0
+                count += 1.0
+        for k in ti.static(range(3)):
+            out_sums[i, j, WindowSum.SEEN + k] = seen[k]
+            out_sums[i, j, WindowSum.PREDICTED + k] = predicted[k]
+        out_sums[i, j, WindowSum.BACKGROUND] = background
+        out_sums[i, j, WindowSum.SAMPLES] = count
 
 
 @ti.kernel
@@ -376,7 +372,7 @@ def balance_color(
         mask = checks.read_mask("mask", mask, (height, width))
         counted = np.empty((height, width, 3), np.float32)
         darken_kernel(image, mask, counted)
-    crosstalk = Crosstalk.of(np.eye(3) if crosstalk_matrix is None else crosstalk_matrix, balance_first=True)
+    crosstalk = Crosstalk.of(np.eye(3) if crosstalk_matrix is None else crosstalk_matrix)
     out = checks.out_array("out", out, (height, width, 3), np.float32)
     gains = Gains(height, width, period_px)
     gains.measure(counted, crosstalk, _ANYTHING_LIT)

@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks
-from tikernels._taichi import F32Array2, F32Array3, Static, mat3, ti, vec3
+from tikernels._taichi import F32Array2, F32Array3, mat3, ti, vec3
 from tikernels.arrays import F32
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import color_at, matrix_of, phase_weights
+from tikernels.phase.surfaces import Surfaces
 
 
 @ti.func
@@ -23,17 +24,8 @@ def unmixed(light: vec3, inverse: mat3) -> vec3:
 
 
 @ti.func
-def colored_channels(light: vec3, inverse: mat3, balance_first: Static) -> vec3:
-    """Return the channels on which the surface's colour acts, given the camera's; see `Crosstalk.balance_first`."""
-    channels = light
-    if ti.static(not balance_first):
-        channels = unmixed(light, inverse)
-    return channels
-
-
-@ti.func
 def weighed_vector(channels: vec3, gain: vec3, weights: mat3) -> vec3:
-    """Return b cos(phi), b sin(phi) and a of what `colored_channels` gives, balanced by a gain; see `phase_weights`."""
+    """Return b cos(phi), b sin(phi) and a of a neutral surface's channels, balanced by a gain; see `phase_weights`."""
     return weights @ (channels * gain)
 
 
@@ -81,51 +73,57 @@ def invert_crosstalk(crosstalk_matrix: npt.ArrayLike, *, normalize_rows: bool = 
 
 @dataclass(frozen=True, eq=False)
 class Crosstalk:
-    """How the projector's primaries mix in the camera's channels, and where the surface's colour acts."""
+    """How the projector's primaries mix in the camera's channels, on a neutral surface and on coloured ones."""
 
     matrix: npt.NDArray[np.float32]
-    """(3, 3): camera = matrix @ projector; each row sums to one where `balance_first`."""
+    """(3, 3): what a neutral surface sends back = matrix @ projector; each row sums to one."""
     inverse: npt.NDArray[np.float32]
     """(3, 3): undoes it."""
     weights: npt.NDArray[np.float32]
     """(3, 3): takes the balanced channels to b cos(phi), b sin(phi) and the background a; see `phase_weights`."""
     noise_amplification: float
-    """Standard deviation of b cos(phi) and of b sin(phi), for a camera channel's of one."""
-    balance_first: bool
-    """Whether the reflectance acts on the camera's channels, after the crosstalk: the colours are balanced first."""
+    """Standard deviation of b cos(phi) and of b sin(phi), for a camera channel's of one, on the first surface."""
     lag: npt.NDArray[np.float64] | None
     """(3,) rad, how far the fringe of R, G, B lags behind its place; None: nowhere."""
+    surfaces: Surfaces
+    """What the surfaces' colours do to that."""
 
     @classmethod
     def of(
-        cls, matrix: npt.ArrayLike, *, balance_first: bool, lag: npt.NDArray[np.float64] | None = None
+        cls,
+        matrix: npt.ArrayLike,
+        *,
+        lag: npt.NDArray[np.float64] | None = None,
+        surfaces: Surfaces | None = None,
     ) -> "Crosstalk":
         """Prepare a crosstalk matrix for decoding.
 
         Parameters
         ----------
         matrix : (3, 3)
-            camera = matrix @ projector.
-        balance_first : bool
-            Whether the colours are balanced before the crosstalk is undone. Then a neutral projector gives neutral
-            camera values by definition, whatever the rows of the matrix sum up to.
+            camera = matrix @ projector. The colours are balanced before it is undone; then a neutral projector gives
+            neutral camera values by definition, whatever the rows of the matrix sum up to.
         lag : (3,), optional
             rad; see `channel_delays`.
+        surfaces : Surfaces, optional
+            What their colours do beyond what the balance undoes; None: nothing.
 
         Raises
         ------
         ShapeError
             The matrix is not 3x3 or cannot be inverted.
         """
-        inverse = invert_crosstalk(matrix, normalize_rows=balance_first)
-        weights = phase_weights(inverse if balance_first else np.eye(3), lag)
+        inverse = invert_crosstalk(matrix, normalize_rows=True)
+        weights = phase_weights(inverse, lag)
+        surfaces = Surfaces.of(np.eye(3)) if surfaces is None else surfaces
+        seen_weights = phase_weights(inverse @ surfaces.unmixing[0])
         return cls(
             np.linalg.inv(inverse).astype(np.float32),
             inverse.astype(np.float32),
             weights.astype(np.float32),
-            float(np.sqrt((phase_weights(inverse)[:2] ** 2).sum() / 2)),
-            balance_first,
+            float(np.sqrt((seen_weights[:2] ** 2).sum() / 2)),
             lag,
+            surfaces,
         )
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array2, F32Array3, f32, i32, ti
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import load_harmonics
@@ -25,7 +25,7 @@ from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_fit import fitted_step, model_at, node_model
-from tikernels.phase.phase_vector import color_at, matrix_of
+from tikernels.phase.phase_vector import color_at
 from tikernels.phase.wrapped_phase import has_phase
 from tikernels.raw.linearization import LEVEL_TYPES
 
@@ -78,8 +78,18 @@ class ModelError:
         image = checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
         phase = checks.read_array("phase", phase, shape, np.float32)
         noise = (levels.read_noise, levels.noise_gain, contrast_doubt)
-        light = (image, phase, crosstalk.matrix, model.template, model.nodes, self._window.rows)
-        _sum_errors_kernel(crosstalk.balance_first)(*light, *noise, self._sums)
+        surfaces = crosstalk.surfaces
+        light = (
+            image,
+            phase,
+            surfaces.labels,
+            surfaces.mixing,
+            surfaces.ambient,
+            model.template,
+            model.nodes,
+            self._window.rows,
+        )
+        _sum_errors_kernel(surfaces.mixed)(*light, *noise, self._sums)
         self._window.smooth(self._sums, self._half, self._smooth)
         out = runtime.empty(self._window.grid, np.float32)
         mean_excess_kernel(self._smooth, out)
@@ -87,12 +97,14 @@ class ModelError:
 
 
 @cache
-def _sum_errors_kernel(balance_first: bool) -> Any:
+def _sum_errors_kernel(mixed: bool) -> Any:
     @ti.kernel
     def sum_errors_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         phase: F32Array2,  # (H, W) rad
-        crosstalk_matrix: F32Array2,  # (3, 3)
+        labels: U8Array2,  # (H, W) see `Surfaces`
+        mixing: F32Array3,  # (N, 3, 3)
+        besides: F32Array2,  # (N, 3) levels
         template: F32Array2,  # (3, terms)
         nodes: F32Array3,  # (Hg, Wg, 6) A and B
         rows: i32,
@@ -104,14 +116,16 @@ def _sum_errors_kernel(balance_first: bool) -> Any:
         """Sum up what one pixel a row of every block has beyond its noise."""
         for block in range(out_sums.shape[0] * out_sums.shape[1]):
             i, j = block // out_sums.shape[1], block % out_sums.shape[1]
-            matrix, harmonics = matrix_of(crosstalk_matrix), load_harmonics(template)
+            harmonics = load_harmonics(template)
             excess, count = 0.0, 0.0
             for y in range(i * rows, ti.min((i + 1) * rows, image.shape[0])):
                 x = j * 2 * rows + (y & 1) * rows
                 if x < image.shape[1] and has_phase(phase[y, ti.min(x, image.shape[1] - 1)]):
                     v = ti.min(ti.max((y + 0.5) / (2 * rows) - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
                     color, ambient = node_model(nodes, v, j)
-                    model, change, swing, rest = model_at(phase[y, x], color, ambient, harmonics, matrix, balance_first)
+                    model, change, swing, rest = model_at(
+                        phase[y, x], color, ambient, harmonics, mixing, besides, labels, y, x, mixed
+                    )
                     seen = color_at(image, y, x)
                     weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
                     _, precision, misfit = fitted_step(

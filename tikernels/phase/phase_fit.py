@@ -38,6 +38,7 @@ from tikernels._taichi import (
     F32Array3,
     I32Array2,
     Static,
+    U8Array2,
     f32,
     i32,
     mat3,
@@ -49,10 +50,18 @@ from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
 from tikernels.phase.color_balance import Gains, gain_at
-from tikernels.phase.crosstalk import Crosstalk, colored_channels, weighed_vector
+from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import BINS, equalized, place_in_cycle
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import arctangent, color_at, matrix_of, modulation_of, squared_modulation
+from tikernels.phase.surfaces import (
+    neutral_light,
+    shows_surface,
+    surface_ambient,
+    surface_at,
+    surface_matrix,
+    without_ambient,
+)
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import strip_at, strip_count
@@ -98,21 +107,34 @@ def node_model(nodes: F32Array3, row: f32, j: i32):
 
 
 @ti.func
-def fringe_vector(seen: vec3, color: vec3, ambient: vec3, inverse: mat3, weights: mat3, balance_first: Static) -> vec3:
+def fringe_vector(channels: vec3, color: vec3, ambient: vec3, weights: mat3) -> vec3:
     """Return b cos(phi), b sin(phi) and a of a pixel's balanced channels, (C - B) / A."""
-    channels = colored_channels(seen, inverse, balance_first)
     # One division for three.
     others = vec3(color.y * color.z, color.x * color.z, color.x * color.y)
     return weighed_vector(channels - ambient, others, weights) / (color.x * others.x)
 
 
 @ti.func
-def model_at(phase: f32, color: vec3, ambient: vec3, harmonics: Static, matrix: mat3, balance_first: Static):
-    """Return the camera's channels M, their change with phase M' and contrast W, all for s = 1, and with ambient B."""
+def model_at(
+    phase: f32,
+    color: vec3,
+    ambient: vec3,
+    harmonics: Static,
+    mixing: F32Array3,
+    besides: F32Array2,
+    labels: U8Array2,
+    y: i32,
+    x: i32,
+    mixed: Static,
+):
+    """Return a pixel's channels M, their change with phase M' and contrast W, all for s = 1, and with ambient B."""
     cycle, slope = cycle_and_slope(harmonics, phase)
     model, change, swing, rest = color * cycle, color * slope, color * (cycle - 1.0), ambient
-    if ti.static(not balance_first):
-        model, change, swing, rest = matrix @ model, matrix @ change, matrix @ swing, matrix @ ambient
+    if ti.static(mixed):
+        surface = surface_at(labels, y, x)
+        matrix = surface_matrix(mixing, surface)
+        model, change, swing = matrix @ model, matrix @ change, matrix @ swing
+        rest = matrix @ ambient + surface_ambient(besides, surface)
     return model, change, swing, rest
 
 
@@ -139,8 +161,33 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
     return step, precision, misfit
 
 
+@ti.func
+def estimator_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
+    """Return E and E D of the module, of channels in units of their noise."""
+    inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
+    of_phase = change - change.dot(model) * inverse_square * model
+    of_contrast = swing - swing.dot(model) * inverse_square * model
+    doubt = contrast_doubt * ti.max(light.dot(model) * inverse_square, 1e-6)
+    variance = 1.0 + doubt * doubt * of_contrast.dot(of_contrast)
+    estimator = variance * of_phase - doubt * doubt * of_phase.dot(of_contrast) * of_contrast
+    return estimator, estimator.dot(of_phase)
+
+
+@ti.func
+def misfit_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32) -> f32:
+    """Return the square of what neither brightness nor phase explain, over its variance.
+
+    All channels are in units of their noise; see the module.
+    """
+    across = model.cross(change)
+    square = ti.max(across.dot(across), 1e-12)
+    residual = light.dot(across)
+    by_contrast = contrast_doubt * light.dot(model) / ti.max(model.dot(model), 1e-12) * swing.dot(across)
+    return residual * residual / (square + by_contrast * by_contrast)
+
+
 @cache
-def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
+def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
     """Return the kernel from grey levels to phase, for nodes that are `spacing_px` px apart."""
     width_at_once = min(max(spacing_px, 8), 16)
     lanes = ti.types.vector(width_at_once, ti.f32)
@@ -148,8 +195,10 @@ def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
     @ti.kernel
     def fit_phase_kernel(
         image: AnyArray3,  # (H, W, 3) levels
-        inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk; used where the model's channels come after it
-        crosstalk_matrix: F32Array2,  # (3, 3)
+        labels: U8Array2,  # (H, W) see `Surfaces`
+        mixing: F32Array3,  # (N, 3, 3)
+        unmixing: F32Array3,  # (N, 3, 3)
+        besides: F32Array2,  # (N, 3) levels
         phase_weights: F32Array2,  # (3, 3) takes the model's balanced channels to b (cos phi, sin phi), a
         correction: F32Array1,  # (bins + 1,) rad to add to the arctangent
         template: F32Array2,  # (3, terms) one cycle of each channel
@@ -169,8 +218,7 @@ def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
         gaps = nodes.shape[1] + 1
         for t in range(height * strip_count(gaps, _GAPS_A_THREAD)):
             y, first, count_of_gaps = strip_at(t, gaps, _GAPS_A_THREAD)
-            inverse, weights, matrix = matrix_of(inverse_matrix), matrix_of(phase_weights), matrix_of(crosstalk_matrix)
-            harmonics = load_harmonics(template)
+            weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
             v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             right_color, right_ambient = node_model(nodes, v, first - 1)
             red, green, blue, bare, start_phase = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
@@ -191,7 +239,9 @@ def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
                         along = ti.cast(x + k - start, ti.f32) + 0.5
                         color, ambient = left_color + color_slope * along, left_ambient + ambient_slope * along
                         seen = vec3(red[k], green[k], blue[k])
-                        vector = fringe_vector(seen, color, ambient, inverse, weights, balance_first)
+                        projected = without_ambient(seen, besides, labels, y, x + k, mixed)
+                        channels = neutral_light(projected, unmixing, labels, y, x + k, mixed)
+                        vector = fringe_vector(channels, color, ambient, weights)
                         # In levels of the channels as they are, which the model has stretched to one contrast.
                         modulation[k] = modulation_of(vector) * color.sum() / 3.0
                         bare[k] = arctangent(vector.y, vector.x)
@@ -202,7 +252,7 @@ def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
                         color, ambient = left_color + color_slope * along, left_ambient + ambient_slope * along
                         seen = vec3(red[k], green[k], blue[k])
                         model, change, swing, rest = model_at(
-                            start_phase[k], color, ambient, harmonics, matrix, balance_first
+                            start_phase[k], color, ambient, harmonics, mixing, besides, labels, y, x + k, mixed
                         )
                         weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
                         light = weight * (seen - rest)
@@ -212,6 +262,8 @@ def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
                         precision[k] = precise / ti.max(1.0, misfit / _MAX_MISFIT)
                         valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
                         value = start_phase[k] + ti.min(ti.max(step, -_MAX_STEP), _MAX_STEP)
+                        if ti.static(mixed):
+                            valid &= shows_surface(labels, y, x + k)
                         phase[k] = ti.select(valid, value, NO_PHASE)
                     for k in range(count):
                         out_phase[y, x + k] = phase[k]
@@ -223,13 +275,15 @@ def _fit_phase_kernel(balance_first: bool, spacing_px: int) -> Any:
 
 
 @cache
-def _count_phases_kernel(balance_first: bool) -> Any:
+def _count_phases_kernel(mixed: bool) -> Any:
     lanes = ti.types.vector(_SAMPLES_A_THREAD, ti.f32)
 
     @ti.kernel
     def count_phases_kernel(
         image: AnyArray3,  # (H, W, 3) levels
-        inverse_matrix: F32Array2,  # (3, 3)
+        labels: U8Array2,  # (H, W) see `Surfaces`
+        unmixing: F32Array3,  # (N, 3, 3)
+        besides: F32Array2,  # (N, 3) levels
         phase_weights: F32Array2,  # (3, 3)
         gains: F32Array3,  # (Hg, Wg, 3)
         spacing_px: i32,
@@ -246,7 +300,7 @@ def _count_phases_kernel(balance_first: bool) -> Any:
             y, first, count = strip_at(strip, columns, _SAMPLES_A_THREAD)
             # Gains hardly change within a strip.
             middle = ti.min((first + _SAMPLES_A_THREAD // 2) * step, width - 1)
-            inverse, weights = matrix_of(inverse_matrix), matrix_of(phase_weights)
+            weights = matrix_of(phase_weights)
             gain = gain_at(gains, spacing_px, y, middle)
             tile = (y * _TILES // height) * _TILES + middle * _TILES // width
             red, green, blue, place = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
@@ -255,8 +309,12 @@ def _count_phases_kernel(balance_first: bool) -> Any:
                 red[k], green[k], blue[k] = seen.x, seen.y, seen.z
             for k in range(_SAMPLES_A_THREAD):
                 seen = vec3(red[k], green[k], blue[k])
-                vector = weighed_vector(colored_channels(seen, inverse, balance_first), gain, weights)
+                projected = without_ambient(seen, besides, labels, y, (first + k) * step, mixed)
+                channels = neutral_light(projected, unmixing, labels, y, (first + k) * step, mixed)
+                vector = weighed_vector(channels, gain, weights)
                 counts = is_lit(seen, min_intensity, clipped)
+                if ti.static(mixed):
+                    counts &= shows_surface(labels, y, (first + k) * step)
                 counts &= squared_modulation(vector) > min_modulation * min_modulation
                 place[k] = ti.select(counts, place_in_cycle(arctangent(vector.y, vector.x), bins), -1.0)
             for k in range(_SAMPLES_A_THREAD):
@@ -294,8 +352,10 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
     histogram = np.zeros((_TILES**2, BINS), np.int32)
     step = max(1, gains.height * gains.width // _COUNTED)
     thresholds = (levels.intensity, levels.modulation, levels.clipped)
-    kernel = _count_phases_kernel(crosstalk.balance_first)
-    kernel(image, crosstalk.inverse, crosstalk.weights, gains.gains, gains.spacing_px, step, *thresholds, histogram)
+    surfaces = crosstalk.surfaces
+    shown = (surfaces.labels, surfaces.unmixing, surfaces.ambient)
+    kernel = _count_phases_kernel(surfaces.mixed)
+    kernel(image, *shown, crosstalk.weights, gains.gains, gains.spacing_px, step, *thresholds, histogram)
     runtime.synchronize()
     return histogram.astype(np.int64)
 
@@ -347,10 +407,13 @@ def fit_phase(
     correction = checks.read_array("correction", correction, (None,), np.float32)
     names, outs = ("phase", "modulation", "precision"), (None, None, None) if out is None else out
     results = tuple(checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
-    _fit_phase_kernel(crosstalk.balance_first, model.gains.spacing_px)(
+    surfaces = crosstalk.surfaces
+    _fit_phase_kernel(surfaces.mixed, model.gains.spacing_px)(
         image,
-        crosstalk.inverse,
-        crosstalk.matrix,
+        surfaces.labels,
+        surfaces.mixing,
+        surfaces.unmixing,
+        surfaces.ambient,
         crosstalk.weights,
         correction,
         model.template,

@@ -34,9 +34,10 @@ class Case:
     scene: str
     pattern: str = "plain"
     known: str = "nothing"
-    bands: Literal["broad", "narrow"] = "broad"
+    bands: Literal["broad", "narrow"] | None = None
     sensor: Sensor = _SENSOR
     rig: Rig = _RIG
+    before: str | None = None  # the frame before, of a projector that shows its colours in turns
 
 
 @dataclass(frozen=True)
@@ -78,10 +79,16 @@ def decode(case: Case, studio: Studio, sensor: Sensor) -> tuple[DecodedFrame, np
     """Return a case's frame by this sensor, decoded, and its levels of 0..255."""
     image = developed(studio.frame(case.scene, case.pattern, sensor, case.rig), sensor)
     full = 1.0 if image.dtype == np.float32 else float(np.iinfo(image.dtype).max)
-    decoder = Decoder(DecodeSettings(reflectance_bands=case.bands), calibration_for(case, studio), arch="cpu")
+    times = None if case.before is None else np.array([1, 3, 5]) / 6  # the middles of thirds
+    settings = DecodeSettings(reflectance_bands=case.bands, field_times=times)
+    decoder = Decoder(settings, calibration_for(case, studio), arch="cpu")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DecodeWarning)  # what is not known is what is measured
-        return decoder.decode(image), image * (255.0 / full)
+        previous = None
+        if case.before is not None:
+            before = developed(studio.frame(case.before, case.pattern, sensor, case.rig), sensor)
+            previous = decoder.decode(before)
+        return decoder.decode(image, previous=previous), image * (255.0 / full)
 
 
 def study(case: Case, studio: Studio) -> Judged:

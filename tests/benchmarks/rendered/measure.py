@@ -116,11 +116,11 @@ def row(result: Judged, surface: str, scene: str | None = None) -> str:
     """Return a row of the standard table."""
     case, clean, noisy = result.case, result.clean[surface], result.noisy.get(surface)
     cells = [
-        scene or case.scene.replace("_", " "),
+        (scene or case.scene.replace("_", " ")) + (", undone" if case.before else ""),
         surface,
         case.pattern,
         case.known,
-        case.bands,
+        case.bands or "found",
         "yes" if case.sensor.mosaic else "no",
         f"{clean.rms:.4f}",
         f"{clean.rms_inside:.4f}",
@@ -175,25 +175,27 @@ def colors(studio: Studio) -> Iterator[str]:
 
 
 def narrow_bands(studio: Studio) -> Iterator[str]:
-    """Yield what the other order of balance and crosstalk does."""
-    yield '### With `reflectance_bands = "narrow"`\n'
+    """Yield what it costs to fix where the surfaces' colours act."""
+    yield "### Where the colour is taken to act in one place\n"
     yield from table(_HEADINGS)
     for scene in ("plane", "face", "objects", "board"):
-        yield from rows([Case(scene, known=KNOWN[-1], bands="narrow")], studio, lambda case, verdict: True)
+        cases = [Case(scene, known=KNOWN[-1], bands=bands) for bands in ("broad", "narrow")]
+        yield from rows(cases, studio, lambda case, verdict: True)
 
 
 def board_steps(studio: Studio) -> Iterator[str]:
     """Yield how flat one board of six colours comes out."""
     yield "### Steps between the colours of one flat board\n"
     yield from table(("pattern", "known", "bands", "largest step, rad", "between", "step, mm", "constant sigma, rad"))
-    for case in [*knowledge("board"), Case("board", known=KNOWN[-1], bands="narrow")]:
+    taken = [Case("board", known=KNOWN[-1], bands=bands) for bands in ("broad", "narrow")]
+    for case in [*knowledge("board"), *taken]:
         result = study(case, studio)
         constants = {name: verdict.constant_inside for name, verdict in result.clean.items() if name != _ALL}
         most = max(combinations(constants, 2), key=lambda pair: abs(constants[pair[0]] - constants[pair[1]]))
         step = abs(constants[most[0]] - constants[most[1]])
         per_rad = float(np.nanmedian(np.abs(studio.truth("board").mm_per_rad)))
         yield (
-            f"| {case.pattern} | {case.known} | {case.bands} | {step:.3f} | {most[0]}, {most[1]} "
+            f"| {case.pattern} | {case.known} | {case.bands or 'found'} | {step:.3f} | {most[0]}, {most[1]} "
             f"| {step * per_rad:.2f} | {result.constant_sigma:.3f} |"
         )
 
@@ -204,11 +206,14 @@ def other_light(studio: Studio) -> Iterator[str]:
     names = ("corner", "lying_corner", "colored_corner", "gloss", "dark_beside_bright", "deep", "deep_out_of_focus",
              "moving", "in_turns_still", "in_turns")  # fmt: skip
     yield from (f"- *{name.replace('_', ' ')}*: {scenes()[name].notes}" for name in names)
+    yield "- *undone*: by `field_times` and the frame before"
     yield ""
     yield from table(_HEADINGS)
     for name in names:
         cases = [Case(name, known=known) for known in (KNOWN[0], KNOWN[-1])]
         yield from rows(cases, studio, lambda case, verdict: not verdict.surface.startswith("plate"))
+    undone = [Case("in_turns", known=known, before="in_turns_before") for known in (KNOWN[0], KNOWN[-1])]
+    yield from rows(undone, studio, lambda case, verdict: True)
 
 
 def other_rigs(studio: Studio) -> Iterator[str]:

@@ -4,6 +4,7 @@ import subprocess
 import time
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from support.command_line import command
 from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
@@ -290,3 +291,21 @@ def test_the_command_stops_when_told_to(tmp_path, number):
     n_frames = sum(line["event"] == "frame" for line in log_of(out))
     assert n_frames == len(open_source(out / "recording.zarr")) > 0
     assert log_of(out)[-1]["event"] == "end"
+
+
+def test_colours_one_after_another_are_said_to_whoever_decodes(tmp_path):
+    """A frame has its middle colour's time, and the folder holds the settings to undo motion between them by."""
+    fields = {"red_s": 0.001, "green_s": 0.004, "blue_s": 0.002}
+    rig = settings()
+    plain = captured(Bench(rig), tmp_path / "plain", CapturePlan(1))
+    told = rig.model_copy(update={"projector": rig.projector.model_validate({**vars(rig.projector), "fields": fields})})
+    captured(Bench(told), tmp_path / "told", CapturePlan(1))
+    assert plain.n_frames == FRAMES
+    assert not (tmp_path / "plain" / "settings.toml").exists()
+    period_s = told.timing.period_s
+    times = DecodeSettings.read(tmp_path / "told" / "settings.toml").field_times
+    np.testing.assert_allclose(times, np.array([0.001, 0.004, 0.002]) / period_s)
+    assert told.projector.fields.middle_s == 0.002
+    frames = [line for line in log_of(tmp_path / "told") if line["event"] == "frame"]
+    steps = np.diff([line["time"] - line["pulse_s"] for line in frames])
+    assert np.abs(steps).max() < 1e-6

@@ -1,7 +1,5 @@
 """What a frame gives reason to doubt is said in one line that names the cure."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -26,17 +24,18 @@ def test_where_there_are_none_the_projector_is_looked_at(cpu):
 
 
 @pytest.mark.parametrize(
-    "contrast, mismatch, known, said",
+    "contrast, mismatch, fast, known, said",
     [
-        (0.4, 0.01, True, []),
-        (0.05, 0.01, True, ["contrast is only 5%"]),
-        (0.4, 0.3, True, ["differ by 30%"]),
-        (0.4, 0.3, False, []),  # nothing is known that it could contradict
-        (0.05, 0.3, True, ["contrast is only 5%", "differ by 30%"]),
+        (0.4, 0.01, 0.01, True, []),
+        (0.05, 0.01, 0.0, True, ["contrast is only 5%"]),
+        (0.4, 0.3, 0.0, True, ["differ by 30%"]),
+        (0.4, 0.3, 0.0, False, []),  # nothing is known that it could contradict
+        (0.05, 0.3, 0.0, True, ["contrast is only 5%", "differ by 30%"]),
+        (0.4, 0.01, 0.2, True, ["20% of the surface moves"]),
     ],
 )
-def test_the_light(contrast, mismatch, known, said):
-    doubts = light_doubts(SimpleNamespace(contrast=contrast, mismatch=mismatch), constant_known=known)
+def test_the_light(contrast, mismatch, fast, known, said):
+    doubts = light_doubts(contrast, mismatch, fast, constant_known=known)
     assert len(doubts) == len(said)
     for doubt, part in zip(doubts, said, strict=True):
         assert part in doubt

@@ -8,7 +8,7 @@ from pipeline.settings import DecodeSettings
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameStatistics
 
-NONE = Crosstalk.of(np.eye(3), balance_first=True)
+NONE = Crosstalk.of(np.eye(3))
 
 
 def levels(statistics, crosstalk=NONE, **options):
@@ -28,7 +28,7 @@ def test_a_noisy_frame_needs_a_stronger_fringe():
 
 
 def test_undoing_crosstalk_makes_noise_larger():
-    mixed = Crosstalk.of(np.array([[0.8, 0.2, 0], [0.2, 0.6, 0.2], [0, 0.2, 0.8]]), balance_first=True)
+    mixed = Crosstalk.of(np.array([[0.8, 0.2, 0], [0.2, 0.6, 0.2], [0, 0.2, 0.8]]))
     assert levels(seen(0.02), mixed).modulation > 1.2 * levels(seen(0.02)).modulation
 
 

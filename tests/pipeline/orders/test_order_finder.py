@@ -19,7 +19,7 @@ REGIONS = SimpleNamespace(roots=np.array([4, 9, 2]))  # regions 1, 2 and 3
 
 def memory(known, errors):
     orders = RegionOrders(np.array([False, *known]), np.array([np.nan, *errors], np.float32))
-    return FrameMemory("horizontal", None, None, orders)
+    return FrameMemory("horizontal", None, None, orders, None)
 
 
 def patches(offsets):

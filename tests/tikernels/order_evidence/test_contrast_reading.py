@@ -11,6 +11,7 @@ from tikernels.order_evidence import match_stretches, measure_contrast
 from tikernels.order_evidence.contrast_reading import BACKGROUND, LEAST, MODULATION, ORDER_SLOTS, SECOND, TOTAL, WINDOW
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.surfaces import Surfaces
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.tables import numbers_of
 
@@ -22,7 +23,7 @@ def test_contrast_as_the_twin(arch, shape):
     phase[rng.random(shape) < 0.05] = NO_PHASE
     image = rng.integers(20, 255, (*shape, 3)).astype(np.uint8)
     modulation = rng.uniform(5, 60, shape).astype(np.float32)
-    crosstalk = Crosstalk.of(np.eye(3) + 0.1 * rng.random((3, 3)), balance_first=True)
+    crosstalk = Crosstalk.of(np.eye(3) + 0.1 * rng.random((3, 3)))
     gains = Gains(*shape, 11.0)
     nodes = rng.uniform(0.8, 1.2, gains.gains.shape).astype(np.float32)
     gains.gains = runtime.to_device(nodes)
@@ -38,15 +39,20 @@ def test_contrast_as_the_twin(arch, shape):
     assert (sums[..., 0] > 0).any(axis=1).sum() == len([own for own in expected.values() if own[:, 0].max() > 0])
 
 
-@pytest.mark.parametrize("balance_first", [True, False])
-def test_neutral_fringes_show_their_contrast(arch, balance_first):
-    """Of grey light without crosstalk the contrast is modulation over background, whatever the phase."""
+@pytest.mark.parametrize("ambient", [0.0, 0.1])
+def test_neutral_fringes_show_their_contrast(arch, ambient):
+    """Of grey light without crosstalk the contrast is modulation over background, whatever the phase.
+
+    A surface's own colour and ambient light are taken off before.
+    """
     shape = (64, 48)
     phase = reference.wrapped(reference.ramp(*shape, 12.0, tilt=0.05))
     image = reference.fringes(phase, modulation=0.2, background=0.5)
     gains = Gains(*shape, 12.0)
     gains.gains.fill(1.0)
-    crosstalk = Crosstalk.of(np.eye(3), balance_first=balance_first)
+    mixing = np.diag([0.5, 1.0, 0.7]) if ambient else np.eye(3)
+    crosstalk = Crosstalk.of(np.eye(3), surfaces=Surfaces.of(mixing, ambient=np.full((1, 3), ambient)))
+    image = (image @ mixing.T + ambient).astype(np.float32)
     patches, _ = join(phase)
     sums = measure_contrast(image, crosstalk, gains, phase, np.full(shape, 0.2, np.float32), patches)
     cycles = sums[sums[..., TOTAL] > 0]
@@ -69,7 +75,7 @@ def test_what_is_refused(arch):
     shape = (32, 40)
     phase = reference.wrapped(reference.ramp(*shape))
     patches, _ = join(phase)
-    crosstalk, gains = Crosstalk.of(np.eye(3), balance_first=True), Gains(*shape, 12.0)
+    crosstalk, gains = Crosstalk.of(np.eye(3)), Gains(*shape, 12.0)
     gains.gains.fill(1.0)
     image = np.zeros((*shape, 3), np.uint8)
     with pytest.raises(tikernels.ShapeError, match="modulation has shape"):

@@ -37,7 +37,7 @@ def frame(gamma: float, ambient: float) -> np.ndarray:
 
 
 def fitted(image: np.ndarray) -> tuple[ChannelModel, Gains]:
-    crosstalk = Crosstalk.of(MATRIX, balance_first=True)
+    crosstalk = Crosstalk.of(MATRIX)
     gains = Gains(*SHAPE, PERIOD_PX)
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, LEVELS)
@@ -113,7 +113,7 @@ def test_a_dark_frame_keeps_what_is_known(arch):
 
 def test_what_a_fit_takes_and_refuses(arch):
     """Every form of an array gives the same; and whatever was fitted before, a frame gives what it gives."""
-    image, crosstalk = frame(2.0, 0.05), Crosstalk.of(MATRIX, balance_first=True)
+    image, crosstalk = frame(2.0, 0.05), Crosstalk.of(MATRIX)
     model, gains = fitted(image)
     first = model.template.copy(), runtime.to_host(model.nodes).copy()
     correction, known = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9), flat_template()

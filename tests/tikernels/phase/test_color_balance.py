@@ -123,7 +123,7 @@ def test_periods_that_no_camera_resolves(arch, period_px):
 def test_the_decoders_gains_are_those_of_the_public_stage(arch, matrix):
     """Bit by bit, for a frame in which every pixel is bright enough for both."""
     image, _ = scene(matrix=matrix)
-    crosstalk = Crosstalk.of(np.eye(3) if matrix is None else matrix, balance_first=True)
+    crosstalk = Crosstalk.of(np.eye(3) if matrix is None else matrix)
     gains = Gains(*image.shape[:2], PERIOD_PX)
     gains.measure(image, crosstalk, FrameLevels(1.0, 0.001, 0.0, 0.001, 0.005, 0.005))
     balanced = np.empty_like(image)
@@ -135,4 +135,4 @@ def test_a_frame_of_another_size_is_refused(arch):
     gains = Gains(24, 32, PERIOD_PX)
     levels = FrameLevels(1.0, 0.001, 0.0, 0.001, 0.005, 0.005)
     with pytest.raises(tikernels.ShapeError, match=r"image has shape \(25, 32, 3\), expected \(24, 32, 3\)"):
-        gains.measure(np.ones((25, 32, 3), np.float32), Crosstalk.of(np.eye(3), balance_first=True), levels)
+        gains.measure(np.ones((25, 32, 3), np.float32), Crosstalk.of(np.eye(3)), levels)

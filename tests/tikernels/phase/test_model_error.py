@@ -15,6 +15,7 @@ from tikernels.phase.equalization import correction_table
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.model_error import ModelError
 from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.surfaces import Surfaces
 
 MATRIX = np.array(TYPICAL_CROSSTALK)
 DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
@@ -22,14 +23,14 @@ SHAPE, PERIOD_PX, NOISE = (240, 320), 12.3, 1.5
 LEVELS = FrameLevels(255.0, NOISE, 0.0, NOISE, 5.0, 5.0)
 
 
-def measured(colored: tuple[float, float, float], *, balance_first: bool = True):
+def measured(colored: tuple[float, float, float], *, mixed: bool = False):
     """Return model error, phase and truth of a white plane whose right half has narrow-band reflectances."""
     truth = reference.ramp(*SHAPE, PERIOD_PX, tilt=0.02)
     light = 0.5 + 0.5 * np.cos(truth[..., None] + DELAYS)
     light[:, 160:] *= colored
     noise = NOISE * np.random.default_rng(7).standard_normal((*SHAPE, 3))
     image = (200 * light @ MATRIX.T + noise).astype(np.float32)
-    crosstalk = Crosstalk.of(MATRIX, balance_first=balance_first)
+    crosstalk = Crosstalk.of(np.eye(3), surfaces=Surfaces.of(MATRIX)) if mixed else Crosstalk.of(MATRIX)
     gains = Gains(*SHAPE, PERIOD_PX)
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, LEVELS)
@@ -58,12 +59,12 @@ def test_another_colour_widens_its_own_half(cpu):
     assert white < 2 * (left - left.mean()).std()
 
 
-@pytest.mark.parametrize("balance_first", [True, False])
-def test_where_the_colour_acts_as_the_model_says_nothing_is_left(cpu, balance_first):
+@pytest.mark.parametrize("mixed", [False, True])
+def test_where_the_colour_acts_as_the_model_says_nothing_is_left(cpu, mixed):
     """Reflectances that act on the projector's light are what balancing after the crosstalk takes them for."""
-    error, _, _ = measured((1.0, 0.35, 0.12), balance_first=balance_first)
+    error, _, _ = measured((1.0, 0.35, 0.12), mixed=mixed)
     colored = np.sqrt(error[5:-5, 26:36].mean())
-    assert (colored < 0.012) == (not balance_first)
+    assert (colored < 0.012) == mixed
 
 
 def test_dark_frames_and_other_shapes(cpu):

@@ -14,6 +14,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table, measure_distribution
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.surfaces import Surfaces
 from tikernels.phase.wrapped_phase import NO_PHASE
 
 MATRIX = np.array(TYPICAL_CROSSTALK)
@@ -36,10 +37,15 @@ def noisy_frame(gamma: float, ambient: float, shape=(120, 160)) -> tuple[np.ndar
     return (clean_light(phase, gamma, ambient) + noise).astype(np.float32), phase
 
 
-def recover(image: np.ndarray, *, balance_first=True, doubt=0.02, gain=0.0, fitted=True):
+def crosstalk_of(matrix: np.ndarray, *, mixed: bool) -> Crosstalk:
+    """Return the crosstalk before which colours act, or behind it: then it is the surfaces' own."""
+    return Crosstalk.of(np.eye(3), surfaces=Surfaces.of(matrix)) if mixed else Crosstalk.of(matrix)
+
+
+def recover(image: np.ndarray, *, mixed=False, doubt=0.02, gain=0.0, fitted=True):
     """Run the stages from levels to phase; return phase, modulation, precision and the model."""
     height, width = image.shape[:2]
-    crosstalk = Crosstalk.of(MATRIX, balance_first=balance_first)
+    crosstalk = crosstalk_of(MATRIX, mixed=mixed)
     levels = FrameLevels(255.0, NOISE, gain, NOISE, 5.0, 5.0)
     gains = Gains(height, width, PERIOD_PX)
     model = ChannelModel(gains)
@@ -91,13 +97,13 @@ def test_modulation_in_levels(arch):
     assert np.abs(middle / expected - 1)[20:140].max() < 0.1
 
 
-@pytest.mark.parametrize(("balance_first", "gain"), [(True, 0.0), (False, 0.0), (True, 0.05)])
-def test_as_the_twin(arch, balance_first, gain):
+@pytest.mark.parametrize(("mixed", "gain"), [(False, 0.0), (True, 0.0), (False, 0.05)])
+def test_as_the_twin(arch, mixed, gain):
     image, _ = noisy_frame(2.0, 0.05, (36, 48))
     image[16, 30] += 0.6 * (image[10:23, 30].mean(axis=0) - image[16, 30])  # no such contrast in the model
-    phase, _, precision, model, correction = recover(image, balance_first=balance_first, gain=gain)
+    phase, _, precision, model, correction = recover(image, mixed=mixed, gain=gain)
     # Without a template there is no step.
-    start = recover(image, balance_first=balance_first, gain=gain, fitted=False)[0]
+    start = recover(image, mixed=mixed, gain=gain, fitted=False)[0]
     nodes = runtime.to_host(model.nodes).astype(np.float64)
     spacing_px = model.gains.spacing_px
     places = [(np.arange(n) + 0.5) / spacing_px - 0.5 for n in (36, 48)]
@@ -106,7 +112,7 @@ def test_as_the_twin(arch, balance_first, gain):
     fy, fx = (y - i)[:, None, None], (x - j)[None, :, None]
     rows = nodes[i] * (1 - fy) + nodes[i + 1] * fy
     at = rows[:, j] * (1 - fx) + rows[:, j + 1] * fx
-    mixing = None if balance_first else MATRIX
+    mixing = MATRIX if mixed else None
     template = model.template.astype(np.float64)
     expected, sharp = reference.fit_phase(
         image.astype(float), start.astype(float), template, at[..., :3], at[..., 3:], (NOISE, gain), 0.02, mixing
@@ -139,16 +145,16 @@ def test_hardly_any_sample_leaves_the_arctangent(arch):
     assert np.abs(model.template[:, 1:]).max() < 1.0
 
 
-@pytest.mark.parametrize("balance_first", [True, False])
-def test_counted_phases_are_those_of_the_public_chain(arch, balance_first):
+@pytest.mark.parametrize("mixed", [False, True])
+def test_counted_phases_are_those_of_the_public_chain(arch, mixed):
     """With gains of one: crosstalk undone, arctangent, histogram; a phase at a bin's edge may fall to either side."""
     image = np.round(noisy_frame(1.0, 0.1, (60, 96))[0]).clip(0, 255)
-    crosstalk = Crosstalk.of(MATRIX, balance_first=balance_first)
+    crosstalk = crosstalk_of(MATRIX, mixed=mixed)
     levels = FrameLevels(255.0, NOISE, 0.0, NOISE, 5.0, 5.0)
     gains = Gains(60, 96, PERIOD_PX)
     gains.gains.fill(1)
     counted = count_phases(image, gains, crosstalk, levels)
-    matrix = np.linalg.inv(crosstalk.inverse.astype(np.float64))
+    matrix = MATRIX if mixed else crosstalk.matrix.astype(np.float64)
     phase, modulation, _ = tikernels.compute_wrapped_phase(tikernels.correct_crosstalk(image, matrix))
     assert (modulation > levels.modulation).all()  # nothing is dark or clipped
     expected = measure_distribution(phase, counted.shape[1])
@@ -158,7 +164,7 @@ def test_counted_phases_are_those_of_the_public_chain(arch, balance_first):
 
 def test_what_does_not_fit_is_refused(arch):
     image, _ = noisy_frame(1.0, 0.0, (24, 32))
-    crosstalk = Crosstalk.of(MATRIX, balance_first=True)
+    crosstalk = Crosstalk.of(MATRIX)
     levels = FrameLevels(255.0, NOISE, 0.0, NOISE, 5.0, 5.0)
     gains = Gains(24, 32, PERIOD_PX)
     model = ChannelModel(gains)

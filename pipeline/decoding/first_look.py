@@ -1,0 +1,203 @@
+"""What the first look at a frame tells, before its surfaces are known: colours, ambient light, and where there is none.
+
+The first look takes all surfaces for neutral. Its gains are colours then, averaged over a cycle around every node.
+"""
+
+import math
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.models import FloatArray
+from tikernels import runtime
+from tikernels.arrays import LevelsImage
+from tikernels.phase.color_balance import Gains, WindowSum
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.field_motion import FieldMotion
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
+from tikernels.phase.surface_labels import LEAST_PX
+from tikernels.phase.surface_matrix import SurfaceSamples
+from tikernels.phase.surfaces import NO_SURFACE
+
+_Labels = npt.NDArray[np.uint8]
+
+# Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces.
+_SHARP = 0.08
+# A node tells a colour if this share of its window is lit.
+_FILLED = 0.3
+# About as many samples tell the ambient light.
+_AMBIENT_SAMPLES = 6000
+# Ambient light is at most this share of the frame's; brightness that varies less, as a fraction, does not tell it.
+_MOST_AMBIENT, _LEAST_VARIATION = 0.6, 0.03
+# A fringe swings by twice its modulation over this part of a cycle.
+_SWING_CYCLES = 0.65
+# No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
+_LEAST_NOISE, _DARK = 2e-4, 0.02
+
+
+class FirstLook:
+    """A frame as the balance alone sees it, stripes along the rows.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8, uint16 or float32
+        Linear light, levels.
+    gains : Gains
+        The frame's, measured.
+    crosstalk : Crosstalk
+        What they were measured with.
+    levels : FrameLevels
+        The frame's noise, and what a pixel needs to have a phase.
+    correction : (bins + 1,) float32
+        rad to add to the arctangent; see `equalization.correction_table`.
+    motion : FieldMotion, optional
+        How far the colours of the frame are apart, where they follow each other.
+
+    Attributes
+    ----------
+    ratios : (Hg, Wg, 3) float64
+        The colour around every node; see `color_ratios`.
+    lit : (Hg, Wg) bool
+        Which nodes tell it.
+    """
+
+    def __init__(
+        self,
+        image: LevelsImage,
+        gains: Gains,
+        crosstalk: Crosstalk,
+        levels: FrameLevels,
+        correction: npt.NDArray[np.float32],
+        motion: FieldMotion | None = None,
+    ) -> None:
+        self.motion = motion
+        self.device_image, self.gains, self.levels, self.correction = image, gains, levels, correction
+        self._crosstalk = crosstalk
+        self._smooth = runtime.to_host(gains.smooth).astype(np.float64)
+        predicted = np.maximum(self._smooth[..., WindowSum.PREDICTED : WindowSum.PREDICTED + 3], 1e-9)
+        self.ratios = color_ratios(self._smooth[..., WindowSum.SEEN : WindowSum.SEEN + 3] / predicted)
+        self.lit = self._smooth[..., WindowSum.SAMPLES] > _FILLED * gains.window.samples
+
+    @cached_property
+    def image(self) -> npt.NDArray[Any]:
+        """(H, W, 3) levels, as an array."""
+        return runtime.to_host(self.device_image)
+
+    @cached_property
+    def around(self) -> FloatArray:
+        """(H, Wb) mean brightness around each sample, levels."""
+        samples = np.maximum(self._smooth[..., WindowSum.SAMPLES], 1e-6)
+        return _at_samples(self._smooth[..., WindowSum.BACKGROUND] / samples, self.gains)
+
+    @cached_property
+    def ambient(self) -> float:
+        """Ambient light that the surfaces send back on average, levels: what the modulation does not follow."""
+        _, vector = self._looked_at(_AMBIENT_SAMPLES)
+        modulation = np.hypot(vector[:, 0], vector[:, 1])
+        shown = modulation > self.levels.modulation
+        if not shown.any():
+            return 0.0
+        modulation, background = modulation[shown], vector[shown, 2]
+        mean, variance = float(background.mean()), float(background.var())
+        covariance = float(((background - mean) * modulation).mean())
+        if variance < (_LEAST_VARIATION * mean) ** 2 or covariance <= 0:
+            return 0.0
+        share = 1 - float(modulation.mean()) * variance / (covariance * mean)
+        return float(np.clip(share, 0, _MOST_AMBIENT)) * mean
+
+    def common_colors(self) -> FloatArray:
+        """Return the colours that many nodes have in common, (n, 3) ratios, the commonest first."""
+        steps = [np.gradient(self.ratios, axis=axis) for axis in (0, 1) if self.ratios.shape[axis] > 1]
+        change = np.sum([(step**2).sum(axis=-1) for step in steps], axis=0) + np.zeros(self.lit.shape)
+        weights = (1 / (1 + change / _SHARP**2) ** 2)[self.lit]
+        return common_colors(self.ratios[self.lit], weights, LEAST_PX / self.gains.spacing_px**2 / 2)
+
+    def labels(self, colors: FloatArray) -> _Labels:
+        """Return (H, W) uint8: which colour the node nearest to each pixel has, or NO_SURFACE."""
+        nodes = nearest_colors(self.ratios, colors).astype(np.uint8)
+        labels = repeated(nodes, self.gains.spacing_px, (self.gains.height, self.gains.width))
+        labels[self.unlit()] = NO_SURFACE
+        return labels
+
+    def unlit(self) -> npt.NDArray[np.bool_]:
+        """Return which pixels are dark, or show no fringe over most of a cycle, (H, W)."""
+        part = np.ones((max(3, int(_SWING_CYCLES * self.gains.period_px)), 1), np.uint8)
+        swing = (cv2.dilate(self.image, part).astype(np.float32) - cv2.erode(self.image, part)).max(axis=-1)
+        dark = self.image.sum(axis=-1, dtype=np.float32) < 3 * self.levels.intensity
+        return np.asarray(dark | (swing < 2 * self.levels.modulation))
+
+    def sample_places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+        """Return the rows and columns of the samples that gains are measured from; see `color_balance.py`."""
+        rows = np.arange(self.gains.height)[:, None]
+        columns = np.arange(self.gains.samples.shape[1]) * self.gains.spacing_px + (rows & 1) * self.gains.window.rows
+        return rows, np.minimum(columns, self.gains.width - 1)
+
+    def some_samples(self, wanted: int) -> FloatArray:
+        """Return the light of about as many samples as wanted that show a fringe, (N, 3) levels."""
+        seen, vector = self._looked_at(wanted)
+        shown = np.hypot(vector[:, 0], vector[:, 1]) > self.levels.modulation
+        return np.asarray(seen[shown & (seen.max(axis=1) < self.levels.clipped)])
+
+    def _looked_at(self, wanted: int) -> tuple[FloatArray, FloatArray]:
+        """Return about as many samples as wanted, (N, 3), and their b cos(phi), b sin(phi) and a, levels."""
+        samples = runtime.to_host(self.gains.samples)
+        step = max(1, samples.shape[0] * samples.shape[1] // wanted)
+        while math.gcd(step, samples.shape[1]) > 1:  # or it meets the same columns again and again
+            step += 1
+        seen = samples.reshape(-1, 3)[::step].astype(np.float64)
+        gain = _at_samples(runtime.to_host(self.gains.gains), self.gains).reshape(-1, 3)[::step]
+        return seen, np.asarray((seen * gain) @ self._crosstalk.weights.T.astype(np.float64))
+
+    def surface_samples(
+        self,
+        light: FloatArray,
+        around: FloatArray,
+        weights: FloatArray,
+        ambient: FloatArray,
+        contrast_doubt: float,
+        offset: FloatArray | None = None,
+    ) -> SurfaceSamples:
+        """Return pixels of one surface, with the phase that the arctangent gives them.
+
+        Parameters
+        ----------
+        light : (N, 3)
+            The camera's, levels.
+        around : (N,)
+            Mean brightness around, levels.
+        weights : (3, 3)
+            Takes the surface's channels to b cos(phi), b sin(phi) and a.
+        ambient : (3,)
+            Its ambient light, levels.
+        contrast_doubt, offset
+            See `SurfaceSamples`.
+        """
+        vector = (light - ambient) @ weights.T
+        bare = np.arctan2(vector[:, 1], vector[:, 0])
+        edges = np.linspace(-np.pi, np.pi, len(self.correction))
+        noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(light, 0)
+        least = _LEAST_NOISE * np.maximum(light, _DARK * self.levels.white)
+        return SurfaceSamples(
+            light,
+            noise + least**2,
+            bare + np.interp(bare, edges, self.correction),
+            np.maximum(around, 1e-9),
+            contrast_doubt,
+            offset,
+        )
+
+
+def repeated(values: npt.NDArray[Any], step: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:
+    """Return values of every `step`th pixel both ways as those of all."""
+    return np.ascontiguousarray(values.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
+
+
+def _at_samples(values: npt.NDArray[np.floating], gains: Gains) -> FloatArray:
+    """Return values at nodes as values at samples."""
+    size = (int(gains.samples.shape[1]), values.shape[0] * gains.spacing_px)
+    between = cv2.resize(np.ascontiguousarray(values), size, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(between[: gains.height], np.float64)

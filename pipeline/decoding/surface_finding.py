@@ -1,0 +1,134 @@
+"""Find the surfaces of a frame by their colours, and what the colour of each makes of the crosstalk."""
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.decoding.first_look import FirstLook
+from pipeline.decoding.surface_search import FoundSurfaces, KnownLight, SurfaceSearch
+from pipeline.models import FloatArray
+from tikernels.arrays import LevelsImage
+from tikernels.phase.channel_template import channel_harmonics
+from tikernels.phase.color_balance import Gains
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.field_motion import FieldMotion
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_vector import channel_delays, phase_weights
+from tikernels.phase.surface_colors import color_ratios
+from tikernels.phase.surface_matrix import BETWEEN, BROAD, predict_matrices, residuals
+
+# A frame whose colours are this close to white, as logarithms of ratios, has nothing to undo.
+_NEUTRAL = 0.05
+# By how much of its row an entry of a surface's matrix may be off: calibrated, and told by the frame; and what leaks at
+# the least through real filters, where the frame has told the crosstalk with the smallest leaks that fit.
+_LEAK, _UNKNOWN_LEAK, _USUAL_LEAK = 0.004, 0.01, 0.03
+# So may a harmonic of the light: where the response is known, but for contrast and blur, and where it is not.
+_KNOWN_HARMONIC, _SEEN_HARMONIC = 0.0005, 0.02
+# Samples that tell whether a frame's only colour acts after the crosstalk. It does if that leaves less over by this
+# factor than anything else does, and a median that noise may have, whose own is 0.67.
+_TELLING_SAMPLES, _LEAST_SAMPLES, _BY_FAR, _NOISE = 600, 60, 0.7, 1.0
+
+
+class SurfaceFinder:
+    """Finds the surfaces of frames of one rig.
+
+    Parameters
+    ----------
+    white : (3,), optional
+        What the camera's channels see of a white surface under full light, up to a factor; None: the commonest colour
+        of a frame is taken for it.
+    contrast_doubt : float
+        Standard deviation of a pixel's contrast about the frame's, as a fraction, where a code changes it; else 0.
+    """
+
+    def __init__(self, white: FloatArray | None, contrast_doubt: float) -> None:
+        self._white, self._contrast_doubt = white, contrast_doubt
+
+    def find(
+        self,
+        image: LevelsImage,
+        gains: Gains,
+        crosstalk: Crosstalk,
+        levels: FrameLevels,
+        correction: npt.NDArray[np.float32],
+        template: npt.NDArray[np.float32],
+        *,
+        template_known: bool,
+        before: FoundSurfaces | None = None,
+        motion: FieldMotion | None = None,
+    ) -> FoundSurfaces | None:
+        """Return the surfaces of a frame; None if all are neutral, or act as the balance alone undoes.
+
+        Parameters
+        ----------
+        image : (H, W, 3) uint8, uint16 or float32
+            Linear light, levels, stripes along the rows.
+        gains : Gains
+            The frame's, measured.
+        crosstalk : Crosstalk
+            On white, what the gains were measured with.
+        levels : FrameLevels
+            The frame's noise, and what a pixel needs to have a phase.
+        correction : (bins + 1,) float32
+            rad to add to the arctangent; see `equalization.correction_table`.
+        template : (3, terms) float32
+            One cycle of the channels on white.
+        template_known : bool
+            Whether that is known, or only read off this frame.
+        before : FoundSurfaces, optional
+            Those of the frame before in a video: they stay as they were, and only if they leave more unexplained than
+            there, new ones are looked for.
+        motion : FieldMotion, optional
+            How far the colours of the frame are apart, where they follow each other.
+        """
+        look = FirstLook(image, gains, crosstalk, levels, correction, motion)
+        if not look.lit.any():
+            return None
+        colors = look.common_colors()
+        white = np.exp(colors[0]) if self._white is None else self._white
+        if np.abs(colors - color_ratios(white)).max() < _NEUTRAL:
+            return None
+        known = self._known_light(crosstalk, white, template, template_known=template_known)
+        # What moves between its colours bends what a frame says of its surfaces, until the next frame tells how far.
+        if before is not None and motion is None:
+            search = SurfaceSearch(look, known, look.labels(colors[:1]), before.fitted.matrices.sum(axis=2))
+            return search.follow(before)
+        if len(colors) == 1 and self._acts_after(look, known):
+            return None
+        return SurfaceSearch(look, known, look.labels(colors), np.exp(colors)).run()
+
+    def _known_light(
+        self, crosstalk: Crosstalk, white: FloatArray, template: npt.NDArray[np.float32], *, template_known: bool
+    ) -> KnownLight:
+        matrix = crosstalk.matrix.astype(np.float64)
+        light = np.asarray(np.linalg.solve(matrix, channel_harmonics(template)), np.complex128)
+        if not template_known:
+            # What the frame tells is the surfaces' as well; all primaries have the same light.
+            turns = np.exp(1j * np.arange(1, light.shape[1] + 1) * channel_delays(crosstalk.lag)[:, None])
+            light = np.asarray((light / turns).real.mean(axis=0) * turns)
+        if self._white is None:
+            matrix = np.maximum(matrix, _USUAL_LEAK)
+            matrix /= matrix.sum(axis=1, keepdims=True)
+        return KnownLight(
+            matrix,
+            np.asarray(white, np.float64),
+            light,
+            crosstalk.lag,
+            leak=_UNKNOWN_LEAK if self._white is None else _LEAK,
+            harmonic=_KNOWN_HARMONIC if template_known else _SEEN_HARMONIC,
+            contrast_doubt=self._contrast_doubt,
+        )
+
+    def _acts_after(self, look: FirstLook, known: KnownLight) -> bool:
+        """Whether the colour of a frame's only surface acts after the crosstalk, by far rather than between."""
+        light = look.some_samples(_TELLING_SAMPLES)
+        if len(light) < _LEAST_SAMPLES:
+            return False
+        color = light.mean(axis=0)
+        ambient = np.minimum(look.ambient * 3 * color / color.sum(), 0.5 * color)
+        weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
+        samples = look.surface_samples(light, np.ones(len(light)), weights, ambient, self._contrast_doubt)
+        left = []
+        for bands in (BROAD, BETWEEN):
+            (matrix,) = predict_matrices((color - ambient)[None], known.matrix * known.white[:, None], bands)
+            left.append(float(np.median(np.abs(residuals(samples, matrix, ambient, known.light)))))
+        return left[0] < min(_BY_FAR * left[1], _NOISE)

@@ -1,0 +1,86 @@
+"""What a frame tells before its surfaces are known."""
+
+import numpy as np
+import pytest
+from support.colored_boards import MATRIX, PAINTS, PERIOD_PX, board, surface_matrix
+
+from pipeline.decoding.first_look import FirstLook, repeated
+from tikernels.phase.color_balance import Gains
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_vector import phase_weights
+from tikernels.phase.surface_colors import color_ratios
+from tikernels.phase.surfaces import NO_SURFACE
+
+LEVELS = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 5.0)
+FLAT = np.zeros(257, np.float32)
+
+
+def look_at(image: np.ndarray) -> FirstLook:
+    crosstalk = Crosstalk.of(MATRIX)
+    gains = Gains(*image.shape[:2], PERIOD_PX)
+    gains.measure(image, crosstalk, LEVELS)
+    return FirstLook(image, gains, crosstalk, LEVELS, FLAT)
+
+
+def test_nodes_have_the_paints_colours(arch):
+    image, _, numbers = board(["orange", "blue"], (120, 160), gamma=1.0)
+    look = look_at(image)
+    assert look.lit.all()
+    colors = look.common_colors()
+    seen = np.array([240 * 0.5 + 6, 4]) @ np.stack([np.ones(3), np.zeros(3)])
+    expected = color_ratios([seen * surface_matrix(PAINTS[paint]).sum(axis=1) + 4 for paint in ("orange", "blue")])
+    expected -= color_ratios(MATRIX.sum(axis=1))  # of a grey surface, too, channels differ
+    found = colors - color_ratios(MATRIX.sum(axis=1))
+    order = [int(np.abs(found - own).max(axis=1).argmin()) for own in expected]
+    assert sorted(order) == [0, 1]
+    np.testing.assert_allclose(found[order], expected, atol=0.08)
+    labels = look.labels(colors)
+    assert np.mean(labels == np.array(order)[numbers]) > 0.9
+
+
+@pytest.mark.parametrize("gamma", [1.0, 2.0])
+def test_ambient_light_is_what_the_modulation_does_not_follow(cpu, gamma):
+    """Where the projector's light falls off, the fringe fades and the ambient light stays."""
+    image, _, _ = board(["white"], (180, 240), gamma=gamma)
+    ambient = 6 * surface_matrix(PAINTS["white"]).sum(axis=1) + 4
+    shade = np.linspace(1, 0.3, 240)[:, None]
+    look = look_at((ambient + (image - ambient) * shade).astype(np.float32))
+    assert look.ambient == pytest.approx(ambient.mean(), rel=0.25)
+    assert look_at(image).ambient == 0  # without shading nothing tells
+
+
+def test_shadow_and_darkness_are_unlit(cpu):
+    image, _, _ = board(["white"], (120, 160))
+    image[40:80, 60:100] = 30  # light without a fringe
+    image[90:110, 20:60] = 2
+    unlit = look_at(image).unlit()
+    assert unlit[46:74, 62:98].all()
+    assert unlit[91:109, 21:59].all()
+    assert unlit[:30].mean() < 0.001
+    assert (look_at(image).labels(np.zeros((1, 3)))[46:74, 62:98] == NO_SURFACE).all()
+
+
+def test_samples_of_a_surface_have_its_phases(cpu):
+    image, phase, _ = board(["blue"], (120, 160), noise=0.0, gamma=1.0)
+    look = look_at(image)
+    rows, columns = look.sample_places()
+    light, true = look.image[rows, columns].reshape(-1, 3).astype(float), phase[rows, columns].ravel()
+    matrix = surface_matrix(PAINTS["blue"])
+    weights = phase_weights(np.linalg.inv(matrix))
+    samples = look.surface_samples(light, look.around.ravel(), weights, 6 * matrix.sum(axis=1) + 4, 0.0)
+    assert np.abs(np.angle(np.exp(1j * (samples.phase - true)))).max() < 1e-3
+    assert (samples.variance >= 1).all()
+
+
+def test_some_samples_come_from_all_columns(cpu):
+    image, _, _ = board(["white"], (120, 160), noise=0.0)
+    image[:, 80:] *= 0.5
+    some = look_at(image).some_samples(300)
+    assert 200 < len(some) < 500
+    assert 0.35 < np.mean(some.max(axis=1) < 0.5 * some.max()) < 0.75
+
+
+def test_values_are_repeated():
+    values = np.arange(6).reshape(2, 3)
+    np.testing.assert_array_equal(repeated(values, 2, (3, 5)), [[0, 0, 1, 1, 2], [0, 0, 1, 1, 2], [3, 3, 4, 4, 5]])

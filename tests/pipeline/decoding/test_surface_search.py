@@ -1,0 +1,85 @@
+"""The search for a frame's surfaces: what is no surface, what is new, and what stays from frame to frame."""
+
+import numpy as np
+import pytest
+from support.colored_boards import MATRIX, PAINTS, board, light, surface_matrix
+
+from pipeline import Decoder, DecodeSettings
+from pipeline.calibration import Calibration
+from pipeline.errors import DecodeWarning
+from tikernels.phase.surfaces import NO_SURFACE
+
+PAINTED = ["white", "orange", "blue", "skin"]
+RESPONSE = np.tile(np.linspace(0, 1, 256) ** 2, (3, 1))
+
+
+def decoder(*, response: bool = True, arch: str = "cpu", **settings) -> Decoder:
+    calibration = Calibration(crosstalk_matrix=MATRIX, response=RESPONSE if response else None)
+    return Decoder(DecodeSettings(white_level=255, **settings), calibration, arch=arch)
+
+
+def errors(frame, phase: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the constant and the RMS of the error of every paint, 5 px inside, rad."""
+    error = np.angle(np.exp(1j * (frame.unwrapped_phase - phase)))
+    inside = np.ones(numbers.shape, bool)
+    for shift in (-5, 5):
+        inside &= np.roll(numbers, shift, axis=1) == numbers
+    inside[:6] = inside[-6:] = False
+    constants = np.array([np.nanmean(error[inside & (numbers == n)]) for n in np.unique(numbers)])
+    rms = np.array([np.nanstd(error[inside & (numbers == n)]) for n in np.unique(numbers)])
+    return constants, rms
+
+
+def test_shadow_shows_no_surface(cpu):
+    image, _, _ = board(PAINTED, (240, 320))
+    ambient = 6 * surface_matrix(PAINTS["white"]).sum(axis=1) + 4
+    image[100:160, 100:220] = ambient + np.random.default_rng(1).standard_normal((60, 120, 3))
+    frame = decoder().decode(image)
+    assert frame.mask[106:154, 106:214].mean() < 0.02
+    assert (np.asarray(frame.memory.surfaces.crosstalk.surfaces.labels)[106:154, 106:214] == NO_SURFACE).mean() > 0.98
+
+
+def test_a_video_keeps_its_surfaces(cpu):
+    """The next frame is labelled by the matrices of the one before, and a new paint is found when it comes in."""
+    first, phase, numbers = board(PAINTED[:3], (240, 320))
+    rig = decoder()
+    before = rig.decode(first)
+    again = rig.decode(first, previous=before)
+    kept = again.memory.surfaces.fitted.matrices
+    np.testing.assert_array_equal(kept, before.memory.surfaces.fitted.matrices)
+    constants, _ = errors(again, phase, numbers)
+    assert np.ptp(constants) < 0.02
+    then, phase, numbers = board([*PAINTED[:2], "skin", "blue"], (240, 320))
+    after = rig.decode(then, previous=again)
+    assert len(after.memory.surfaces.fitted.matrices) > len(kept)
+    constants, _ = errors(after, phase, numbers)
+    assert np.ptp(constants) < 0.03
+
+
+def test_a_paint_of_nearly_the_same_colour_is_found_by_what_is_left_over(cpu):
+    """A patch that has the wall's colour, but acts elsewhere on the light, as another pigment does."""
+    image, phase, numbers = board(["skin"], (240, 320))
+    patch = np.zeros(numbers.shape, bool)
+    patch[60:180, 100:220] = True
+    wall = surface_matrix(PAINTS["skin"])
+    other = surface_matrix(PAINTS["skin"], 0.9)
+    other *= (wall.sum(axis=1) / other.sum(axis=1))[:, None]
+    noise = np.random.default_rng(2).standard_normal(image.shape)
+    image[patch] = (240 * light(phase) @ other.T + 6 * other.sum(axis=1) + 4 + noise)[patch]
+    frame = decoder().decode(image)
+    labels = np.asarray(frame.memory.surfaces.crosstalk.surfaces.labels)
+    inside, outside = labels[70:170, 110:210], labels[:50]
+    assert np.bincount(inside.ravel()).argmax() != np.bincount(outside.ravel()).argmax()
+    constants, _ = errors(frame, phase, patch.astype(int))
+    assert np.abs(constants).max() < 0.03
+
+
+def test_a_wrong_calibration_is_left_to_the_balance(cpu):
+    """Surfaces cannot make good what is wrong everywhere: the frame's own waves do, and the warning says so."""
+    image, phase, numbers = board(PAINTED, (240, 320))
+    wrong = Calibration(crosstalk_matrix=np.eye(3), response=RESPONSE)
+    with pytest.warns(DecodeWarning, match="calibrate the light anew"):
+        frame = Decoder(DecodeSettings(white_level=255), wrong, arch="cpu").decode(image)
+    assert frame.memory.surfaces is None
+    constants, _ = errors(frame, phase, numbers)
+    assert np.abs(constants).max() < 3 * frame.constant_sigma

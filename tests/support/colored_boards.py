@@ -1,0 +1,46 @@
+"""A flat board of painted patches, whose colours act between broad and narrow bands, under the fringe."""
+
+import numpy as np
+
+from pipeline.simulation import TYPICAL_CROSSTALK
+from tikernels.phase.surface_matrix import BROAD, NARROW
+
+PERIOD_PX = 12.3
+MATRIX = np.array(TYPICAL_CROSSTALK)
+WHITE = MATRIX.sum(axis=1)
+#: Reflectances at the three primaries.
+PAINTS = {"white": (0.8, 0.8, 0.8), "orange": (0.8, 0.35, 0.08), "blue": (0.1, 0.25, 0.6), "skin": (0.6, 0.4, 0.32)}
+_DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
+
+
+def surface_matrix(reflectance: tuple[float, float, float], broad: float = 0.25) -> np.ndarray:
+    """Return the matrix of a paint; its colour acts this far after the crosstalk, the rest before."""
+    weights = broad * BROAD + (1 - broad) * NARROW
+    return np.asarray(MATRIX * np.exp(weights @ np.log(reflectance)))
+
+
+def light(phase: np.ndarray, gamma: float = 2.0) -> np.ndarray:
+    """Return what the projector sends at a phase, (..., 3) in 0..1."""
+    return np.asarray((0.5 + 0.5 * np.cos(phase[..., None] + _DELAYS)) ** gamma)
+
+
+def board(
+    paints: list[str],
+    shape: tuple[int, int] = (180, 240),
+    *,
+    noise: float = 1.0,
+    broad: float = 0.25,
+    gamma: float = 2.0,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Photograph columns of paints: levels (H, W, 3) float32 of 255, the true phase, rad, and the paints' numbers."""
+    height, width = shape
+    y, x = np.mgrid[:height, :width]
+    phase = 2 * np.pi * y / PERIOD_PX + 0.02 * x
+    numbers = np.minimum(x * len(paints) // width, len(paints) - 1)
+    sent, image = light(phase, gamma), np.empty((*shape, 3))
+    for number, paint in enumerate(paints):
+        matrix = surface_matrix(PAINTS[paint], broad)
+        own = numbers == number
+        image[own] = 240 * sent[own] @ matrix.T + 6 * matrix.sum(axis=1) + 4  # ambient light, and a pedestal
+    image += noise * np.random.default_rng(4).standard_normal(image.shape)
+    return np.clip(image, 0, 255).astype(np.float32), phase, numbers

@@ -1,0 +1,92 @@
+"""Which surface each pixel shows."""
+
+import numpy as np
+import pytest
+from support.colored_boards import MATRIX, PAINTS, PERIOD_PX, board, light, surface_matrix
+
+import tikernels
+from tikernels.phase.channel_template import known_template
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.projector_response import response_table
+from tikernels.phase.surface_labels import relabel, surface_misfits
+from tikernels.phase.surfaces import NO_SURFACE, Surfaces
+
+LEVELS = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 5.0)
+_PHASES = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+_SPECTRUM = np.fft.rfft(light(_PHASES), axis=0).T[:, :5] / 64
+PAINTED = ["white", "orange", "blue"]
+
+
+def surfaces_of(labels: np.ndarray) -> Crosstalk:
+    """Return the crosstalk with the board's paints."""
+    neutral = MATRIX / MATRIX.sum(axis=1, keepdims=True)
+    matrices = np.stack([surface_matrix(PAINTS[paint]) for paint in PAINTED])
+    ambient = 6 * matrices.sum(axis=2) + 4
+    return Crosstalk.of(neutral, surfaces=Surfaces.of(matrices @ np.linalg.inv(neutral), labels, ambient))
+
+
+def misfits_of(image: np.ndarray, labels: np.ndarray, step: int = 1) -> np.ndarray:
+    crosstalk = surfaces_of(labels)
+    correction = response_table(_SPECTRUM)
+    template = known_template(crosstalk.matrix, _SPECTRUM)
+    return surface_misfits(image, crosstalk, LEVELS, correction, template, 0.0, step)
+
+
+def test_the_right_surface_leaves_noise_over(arch):
+    """One degree of freedom, less what is doubted of the model; the others leave many times as much."""
+    image, _, numbers = board(PAINTED)
+    misfits = misfits_of(image, np.zeros(numbers.shape, np.uint8))
+    for own in range(3):
+        means = misfits[:, numbers == own].mean(axis=1)
+        assert 0.5 < means[own] < 1.2
+        assert (np.delete(means, own) > 2.5 * means[own]).all()
+
+
+def test_every_second_pixel(arch):
+    image, _, numbers = board(PAINTED, (60, 61))
+    labels = np.zeros(numbers.shape, np.uint8)
+    labels[10:20] = NO_SURFACE
+    whole, every = misfits_of(image, labels), misfits_of(image, labels, 2)
+    np.testing.assert_allclose(every, whole[:, ::2, ::2], rtol=1e-4, atol=1e-4)
+    assert (whole[:, 10:20] == -1).all()
+    assert (whole[:, 20:] >= 0).all()
+
+
+def test_pixels_go_to_the_surface_that_explains_them(cpu):
+    """From labels that are 12 px off, all but the pixels at the very edges."""
+    image, _, numbers = board(PAINTED)
+    before = np.roll(numbers, 12, axis=1).astype(np.uint8)
+    before[:20, :30] = NO_SURFACE
+    new = relabel(misfits_of(image, before), before, np.ones(3, bool), PERIOD_PX)
+    assert new.kept == [0, 1, 2]
+    assert (new.labels[before == NO_SURFACE] == NO_SURFACE).all()
+    lit = before != NO_SURFACE
+    assert np.mean(new.labels[lit] == numbers[lit]) > 0.985
+    assert not new.unexplained.any()
+    afresh = relabel(
+        misfits_of(image, before),
+        np.where(lit, 0, NO_SURFACE).astype(np.uint8),
+        np.ones(3, bool),
+        PERIOD_PX,
+        afresh=True,
+    )
+    assert np.mean(afresh.labels == new.labels) > 0.99
+
+
+def test_what_none_needs_is_dropped_and_what_none_explains_is_told(cpu):
+    image, _, numbers = board(PAINTED)
+    misfits = misfits_of(image, numbers.astype(np.uint8))
+    twice = np.concatenate([misfits, misfits[:1]])
+    assert len(relabel(twice, numbers.astype(np.uint8), np.ones(4, bool), PERIOD_PX).kept) == 3
+    without = relabel(misfits, numbers.astype(np.uint8), np.array([True, False, True]), PERIOD_PX)
+    assert without.kept == [0, 2]
+    inside = np.abs(np.arange(240) - 120) < 30
+    assert without.unexplained[20:-20, inside].mean() > 0.8
+    assert without.unexplained[:, :60].mean() < 0.02
+
+
+def test_what_is_refused(cpu):
+    image, _, numbers = board(PAINTED, (40, 40))
+    with pytest.raises(tikernels.ShapeError, match="image has shape"):
+        misfits_of(image[0], numbers.astype(np.uint8))

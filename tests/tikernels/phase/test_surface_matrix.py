@@ -1,0 +1,132 @@
+"""A surface's own matrix: foretold from its colour, and fitted to its pixels."""
+
+import numpy as np
+import pytest
+from support.colored_boards import MATRIX, PAINTS, light, surface_matrix
+
+from tikernels.phase.surface_matrix import (
+    BETWEEN,
+    BROAD,
+    NARROW,
+    SurfaceSamples,
+    fit_matrices,
+    predict_matrices,
+    residuals,
+    waves,
+)
+
+COLORED = ("orange", "blue", "skin")
+HARMONICS = np.fft.fft(light(np.linspace(0, 2 * np.pi, 64, endpoint=False)), axis=0)[1:5].T / 64
+LIGHT = 2 * HARMONICS / light(np.linspace(0, 2 * np.pi, 64, endpoint=False)).mean(axis=0)[:, None]
+
+
+def normalized(matrix: np.ndarray) -> np.ndarray:
+    return 3 * matrix / matrix.sum()
+
+
+def pixels(paint: str, *, noise: float = 0.5, count: int = 1200, off: float = 0.05) -> SurfaceSamples:
+    """Return pixels of a paint in ambient light of 6 levels, their phases a little off."""
+    rng = np.random.default_rng(7)
+    phase, brightness = rng.uniform(-np.pi, np.pi, count), rng.uniform(60, 140, count)
+    clean = brightness[:, None] * (waves(LIGHT, phase)[0] @ normalized(surface_matrix(PAINTS[paint])).T) + 6
+    seen = clean + noise * rng.standard_normal(clean.shape)
+    variance = np.full(clean.shape, noise**2)
+    return SurfaceSamples(seen, variance, phase + off * rng.standard_normal(count), np.full(count, 100.0), 0.0)
+
+
+@pytest.mark.parametrize(("bands", "broad"), [(BROAD, 1.0), (NARROW, 0.0), (BETWEEN, 0.15)])
+def test_a_colour_foretells_its_matrix(bands, broad):
+    """Three reflectances from three numbers, exactly where the weights are those of the paint."""
+    matrices = np.stack([normalized(surface_matrix(PAINTS[paint], broad)) for paint in COLORED])
+    np.testing.assert_allclose(predict_matrices(matrices.sum(axis=2), MATRIX, bands), matrices, rtol=0.02, atol=2e-3)
+
+
+def test_white_keeps_its_matrix():
+    white = MATRIX.sum(axis=1)
+    for brightness in (0.1, 1.0, 30.0):
+        predicted = predict_matrices([brightness * white], MATRIX, BETWEEN)
+        np.testing.assert_allclose(predicted[0], normalized(MATRIX), rtol=1e-4)
+
+
+def test_waves_are_the_light_and_its_slope():
+    phase = np.linspace(-3, 3, 40)
+    value, slope = waves(LIGHT, phase)
+    np.testing.assert_allclose(value, light(phase) / light(phase).mean(axis=0) * value.mean(axis=0), rtol=0.1)
+    step = (waves(LIGHT, phase + 1e-5)[0] - waves(LIGHT, phase - 1e-5)[0]) / 2e-5
+    np.testing.assert_allclose(slope, step, atol=1e-6)
+
+
+def fitted(paints: tuple[str, ...], light_off: float = 1.0, **more):
+    samples = [pixels(paint) for paint in paints]
+    colors = np.stack([s.light.mean(axis=0) - 6 for s in samples])
+    predicted = predict_matrices(colors, MATRIX, BETWEEN)
+    ambient = np.full((len(paints), 3), 5.0)
+    known = LIGHT * light_off
+    return fit_matrices(samples, predicted, ambient, ambient, known, 0.004, 0.0005, **({"fit_light": True} | more))
+
+
+def test_pixels_tell_the_matrix_better_than_the_colour_does():
+    """By the phase that pixels would get: its constant and its ripple, both within 0.01 rad, as is said of them."""
+    result = fitted(COLORED)
+    for paint, matrix, ambient, sigma in zip(
+        COLORED, result.matrices, result.ambient, result.constant_sigma, strict=True
+    ):
+        truth = pixels(paint, noise=1e-3, off=0.0)
+        beside = np.ones((len(truth.phase), 1)) * ambient
+        model = fit_phases(truth, matrix, beside, result.light)
+        error = model - truth.phase
+        assert abs(error.mean()) < 0.01
+        assert error.std() < 0.012
+        assert abs(error.mean()) < 3 * sigma < 0.1
+    assert (result.misfit < 0.005).all()
+
+
+def fit_phases(samples: SurfaceSamples, matrix: np.ndarray, ambient: np.ndarray, harmonics: np.ndarray) -> np.ndarray:
+    """Find the phases by brute force: Gauss and Newton on brightness and phase."""
+    phase = samples.phase.copy()
+    brightness = np.full(len(phase), 100.0)
+    for _ in range(12):
+        value, slope = (part @ matrix.T for part in waves(harmonics, phase))
+        rest = samples.light - ambient - brightness[:, None] * value
+        columns = np.stack([value, brightness[:, None] * slope], axis=2)
+        step = np.stack([np.linalg.lstsq(c, r, rcond=None)[0] for c, r in zip(columns, rest, strict=True)])
+        brightness, phase = brightness + step[:, 0], phase + step[:, 1]
+    return phase
+
+
+def test_the_light_is_told_too():
+    """Contrast lost to blur is common to all surfaces."""
+    result = fitted(COLORED, light_off=1.15)
+    np.testing.assert_allclose(np.abs(result.light[:, 0]) / np.abs(LIGHT[:, 0]), 1, atol=0.05)
+    kept = fitted(COLORED, light_off=1.15, fit_light=False)
+    np.testing.assert_allclose(kept.light, 1.15 * LIGHT, rtol=1e-6)
+    assert kept.cost > 2 * result.cost
+
+
+def test_what_acts_otherwise_costs_more():
+    samples = [pixels(paint) for paint in COLORED]
+    colors = np.stack([s.light.mean(axis=0) - 6 for s in samples])
+    ambient = np.full((3, 3), 6.0)
+    costs = [
+        fit_matrices(
+            samples, predict_matrices(colors, MATRIX, bands), ambient, ambient, LIGHT, 0.004, 0.0005, fit_light=True
+        ).cost
+        for bands in (BETWEEN, BROAD)
+    ]
+    assert costs[0] < 0.5 * costs[1]
+
+
+def test_a_part_of_the_surfaces():
+    result = fitted(COLORED)
+    part = result.only([2, 0])
+    np.testing.assert_array_equal(part.matrices, result.matrices[[2, 0]])
+    np.testing.assert_array_equal(part.constant_sigma, result.constant_sigma[[2, 0]])
+    assert part.light is result.light
+
+
+def test_residuals_are_noise_where_the_matrix_is_right():
+    samples = pixels("orange")
+    right, wrong = surface_matrix(PAINTS["orange"]), surface_matrix(PAINTS["orange"], 1.0)
+    left = [residuals(samples, normalized(matrix), np.full(3, 6.0), LIGHT) for matrix in (right, wrong)]
+    assert 0.9 < left[0].std() < 1.1
+    assert left[1].std() > 2

@@ -1,0 +1,63 @@
+"""Colours that many places of a frame have in common: where each surface's own model begins."""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+_Array = npt.NDArray[np.float64]
+
+# Colours are counted on a grid of this step, up to this ratio, in natural logarithms, and smoothed over this many
+# steps. Roots of the counts, as a small surface is to stand out beside a large one.
+_STEP, _RANGE, _SMOOTH = 0.025, 3.0, 1.2
+# The least distance of two colours, in steps.
+_APART = 5
+_MOST = 24
+
+
+def color_ratios(light: npt.ArrayLike) -> _Array:
+    """Return the logarithms of channels, (..., 3), less their mean: a colour without its brightness."""
+    logs = np.log(np.maximum(np.asarray(light, np.float64), 1e-9))
+    return np.asarray(logs - logs.mean(axis=-1, keepdims=True))
+
+
+def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
+    """Return the colours that are more frequent than all like them.
+
+    Parameters
+    ----------
+    ratios : (N, 3)
+        See `color_ratios`.
+    weights : (N,)
+        How much each counts.
+    least : float
+        Colours of less weight are given to their neighbours.
+
+    Returns
+    -------
+    (n, 3) float64
+        1 to 24 ratios, the commonest first.
+    """
+    size = int(2 * _RANGE / _STEP)
+    place = np.clip(((ratios[:, [0, 2]] + _RANGE) / _STEP).astype(int), 0, size - 1)
+    counts = np.zeros((size, size), np.float32)
+    np.add.at(counts, (place[:, 0], place[:, 1]), weights)
+    smooth = cv2.GaussianBlur(np.sqrt(counts), (0, 0), _SMOOTH)
+    peaks = np.argwhere((smooth == cv2.dilate(smooth, np.ones((_APART, _APART)))) & (smooth > 0))
+    peaks = peaks[np.argsort(-smooth[tuple(peaks.T)], kind="stable")][: 3 * _MOST]
+    red, blue = ((peaks + 0.5) * _STEP - _RANGE).T
+    centers = np.stack([red, -red - blue, blue], axis=1)
+    while True:
+        nearest = nearest_colors(ratios, centers)
+        sizes = np.bincount(nearest, weights=weights, minlength=len(centers))
+        if len(centers) == 1 or (sizes.min() >= least and len(centers) <= _MOST):
+            break
+        centers = np.delete(centers, sizes.argmin(), axis=0)
+    means = [
+        np.average(ratios[nearest == k], axis=0, weights=weights[nearest == k] + 1e-9) for k in range(len(centers))
+    ]
+    return np.array(means)[np.argsort(-sizes, kind="stable")]
+
+
+def nearest_colors(ratios: _Array, centers: _Array) -> npt.NDArray[np.intp]:
+    """Return the number of the colour that each of (..., 3) ratios is nearest to."""
+    return np.asarray(((ratios[..., None, :] - centers) ** 2).sum(axis=-1).argmin(axis=-1))
