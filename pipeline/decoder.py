@@ -14,7 +14,7 @@ from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, Frame
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
-from pipeline.decoding.surface_search import FoundSurfaces
+from pipeline.decoding.surface_search import FoundSurfaces, NoModelFits
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError, DecodeWarning
@@ -182,7 +182,8 @@ class Decoder:
         counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
         correction, cycle = path.cycle(counts, work.period_px)
         motion = self._measure_motion(frame, levels, work, correction, cycle, memory)
-        found = self._find_surfaces(frame, levels, work, correction, cycle, memory, motion)
+        looked = self._find_surfaces(frame, levels, work, correction, cycle, memory, motion)
+        found = looked if isinstance(looked, FoundSurfaces) else None
         if found is not None:
             crosstalk, cycle = found.crosstalk, found.template
             gains.measure(image, crosstalk, levels)
@@ -214,8 +215,9 @@ class Decoder:
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
         mismatch = model.mismatch if found is None else found.mismatch
+        off_rad = looked.phase_rad if isinstance(looked, NoModelFits) else 0.0
         fast = 0.0 if motion is None else motion.too_fast
-        doubt = mismatch if found is None else found.constant_sigma
+        doubt = np.hypot(mismatch, off_rad) if found is None else found.constant_sigma
         return Measured(
             phases,
             surface,
@@ -227,7 +229,7 @@ class Decoder:
             constant_known=path.constant_known,
             constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
             order_doubt=placement.warning or lost,
-            light_doubts=light_doubts(model.contrast, mismatch, fast, constant_known=path.constant_known),
+            light_doubts=light_doubts(model.contrast, mismatch, off_rad, fast, constant_known=path.constant_known),
         )
 
     def _find_surfaces(
@@ -239,7 +241,7 @@ class Decoder:
         cycle: npt.NDArray[np.float32],
         memory: FrameMemory | None,
         motion: FieldMotion | None,
-    ) -> FoundSurfaces | None:
+    ) -> FoundSurfaces | NoModelFits | None:
         """Find what the surfaces' colours make of the crosstalk; None: nothing beyond what the balance undoes."""
         path, model = self._path, work.model
         if path.surfaces is None:

@@ -20,7 +20,9 @@ def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
     return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
 
 
-def light_doubts(contrast: float, mismatch: float, too_fast: float, *, constant_known: bool) -> tuple[str, ...]:
+def light_doubts(
+    contrast: float, mismatch: float, off_rad: float, too_fast: float, *, constant_known: bool
+) -> tuple[str, ...]:
     """Say where the light is not as decoding assumes.
 
     Parameters
@@ -29,6 +31,8 @@ def light_doubts(contrast: float, mismatch: float, too_fast: float, *, constant_
         The fringe's mean modulation over its mean background.
     mismatch : float
         How far the channels' fundamentals are from what the crosstalk makes of them, as a fraction.
+    off_rad : float
+        By how much phases may be off where no matrix explains a surface's colours; 0: one does.
     too_fast : float
         Share of the surface that moves too fast for colours that follow each other.
     constant_known : bool
@@ -44,6 +48,11 @@ def light_doubts(contrast: float, mismatch: float, too_fast: float, *, constant_
         doubts.append(
             f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them: "
             "calibrate the light anew (colorphase calibrate check says what is wrong)"
+        )
+    elif off_rad > 0:
+        doubts.append(
+            f"no matrix explains the largest surface's colours, and phases may be off by some {off_rad:.2f} rad: look "
+            "for other light, a fluorescent paint, or a calibration of another rig"
         )
     if too_fast > _MAX_TOO_FAST:
         doubts.append(

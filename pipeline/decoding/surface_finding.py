@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.decoding.first_look import FirstLook
-from pipeline.decoding.surface_search import FoundSurfaces, KnownLight, SurfaceSearch
+from pipeline.decoding.surface_search import FoundSurfaces, KnownLight, NoModelFits, SurfaceSearch
 from pipeline.models import FloatArray
 from tikernels.arrays import LevelsImage
 from tikernels.phase.channel_template import channel_harmonics
@@ -55,7 +55,7 @@ class SurfaceFinder:
         template_known: bool,
         before: FoundSurfaces | None = None,
         motion: FieldMotion | None = None,
-    ) -> FoundSurfaces | None:
+    ) -> FoundSurfaces | NoModelFits | None:
         """Return the surfaces of a frame; None if all are neutral, or act as the balance alone undoes.
 
         Parameters
@@ -91,10 +91,14 @@ class SurfaceFinder:
         # What moves between its colours bends what a frame says of its surfaces, until the next frame tells how far.
         if before is not None and motion is None:
             search = SurfaceSearch(look, known, look.labels(colors[:1]), before.fitted.matrices.sum(axis=2))
-            return search.follow(before)
+            return self._judged(search.follow(before))
         if len(colors) == 1 and self._acts_after(look, known):
             return None
-        return SurfaceSearch(look, known, look.labels(colors), np.exp(colors)).run()
+        return self._judged(SurfaceSearch(look, known, look.labels(colors), np.exp(colors)).run())
+
+    def _judged(self, found: FoundSurfaces | NoModelFits | None) -> FoundSurfaces | NoModelFits | None:
+        """Return what was found; a crosstalk that the frame itself has told is contradicted by nothing."""
+        return None if self._white is None and isinstance(found, NoModelFits) else found
 
     def _known_light(
         self, crosstalk: Crosstalk, white: FloatArray, template: npt.NDArray[np.float32], *, template_known: bool

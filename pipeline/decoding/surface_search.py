@@ -5,6 +5,7 @@ explains it best, surfaces that none needs are dropped, and places that none exp
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -46,6 +47,8 @@ _MORE = 1.5
 # A surface whose pixels are off its model by more than this fraction is none, unless the frame began with it; and if
 # the largest is, no surfaces have been found.
 _UNFIT = 0.02
+# A light of which this part is not explained may turn the phase by as much, rad.
+_PHASE_OF_LIGHT = 1.5
 # The window in which the light of a new surface is averaged, in cycles.
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
@@ -109,6 +112,18 @@ class FoundSurfaces:
         return float(self.fitted.constant_sigma.max())
 
 
+class NoModelFits(NamedTuple):
+    """The frame's colours contradict the crosstalk: no matrix explains its largest surface."""
+
+    misfit: float
+    """What is left over of that, as a fraction of its light."""
+
+    @property
+    def phase_rad(self) -> float:
+        """By how much that may turn the phase, rad: over the fringe's usual contrast."""
+        return _PHASE_OF_LIGHT * self.misfit
+
+
 class SurfaceSearch:
     """The surfaces of a frame as they are known so far.
 
@@ -137,8 +152,8 @@ class SurfaceSearch:
         self._tried = _near_edges(labels, _EDGE_PX)
         self._random = np.random.default_rng(0)
 
-    def run(self, first_turn: int = 0) -> FoundSurfaces | None:
-        """Look for the surfaces; None: there is but one, which acts as the balance alone undoes, or the model fails."""
+    def run(self, first_turn: int = 0) -> FoundSurfaces | NoModelFits | None:
+        """Look for the surfaces; None: there is but one, which acts as the balance alone undoes."""
         turn, settled = first_turn, False
         while True:
             fitted = self._fit(turn)
@@ -155,7 +170,7 @@ class SurfaceSearch:
             if _OF_LIGHT <= turn <= _TURNS - _LAST:
                 settled &= not self._add(new.unexplained & ~self._tried)
 
-    def follow(self, before: FoundSurfaces) -> FoundSurfaces | None:
+    def follow(self, before: FoundSurfaces) -> FoundSurfaces | NoModelFits | None:
         """Look for the surfaces of the frame before, and for new ones if more is left unexplained than there."""
         new = self._relabel(before.fitted, 1, afresh=True)
         fitted = self._keep(new, before.fitted)
@@ -165,11 +180,12 @@ class SurfaceSearch:
             return self.run(_OF_LIGHT)
         return self._found(fitted, new.unexplained)
 
-    def _found(self, fitted: FittedMatrices, unexplained: _Mask) -> FoundSurfaces | None:
-        """Return the surfaces; None if the largest does not fit, as with a calibration that is not this rig's."""
+    def _found(self, fitted: FittedMatrices, unexplained: _Mask) -> FoundSurfaces | NoModelFits:
+        """Return the surfaces, unless the largest does not fit, as with a calibration that is not this rig's."""
         sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
-        if fitted.misfit[sizes.argmax()] > _UNFIT:
-            return None
+        misfit = float(fitted.misfit[sizes.argmax()])
+        if misfit > _UNFIT:
+            return NoModelFits(misfit)
         whitest = np.abs(color_ratios(self._colors) - color_ratios(self._known.white)).max(axis=1).argmin()
         return FoundSurfaces(
             self._known.crosstalk(fitted.matrices, self._labels, fitted.ambient),

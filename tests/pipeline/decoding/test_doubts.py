@@ -24,18 +24,19 @@ def test_where_there_are_none_the_projector_is_looked_at(cpu):
 
 
 @pytest.mark.parametrize(
-    "contrast, mismatch, fast, known, said",
+    "contrast, mismatch, off, fast, known, said",
     [
-        (0.4, 0.01, 0.01, True, []),
-        (0.05, 0.01, 0.0, True, ["contrast is only 5%"]),
-        (0.4, 0.3, 0.0, True, ["differ by 30%"]),
-        (0.4, 0.3, 0.0, False, []),  # nothing is known that it could contradict
-        (0.05, 0.3, 0.0, True, ["contrast is only 5%", "differ by 30%"]),
-        (0.4, 0.01, 0.2, True, ["20% of the surface moves"]),
+        (0.4, 0.01, 0.0, 0.01, True, []),
+        (0.05, 0.01, 0.0, 0.0, True, ["contrast is only 5%"]),
+        (0.4, 0.3, 0.04, 0.0, True, ["differ by 30%"]),
+        (0.4, 0.3, 0.0, 0.0, False, []),  # nothing is known that it could contradict
+        (0.05, 0.3, 0.0, 0.0, True, ["contrast is only 5%", "differ by 30%"]),
+        (0.4, 0.01, 0.0, 0.2, True, ["20% of the surface moves"]),
+        (0.4, 0.01, 0.06, 0.0, True, ["phases may be off by some 0.06 rad"]),
     ],
 )
-def test_the_light(contrast, mismatch, fast, known, said):
-    doubts = light_doubts(contrast, mismatch, fast, constant_known=known)
+def test_the_light(contrast, mismatch, off, fast, known, said):
+    doubts = light_doubts(contrast, mismatch, off, fast, constant_known=known)
     assert len(doubts) == len(said)
     for doubt, part in zip(doubts, said, strict=True):
         assert part in doubt

@@ -41,6 +41,7 @@ def decoded(truth, **settings):
         ("ball", 1.0, TYPICAL_CROSSTALK),
     ],
 )
+@pytest.mark.filterwarnings("ignore:no matrix explains")  # of a frame that is told that there is no crosstalk
 def test_a_frame_tells_the_light(scene, gamma, matrix):
     """It wins at least 0.8 of what the true matrix and response win against balance alone."""
     truth = simulate_frame(

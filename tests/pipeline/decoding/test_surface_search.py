@@ -83,3 +83,14 @@ def test_a_wrong_calibration_is_left_to_the_balance(cpu):
     assert frame.memory.surfaces is None
     constants, _ = errors(frame, phase, numbers)
     assert np.abs(constants).max() < 3 * frame.constant_sigma
+
+
+def test_light_that_no_matrix_explains_is_said(cpu):
+    """Half of each frame's light is another fringe, as from a mirror: no matrix makes that of one phase."""
+    image, phase, _ = board(["skin"], (240, 320), noise=0.5)
+    other = light(2.2 * phase + 1.0) @ surface_matrix(PAINTS["orange"]).T
+    frame_image = np.clip(0.6 * image + 120 * other, 0, 255).astype(np.float32)
+    with pytest.warns(DecodeWarning, match="no matrix explains"):
+        frame = decoder().decode(frame_image)
+    assert frame.memory.surfaces is None
+    assert frame.constant_sigma > 0.03
