@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from pipeline import Decoder, DecodeSettings
+from pipeline.calibration import Calibration
 from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels.phase.surface_matrix import BROAD, NARROW
 
@@ -44,3 +46,24 @@ def board(
         image[own] = 240 * sent[own] @ matrix.T + 6 * matrix.sum(axis=1) + 4  # ambient light, and a pedestal
     image += noise * np.random.default_rng(4).standard_normal(image.shape)
     return np.clip(image, 0, 255).astype(np.float32), phase, numbers
+
+
+#: Of the projector, by channel.
+RESPONSE = np.tile(np.linspace(0, 1, 256) ** 2, (3, 1))
+
+
+def board_decoder(*, response: bool = True, arch: str = "cpu", **settings) -> Decoder:
+    calibration = Calibration(crosstalk_matrix=MATRIX, response=RESPONSE if response else None)
+    return Decoder(DecodeSettings(white_level=255, **settings), calibration, arch=arch)
+
+
+def paint_errors(frame, phase: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the constant and the RMS of the error of every paint, 5 px inside, rad."""
+    error = np.angle(np.exp(1j * (frame.unwrapped_phase - phase)))
+    inside = np.ones(numbers.shape, bool)
+    for shift in (-5, 5):
+        inside &= np.roll(numbers, shift, axis=1) == numbers
+    inside[:6] = inside[-6:] = False
+    constants = np.array([np.nanmean(error[inside & (numbers == n)]) for n in np.unique(numbers)])
+    rms = np.array([np.nanstd(error[inside & (numbers == n)]) for n in np.unique(numbers)])
+    return constants, rms

@@ -152,10 +152,10 @@ def _undo_motion_kernel(mixed: bool) -> Any:
                 seen = color_at(image, y, x)
                 weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
                 light = weight * (seen - rest)
-                estimator, curvature = estimator_of(
+                estimator, of_phase, _variance, _brightness = estimator_of(
                     light, weight * model, weight * slope, weight * swing, contrast_doubt
                 )
-                off = moved * estimator.dot(weight * motion) / ti.max(curvature, 1e-12)
+                off = moved * estimator.dot(weight * motion) / ti.max(estimator.dot(of_phase), 1e-12)
                 phase[y, x] -= off
                 doubt = _DOUBT * off
                 precision[y, x] = precision[y, x] / (1.0 + doubt * doubt * precision[y, x])

@@ -139,11 +139,8 @@ def model_at(
 
 
 @ti.func
-def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
-    """Return the phase's step, rad, one over its variance, and the misfit: see the module.
-
-    All channels are in units of their noise. The misfit is the square of what is left, over its variance.
-    """
+def estimator_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
+    """Return E, D, v and s of the module, of channels in units of their noise."""
     inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
     brightness = ti.max(light.dot(model) * inverse_square, 1e-6)
     of_phase = change - change.dot(model) * inverse_square * model
@@ -151,26 +148,24 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
     doubt = contrast_doubt * brightness
     variance = 1.0 + doubt * doubt * of_contrast.dot(of_contrast)
     estimator = variance * of_phase - doubt * doubt * of_phase.dot(of_contrast) * of_contrast
+    return estimator, of_phase, variance, brightness
+
+
+@ti.func
+def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
+    """Return the phase's step, rad, one over its variance, and the misfit: see the module.
+
+    All channels are in units of their noise. The misfit is the square of what is left, over its variance.
+    """
+    estimator, of_phase, variance, brightness = estimator_of(light, model, change, swing, contrast_doubt)
     # Divisions cost most: reciprocals come from one of their product.
     curvature, square = ti.max(estimator.dot(of_phase), 1e-12), ti.max(of_phase.dot(of_phase), 1e-12)
     reciprocal = 1.0 / (curvature * variance * brightness * square)
     step = light.dot(estimator) * variance * square * reciprocal
     residual = light.dot(model.cross(of_phase))
-    misfit = residual * residual * inverse_square * curvature * brightness * reciprocal
+    misfit = residual * residual / ti.max(model.dot(model), 1e-12) * curvature * brightness * reciprocal
     precision = brightness * brightness * brightness * curvature * curvature * square * reciprocal
     return step, precision, misfit
-
-
-@ti.func
-def estimator_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
-    """Return E and E D of the module, of channels in units of their noise."""
-    inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
-    of_phase = change - change.dot(model) * inverse_square * model
-    of_contrast = swing - swing.dot(model) * inverse_square * model
-    doubt = contrast_doubt * ti.max(light.dot(model) * inverse_square, 1e-6)
-    variance = 1.0 + doubt * doubt * of_contrast.dot(of_contrast)
-    estimator = variance * of_phase - doubt * doubt * of_phase.dot(of_contrast) * of_contrast
-    return estimator, estimator.dot(of_phase)
 
 
 @ti.func

@@ -2,41 +2,20 @@
 
 import numpy as np
 import pytest
-from support.colored_boards import MATRIX, board
-
-from pipeline import Decoder, DecodeSettings
-from pipeline.calibration import Calibration
+from support.colored_boards import board, board_decoder, paint_errors
 
 PAINTED = ["white", "orange", "blue", "skin"]
-RESPONSE = np.tile(np.linspace(0, 1, 256) ** 2, (3, 1))
-
-
-def decoder(*, response: bool = True, arch: str = "cpu", **settings) -> Decoder:
-    calibration = Calibration(crosstalk_matrix=MATRIX, response=RESPONSE if response else None)
-    return Decoder(DecodeSettings(white_level=255, **settings), calibration, arch=arch)
-
-
-def errors(frame, phase: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the constant and the RMS of the error of every paint, 5 px inside, rad."""
-    error = np.angle(np.exp(1j * (frame.unwrapped_phase - phase)))
-    inside = np.ones(numbers.shape, bool)
-    for shift in (-5, 5):
-        inside &= np.roll(numbers, shift, axis=1) == numbers
-    inside[:6] = inside[-6:] = False
-    constants = np.array([np.nanmean(error[inside & (numbers == n)]) for n in np.unique(numbers)])
-    rms = np.array([np.nanstd(error[inside & (numbers == n)]) for n in np.unique(numbers)])
-    return constants, rms
 
 
 @pytest.mark.parametrize("response", [True, False])
 def test_a_flat_board_of_four_colours_is_flat(arch, response):
     """Steps of 0.15 rad if the colours are taken to act after the crosstalk; 0.015 at most as they are found."""
     image, phase, numbers = board(PAINTED, (240, 320))
-    constants, rms = errors(decoder(response=response, arch=arch).decode(image), phase, numbers)
+    constants, rms = paint_errors(board_decoder(response=response, arch=arch).decode(image), phase, numbers)
     assert np.ptp(constants) < 0.015
     assert (rms < [0.015, 0.06, 0.06, 0.03]).all()
-    plain, rough = errors(
-        decoder(response=response, arch=arch, reflectance_bands="broad").decode(image), phase, numbers
+    plain, rough = paint_errors(
+        board_decoder(response=response, arch=arch, reflectance_bands="broad").decode(image), phase, numbers
     )
     assert np.ptp(plain) > 0.06
     assert (rough[1:] > 1.5 * rms[1:]).all()
@@ -44,27 +23,27 @@ def test_a_flat_board_of_four_colours_is_flat(arch, response):
 
 def test_the_constant_is_covered_by_what_is_said_of_it(cpu):
     image, phase, numbers = board(PAINTED, (240, 320))
-    frame = decoder().decode(image)
-    constants, _ = errors(frame, phase, numbers)
+    frame = board_decoder().decode(image)
+    constants, _ = paint_errors(frame, phase, numbers)
     assert np.abs(constants).max() < 2.5 * frame.constant_sigma < 0.1
 
 
 def test_neutral_paint_costs_nothing(cpu):
     """A grey board is decoded as if no surfaces were looked for."""
     image, _, _ = board(["white"])
-    found, broad = (decoder(reflectance_bands=bands).decode(image) for bands in (None, "broad"))
+    found, broad = (board_decoder(reflectance_bands=bands).decode(image) for bands in (None, "broad"))
     np.testing.assert_array_equal(found.wrapped_phase, broad.wrapped_phase)
     assert found.memory.surfaces is None
 
 
 def test_a_colour_that_acts_after_the_crosstalk_stays_so(cpu):
     image, _, _ = board(["skin"], broad=1.0)
-    found, broad = (decoder(reflectance_bands=bands).decode(image) for bands in (None, "broad"))
+    found, broad = (board_decoder(reflectance_bands=bands).decode(image) for bands in (None, "broad"))
     np.testing.assert_array_equal(found.wrapped_phase, broad.wrapped_phase)
 
 
 def test_one_colour_alone_is_told_by_what_is_left_over(cpu):
     image, phase, numbers = board(["skin"])
-    constants, rms = errors(decoder().decode(image), phase, numbers)
+    constants, rms = paint_errors(board_decoder().decode(image), phase, numbers)
     assert abs(constants[0]) < 0.012
     assert rms[0] < 0.03

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.colored_boards import MATRIX, PAINTS, board, light, surface_matrix
+from support.colored_boards import PAINTS, RESPONSE, board, board_decoder, light, paint_errors, surface_matrix
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration
@@ -10,31 +10,13 @@ from pipeline.errors import DecodeWarning
 from tikernels.phase.surfaces import NO_SURFACE
 
 PAINTED = ["white", "orange", "blue", "skin"]
-RESPONSE = np.tile(np.linspace(0, 1, 256) ** 2, (3, 1))
-
-
-def decoder(*, response: bool = True, arch: str = "cpu", **settings) -> Decoder:
-    calibration = Calibration(crosstalk_matrix=MATRIX, response=RESPONSE if response else None)
-    return Decoder(DecodeSettings(white_level=255, **settings), calibration, arch=arch)
-
-
-def errors(frame, phase: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the constant and the RMS of the error of every paint, 5 px inside, rad."""
-    error = np.angle(np.exp(1j * (frame.unwrapped_phase - phase)))
-    inside = np.ones(numbers.shape, bool)
-    for shift in (-5, 5):
-        inside &= np.roll(numbers, shift, axis=1) == numbers
-    inside[:6] = inside[-6:] = False
-    constants = np.array([np.nanmean(error[inside & (numbers == n)]) for n in np.unique(numbers)])
-    rms = np.array([np.nanstd(error[inside & (numbers == n)]) for n in np.unique(numbers)])
-    return constants, rms
 
 
 def test_shadow_shows_no_surface(cpu):
     image, _, _ = board(PAINTED, (240, 320))
     ambient = 6 * surface_matrix(PAINTS["white"]).sum(axis=1) + 4
     image[100:160, 100:220] = ambient + np.random.default_rng(1).standard_normal((60, 120, 3))
-    frame = decoder().decode(image)
+    frame = board_decoder().decode(image)
     assert frame.mask[106:154, 106:214].mean() < 0.02
     assert (np.asarray(frame.memory.surfaces.crosstalk.surfaces.labels)[106:154, 106:214] == NO_SURFACE).mean() > 0.98
 
@@ -42,17 +24,17 @@ def test_shadow_shows_no_surface(cpu):
 def test_a_video_keeps_its_surfaces(cpu):
     """The next frame is labelled by the matrices of the one before, and a new paint is found when it comes in."""
     first, phase, numbers = board(PAINTED[:3], (240, 320))
-    rig = decoder()
+    rig = board_decoder()
     before = rig.decode(first)
     again = rig.decode(first, previous=before)
     kept = again.memory.surfaces.fitted.matrices
     np.testing.assert_array_equal(kept, before.memory.surfaces.fitted.matrices)
-    constants, _ = errors(again, phase, numbers)
+    constants, _ = paint_errors(again, phase, numbers)
     assert np.ptp(constants) < 0.02
     then, phase, numbers = board([*PAINTED[:2], "skin", "blue"], (240, 320))
     after = rig.decode(then, previous=again)
     assert len(after.memory.surfaces.fitted.matrices) > len(kept)
-    constants, _ = errors(after, phase, numbers)
+    constants, _ = paint_errors(after, phase, numbers)
     assert np.ptp(constants) < 0.03
 
 
@@ -66,11 +48,11 @@ def test_a_paint_of_nearly_the_same_colour_is_found_by_what_is_left_over(cpu):
     other *= (wall.sum(axis=1) / other.sum(axis=1))[:, None]
     noise = np.random.default_rng(2).standard_normal(image.shape)
     image[patch] = (240 * light(phase) @ other.T + 6 * other.sum(axis=1) + 4 + noise)[patch]
-    frame = decoder().decode(image)
+    frame = board_decoder().decode(image)
     labels = np.asarray(frame.memory.surfaces.crosstalk.surfaces.labels)
     inside, outside = labels[70:170, 110:210], labels[:50]
     assert np.bincount(inside.ravel()).argmax() != np.bincount(outside.ravel()).argmax()
-    constants, _ = errors(frame, phase, patch.astype(int))
+    constants, _ = paint_errors(frame, phase, patch.astype(int))
     assert np.abs(constants).max() < 0.03
 
 
@@ -81,7 +63,7 @@ def test_a_wrong_calibration_is_left_to_the_balance(cpu):
     with pytest.warns(DecodeWarning, match="calibrate the light anew"):
         frame = Decoder(DecodeSettings(white_level=255), wrong, arch="cpu").decode(image)
     assert frame.memory.surfaces is None
-    constants, _ = errors(frame, phase, numbers)
+    constants, _ = paint_errors(frame, phase, numbers)
     assert np.abs(constants).max() < 3 * frame.constant_sigma
 
 
@@ -91,6 +73,6 @@ def test_light_that_no_matrix_explains_is_said(cpu):
     other = light(2.2 * phase + 1.0) @ surface_matrix(PAINTS["orange"]).T
     frame_image = np.clip(0.6 * image + 120 * other, 0, 255).astype(np.float32)
     with pytest.warns(DecodeWarning, match="no matrix explains"):
-        frame = decoder().decode(frame_image)
+        frame = board_decoder().decode(frame_image)
     assert frame.memory.surfaces is None
     assert frame.constant_sigma > 0.03

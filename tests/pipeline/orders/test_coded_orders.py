@@ -202,6 +202,7 @@ def test_half_in_shadow():
     assert wrong < 0.002
 
 
+@pytest.mark.filterwarnings("ignore:no matrix explains")
 def test_a_texture_with_the_fringes_period():
     truth, calibration = simulated("bust")
     rows = np.arange(SIZE[1])[:, None, None]
