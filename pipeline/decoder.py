@@ -182,6 +182,10 @@ class Decoder:
         counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
         correction, cycle = path.cycle(counts, work.period_px)
         motion = self._measure_motion(frame, levels, work, correction, cycle, memory)
+        # Where nobody knows what a cycle looks like, the frame is asked before its surfaces are looked for.
+        asked = path.surfaces is not None and not path.light_known
+        if asked:
+            model.fit(crosstalk, levels, correction, cycle)
         looked = self._find_surfaces(frame, levels, work, correction, cycle, memory, motion)
         found = looked if isinstance(looked, FoundSurfaces) else None
         if found is not None:
@@ -189,7 +193,8 @@ class Decoder:
             gains.measure(image, crosstalk, levels)
             counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
             correction, _ = path.cycle(counts, work.period_px)
-        model.fit(crosstalk, levels, correction, cycle, fixed=found is not None)
+        if found is not None or not asked:
+            model.fit(crosstalk, levels, correction, cycle, fixed=found is not None)
         fit = (work.raw_phase, phases.modulation, phases.precision)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         if motion is not None:
@@ -246,8 +251,7 @@ class Decoder:
         path, model = self._path, work.model
         if path.surfaces is None:
             return None
-        if not path.light_known:  # then this frame tells what a cycle looks like
-            model.fit(path.crosstalk, levels, correction, cycle)
+        if not path.light_known:
             cycle = model.template
         before = None if memory is None else memory.surfaces
         seen = (frame.image, work.gains, path.crosstalk, levels, correction, cycle)

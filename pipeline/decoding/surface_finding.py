@@ -25,7 +25,7 @@ _LEAK, _UNKNOWN_LEAK, _USUAL_LEAK = 0.004, 0.01, 0.03
 _KNOWN_HARMONIC, _SEEN_HARMONIC = 0.0005, 0.02
 # Samples that tell whether a frame's only colour acts after the crosstalk. It does if that leaves less over by this
 # factor than anything else does, and a median that noise may have, whose own is 0.67.
-_TELLING_SAMPLES, _LEAST_SAMPLES, _BY_FAR, _NOISE = 600, 60, 0.7, 1.0
+_TELLING_SAMPLES, _LEAST_SAMPLES, _BY_FAR, _NOISE = 400, 60, 0.85, 1.0
 
 
 class SurfaceFinder:

@@ -38,24 +38,29 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
         1 to 24 ratios, the commonest first.
     """
     size = int(2 * _RANGE / _STEP)
-    place = np.clip(((ratios[:, [0, 2]] + _RANGE) / _STEP).astype(int), 0, size - 1)
-    counts = np.zeros((size, size), np.float32)
-    np.add.at(counts, (place[:, 0], place[:, 1]), weights)
+    place = np.clip(((ratios[:, [0, 2]] + _RANGE) / _STEP).astype(int), 0, size - 1) @ [size, 1]
+    counts = np.bincount(place, weights, size * size).reshape(size, size).astype(np.float32)
     smooth = cv2.GaussianBlur(np.sqrt(counts), (0, 0), _SMOOTH)
     peaks = np.argwhere((smooth == cv2.dilate(smooth, np.ones((_APART, _APART)))) & (smooth > 0))
     peaks = peaks[np.argsort(-smooth[tuple(peaks.T)], kind="stable")][: 3 * _MOST]
-    red, blue = ((peaks + 0.5) * _STEP - _RANGE).T
-    centers = np.stack([red, -red - blue, blue], axis=1)
+    centers, cells = _color_of(peaks), np.argwhere(counts > 0)
+    in_cells, of_cells = counts[tuple(cells.T)], _color_of(cells)
     while True:
-        nearest = nearest_colors(ratios, centers)
-        sizes = np.bincount(nearest, weights=weights, minlength=len(centers))
+        sizes = np.bincount(nearest_colors(of_cells, centers), weights=in_cells, minlength=len(centers))
         if len(centers) == 1 or (sizes.min() >= least and len(centers) <= _MOST):
             break
         centers = np.delete(centers, sizes.argmin(), axis=0)
+    nearest = nearest_colors(ratios, centers)
     means = [
         np.average(ratios[nearest == k], axis=0, weights=weights[nearest == k] + 1e-9) for k in range(len(centers))
     ]
     return np.array(means)[np.argsort(-sizes, kind="stable")]
+
+
+def _color_of(cells: npt.NDArray[np.integer]) -> _Array:
+    """Return the ratios in the middle of cells, (N, 3)."""
+    red, blue = ((cells + 0.5) * _STEP - _RANGE).T
+    return np.stack([red, -red - blue, blue], axis=1)
 
 
 def nearest_colors(ratios: _Array, centers: _Array) -> npt.NDArray[np.intp]:

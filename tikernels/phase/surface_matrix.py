@@ -34,7 +34,7 @@ NARROW = np.broadcast_to(np.eye(3), (3, 3, 3))
 BETWEEN = 0.15 * BROAD + 0.85 * NARROW
 
 # Newton's steps that find the reflectances, how far one goes at the most, and by how much they keep together.
-_NEWTON, _NEWTON_STEP, _TOGETHER = 12, 0.7, 3e-4
+_NEWTON, _NEWTON_STEP, _NEWTON_ENOUGH, _TOGETHER = 12, 0.7, 1e-4, 3e-4
 # An entry of K may be this fraction off its prediction, and this share of its row: standard deviations.
 _FRACTION = 0.2
 # So may the ambient light: this fraction of what is expected, and this of the surface's light.
@@ -79,6 +79,8 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
         right = np.einsum("nik,ni->nk", slope, off) + _TOGETHER * (log_rho - log_rho.mean(axis=1, keepdims=True))
         step = np.linalg.solve(gram, right[..., None])[..., 0]
         log_rho = log_rho - np.clip(step, -_NEWTON_STEP, _NEWTON_STEP)
+        if np.abs(step).max() < _NEWTON_ENOUGH:
+            break
     entries = white * np.exp(np.einsum("ijk,nk->nij", share, log_rho))
     return np.asarray(3 * entries / entries.sum(axis=(1, 2), keepdims=True))
 
@@ -262,10 +264,21 @@ def _constant_slope(
 
 
 def residuals(surface: SurfaceSamples, matrix: _Array, ambient: _Array, light: _Complexes) -> _Array:
-    """Return z of a surface's pixels, (N,), given its matrix, its ambient light, levels, and the light."""
+    """Return z of a surface's pixels, (N,), in standard deviations, given its matrix, ambient light and the light."""
     weight = 1 / np.sqrt(surface.variance)
     seen = (surface.light - ambient) * weight
-    return _across(surface, seen, matrix, weight, light, surface.phase, _FIRST_TURNS).residual
+    found = _across(surface, seen, matrix, weight, light, surface.phase, _FIRST_TURNS)
+    return np.asarray(found.residual / np.sqrt(_contrast_variance(surface, matrix, weight, light, found)))
+
+
+def _contrast_variance(
+    surface: SurfaceSamples, matrix: _Array, weight: _Array, light: _Complexes, found: "_Across"
+) -> _Array | float:
+    """Return the variance of z where a pixel's contrast is not quite the light's."""
+    if surface.contrast_doubt == 0:
+        return 1.0
+    swing = (waves(light, surface.angles(found.phase))[0] - 1) @ matrix.T * weight
+    return np.asarray(1 + (surface.contrast_doubt * found.brightness * _dot(swing, found.normal)) ** 2)
 
 
 class _Across(NamedTuple):
@@ -339,7 +352,8 @@ class _Equations:
         turns: int,
     ) -> None:
         weight = 1 / np.sqrt(surface.variance)
-        phase, brightness, m, d, normal, z = _across(surface, rest * weight, matrix, weight, light, phase, turns)
+        found = _across(surface, rest * weight, matrix, weight, light, phase, turns)
+        phase, brightness, m, d, normal, z = found
         angles = surface.angles(phase)
         self.phase, p = phase, waves(light, angles)[0]
         level = np.sqrt((_dot(m, m) * brightness**2).mean())
@@ -359,8 +373,7 @@ class _Equations:
             of_brightness[:, 12 + h] = _dot(wave, bright)
         usual = _HUBER * 1.48 * np.median(np.abs(z)) + 1e-12
         trust = np.minimum(1.0, usual / np.maximum(np.abs(z), 1e-12))
-        swing = (p - 1) @ matrix.T * weight
-        trust /= 1 + (surface.contrast_doubt * brightness * _dot(swing, normal)) ** 2
+        trust = trust / _contrast_variance(surface, matrix, weight, light, found)
         total = trust.sum()
         scatter = np.sqrt((trust * z * z).sum() / total)
         self.misfit = float(np.sqrt(max(scatter**2 - 1, 0)) / level)
