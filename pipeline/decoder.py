@@ -77,7 +77,8 @@ class Decoder:
         geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
         plane = None if reference is None else reference.unwrapped_phase.copy()  # its frame may become `out`
         self._reader = FrameReader(self.settings, self._path, geometry, plane)
-        self._orders = OrderFinder(self._path, geometry, None if calibration is None else calibration.depth_range_mm)
+        depth_range_mm = None if calibration is None else calibration.depth_range_mm
+        self._orders = OrderFinder(self._path.code, geometry, depth_range_mm)
         self._unwrapping = METHODS[self.settings.unwrap_method]
         if unwrapper is not None:
             self._unwrapping = lambda height, width: GivenRegions(unwrapper)

@@ -6,6 +6,7 @@ the phase by each cycle's modulation.
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,6 @@ import numpy.typing as npt
 from pipeline.calibration import Geometry
 from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers
 from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
-from pipeline.decoding.light_path import LightPath
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, count_votes, split_by_votes
 from pipeline.orders.coded_orders import find_absolute_orders
@@ -122,8 +122,8 @@ class OrderFinder:
 
     Parameters
     ----------
-    path : LightPath
-        What is known of the light, and the pattern's code.
+    code : {"contrast"} or None
+        The pattern's.
     geometry : Geometry, optional
         The rig's; with it, the depth tells what the orders may be.
     depth_range_mm : (2,) float, optional
@@ -137,13 +137,12 @@ class OrderFinder:
 
     def __init__(
         self,
-        path: LightPath,
+        code: Literal["contrast"] | None,
         geometry: Geometry | None,
         depth_range_mm: tuple[float, float] | None,
     ) -> None:
-        self._code = path.code
-        self._code_looked_for = path.code is not None
-        self._path = path
+        self._code = code
+        self._code_looked_for = code is not None
         self._geometry = geometry
         self._depth_range_mm = depth_range_mm
         #: Where the object is expected, mm; regions that nothing places are put nearest to it.

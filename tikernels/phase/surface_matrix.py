@@ -35,12 +35,12 @@ BETWEEN = 0.15 * BROAD + 0.85 * NARROW
 
 # Newton's steps that find the reflectances, how far one goes at the most, and by how much they keep together.
 _NEWTON, _NEWTON_STEP, _NEWTON_ENOUGH, _TOGETHER = 12, 0.7, 1e-4, 3e-4
-# An entry of K may be this fraction off its prediction, and this share of its row: standard deviations.
+# An entry of K may be this fraction off its prediction: a standard deviation.
 _FRACTION = 0.2
 # So may the ambient light: this fraction of what is expected, and this of the surface's light.
 _AMBIENT_FRACTION, _AMBIENT_SHARE = 0.3, 0.004
-# The common light: contrast and blur are known to this, and a single harmonic to that of the fundamental.
-_CONTRAST, _BLUR, _HARMONIC = 0.2, 0.05, 0.0005
+# The common light: its contrast is known to this fraction, and the logarithm of its blur to that.
+_CONTRAST, _BLUR = 0.2, 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
 # Residuals count in full up to this many of their median sizes.
@@ -87,7 +87,7 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:
-    """Pixels of one surface, its shading taken out of the colour but not of the brightness."""
+    """Pixels of one surface, and what is known of each."""
 
     light: _Array  # (N, 3) the camera's, levels
     variance: _Array  # (N, 3) of the noise
@@ -225,6 +225,7 @@ def fit_matrices(
 
 
 def _mismatch(matrices: _Array, predicted: _Array, fundamental: _Complexes) -> _Array:
+    """Return how far the channels' fundamentals are from those foretold, apart from what all three share."""
     waves_of = [parts @ fundamental / parts.sum(axis=2) for parts in (matrices, predicted)]
     ratio = waves_of[0] / waves_of[1]
     deviation = np.abs(ratio / ratio.mean(axis=1, keepdims=True) - 1)

@@ -7,7 +7,6 @@ import pytest
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.decoding.frame import FrameMemory, RegionOrders
-from pipeline.decoding.light_path import LightPath
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import CarriedOrders
 from pipeline.orders.order_finder import OrderFinder, Placement
@@ -91,10 +90,9 @@ def test_the_later_evidence_overrules_the_earlier(coded):
 def test_axes_in_parallel_need_a_range():
     rig = simulated_rig((64, 48))
     parallel = rig.model_copy(update={"rotation": np.eye(3), "translation_mm": np.array([0.0, 180.0, 0.0])})
-    path = LightPath(DecodeSettings(), parallel)
     with pytest.raises(CalibrationError, match="give depth_range_mm"):
-        OrderFinder(path, parallel.geometry(), None)
-    OrderFinder(path, parallel.geometry(), (800.0, 1000.0))
+        OrderFinder(None, parallel.geometry(), None)
+    OrderFinder(None, parallel.geometry(), (800.0, 1000.0))
 
 
 @pytest.mark.parametrize("depth_range_mm, absolute", [((880.0, 920.0), True), ((300.0, 3000.0), False)])

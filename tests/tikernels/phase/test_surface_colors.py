@@ -35,7 +35,7 @@ def test_rare_colours_are_given_to_their_neighbours(least, count):
 
 
 def test_places_between_two_colours_count_less_where_they_are_given_less_weight():
-    ratios = places([500, 0, 500])
+    ratios = places([520, 0, 480])
     between = np.linspace(ratios[0], ratios[-1], 200)
     together = np.concatenate([ratios, between])
     weights = np.concatenate([np.ones(len(ratios)), np.full(len(between), 1e-3)])
