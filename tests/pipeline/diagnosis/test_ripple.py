@@ -11,7 +11,11 @@ from pipeline.diagnosis.ripple import diagnose
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
 # Frames of rigs that differ from what their settings say.
-pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
+pytestmark = [
+    pytest.mark.usefixtures("cpu"),
+    pytest.mark.filterwarnings("ignore:the colours' fringes differ"),
+    pytest.mark.filterwarnings("ignore:no matrix explains"),
+]
 
 
 HALF = (320, 240)  # of the usual picture, its fringes as fine
