@@ -148,7 +148,9 @@ class LightPath:
 
     def _use(self, matrix: FloatArray) -> None:
         self.surfaces = None
-        coded = 0.0 if self.code is None else self.contrast_doubt
+        # Surfaces are fitted to the frame's contrast, not to the neighbourhood's: the code's whole spread is in doubt.
+        contrasts = cycle_modulations()
+        coded = 0.0 if self.code is None else float(contrasts.std() / contrasts.mean())
         if self._bands is None and self._learned is not None:
             self.surfaces = SurfaceFinder(None, coded)
         elif self._bands is None and self.constant_known:

@@ -262,7 +262,9 @@ class SurfaceSearch:
         model = (crosstalk, look.levels, look.correction, known.template(fitted.light))
         misfits = surface_misfits(look.device_image, *model, known.contrast_doubt, step)
         usable = (fitted.misfit < _UNFIT) | self._spared
-        new = relabel(misfits, self._labels[::step, ::step], usable, look.gains.period_px, step, afresh=afresh)
+        known_so_far = (self._labels[::step, ::step], usable, self._first)
+        coded = known.contrast_doubt > 0
+        new = relabel(misfits, *known_so_far, look.gains.period_px, step, coded=coded, afresh=afresh)
         if step == 1:
             return new
         shape = self._labels.shape

@@ -39,6 +39,8 @@ _lanes = ti.types.vector(_PIXELS_AT_ONCE, ti.f32)
 # Gaussians that misfits are averaged over: px along the stripes and across them; cycles, and how much that one counts.
 _NEAR_PX = (2.0, 1.6)
 _AROUND_CYCLES, _AROUND = 0.4, 0.5
+# The same of a coded pattern, whose cycles differ in contrast, so that a pixel tells less.
+_CODED_CYCLES, _CODED = 0.6, 2.0
 # A whole neighbourhood, in cycles; and how far wide averages are computed on a coarser grid, px.
 _NEIGHBOURHOOD_CYCLES = 0.85
 _GRID_PX = 4
@@ -178,7 +180,15 @@ def surface_misfits(
 
 
 def relabel(
-    misfits: _Misfits, before: _Labels, usable: _Mask, period_px: float, step: int = 1, *, afresh: bool = False
+    misfits: _Misfits,
+    before: _Labels,
+    usable: _Mask,
+    founding: _Mask,
+    period_px: float,
+    step: int = 1,
+    *,
+    coded: bool = False,
+    afresh: bool = False,
 ) -> Relabelled:
     """Give every pixel to the surface that fits it best, and drop surfaces that none needs.
 
@@ -190,25 +200,30 @@ def relabel(
         The surfaces that pixels are taken to show so far.
     usable : (N,) bool
         Which surfaces may be kept.
+    founding : (N,) bool
+        Which ones the frame began with: none that came later takes the place of one.
     period_px : float
         Camera px a cycle.
     step : int
         px between the pixels, both ways.
+    coded : bool
+        Whether a code changes the contrast from cycle to cycle.
     afresh : bool
         Whether only NO_SURFACE is known of what pixels showed before.
     """
     said = misfits[0] >= 0
-    averages = _averaged(misfits, said, period_px, step)
+    averages = _averaged(misfits, said, period_px, step, coded)
     if afresh:
         before = np.where(before == NO_SURFACE, NO_SURFACE, averages.argmin(axis=0)).astype(np.uint8)
     kept = [k for k in range(len(misfits)) if usable[k]] or [0]
     sizes = np.bincount(before[said], minlength=len(misfits))
-    for k in sorted(kept, key=lambda k: int(sizes[k])):
+    for k in sorted(kept, key=lambda k: (bool(founding[k]), int(sizes[k]))):
         own = said & (before == k)
         others = [j for j in kept if j != k]
+        rivals = [j for j in others if founding[j] or not founding[k]]
         if others and not own.any():
             kept = others
-        elif others and min(averages[j][own].mean() for j in others) < averages[k][own].mean() + _BETTER:
+        elif rivals and min(averages[j][own].mean() for j in rivals) < averages[k][own].mean() + _BETTER:
             kept = others
     while True:
         nearest = averages[kept].argmin(axis=0)
@@ -224,16 +239,17 @@ def relabel(
     return Relabelled(labels, kept, unexplained)
 
 
-def _averaged(misfits: _Misfits, said: _Mask, period_px: float, step: int) -> _Misfits:
+def _averaged(misfits: _Misfits, said: _Mask, period_px: float, step: int, coded: bool) -> _Misfits:
     """Average every surface's misfits over a few pixels, and over a part of a cycle."""
+    cycles, counts = (_CODED_CYCLES, _CODED) if coded else (_AROUND_CYCLES, _AROUND)
     weight = said.astype(np.float32)
     near_share = np.maximum(_near(weight, step), 1e-6)
-    wide_share = np.maximum(_wide(weight, _AROUND_CYCLES * period_px, step), 1e-6)
+    wide_share = np.maximum(_wide(weight, cycles * period_px, step), 1e-6)
     result = np.empty_like(misfits)
     for surface, misfit in enumerate(misfits):
         counted = np.where(said, misfit, np.float32(0))
-        around = _enlarged(_wide(counted, _AROUND_CYCLES * period_px, step) / wide_share, said.shape)
-        result[surface] = (_near(counted, step) / near_share + _AROUND * around) / (1 + _AROUND)
+        around = _enlarged(_wide(counted, cycles * period_px, step) / wide_share, said.shape)
+        result[surface] = (_near(counted, step) / near_share + counts * around) / (1 + counts)
     return result
 
 

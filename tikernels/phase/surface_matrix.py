@@ -374,10 +374,11 @@ class _Equations:
             of_brightness[:, 12 + h] = _dot(wave, bright)
         usual = _HUBER * 1.48 * np.median(np.abs(z)) + 1e-12
         trust = np.minimum(1.0, usual / np.maximum(np.abs(z), 1e-12))
-        trust = trust / _contrast_variance(surface, matrix, weight, light, found)
+        variance = _contrast_variance(surface, matrix, weight, light, found)
+        trust = trust / variance
         total = trust.sum()
         scatter = np.sqrt((trust * z * z).sum() / total)
-        self.misfit = float(np.sqrt(max(scatter**2 - 1, 0)) / level)
+        self.misfit = float(np.sqrt(max((trust * (z * z - variance)).sum() / total, 0)) / level)
         count = total**2 / (trust**2).sum()
         information = 1 / ((_MISFIT * level) ** 2 + 4 * scatter**2 / count) / total
         weighted = of_z * trust[:, None]

@@ -16,6 +16,7 @@ LEVELS = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 5.0)
 _PHASES = np.linspace(0, 2 * np.pi, 64, endpoint=False)
 _SPECTRUM = np.fft.rfft(light(_PHASES), axis=0).T[:, :5] / 64
 PAINTED = ["white", "orange", "blue"]
+FOUNDING = np.ones(3, bool)
 
 
 def surfaces_of(labels: np.ndarray) -> Crosstalk:
@@ -58,7 +59,7 @@ def test_pixels_go_to_the_surface_that_explains_them(cpu):
     image, _, numbers = board(PAINTED)
     before = np.roll(numbers, 12, axis=1).astype(np.uint8)
     before[:20, :30] = NO_SURFACE
-    new = relabel(misfits_of(image, before), before, np.ones(3, bool), PERIOD_PX)
+    new = relabel(misfits_of(image, before), before, np.ones(3, bool), FOUNDING, PERIOD_PX)
     assert new.kept == [0, 1, 2]
     assert (new.labels[before == NO_SURFACE] == NO_SURFACE).all()
     lit = before != NO_SURFACE
@@ -68,6 +69,7 @@ def test_pixels_go_to_the_surface_that_explains_them(cpu):
         misfits_of(image, before),
         np.where(lit, 0, NO_SURFACE).astype(np.uint8),
         np.ones(3, bool),
+        FOUNDING,
         PERIOD_PX,
         afresh=True,
     )
@@ -78,8 +80,8 @@ def test_what_none_needs_is_dropped_and_what_none_explains_is_told(cpu):
     image, _, numbers = board(PAINTED)
     misfits = misfits_of(image, numbers.astype(np.uint8))
     twice = np.concatenate([misfits, misfits[:1]])
-    assert len(relabel(twice, numbers.astype(np.uint8), np.ones(4, bool), PERIOD_PX).kept) == 3
-    without = relabel(misfits, numbers.astype(np.uint8), np.array([True, False, True]), PERIOD_PX)
+    assert len(relabel(twice, numbers.astype(np.uint8), np.ones(4, bool), np.ones(4, bool), PERIOD_PX).kept) == 3
+    without = relabel(misfits, numbers.astype(np.uint8), np.array([True, False, True]), FOUNDING, PERIOD_PX)
     assert without.kept == [0, 2]
     inside = np.abs(np.arange(240) - 120) < 30
     assert without.unexplained[20:-20, inside].mean() > 0.8
@@ -90,3 +92,14 @@ def test_what_is_refused(cpu):
     image, _, numbers = board(PAINTED, (40, 40))
     with pytest.raises(tikernels.ShapeError, match="image has shape"):
         misfits_of(image[0], numbers.astype(np.uint8))
+
+
+def test_none_that_came_later_takes_the_place_of_a_founding_surface(cpu):
+    """Two that explain the same pixels: the later one goes, whichever has more."""
+    image, _, numbers = board(PAINTED)
+    misfits = misfits_of(image, numbers.astype(np.uint8))
+    twice = np.concatenate([misfits, misfits[:1]])
+    before = numbers.astype(np.uint8)
+    before[:150][numbers[:150] == 0] = 3  # most of the white pixels are the later one's
+    founding = np.array([True, True, True, False])
+    assert relabel(twice, before, np.ones(4, bool), founding, PERIOD_PX).kept == [0, 1, 2]
