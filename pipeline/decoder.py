@@ -182,11 +182,12 @@ class Decoder:
         faded = 0.0 if memory is None else memory.faded_phase_counts
         counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
         correction, cycle = path.cycle(counts, work.period_px)
-        motion = self._measure_motion(frame, levels, work, correction, cycle, memory)
-        # Where nobody knows what a cycle looks like, the frame is asked before its surfaces are looked for.
-        asked = path.surfaces is not None and not path.light_known
-        if asked:
+        # Surfaces take the model of a first look where nobody else knows a cycle of the light, motion its phases.
+        in_turns = self.settings.field_times is not None and memory is not None
+        first_look = in_turns or (path.surfaces is not None and not path.light_known)
+        if first_look:
             model.fit(crosstalk, levels, correction, cycle)
+        motion = self._measure_motion(frame, levels, work, correction, memory)
         looked = self._find_surfaces(frame, levels, work, correction, cycle, memory, motion)
         found = looked if isinstance(looked, FoundSurfaces) else None
         if found is not None:
@@ -194,7 +195,7 @@ class Decoder:
             gains.measure(image, crosstalk, levels)
             counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
             correction, _ = path.cycle(counts, work.period_px)
-        if found is not None or not asked:
+        if found is not None or not first_look:
             model.fit(crosstalk, levels, correction, cycle, fixed=found is not None)
         fit = (work.raw_phase, phases.modulation, phases.precision)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
@@ -264,14 +265,12 @@ class Decoder:
         levels: FrameLevels,
         work: Workspace,
         correction: npt.NDArray[np.float32],
-        cycle: npt.NDArray[np.float32],
         memory: FrameMemory | None,
     ) -> FieldMotion | None:
         """Measure what moved between the frame's colours, by a first look at its phase and the frame before."""
         times, path, model = self.settings.field_times, self._path, work.model
         if times is None or memory is None:
             return None
-        model.fit(path.crosstalk, levels, correction, cycle)
         phase = fit_phase(frame.image, model, path.crosstalk, levels, correction, path.contrast_doubt)[0]
         return measure_motion(phase, memory.surface.unwrapped, times, work.period_px)
 
