@@ -23,6 +23,7 @@ from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.depth.triangulation import triangulate
+from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.field_motion import FieldMotion, measure_motion, undo_field_motion
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import count_phases, fit_phase
@@ -197,13 +198,14 @@ class Decoder:
             correction, _ = path.cycle(counts, work.period_px)
         if found is not None or not first_look:
             model.fit(crosstalk, levels, correction, cycle, fixed=found is not None)
-        fit = (work.raw_phase, phases.modulation, phases.precision)
+        fit = (work.fitted_phase, phases.modulation, phases.precision, work.brightness)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         if motion is not None:
             known = (model, crosstalk, levels, path.contrast_doubt)
             own = motion.beyond_mean(phases.modulation) if found is None else motion
-            undo_field_motion(image, own, *known, out=(work.raw_phase, phases.precision))
-        error = work.model_error.measure(image, work.raw_phase, model, crosstalk, levels, path.contrast_doubt)
+            undo_field_motion(image, own, *known, out=(work.fitted_phase, phases.precision))
+        error = work.model_error.measure(image, work.fitted_phase, model, crosstalk, levels, path.contrast_doubt)
+        undo_camera_blur(work.fitted_phase, work.brightness, out=(work.raw_phase, phases.precision))
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         smooth_phase(work.raw_phase, phases.precision, rates, self._setup.smoothing_pairs, out=phases.phase)

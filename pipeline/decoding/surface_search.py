@@ -53,8 +53,9 @@ _PHASE_OF_LIGHT = 1.5
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
 _EDGE_PX = 13
-# Ambient light is at most this share of a surface's.
-_MOST_AMBIENT = 0.5
+# Ambient light is at most this share of a surface's. It is not quite even over one, which makes the contrast of pixels
+# differ by this fraction.
+_MOST_AMBIENT, _UNEVEN = 0.5, 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,7 +162,7 @@ class SurfaceSearch:
                 return None
             turn += 1
             if settled or turn == _TURNS:
-                last = self._relabel(fitted, 1)
+                last = self._relabel(fitted, 1, last=True)
                 return self._found(self._keep(last, fitted), last.unexplained)
             before = self._labels
             new = self._relabel(fitted, _STEP_PX)
@@ -255,13 +256,18 @@ class SurfaceSearch:
             samples.append(look.surface_samples(light, around, own_weights, ambient, doubt, offset))
         return numbers, samples
 
-    def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False) -> Relabelled:
-        """Give every pixel to the surface that explains it best, looking at one of `step` both ways."""
+    def _relabel(
+        self, fitted: FittedMatrices, step: int, *, afresh: bool = False, last: bool = False
+    ) -> Relabelled:
+        """Give every pixel to the surface that explains it best, looking at one of `step` both ways.
+
+        In the end a surface that does not quite fit is still better than one that fits less.
+        """
         look, known = self._look, self._known
         crosstalk = known.crosstalk(fitted.matrices, self._labels, fitted.ambient)
         model = (crosstalk, look.levels, look.correction, known.template(fitted.light))
-        misfits = surface_misfits(look.device_image, *model, known.contrast_doubt, step)
-        usable = (fitted.misfit < _UNFIT) | self._spared
+        misfits = surface_misfits(look.device_image, *model, max(known.contrast_doubt, _UNEVEN), step)
+        usable = (fitted.misfit < _UNFIT) | self._spared | last
         known_so_far = (self._labels[::step, ::step], usable, self._first)
         coded = known.contrast_doubt > 0
         new = relabel(misfits, *known_so_far, look.gains.period_px, step, coded=coded, afresh=afresh)
@@ -291,14 +297,19 @@ class SurfaceSearch:
         ratios = color_ratios((cv2.GaussianBlur(seen, (0, 0), sigma) / np.maximum(share, 1e-6))[unexplained])
         centers = common_colors(ratios[::4], np.ones(len(ratios[::4])), LEAST_PX / 4)[:_NEW]
         nearest = nearest_colors(ratios, centers)
-        light = np.array([image[unexplained][nearest == k].mean(axis=0) for k in range(len(centers))])
+        places = [_largest_part(unexplained, nearest == k) for k in range(len(centers))]
+        places = [place for place in places if np.count_nonzero(place) >= LEAST_PX]
+        if not places:
+            return False
+        light = np.array([image[place].mean(axis=0) for place in places])
         ambient = np.minimum(np.median(self._ambient, axis=0), _MOST_AMBIENT * light)
         self._labels = self._labels.copy()
-        self._labels[unexplained] = count + nearest
+        for number, place in enumerate(places, count):
+            self._labels[place] = number
         self._colors = np.concatenate([self._colors, np.maximum(light - ambient, 1e-6)])
         self._ambient = np.concatenate([self._ambient, ambient])
-        self._spared = np.concatenate([self._spared, np.ones(len(centers), bool)])
-        self._first = np.concatenate([self._first, np.zeros(len(centers), bool)])
+        self._spared = np.concatenate([self._spared, np.ones(len(places), bool)])
+        self._first = np.concatenate([self._first, np.zeros(len(places), bool)])
         return True
 
     def _renumber(self, numbers: list[int]) -> None:
@@ -312,6 +323,20 @@ class SurfaceSearch:
         self._spared, self._first = self._spared[numbers], self._first[numbers]
         if self._ambient is not None:
             self._ambient = self._ambient[numbers]
+
+
+def _largest_part(mask: _Mask, chosen: _Mask) -> _Mask:
+    """Return what hangs together of the chosen ones of a mask's pixels, the largest such part: it is of one surface.
+
+    All of them, if none is large enough for a surface.
+    """
+    all_of_them = np.zeros(mask.shape, np.uint8)
+    all_of_them[mask] = chosen
+    _, parts, sizes, _ = cv2.connectedComponentsWithStats(all_of_them, connectivity=4)
+    areas = sizes[1:, cv2.CC_STAT_AREA]
+    if len(areas) == 0 or areas.max() < LEAST_PX:
+        return np.asarray(all_of_them > 0)
+    return np.asarray(parts == 1 + areas.argmax())
 
 
 def _near_edges(labels: _Labels, width_px: int) -> _Mask:

@@ -32,6 +32,8 @@ class Workspace:
         self.model = ChannelModel(self.gains)
         self.model_error = ModelError(self.gains)
         self.rates = rates_buffer(height)
+        self.fitted_phase = runtime.empty((height, width), np.float32)
+        self.brightness = runtime.empty((height, width), np.float32)
         self.raw_phase = runtime.empty((height, width), np.float32)
         self.unwrapper = RegionUnwrapper(height, width, method(height, width))
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti
+from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti, vec3
 from tikernels.arrays import LevelsImage
 from tikernels.phase.phase_vector import color_at, phase_vector
 from tikernels.raw.linearization import LEVEL_TYPES, WHITE_LEVELS
@@ -21,16 +21,18 @@ _COLUMNS = 16
 # A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
 # far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
 _MIN_SHARE = 0.15
-# What is darker than this share of the brightest is not lit.
-_LIT_SHARE = 0.3
-# Groups of pixels, equally bright within each, that tell how the noise grows with the light.
-_NOISE_GROUPS = 6
+# What is darker than this share of the brightest does not tell the noise: clipped at zero it would show half of it.
+_DARK_SHARE = 0.06
+# Groups of samples, equally bright within each, that tell how the noise grows with the light.
+_NOISE_GROUPS = 8
+# Fourth differences leave out tilted stripes, and pixels two apart what demosaicing makes of their neighbours.
+_DIFFERENCE, _APART_PX = (1, -4, 6, -4, 1), 2
 # Groups that differ by less than this share of their brightness do not tell read noise from the light's.
 _MIN_SPREAD = 0.05
 # Mean of the middle fifth of a normal distribution's absolute values, in standard deviations.
 _MIDDLE = 0.6776
-# Columns of what is read off a pixel: b cos(phi), b sin(phi), the second difference of the channels' sum, their mean.
-_COSINE, _SINE, _CHANGE, _LIGHT = range(4)
+# Columns of what is read off a pixel: b cos(phi), b sin(phi), then three channels, then their fourth differences.
+_COSINE, _SINE, _LIGHT, _CHANGE, _COLUMNS_OF_A_PIXEL = 0, 1, 2, 5, 8
 
 
 @dataclass(frozen=True)
@@ -63,20 +65,23 @@ class FrameLevels:
 def probe_frame_kernel(
     image: AnyArray3,  # (H, W, 3) levels
     scale: f32,  # levels to 0..1
-    out_samples: F32Array3,  # (columns, H, 4) 0..1; see _COSINE and so on
+    out_samples: F32Array3,  # (columns, H, 8) 0..1; see _COSINE and so on
 ):
     columns, height, width = out_samples.shape[0], image.shape[0], image.shape[1]
     for sample in range(columns * height):
         column, y = sample // height, sample % height
-        x = ti.min(ti.max((2 * column + 1) * width // (2 * columns), 1), width - 2)
-        here = color_at(image, y, ti.max(x, 0))
-        change = color_at(image, y, ti.max(x - 1, 0)) - 2.0 * here + color_at(image, y, ti.min(x + 1, width - 1))
-        change *= scale
-        vector = phase_vector(here * scale)
+        reach = ti.static(_APART_PX * (len(_DIFFERENCE) // 2))
+        x = ti.max(ti.min(ti.max((2 * column + 1) * width // (2 * columns), reach), width - 1 - reach), 0)
+        here, change = scale * color_at(image, y, x), vec3(0.0)
+        for k in ti.static(range(len(_DIFFERENCE))):
+            place = ti.min(ti.max(x + _APART_PX * k - reach, 0), width - 1)
+            change += _DIFFERENCE[k] * scale * color_at(image, y, place)
+        vector = phase_vector(here)
         out_samples[column, y, _COSINE] = vector.x
         out_samples[column, y, _SINE] = vector.y
-        out_samples[column, y, _CHANGE] = change.x + change.y + change.z
-        out_samples[column, y, _LIGHT] = vector.z
+        for k in ti.static(range(3)):
+            out_samples[column, y, _LIGHT + k] = here[k]
+            out_samples[column, y, _CHANGE + k] = change[k]
 
 
 def measure_frame(image: LevelsImage, white_level: float | None = None) -> FrameStatistics:
@@ -101,31 +106,32 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     """
     image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     columns = min(_COLUMNS, int(image.shape[1]))
-    samples = np.empty((columns, int(image.shape[0]), 4), np.float32)
+    samples = np.empty((columns, int(image.shape[0]), _COLUMNS_OF_A_PIXEL), np.float32)
     probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[runtime.dtype_name(image)]), samples)
-    light = samples[..., _LIGHT]
-    bright = float(np.percentile(light, 95))
+    light, changes = samples[..., _LIGHT : _LIGHT + 3], samples[..., _CHANGE : _CHANGE + 3]
+    bright = float(np.percentile(light.mean(axis=-1), 95))
     period = _period(samples[..., _COSINE] + 1j * samples[..., _SINE])
-    return FrameStatistics(period, _noise(samples[..., _CHANGE], light, bright), bright)
+    return FrameStatistics(period, _noise(changes, light, bright), bright)
 
 
 def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float) -> tuple[float, float]:
-    """Return read noise and gain, given second differences of the channels' sum and the channels' mean."""
-    # Devices round differently; which pixels are alike must not depend on that.
+    """Return read noise and gain, given the channels (columns, H, 3) and their fourth differences."""
+    # Devices round differently; which samples are alike must not depend on that.
     light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
-    # Dark pixels are clipped at zero and show half the noise.
-    lit = light >= max(float(np.median(light)), _LIT_SHARE * bright)
     # Sorted by the pixel above, whose own noise is another one.
-    light, changes = np.roll(light, 1, axis=1)[lit], changes[lit]
+    light = np.roll(light, 1, axis=1)
+    telling = (light > _DARK_SHARE * bright) & (light < CLIPPED)
+    light, changes = light[telling], changes[telling]
     ranking = np.argpartition(light, np.arange(1, _NOISE_GROUPS) * len(light) // _NOISE_GROUPS)
     levels, variances = [], []
     for group in np.array_split(ranking, _NOISE_GROUPS):
         if len(group):
             # The middle fifth instead of the median: that of whole levels is one or the next.
             middle = np.sort(np.abs(changes[group]))[2 * len(group) // 5 : 3 * len(group) // 5 + 1].mean()
-            # The sum of three channels has second differences of 3 (1 + 4 + 1) times a channel's variance.
             levels.append(light[group].mean())
-            variances.append((middle / _MIDDLE) ** 2 / 18)
+            variances.append((middle / _MIDDLE) ** 2 / sum(factor**2 for factor in _DIFFERENCE))
+    if not levels:
+        return 0.0, 0.0
     x, y = np.array(levels, np.float64), np.array(variances, np.float64)
     # A straight line, each variance as sure as it is small; neither end may be negative.
     weights = 1 / np.maximum(y, 1e-12) ** 2

@@ -139,10 +139,16 @@ def model_at(
 
 
 @ti.func
+def brightness_of(light: vec3, model: vec3) -> f32:
+    """Return s of the module, of channels in units of their noise."""
+    return ti.max(light.dot(model) / ti.max(model.dot(model), 1e-12), 1e-6)
+
+
+@ti.func
 def estimator_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
     """Return E, D, v and s of the module, of channels in units of their noise."""
+    brightness = brightness_of(light, model)
     inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
-    brightness = ti.max(light.dot(model) * inverse_square, 1e-6)
     of_phase = change - change.dot(model) * inverse_square * model
     of_contrast = swing - swing.dot(model) * inverse_square * model
     doubt = contrast_doubt * brightness
@@ -207,6 +213,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
         out_phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
         out_modulation: F32Array2,  # (H, W) levels
         out_precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
+        out_brightness: F32Array2,  # (H, W) levels: the mean over the cycle, without ambient light
     ):
         height, width = image.shape[0], image.shape[1]
         # Gap j lies between nodes j - 1 and j; the first and the last one reach to the image's borders.
@@ -217,7 +224,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
             v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             right_color, right_ambient = node_model(nodes, v, first - 1)
             red, green, blue, bare, start_phase = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            phase, modulation, precision = lanes(0.0), lanes(0.0), lanes(0.0)
+            phase, modulation, precision, bright = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for j in range(first, first + count_of_gaps):
                 left_color, left_ambient = right_color, right_ambient
                 right_color, right_ambient = node_model(nodes, v, j)
@@ -255,6 +262,8 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                             light, weight * model, weight * change, weight * swing, contrast_doubt
                         )
                         precision[k] = precise / ti.max(1.0, misfit / _MAX_MISFIT)
+                        shown = brightness_of(light, weight * model)
+                        bright[k] = shown * (model - swing).sum() / 3.0
                         valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
                         value = start_phase[k] + ti.min(ti.max(step, -_MAX_STEP), _MAX_STEP)
                         if ti.static(mixed):
@@ -264,6 +273,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                         out_phase[y, x + k] = phase[k]
                         out_modulation[y, x + k] = modulation[k]
                         out_precision[y, x + k] = precision[k]
+                        out_brightness[y, x + k] = bright[k]
                     x += width_at_once
 
     return fit_phase_kernel
@@ -362,8 +372,8 @@ def fit_phase(
     levels: FrameLevels,
     correction: npt.NDArray[np.float32],
     contrast_doubt: float,
-    out: tuple[F32, F32, F32] | None = None,
-) -> tuple[F32, F32, F32]:
+    out: tuple[F32, F32, F32, F32] | None = None,
+) -> tuple[F32, F32, F32, F32]:
     """Find the phase of every pixel that fits the channels' model best.
 
     Parameters
@@ -380,7 +390,7 @@ def fit_phase(
         rad to add to the arctangent; see `equalization.correction_table`.
     contrast_doubt : float
         Standard deviation of a pixel's contrast about what its neighbourhood shows, as a fraction.
-    out : three (H, W) float32, optional
+    out : four (H, W) float32, optional
         Where the results go.
 
     Returns
@@ -391,6 +401,8 @@ def fit_phase(
         Amplitude of the fringe, levels.
     precision : (H, W) float32
         1 / rad^2: one over the phase's variance.
+    brightness : (H, W) float32
+        Mean of the channels over a cycle, without ambient light, levels.
 
     Raises
     ------
@@ -400,7 +412,8 @@ def fit_phase(
     shape = (model.gains.height, model.gains.width)
     image = checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
     correction = checks.read_array("correction", correction, (None,), np.float32)
-    names, outs = ("phase", "modulation", "precision"), (None, None, None) if out is None else out
+    names = ("phase", "modulation", "precision", "brightness")
+    outs = (None,) * len(names) if out is None else out
     results = tuple(checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
     surfaces = crosstalk.surfaces
     _fit_phase_kernel(surfaces.mixed, model.gains.spacing_px)(
@@ -421,4 +434,4 @@ def fit_phase(
         contrast_doubt,
         *results,
     )
-    return results[0], results[1], results[2]
+    return results[0], results[1], results[2], results[3]
