@@ -26,7 +26,7 @@ from tikernels.depth.triangulation import triangulate
 from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.field_motion import FieldMotion, measure_motion, undo_field_motion
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
-from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 
@@ -198,13 +198,12 @@ class Decoder:
             correction, _ = path.cycle(counts, work.period_px)
         if found is not None or not first_look:
             model.fit(crosstalk, levels, correction, cycle, fixed=found is not None)
-        fit = (work.fitted_phase, phases.modulation, phases.precision, work.brightness)
+        fit = FittedPhase(work.fitted_phase, phases.modulation, phases.precision, phases.misfit, work.brightness)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         if motion is not None:
             known = (model, crosstalk, levels, path.contrast_doubt)
             own = motion.beyond_mean(phases.modulation) if found is None else motion
             undo_field_motion(image, own, *known, out=(work.fitted_phase, phases.precision))
-        error = work.model_error.measure(image, work.fitted_phase, model, crosstalk, levels, path.contrast_doubt)
         undo_camera_blur(work.fitted_phase, work.brightness, out=(work.raw_phase, phases.precision))
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
@@ -230,8 +229,6 @@ class Decoder:
         return Measured(
             phases,
             surface,
-            model_error=error,
-            node_spacing_px=gains.spacing_px,
             phase_counts=counts,
             surfaces=found,
             orders=orders,
@@ -273,7 +270,7 @@ class Decoder:
         times, path, model = self.settings.field_times, self._path, work.model
         if times is None or memory is None:
             return None
-        phase = fit_phase(frame.image, model, path.crosstalk, levels, correction, path.contrast_doubt)[0]
+        phase = fit_phase(frame.image, model, path.crosstalk, levels, correction, path.contrast_doubt).phase
         return measure_motion(phase, memory.surface.unwrapped, times, work.period_px)
 
     def _learn_light(self, frame: LinearFrame, period_px: float, surface: SurfaceBuffers) -> bool:

@@ -28,6 +28,7 @@ class PhaseBuffers:
     phase: F32  # (H, W) rad, wrapped, smoothed; NO_PHASE outside the mask
     modulation: F32  # (H, W) grey levels
     precision: F32  # (H, W) 1 / rad^2, before smoothing
+    misfit: F32  # (H, W) the square of what the model of the channels leaves over, over its variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,7 @@ def clear_buffers(phases: PhaseBuffers, surface: SurfaceBuffers) -> None:
     for buffer in (phases.phase, phases.precision, surface.unwrapped, surface.points):
         if buffer is not None:
             buffer.fill(np.nan)
-    for zeros in (phases.modulation, surface.mask, surface.region):
+    for zeros in (phases.modulation, phases.misfit, surface.mask, surface.region):
         zeros.fill(0)
 
 
@@ -74,7 +75,7 @@ class BufferPool:
             self._shape = shape
             self._free.clear()  # frames come in one size, so what is left of another one is not needed again
         pixels, unwrapping = _Loan(self._free), _Loan(self._free)
-        phases = PhaseBuffers(*(pixels.take(name, shape) for name in ("phase", "modulation", "precision")))
+        phases = PhaseBuffers(*(pixels.take(name, shape) for name in ("phase", "modulation", "precision", "misfit")))
         surface = SurfaceBuffers(
             unwrapping.take("unwrapped", shape),
             unwrapping.take("mask", shape, np.uint8),

@@ -29,6 +29,7 @@ from tikernels.arrays import F32, Array
 from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import ProjectorGeometry
 from tikernels.errors import ShapeError
+from tikernels.phase.surface_edges import edge_variance
 from tikernels.phase.uncertainty import estimate_phase_sigma
 from tikernels.transposing import transpose
 
@@ -121,8 +122,6 @@ class Measured:
     surface: SurfaceBuffers
     order_doubt: str | None = None  # what the user should know of the orders, or why there are none
     light_doubts: tuple[str, ...] = ()  # and of the light
-    model_error: F32 | None = None  # (Hg, Wg) rad^2, by node: the variance that the channels' model leaves
-    node_spacing_px: int = 1
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
     surfaces: FoundSurfaces | None = None
@@ -280,24 +279,21 @@ class DecodedFrame:
     @property
     def row_sigma(self) -> Floats:
         """(H, W) float32, rad: `phase_sigma` by what rows really differ by alone, whatever the light's model is."""
-        measured = self._measured
-        if measured.model_error is None:
-            return self.phase_sigma
-        return self._read(self._sigma_with(np.zeros(measured.model_error.shape, np.float32)))
+        return self._read(self._sigma(None))
 
     @cached_property
     def _phase_sigma(self) -> F32:
         """`phase_sigma` on the device, stripes along the rows."""
-        if self._measured.model_error is None:
-            return runtime.to_device(np.full(self._measured.surface.mask.shape, np.nan, np.float32))
-        return self._sigma_with(self._measured.model_error)
+        return self._sigma(self._measured.phases.misfit)
 
-    def _sigma_with(self, model_error: F32) -> F32:
-        measured, pairs = self._measured, self._setup.smoothing_pairs
+    def _sigma(self, misfit: F32 | None) -> F32:
+        """Estimate the standard deviations; without the misfit the light's model is taken to be right."""
+        phases, surface = self._measured.phases, self._measured.surface
         with runtime.lock:
-            known = (measured.surface.unwrapped, measured.phases.precision)
-            error = (model_error, measured.node_spacing_px)
-            return estimate_phase_sigma(*known, *error, measured.surface.mask, pairs, self.period_px or 1.0)
+            known = (surface.unwrapped, phases.precision, misfit, surface.mask)
+            found = self._measured.surfaces
+            edges = None if found is None or misfit is None else edge_variance(found.crosstalk)
+            return estimate_phase_sigma(*known, edges, self._setup.smoothing_pairs, self.period_px or 1.0)
 
     @property
     def memory(self) -> FrameMemory:

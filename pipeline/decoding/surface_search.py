@@ -4,7 +4,7 @@ Each surface's matrix is foretold from its colour and fitted to its pixels, ever
 explains it best, surfaces that none needs are dropped, and places that none explains become new ones.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import cv2
@@ -53,6 +53,8 @@ _PHASE_OF_LIGHT = 1.5
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
 _EDGE_PX = 13
+# A matrix makes of a pixel's light what is there but for this fraction.
+_MODEL_ERROR = 0.01
 # Ambient light is at most this share of a surface's. It is not quite even over one, which makes the contrast of pixels
 # differ by this fraction.
 _MOST_AMBIENT, _UNEVEN = 0.5, 0.01
@@ -157,11 +159,12 @@ class SurfaceSearch:
         """Look for the surfaces; None: there is but one, which acts as the balance alone undoes."""
         turn, settled = first_turn, False
         while True:
-            fitted = self._fit(turn)
+            ends = settled or turn == _TURNS - 1
+            fitted = self._fit(turn, ends=ends)
             if fitted is None:
                 return None
             turn += 1
-            if settled or turn == _TURNS:
+            if ends:
                 last = self._relabel(fitted, 1, last=True)
                 return self._found(self._keep(last, fitted), last.unexplained)
             before = self._labels
@@ -196,13 +199,18 @@ class SurfaceSearch:
             int(np.count_nonzero(unexplained & ~self._tried)),
         )
 
-    def _fit(self, turn: int) -> FittedMatrices | None:
-        """Fit the surfaces' matrices; None if the frame's only surface acts as the balance alone undoes."""
+    def _fit(self, turn: int, *, ends: bool) -> FittedMatrices | None:
+        """Fit the surfaces' matrices; None if the frame's only surface acts as the balance alone undoes.
+
+        Noise tells surfaces apart best; in the end it is the model that is wrong by more.
+        """
         look, known = self._look, self._known
         numbers, samples = self._samples()
         if not numbers:
             return None
         self._renumber(numbers)
+        if ends:
+            samples = [replace(s, variance=s.variance + (_MODEL_ERROR * s.light) ** 2) for s in samples]
         level = np.array([surface.light.mean(axis=0) for surface in samples])
         colors, white = self._colors, known.matrix * known.white[:, None]
         expected = np.minimum(look.ambient * 3 * colors / colors.sum(axis=1, keepdims=True), _MOST_AMBIENT * level)

@@ -10,6 +10,8 @@ from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics
 # reach this fraction of the frame's brightness, below which ambient light and stray light decide.
 _MODULATION_SIGMAS = 5.0
 _MODULATION_FRACTION = 0.03
+# What all pixels have in common those tell that have this share of the fringe of the brightest.
+_TELLING = 0.15
 _INTENSITY_SIGMAS = 3.0
 _INTENSITY_FRACTION = 0.02
 # Noise below this share of full scale is not to be relied on.
@@ -41,4 +43,4 @@ def frame_levels(
         intensity = max(_INTENSITY_SIGMAS * noise, _INTENSITY_FRACTION * brightness)
     if modulation is None:
         modulation = max(_MODULATION_SIGMAS * crosstalk.noise_amplification * noise, _MODULATION_FRACTION * brightness)
-    return FrameLevels(white, read, gain, noise, intensity, modulation)
+    return FrameLevels(white, read, gain, noise, intensity, modulation, _TELLING * statistics.modulation * white)

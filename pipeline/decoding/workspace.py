@@ -7,7 +7,6 @@ import numpy as np
 from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import Gains
-from tikernels.phase.model_error import ModelError
 from tikernels.phase.smoothing import rates_buffer
 from tikernels.unwrapping import PatchMethod, RegionUnwrapper
 
@@ -30,7 +29,6 @@ class Workspace:
         self._shape = (height, width)
         self.gains = Gains(height, width, period_px)
         self.model = ChannelModel(self.gains)
-        self.model_error = ModelError(self.gains)
         self.rates = rates_buffer(height)
         self.fitted_phase = runtime.empty((height, width), np.float32)
         self.brightness = runtime.empty((height, width), np.float32)

@@ -167,7 +167,7 @@ class ChannelModel:
         gains = self.gains
         samples = (gains.samples, gains.gains, gains.spacing_px, crosstalk.weights)
         out = (self._balanced, self.phases, self._moments)
-        recover_samples_kernel(*samples, levels.modulation, levels.clipped, *out)
+        recover_samples_kernel(*samples, levels.modulation, levels.telling, levels.clipped, *out)
         moments = runtime.to_host(self._moments)  # synchronises
         count, modulation, background, square, product = moments.sum(axis=0, dtype=np.float64)
         # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
@@ -187,6 +187,7 @@ def recover_samples_kernel(
     spacing_px: i32,
     phase_weights: F32Array2,  # (3, 3)
     min_modulation: f32,  # levels
+    telling: f32,  # modulation of a sample that says which share of the light is ambient, levels
     max_level: f32,
     out_balanced: F32Array3,  # (H, Wb, 3) the same, times their gains
     out_phase: F32Array2,  # (H, Wb) rad; NO_PHASE where there is none
@@ -205,6 +206,7 @@ def recover_samples_kernel(
             phase = NO_PHASE
             if modulation > min_modulation and seen.max() < max_level:
                 phase = arctangent(vector.y, vector.x)
+            if modulation > telling and seen.max() < max_level:
                 moments += ti.Vector([1.0, modulation, background, background * background, background * modulation])
             out_phase[y, j] = phase
             for k in ti.static(range(3)):

@@ -23,8 +23,8 @@ _COLUMNS = 16
 _MIN_SHARE = 0.15
 # What is darker than this share of the brightest does not tell the noise: clipped at zero it would show half of it.
 _DARK_SHARE = 0.06
-# Groups of samples, equally bright within each, that tell how the noise grows with the light.
-_NOISE_GROUPS = 8
+# Groups of samples, equally bright within each, that tell how the noise grows with the light; so many each.
+_NOISE_GROUPS, _LEAST_GROUP = 8, 200
 # Fourth differences leave out tilted stripes, and pixels two apart what demosaicing makes of their neighbours.
 _DIFFERENCE, _APART_PX = (1, -4, 6, -4, 1), 2
 # Groups that differ by less than this share of their brightness do not tell read noise from the light's.
@@ -42,6 +42,7 @@ class FrameStatistics:
     period_px: float | None  # camera px a cycle across the stripes; None: no fringe stands out
     noise: tuple[float, float]  # read noise and gain: a channel's variance is read^2 + gain * light
     brightness: float  # 95th percentile of the channels' mean
+    modulation: float  # 95th percentile of the fringe's modulation
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,12 @@ class FrameLevels:
     noise: float  # standard deviation of a channel at half of the brightest
     intensity: float  # least mean of the channels of a pixel that counts
     modulation: float  # least modulation of a pixel that counts
+    least_telling: float | None = None  # of one that tells what all have in common; None: the same
+
+    @property
+    def telling(self) -> float:
+        """Least modulation of a pixel that tells what all have in common: ambient light bends darker ones."""
+        return max(self.modulation, self.least_telling or 0.0)
 
     @property
     def clipped(self) -> float:
@@ -107,34 +114,43 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     columns = min(_COLUMNS, int(image.shape[1]))
     samples = np.empty((columns, int(image.shape[0]), _COLUMNS_OF_A_PIXEL), np.float32)
-    probe_frame_kernel(image, 1.0 / (white_level or WHITE_LEVELS[runtime.dtype_name(image)]), samples)
+    dtype = runtime.dtype_name(image)
+    white = white_level or WHITE_LEVELS[dtype]
+    probe_frame_kernel(image, 1.0 / white, samples)
     light, changes = samples[..., _LIGHT : _LIGHT + 3], samples[..., _CHANGE : _CHANGE + 3]
     bright = float(np.percentile(light.mean(axis=-1), 95))
-    period = _period(samples[..., _COSINE] + 1j * samples[..., _SINE])
-    return FrameStatistics(period, _noise(changes, light, bright), bright)
+    fringe = samples[..., _COSINE] + 1j * samples[..., _SINE]
+    noise = _noise(changes, light, bright, 0.0 if dtype.startswith("float") else 1.0 / white)
+    return FrameStatistics(_period(fringe), noise, bright, float(np.percentile(np.abs(fringe), 95)))
 
 
-def _noise(changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float) -> tuple[float, float]:
-    """Return read noise and gain, given the channels (columns, H, 3) and their fourth differences."""
+def _noise(
+    changes: npt.NDArray[np.float32], light: npt.NDArray[np.float32], bright: float, level: float
+) -> tuple[float, float]:
+    """Return read noise and gain, given the channels (columns, H, 3), their fourth differences, and a grey level."""
     # Devices round differently; which samples are alike must not depend on that.
     light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
-    # Sorted by the pixel above, whose own noise is another one.
+    # Grouped by the pixel above, whose own noise is another one.
     light = np.roll(light, 1, axis=1)
     telling = (light > _DARK_SHARE * bright) & (light < CLIPPED)
     light, changes = light[telling], changes[telling]
-    ranking = np.argpartition(light, np.arange(1, _NOISE_GROUPS) * len(light) // _NOISE_GROUPS)
     levels, variances = [], []
-    for group in np.array_split(ranking, _NOISE_GROUPS):
-        if len(group):
+    if not len(light):
+        return 0.0, 0.0
+    # As far apart in brightness whatever most of the frame shows.
+    edges = np.geomspace(light.min(), light.max(), _NOISE_GROUPS + 1)[1:-1]
+    numbers = np.searchsorted(edges, light)
+    for number in range(_NOISE_GROUPS):
+        group = np.flatnonzero(numbers == number)
+        if len(group) >= _LEAST_GROUP or len(group) > len(light) // 2:
             # The middle fifth instead of the median: that of whole levels is one or the next.
             middle = np.sort(np.abs(changes[group]))[2 * len(group) // 5 : 3 * len(group) // 5 + 1].mean()
             levels.append(light[group].mean())
             variances.append((middle / _MIDDLE) ** 2 / sum(factor**2 for factor in _DIFFERENCE))
-    if not levels:
-        return 0.0, 0.0
     x, y = np.array(levels, np.float64), np.array(variances, np.float64)
-    # A straight line, each variance as sure as it is small; neither end may be negative.
-    weights = 1 / np.maximum(y, 1e-12) ** 2
+    # A straight line, each variance as sure as it is small, but whole levels hide what is less than one; neither end
+    # may be negative.
+    weights = 1 / np.maximum(y + level**2, 1e-12) ** 2
     mean_x, mean_y = np.average(x, weights=weights), np.average(y, weights=weights)
     spread = np.average((x - mean_x) ** 2, weights=weights)
     gain = 0.0

@@ -25,7 +25,7 @@ variance is at most v; the square of it over v, beyond that of three standard de
 """
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -71,14 +71,29 @@ from tikernels.strips import strip_at, strip_count
 _GAPS_A_THREAD = 8
 # The arctangent is never further off than this; a model that says so is wrong there. rad
 _MAX_STEP = 0.3
-# A misfit of up to three standard deviations is noise; the square of that.
-_MAX_MISFIT = 9.0
+#: A misfit of up to three standard deviations is noise; the square of that.
+MAX_MISFIT = 9.0
 # The image is counted in this many tiles both ways.
 _TILES = 6
 # This many pixels pin the equalisation down: the cumulative distribution of N phases errs by up to pi / sqrt(N).
 _COUNTED = 2**17
 # Pixels that a thread counts at once.
 _SAMPLES_A_THREAD = 16
+
+
+class FittedPhase(NamedTuple):
+    """What the fit says of every pixel, (H, W) float32 each."""
+
+    phase: F32
+    """rad, a little beyond [-pi, pi]; NO_PHASE where a pixel is dark, clipped, or without fringe."""
+    modulation: F32
+    """Amplitude of the fringe, levels."""
+    precision: F32
+    """1 / rad^2: one over the phase's variance."""
+    misfit: F32
+    """The square of what brightness and phase leave over, over its variance."""
+    brightness: F32
+    """Mean of the channels over a cycle, without ambient light, levels."""
 
 
 @ti.func
@@ -139,16 +154,10 @@ def model_at(
 
 
 @ti.func
-def brightness_of(light: vec3, model: vec3) -> f32:
-    """Return s of the module, of channels in units of their noise."""
-    return ti.max(light.dot(model) / ti.max(model.dot(model), 1e-12), 1e-6)
-
-
-@ti.func
 def estimator_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
     """Return E, D, v and s of the module, of channels in units of their noise."""
-    brightness = brightness_of(light, model)
     inverse_square = 1.0 / ti.max(model.dot(model), 1e-12)
+    brightness = ti.max(light.dot(model) * inverse_square, 1e-6)
     of_phase = change - change.dot(model) * inverse_square * model
     of_contrast = swing - swing.dot(model) * inverse_square * model
     doubt = contrast_doubt * brightness
@@ -159,7 +168,7 @@ def estimator_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_d
 
 @ti.func
 def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doubt: f32):
-    """Return the phase's step, rad, one over its variance, and the misfit: see the module.
+    """Return the phase's step, rad, one over its variance, the misfit, and s: see the module.
 
     All channels are in units of their noise. The misfit is the square of what is left, over its variance.
     """
@@ -171,7 +180,7 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
     residual = light.dot(model.cross(of_phase))
     misfit = residual * residual / ti.max(model.dot(model), 1e-12) * curvature * brightness * reciprocal
     precision = brightness * brightness * brightness * curvature * curvature * square * reciprocal
-    return step, precision, misfit
+    return step, precision, misfit, brightness
 
 
 @ti.func
@@ -213,6 +222,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
         out_phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
         out_modulation: F32Array2,  # (H, W) levels
         out_precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
+        out_misfit: F32Array2,  # (H, W) the square of what is left, over its variance
         out_brightness: F32Array2,  # (H, W) levels: the mean over the cycle, without ambient light
     ):
         height, width = image.shape[0], image.shape[1]
@@ -224,7 +234,8 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
             v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             right_color, right_ambient = node_model(nodes, v, first - 1)
             red, green, blue, bare, start_phase = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            phase, modulation, precision, bright = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            phase, modulation, precision = lanes(0.0), lanes(0.0), lanes(0.0)
+            left, bright = lanes(0.0), lanes(0.0)
             for j in range(first, first + count_of_gaps):
                 left_color, left_ambient = right_color, right_ambient
                 right_color, right_ambient = node_model(nodes, v, j)
@@ -258,11 +269,10 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                         )
                         weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
                         light = weight * (seen - rest)
-                        step, precise, misfit = fitted_step(
+                        step, precise, left[k], shown = fitted_step(
                             light, weight * model, weight * change, weight * swing, contrast_doubt
                         )
-                        precision[k] = precise / ti.max(1.0, misfit / _MAX_MISFIT)
-                        shown = brightness_of(light, weight * model)
+                        precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
                         bright[k] = shown * (model - swing).sum() / 3.0
                         valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
                         value = start_phase[k] + ti.min(ti.max(step, -_MAX_STEP), _MAX_STEP)
@@ -273,6 +283,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                         out_phase[y, x + k] = phase[k]
                         out_modulation[y, x + k] = modulation[k]
                         out_precision[y, x + k] = precision[k]
+                        out_misfit[y, x + k] = left[k]
                         out_brightness[y, x + k] = bright[k]
                     x += width_at_once
 
@@ -341,7 +352,7 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
     crosstalk : Crosstalk
         What the gains were measured with.
     levels : FrameLevels
-        Darker pixels, those with less modulation and clipped ones do not count.
+        Darker pixels, those whose modulation tells nothing and clipped ones do not count.
 
     Returns
     -------
@@ -356,7 +367,7 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
     image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
     histogram = np.zeros((_TILES**2, BINS), np.int32)
     step = max(1, gains.height * gains.width // _COUNTED)
-    thresholds = (levels.intensity, levels.modulation, levels.clipped)
+    thresholds = (levels.intensity, levels.telling, levels.clipped)
     surfaces = crosstalk.surfaces
     shown = (surfaces.labels, surfaces.unmixing, surfaces.ambient)
     kernel = _count_phases_kernel(surfaces.mixed)
@@ -372,8 +383,8 @@ def fit_phase(
     levels: FrameLevels,
     correction: npt.NDArray[np.float32],
     contrast_doubt: float,
-    out: tuple[F32, F32, F32, F32] | None = None,
-) -> tuple[F32, F32, F32, F32]:
+    out: FittedPhase | None = None,
+) -> FittedPhase:
     """Find the phase of every pixel that fits the channels' model best.
 
     Parameters
@@ -390,19 +401,8 @@ def fit_phase(
         rad to add to the arctangent; see `equalization.correction_table`.
     contrast_doubt : float
         Standard deviation of a pixel's contrast about what its neighbourhood shows, as a fraction.
-    out : four (H, W) float32, optional
+    out : FittedPhase, optional
         Where the results go.
-
-    Returns
-    -------
-    phase : (H, W) float32
-        rad, a little beyond [-pi, pi]; NO_PHASE where a pixel is dark, clipped, or without fringe.
-    modulation : (H, W) float32
-        Amplitude of the fringe, levels.
-    precision : (H, W) float32
-        1 / rad^2: one over the phase's variance.
-    brightness : (H, W) float32
-        Mean of the channels over a cycle, without ambient light, levels.
 
     Raises
     ------
@@ -412,9 +412,9 @@ def fit_phase(
     shape = (model.gains.height, model.gains.width)
     image = checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
     correction = checks.read_array("correction", correction, (None,), np.float32)
-    names = ("phase", "modulation", "precision", "brightness")
-    outs = (None,) * len(names) if out is None else out
-    results = tuple(checks.out_buffer(name, o, shape, np.float32) for name, o in zip(names, outs, strict=True))
+    outs = (None,) * len(FittedPhase._fields) if out is None else out
+    named = zip(FittedPhase._fields, outs, strict=True)
+    results = FittedPhase(*(checks.out_buffer(name, buffer, shape, np.float32) for name, buffer in named))
     surfaces = crosstalk.surfaces
     _fit_phase_kernel(surfaces.mixed, model.gains.spacing_px)(
         image,
@@ -434,4 +434,4 @@ def fit_phase(
         contrast_doubt,
         *results,
     )
-    return results[0], results[1], results[2], results[3]
+    return results

@@ -1,11 +1,15 @@
 """How sure the phase of each pixel is: what the fit says, checked against what rows really differ by.
 
-    sigma^2 = scatter^2 ((averaged + model) / precision + error) + edge^2 empty
+    sigma^2 = scatter^2 ((averaged + model + misfit) / precision + error) + edge^2 empty
 
 One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. Smoothing over n pixels leaves
 averaged = 1 / n of it, but only where all the neighbours are there, and never the channels' model's own error, which
-they share. What that model is wrong by around a place, error, the misfit of the fit tells (`model_error.py`); smoothing
-leaves it, too. Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the
+they share. What that model is wrong by the fit's misfit tells: its variance is one where the model is right, and a
+model that is wrong across the phase is as wrong along it, which is the usual scaling of a fit's variance by its chi
+square, place by place. Over a few pixels that is misfit, the mean beyond what chance makes of one: an edge of paint, a
+highlight, a spot of another colour. Over the balance window it is error, the mean of (misfit - 1) / precision: a
+surface whose colour acts otherwise than the model says. What is wrong in the same way as brightness or phase, neither
+sees. Smoothing leaves both. Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the
 scatter: third differences over four rows a quarter of a cycle apart, which leave a surface's bend out, in units of what
 the law of propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). Their median tells it,
 whatever they are at edges. Near an edge of the mask part of the balance window is empty.
@@ -19,7 +23,8 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.balance_window import SIGMA_ACROSS
+from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
+from tikernels.phase.phase_fit import MAX_MISFIT
 from tikernels.strips import STRIP, strip_at, strip_count
 
 #: Where a pixel is: off the mask, on it, and on it with all the neighbours that smoothing averages over.
@@ -27,6 +32,13 @@ OFF, PARTLY, WHOLE = 0, 1, 2
 # The error of the channels' model is this share of a pixel's variance: it is fitted to some fifty samples for three
 # channels' gains and offsets.
 _MODEL_ERROR = 0.03
+# Misfits are averaged over this many pixels both ways; the mean of so many that are all right is less than one and
+# this, two of its standard deviations, sqrt(2 / 25). A single pixel counts for no more than the third.
+_AROUND_PX, _BY_CHANCE, _MOST_MISFIT = 5, 0.57, 50.0
+# In the mean over the window a pixel counts for no more than this, rad^2: a highlight is not its neighbourhood's error.
+_MOST_VARIANCE = 0.25
+# One column in so many cycles tells that mean.
+_COLUMNS_A_CYCLE = 2.5
 # Where part of the window that the model is fitted to is empty, as near an edge, it follows the other side's shading:
 # an error in rad, whatever the noise, that grows with the root of that part.
 _EDGE_ERROR = 0.025
@@ -35,6 +47,8 @@ _LEAST_PRECISION = 1e-6  # 1 / rad^2
 _LEAST_SCATTER = 0.5
 # About 60,000 pixels tell how far rows scatter, to half a per cent.
 _SCATTER_SAMPLES = 60_000
+# So do those that are this sure beside the surest: of dark ones less is known.
+_TELLING = 0.1
 # Median of a normal distribution's absolute values, in standard deviations.
 _MEDIAN_SIZE = 0.6745
 # A grid point for every two pixels of a blur's standard deviation is enough.
@@ -43,10 +57,10 @@ _GRID = 2
 
 @ti.func
 def smoothed_variance(
-    precision: F32Array2, error: F32Array2, neighbours: U8Array2, averaged: f32, y: i32, x: i32
+    precision: F32Array2, misfit: F32Array2, error: F32Array2, neighbours: U8Array2, averaged: f32, y: i32, x: i32
 ) -> f32:
     """Variance of a pixel's phase after smoothing, rad^2; NaN off the mask."""
-    share = ti.select(neighbours[y, x] == WHOLE, averaged, 1.0) + _MODEL_ERROR
+    share = ti.select(neighbours[y, x] == WHOLE, averaged, 1.0) + _MODEL_ERROR + misfit[y, x]
     variance = share / ti.max(precision[y, x], _LEAST_PRECISION) + error[y, x]
     return ti.select(neighbours[y, x] == OFF, ti.math.nan, variance)
 
@@ -55,6 +69,7 @@ def smoothed_variance(
 def compare_rows_kernel(
     phase: F32Array2,  # (H, W) rad, unwrapped
     precision: F32Array2,  # (H, W) 1 / rad^2
+    misfit: F32Array2,  # (H, W) beyond one
     error: F32Array2,  # (H, W) rad^2, the model's
     neighbours: U8Array2,  # (H, W)
     averaged: f32,  # what smoothing leaves of the variance
@@ -70,13 +85,14 @@ def compare_rows_kernel(
         for k in ti.static(range(4)):
             weight = ti.static((1.0, -3.0, 3.0, -1.0)[k])
             difference += weight * phase[y + k * step, x]
-            variance += weight * weight * smoothed_variance(precision, error, neighbours, averaged, y + k * step, x)
+            variance += weight * weight * smoothed_variance(precision, misfit, error, neighbours, averaged, y + k * step, x)
         out[y, sample % columns] = ti.abs(difference) / ti.sqrt(variance)
 
 
 @ti.kernel
 def phase_sigma_kernel(
     precision: F32Array2,  # (H, W) 1 / rad^2
+    misfit: F32Array2,  # (H, W) beyond one
     error: F32Array2,  # (H, W) rad^2, the model's
     neighbours: U8Array2,  # (H, W)
     empty: F32Array2,  # (H, W) the part of the model's window that is off the mask
@@ -89,12 +105,12 @@ def phase_sigma_kernel(
     for t in range(height * strip_count(width, STRIP)):
         y, first, count = strip_at(t, width, STRIP)
         for x in range(first, first + count):
-            variance = scatter * scatter * smoothed_variance(precision, error, neighbours, averaged, y, x)
+            variance = scatter * scatter * smoothed_variance(precision, misfit, error, neighbours, averaged, y, x)
             out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
 
 
 def phase_sigma(
-    precision: F32, error: F32, neighbours: U8, empty: F32, averaged: float, scatter: float, out: F32 | None = None
+    precision: F32, misfit: F32, error: F32, neighbours: U8, empty: F32, averaged: float, scatter: float, out: F32 | None = None
 ) -> F32:
     """Return the standard deviation of the smoothed phase.
 
@@ -102,8 +118,10 @@ def phase_sigma(
     ----------
     precision : (H, W) float32
         1 / rad^2, one over the variance that the fit found.
+    misfit : (H, W) float32
+        What the channels' model leaves over of a few pixels, beyond one; in units of the precision's variance.
     error : (H, W) float32
-        rad^2, the variance that the channels' model leaves.
+        rad^2, the variance that the channels' model leaves over the balance window.
     neighbours : (H, W) uint8
         OFF, PARTLY or WHOLE.
     empty : (H, W) float32
@@ -127,17 +145,19 @@ def phase_sigma(
     """
     precision = checks.read_array("precision", precision, (None, None), np.float32)
     shape = (int(precision.shape[0]), int(precision.shape[1]))
+    misfit = checks.read_array("misfit", misfit, shape, np.float32)
     error = checks.read_array("error", error, shape, np.float32)
     neighbours = checks.read_array("neighbours", neighbours, shape, np.uint8)
     empty = checks.read_array("empty", empty, shape, np.float32)
     out = checks.out_buffer("out", out, shape, np.float32)
-    phase_sigma_kernel(precision, error, neighbours, empty, averaged, scatter, out)
+    phase_sigma_kernel(precision, misfit, error, neighbours, empty, averaged, scatter, out)
     return out
 
 
 def compare_rows(
     phase: F32,
     precision: F32,
+    misfit: F32,
     error: F32,
     neighbours: U8,
     averaged: float,
@@ -153,8 +173,10 @@ def compare_rows(
         rad, unwrapped; NaN off the mask.
     precision : (H, W) float32
         1 / rad^2.
+    misfit : (H, W) float32
+        What the channels' model leaves over of a few pixels, beyond one; in units of the precision's variance.
     error : (H, W) float32
-        rad^2, the variance that the channels' model leaves.
+        rad^2, the variance that the channels' model leaves over the balance window.
     neighbours : (H, W) uint8
         OFF, PARTLY or WHOLE.
     averaged : float
@@ -177,17 +199,24 @@ def compare_rows(
     phase = checks.read_array("phase", phase, (None, None), np.float32)
     height, width = int(phase.shape[0]), int(phase.shape[1])
     precision = checks.read_array("precision", precision, (height, width), np.float32)
+    misfit = checks.read_array("misfit", misfit, (height, width), np.float32)
     error = checks.read_array("error", error, (height, width), np.float32)
     neighbours = checks.read_array("neighbours", neighbours, (height, width), np.uint8)
     if height <= 3 * step:
         raise ShapeError(f"phase has {height} rows: four rows {step} px apart need {3 * step + 1}")
     out = checks.out_buffer("out", out, (height - 3 * step, -(-width // every)), np.float32)
-    compare_rows_kernel(phase, precision, error, neighbours, averaged, step, every, out)
+    compare_rows_kernel(phase, precision, misfit, error, neighbours, averaged, step, every, out)
     return out
 
 
 def estimate_phase_sigma(
-    unwrapped: F32, precision: F32, error: F32, spacing_px: int, mask: Mask, pairs: int, period_px: float
+    unwrapped: F32,
+    precision: F32,
+    misfit: F32 | None,
+    mask: Mask,
+    edges: npt.NDArray[np.float32] | None,
+    pairs: int,
+    period_px: float,
 ) -> F32:
     """Estimate every pixel's standard deviation, stripes along the rows.
 
@@ -197,12 +226,12 @@ def estimate_phase_sigma(
         rad; NaN off the mask.
     precision : (H, W) float32
         1 / rad^2, what the fit says of the phase before smoothing.
-    error : (Hg, Wg) float32
-        rad^2, what `ModelError` found, by node.
-    spacing_px : int
-        px between two nodes.
+    misfit : (H, W) float32, optional
+        What it says of the model, see `FittedPhase`; None: the model is right.
     mask : (H, W) bool or uint8
         Valid pixels.
+    edges : (H, W) float32, optional
+        rad^2, what edges between surfaces make; see `surface_edges`; None: nothing.
     pairs : int
         Neighbours on either side that `smooth_phase` averaged over.
     period_px : float
@@ -221,16 +250,46 @@ def estimate_phase_sigma(
     inside = runtime.to_host(checks.read_mask("mask", mask, tuple(unwrapped.shape)))  # synchronises
     neighbours = _neighbours(inside, pairs)
     averaged = 1 / (2 * pairs + 1)
-    everywhere = _between_nodes(runtime.to_host(error), inside.shape, spacing_px)
-    known = (precision, everywhere, neighbours)
+    around = error = np.zeros(inside.shape, np.float32)
+    if misfit is not None:
+        left = np.where(inside, np.minimum(runtime.to_host(misfit), np.float32(_MOST_MISFIT)), np.float32(0))
+        around = _misfit_around(left, inside)
+        error = _window_error(left, runtime.to_host(precision), inside, period_px)
+    if edges is not None:
+        error = error + edges
+    known = (precision, around, error, neighbours)
     scatter = _scatter(unwrapped, *known, averaged, period_px)
     return phase_sigma(*known, _empty_share(inside, period_px), averaged, scatter)
 
 
-def _between_nodes(values: npt.NDArray[np.float32], shape: tuple[int, ...], spacing_px: int) -> npt.NDArray[np.float32]:
-    """Return values at nodes as values at pixels, (H, W) float32."""
-    size = (values.shape[1] * spacing_px, values.shape[0] * spacing_px)
-    return np.ascontiguousarray(cv2.resize(values, size, interpolation=cv2.INTER_LINEAR)[: shape[0], : shape[1]])
+def _misfit_around(misfit: npt.NDArray[np.float32], inside: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    """Return the mean misfit around every pixel, beyond what chance makes of one."""
+    side, border = (_AROUND_PX, _AROUND_PX), cv2.BORDER_CONSTANT
+    share = cv2.blur(inside.astype(np.float32), side, borderType=border)
+    mean = cv2.blur(misfit, side, borderType=border) / np.maximum(share, np.float32(1e-3))
+    by_chance = _BY_CHANCE / np.sqrt(np.maximum(share, np.float32(1e-3)))
+    return np.where(mean > 1 + by_chance, mean - 1, np.float32(0))
+
+
+def _window_error(
+    misfit: npt.NDArray[np.float32],
+    precision: npt.NDArray[np.float32],
+    inside: npt.NDArray[np.uint8],
+    period_px: float,
+) -> npt.NDArray[np.float32]:
+    """Return the variance that the model leaves over the balance window, (H, W) float32, rad^2."""
+    step = max(1, int(period_px / _COLUMNS_A_CYCLE))
+    misfit, weight = misfit[:, ::step], inside[:, ::step].astype(np.float32)
+    variance = np.maximum(1, misfit / MAX_MISFIT) * np.maximum(precision[:, ::step], _LEAST_PRECISION)
+    excess = weight * np.minimum((misfit - 1) / variance, np.float32(_MOST_VARIANCE))
+    size = (misfit.shape[1], -(-len(misfit) // step))
+    sigmas = {"sigmaX": SIGMA_ALONG * period_px / step, "sigmaY": SIGMA_ACROSS * period_px / step}
+    sums, shares = (
+        cv2.GaussianBlur(cv2.resize(part, size, interpolation=cv2.INTER_AREA), (0, 0), **sigmas)
+        for part in (excess, weight)
+    )
+    error = np.maximum(sums / np.maximum(shares, np.float32(1e-3)), 0)
+    return np.asarray(cv2.resize(error, inside.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
 def _neighbours(inside: npt.NDArray[np.uint8], pairs: int) -> npt.NDArray[np.uint8]:
@@ -239,17 +298,27 @@ def _neighbours(inside: npt.NDArray[np.uint8], pairs: int) -> npt.NDArray[np.uin
 
 
 def _scatter(
-    unwrapped: F32, precision: F32, error: F32, neighbours: npt.NDArray[np.uint8], averaged: float, period_px: float
+    unwrapped: F32,
+    precision: F32,
+    misfit: F32,
+    error: F32,
+    neighbours: npt.NDArray[np.uint8],
+    averaged: float,
+    period_px: float,
 ) -> float:
     """Return how far rows a quarter of a cycle apart differ, in units of what is expected; 1 where none tells."""
     step, every = max(2, round(period_px / 4)), max(1, neighbours.size // _SCATTER_SAMPLES)
     if len(neighbours) <= 3 * step:
         return 1.0
     ratio = runtime.to_host(
-        compare_rows(unwrapped, precision, error, neighbours, averaged, step, every)
+        compare_rows(unwrapped, precision, misfit, error, neighbours, averaged, step, every)
     )  # synchronises
-    ratio = ratio[np.isfinite(ratio)]
-    return max(_LEAST_SCATTER, float(np.median(ratio)) / _MEDIAN_SIZE) if len(ratio) else 1.0
+    sure = runtime.to_host(precision)[: len(ratio), ::every]
+    known = np.isfinite(ratio)
+    if not known.any():
+        return 1.0
+    ratio = ratio[known & (sure >= _TELLING * np.percentile(sure[known], 90))]
+    return max(_LEAST_SCATTER, float(np.median(ratio)) / _MEDIAN_SIZE)
 
 
 def _empty_share(inside: npt.NDArray[np.uint8], period_px: float) -> npt.NDArray[np.float32]:
