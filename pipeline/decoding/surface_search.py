@@ -264,9 +264,7 @@ class SurfaceSearch:
             samples.append(look.surface_samples(light, around, own_weights, ambient, doubt, offset))
         return numbers, samples
 
-    def _relabel(
-        self, fitted: FittedMatrices, step: int, *, afresh: bool = False, last: bool = False
-    ) -> Relabelled:
+    def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False, last: bool = False) -> Relabelled:
         """Give every pixel to the surface that explains it best, looking at one of `step` both ways.
 
         In the end a surface that does not quite fit is still better than one that fits less.

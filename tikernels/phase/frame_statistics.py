@@ -142,7 +142,7 @@ def _noise(
     numbers = np.searchsorted(edges, light)
     for number in range(_NOISE_GROUPS):
         group = np.flatnonzero(numbers == number)
-        if len(group) >= _LEAST_GROUP or len(group) > len(light) // 2:
+        if len(group) >= min(_LEAST_GROUP, len(light) / _NOISE_GROUPS):
             # The middle fifth instead of the median: that of whole levels is one or the next.
             middle = np.sort(np.abs(changes[group]))[2 * len(group) // 5 : 3 * len(group) // 5 + 1].mean()
             levels.append(light[group].mean())

@@ -225,17 +225,15 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
         out_misfit: F32Array2,  # (H, W) the square of what is left, over its variance
         out_brightness: F32Array2,  # (H, W) levels: the mean over the cycle, without ambient light
     ):
-        height, width = image.shape[0], image.shape[1]
         # Gap j lies between nodes j - 1 and j; the first and the last one reach to the image's borders.
-        gaps = nodes.shape[1] + 1
+        height, width, gaps = image.shape[0], image.shape[1], nodes.shape[1] + 1
         for t in range(height * strip_count(gaps, _GAPS_A_THREAD)):
             y, first, count_of_gaps = strip_at(t, gaps, _GAPS_A_THREAD)
             weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
             v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             right_color, right_ambient = node_model(nodes, v, first - 1)
             red, green, blue, bare, start_phase = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            phase, modulation, precision = lanes(0.0), lanes(0.0), lanes(0.0)
-            left, bright = lanes(0.0), lanes(0.0)
+            phase, modulation, precision, left, bright = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for j in range(first, first + count_of_gaps):
                 left_color, left_ambient = right_color, right_ambient
                 right_color, right_ambient = node_model(nodes, v, j)
@@ -268,9 +266,8 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                             start_phase[k], color, ambient, harmonics, mixing, besides, labels, y, x + k, mixed
                         )
                         weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
-                        light = weight * (seen - rest)
                         step, precise, left[k], shown = fitted_step(
-                            light, weight * model, weight * change, weight * swing, contrast_doubt
+                            weight * (seen - rest), weight * model, weight * change, weight * swing, contrast_doubt
                         )
                         precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
                         bright[k] = shown * (model - swing).sum() / 3.0

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tikernels import runtime
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_vector import channel_waves
 from tikernels.phase.surfaces import NO_SURFACE
@@ -34,7 +35,7 @@ def turns_by_confusion(crosstalk: Crosstalk) -> npt.NDArray[np.float64]:
 
 def edge_variance(crosstalk: Crosstalk) -> npt.NDArray[np.float32]:
     """Return the variance of the phase that edges between surfaces make, (H, W) float32, rad^2; 0 elsewhere."""
-    labels = crosstalk.surfaces.labels
+    labels = runtime.to_host(crosstalk.surfaces.labels)
     window = np.ones([2 * reach + 1 for reach in _NEAR_PX], np.uint8)
     # Of two surfaces around a pixel these are the one and the other; where there are three, two of them.
     first = cv2.erode(labels, window)

@@ -4,15 +4,19 @@
 
 One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. Smoothing over n pixels leaves
 averaged = 1 / n of it, but only where all the neighbours are there, and never the channels' model's own error, which
-they share. What that model is wrong by the fit's misfit tells: its variance is one where the model is right, and a
-model that is wrong across the phase is as wrong along it, which is the usual scaling of a fit's variance by its chi
-square, place by place. Over a few pixels that is misfit, the mean beyond what chance makes of one: an edge of paint, a
-highlight, a spot of another colour. Over the balance window it is error, the mean of (misfit - 1) / precision: a
-surface whose colour acts otherwise than the model says. What is wrong in the same way as brightness or phase, neither
-sees. Smoothing leaves both. Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the
-scatter: third differences over four rows a quarter of a cycle apart, which leave a surface's bend out, in units of what
-the law of propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). Their median tells it,
-whatever they are at edges. Near an edge of the mask part of the balance window is empty.
+they share.
+
+What that model is wrong by the fit's misfit tells. Its mean is one where the model is right, and a model that is wrong
+across the phase is as wrong along it: the usual scaling of a fit's variance by its chi square, place by place. Over a
+few pixels misfit is that mean less one, where chance does not make it: at an edge of paint, a highlight, a spot of
+another colour. Over the balance window error is the mean of (misfit - 1) / precision, as of a surface whose colour acts
+otherwise than the model says; and edges between surfaces add to it (`surface_edges.py`). What is wrong in the same way
+as brightness or phase does not show. Smoothing leaves all of that.
+
+Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the scatter: third
+differences over four rows a quarter of a cycle apart, which leave a surface's bend out, in units of what the law of
+propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). Their median tells it, whatever they are
+at edges. Near an edge of the mask part of the balance window is empty.
 """
 
 import cv2
@@ -85,7 +89,9 @@ def compare_rows_kernel(
         for k in ti.static(range(4)):
             weight = ti.static((1.0, -3.0, 3.0, -1.0)[k])
             difference += weight * phase[y + k * step, x]
-            variance += weight * weight * smoothed_variance(precision, misfit, error, neighbours, averaged, y + k * step, x)
+            variance += (
+                weight * weight * smoothed_variance(precision, misfit, error, neighbours, averaged, y + k * step, x)
+            )
         out[y, sample % columns] = ti.abs(difference) / ti.sqrt(variance)
 
 
@@ -110,7 +116,14 @@ def phase_sigma_kernel(
 
 
 def phase_sigma(
-    precision: F32, misfit: F32, error: F32, neighbours: U8, empty: F32, averaged: float, scatter: float, out: F32 | None = None
+    precision: F32,
+    misfit: F32,
+    error: F32,
+    neighbours: U8,
+    empty: F32,
+    averaged: float,
+    scatter: float,
+    out: F32 | None = None,
 ) -> F32:
     """Return the standard deviation of the smoothed phase.
 
@@ -250,11 +263,14 @@ def estimate_phase_sigma(
     inside = runtime.to_host(checks.read_mask("mask", mask, tuple(unwrapped.shape)))  # synchronises
     neighbours = _neighbours(inside, pairs)
     averaged = 1 / (2 * pairs + 1)
-    around = error = np.zeros(inside.shape, np.float32)
+    around, error = np.zeros(inside.shape, np.float32), np.zeros(inside.shape, np.float32)
     if misfit is not None:
-        left = np.where(inside, np.minimum(runtime.to_host(misfit), np.float32(_MOST_MISFIT)), np.float32(0))
-        around = _misfit_around(left, inside)
-        error = _window_error(left, runtime.to_host(precision), inside, period_px)
+        left: npt.NDArray[np.float32] = np.minimum(runtime.to_host(misfit), np.float32(_MOST_MISFIT))
+        left = np.where(inside != 0, left, np.float32(0))
+        # The fit has divided the precision by the larger ones already.
+        divided = np.maximum(np.float32(1), left / np.float32(MAX_MISFIT))
+        around = _misfit_around(left, inside) / divided
+        error = _window_error(left, divided * runtime.to_host(precision), inside, period_px)
     if edges is not None:
         error = error + edges
     known = (precision, around, error, neighbours)
@@ -280,12 +296,12 @@ def _window_error(
     """Return the variance that the model leaves over the balance window, (H, W) float32, rad^2."""
     step = max(1, int(period_px / _COLUMNS_A_CYCLE))
     misfit, weight = misfit[:, ::step], inside[:, ::step].astype(np.float32)
-    variance = np.maximum(1, misfit / MAX_MISFIT) * np.maximum(precision[:, ::step], _LEAST_PRECISION)
-    excess = weight * np.minimum((misfit - 1) / variance, np.float32(_MOST_VARIANCE))
+    variance = (misfit - 1) / np.maximum(precision[:, ::step], np.float32(_LEAST_PRECISION))
+    excess = weight * np.minimum(variance, np.float32(_MOST_VARIANCE))
     size = (misfit.shape[1], -(-len(misfit) // step))
-    sigmas = {"sigmaX": SIGMA_ALONG * period_px / step, "sigmaY": SIGMA_ACROSS * period_px / step}
+    along, across = SIGMA_ALONG * period_px / step, SIGMA_ACROSS * period_px / step
     sums, shares = (
-        cv2.GaussianBlur(cv2.resize(part, size, interpolation=cv2.INTER_AREA), (0, 0), **sigmas)
+        cv2.GaussianBlur(cv2.resize(part, size, interpolation=cv2.INTER_AREA), (0, 0), along, sigmaY=across)
         for part in (excess, weight)
     )
     error = np.maximum(sums / np.maximum(shares, np.float32(1e-3)), 0)

@@ -62,7 +62,7 @@ def test_what_moves_between_the_colours_leaves_no_second_harmonic(arch, mixed):
     """0.4 rad a frame; the template has half of it in it, so both halves are off, and neither is any more."""
     crosstalk = Crosstalk.of(np.eye(3), surfaces=Surfaces.of(MATRIX)) if mixed else Crosstalk.of(MATRIX)
     image, truth = photograph(0.4)
-    model, (phase, modulation, precision) = decode(image, crosstalk)
+    model, (phase, modulation, precision, _, _) = decode(image, crosstalk)
     before, sure = second_harmonics(runtime.to_host(phase), truth), runtime.to_host(precision).copy()
     motion = measure_motion(phase, before_of(truth, 0.4), TIMES, PERIOD_PX)
     assert np.nanmedian(motion.change[:, :100]) == pytest.approx(0.4, abs=0.01)
@@ -79,7 +79,7 @@ def test_what_moves_between_the_colours_leaves_no_second_harmonic(arch, mixed):
 def test_what_holds_still_stays(cpu):
     crosstalk = Crosstalk.of(MATRIX)
     image, _ = photograph(0.0)
-    model, (phase, _, precision) = decode(image, crosstalk)
+    model, (phase, _, precision, _, _) = decode(image, crosstalk)
     kept = runtime.to_host(phase).copy()
     motion = measure_motion(phase, kept, TIMES, PERIOD_PX)
     undo_field_motion(image, motion, model, crosstalk, LEVELS, 0.02, out=(phase, precision))

@@ -41,6 +41,27 @@ def test_noise_that_grows_with_the_light(arch):
         assert read**2 + gain * level == pytest.approx(2e-6 + 1e-4 * level, rel=0.4)
 
 
+@pytest.mark.parametrize("tilt", [0.0, 0.3])
+def test_read_noise_is_told_from_the_light_s(arch, tilt):
+    """By 8-bit levels of full-well 10,000 electrons, in a frame most of which is dark; stripes may be tilted."""
+    phase = reference.ramp(480, 640, 12.0, tilt=tilt)
+    light = (reference.fringes(phase) * COLOR * 0.8).astype(np.float32)
+    light[:, 200:] *= 0.1
+    rng = np.random.default_rng(5)
+    electrons = rng.poisson(light * 1e4) + 5 * rng.standard_normal(light.shape)
+    levels = np.clip(np.rint(electrons / 1e4 * 255), 0, 255).astype(np.uint8)
+    read, gain = measure_frame(levels).noise
+    for level in (0.1, 0.4):
+        true = 5e-4**2 + 1e-4 * level + 1 / 255**2 / 12
+        assert read**2 + gain * level == pytest.approx(true, rel=0.35)
+
+
+def test_the_fringe_is_measured(arch):
+    assert measure_frame(frame(12.0, 0.001)).modulation == pytest.approx(
+        0.5 * COLOR.mean(), rel=0.25
+    )  # colours are not balanced yet
+
+
 def test_the_brightness_is_found(arch):
     image = np.full((64, 64, 3), 0.2, np.float32)
     image[:, :32] = 0.6

@@ -13,7 +13,7 @@ from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table, measure_distribution
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.phase.surfaces import Surfaces
 from tikernels.phase.wrapped_phase import NO_PHASE
 
@@ -43,7 +43,7 @@ def crosstalk_of(matrix: np.ndarray, *, mixed: bool) -> Crosstalk:
 
 
 def recover(image: np.ndarray, *, mixed=False, doubt=0.02, gain=0.0, fitted=True):
-    """Run the stages from levels to phase; return phase, modulation, precision and the model."""
+    """Run the stages from levels to phase; return what the fit found, the model, and the correction."""
     height, width = image.shape[:2]
     crosstalk = crosstalk_of(MATRIX, mixed=mixed)
     levels = FrameLevels(255.0, NOISE, gain, NOISE, 5.0, 5.0)
@@ -55,7 +55,7 @@ def recover(image: np.ndarray, *, mixed=False, doubt=0.02, gain=0.0, fitted=True
     if not fitted:
         model.template[:, 1:] *= 0
     out = fit_phase(image, model, crosstalk, levels, correction, doubt)
-    return *(runtime.to_host(o) for o in out), model, correction
+    return FittedPhase(*(runtime.to_host(o) for o in out)), model, correction
 
 
 def limit(phase: np.ndarray, gamma: float, ambient: float) -> np.ndarray:
@@ -72,7 +72,7 @@ def rms(values: np.ndarray) -> float:
 def test_near_the_information_limit(arch, gamma, ambient):
     """Of the limit that knows everything but the phase: 1.18 at most, where brightness has to be found, too."""
     image, truth = noisy_frame(gamma, ambient)
-    phase = recover(image)[0]
+    phase = recover(image)[0].phase
     error = reference.wrapped_difference(phase, truth)
     assert rms(error - error.mean()) < 1.25 * rms(limit(truth, gamma, ambient))
     assert abs(error.mean()) < 0.005
@@ -80,16 +80,28 @@ def test_near_the_information_limit(arch, gamma, ambient):
 
 def test_the_precision_is_that_of_the_errors(arch):
     image, truth = noisy_frame(2.0, 0.05)
-    phase, _, precision, _, _ = recover(image)
+    phase, _, precision, _, _ = recover(image)[0]
     error = reference.wrapped_difference(phase, truth)
     z = (error - error.mean()) * np.sqrt(precision)
     assert 0.62 < np.mean(np.abs(z) < 1) < 0.72
     assert 0.92 < np.mean(np.abs(z) < 2) < 0.97
 
 
+def test_the_misfit_is_that_of_noise_and_the_brightness_has_no_fringe(arch):
+    """One on average, as its square is; the brightness is what the light is over a cycle, ambient light apart."""
+    image, truth = noisy_frame(2.0, 0.05)
+    found = recover(image)[0]
+    assert found.misfit[20:-20, 20:-20].mean() == pytest.approx(1, abs=0.1)
+    bright = found.brightness[20:-20, 20:-20].astype(float)
+    along = bright / bright.mean(axis=0) - 1
+    for harmonic in (1, 2, 3):
+        wave = 2 * abs((along * np.exp(-1j * harmonic * truth[20:-20, 20:-20])).mean())
+        assert wave < 0.02
+
+
 def test_modulation_in_levels(arch):
     image, truth = noisy_frame(1.0, 0.1)
-    modulation = recover(image)[1]
+    modulation = recover(image)[0].modulation
     x = np.arange(truth.shape[1]) / truth.shape[1]
     # Of the balanced channels, whose mean stays.
     expected = 150 * 0.5 * (COLOR * MATRIX.sum(axis=1)).mean() * (1 - 0.6 * x)
@@ -101,9 +113,10 @@ def test_modulation_in_levels(arch):
 def test_as_the_twin(arch, mixed, gain):
     image, _ = noisy_frame(2.0, 0.05, (36, 48))
     image[16, 30] += 0.6 * (image[10:23, 30].mean(axis=0) - image[16, 30])  # no such contrast in the model
-    phase, _, precision, model, correction = recover(image, mixed=mixed, gain=gain)
+    found, model, correction = recover(image, mixed=mixed, gain=gain)
+    phase, precision = found.phase, found.precision
     # Without a template there is no step.
-    start = recover(image, mixed=mixed, gain=gain, fitted=False)[0]
+    start = recover(image, mixed=mixed, gain=gain, fitted=False)[0].phase
     nodes = runtime.to_host(model.nodes).astype(np.float64)
     spacing_px = model.gains.spacing_px
     places = [(np.arange(n) + 0.5) / spacing_px - 0.5 for n in (36, 48)]
@@ -129,7 +142,7 @@ def test_dark_and_clipped_pixels_have_no_phase(arch):
     image, _ = noisy_frame(1.0, 0.0)
     image[40:50, 60:70] = 0
     image[80:85, 20:30] = 255
-    phase = recover(image)[0]
+    phase = recover(image)[0].phase
     assert (phase[40:50, 60:70] == NO_PHASE).all()
     assert (phase[80:85, 20:30] == NO_PHASE).all()
     assert np.mean(phase == NO_PHASE) < 0.02
@@ -139,8 +152,8 @@ def test_hardly_any_sample_leaves_the_arctangent(arch):
     """Three rows of lit pixels teach next to nothing: the template stays nearly flat, and the phase what it was."""
     image, _ = noisy_frame(1.0, 0.0, (24, 24))
     image[3:] = 0
-    phase, _, _, model, _ = recover(image)
-    assert np.isfinite(phase).all()
+    found, model, _ = recover(image)
+    assert np.isfinite(found.phase).all()
     assert np.isfinite(model.template).all()
     assert np.abs(model.template[:, 1:]).max() < 1.0
 
@@ -174,5 +187,5 @@ def test_what_does_not_fit_is_refused(arch):
     with pytest.raises(tikernels.ShapeError, match=r"image has shape \(23, 32, 3\), expected \(24, 32, 3\)"):
         count_phases(image[:23], gains, crosstalk, levels)
     with pytest.raises(tikernels.ShapeError, match=r"precision has shape \(2, 2\), expected \(24, 32\)"):
-        out = [np.empty(shape, np.float32) for shape in ((24, 32), (24, 32), (2, 2))]
-        fit_phase(image, *rest, out=tuple(out))
+        shapes = [(24, 32), (24, 32), (2, 2), (24, 32), (24, 32)]
+        fit_phase(image, *rest, out=FittedPhase(*(np.empty(shape, np.float32) for shape in shapes)))

@@ -4,12 +4,20 @@ import numpy as np
 import pytest
 import reference
 
+from pipeline.simulation import TYPICAL_CROSSTALK
 from tikernels import ShapeError, runtime
+from tikernels.phase.channel_model import ChannelModel
+from tikernels.phase.channel_template import flat_template
+from tikernels.phase.color_balance import Gains
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.equalization import correction_table
+from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.surfaces import Surfaces
 from tikernels.phase.uncertainty import OFF, PARTLY, WHOLE, compare_rows, estimate_phase_sigma, phase_sigma
 
 SHAPE = (41, 67)
 AVERAGED = 0.2  # of the variance, after smoothing over five px
-NO_ERROR = np.zeros((30, 25), np.float32)  # by node, 8 px apart
 
 
 def case(seed=1):
@@ -20,9 +28,9 @@ def case(seed=1):
     return precision, neighbours
 
 
-def expected_sigma(precision, neighbours, empty, scatter, error=0.0):
+def expected_sigma(precision, neighbours, empty, scatter, error=0.0, misfit=0.0):
     """Return the fit's sigma, of which smoothing averages all but the model's 3 %, and 0.025 rad beside nothing."""
-    variance = (np.where(neighbours == WHOLE, AVERAGED, 1) + 0.03) / precision + error
+    variance = (np.where(neighbours == WHOLE, AVERAGED, 1) + 0.03 + misfit) / precision + error
     return np.where(neighbours == OFF, np.nan, np.sqrt(scatter**2 * variance + 0.025**2 * empty))
 
 
@@ -30,8 +38,9 @@ def test_as_the_twin(arch):
     precision, neighbours = case()
     empty = np.random.default_rng(2).random(SHAPE).astype(np.float32)
     error = (1e-4 * np.random.default_rng(5).random(SHAPE)).astype(np.float32)
-    out = phase_sigma(precision, error, neighbours, empty, AVERAGED, 1.3)
-    expected = expected_sigma(precision, neighbours, empty, 1.3, error)
+    misfit = np.random.default_rng(8).random(SHAPE).astype(np.float32)
+    out = phase_sigma(precision, misfit, error, neighbours, empty, AVERAGED, 1.3)
+    expected = expected_sigma(precision, neighbours, empty, 1.3, error, misfit)
     np.testing.assert_allclose(runtime.to_host(out), expected, rtol=1e-5)
 
 
@@ -44,8 +53,8 @@ def test_rows_that_differ_by_what_is_expected_have_a_ratio_of_one(arch):
     rows = np.arange(height)[:, None]
     noise = sigma * np.random.default_rng(3).standard_normal((height, width))
     phase = (0.1 * rows + 1e-4 * rows**2 + noise).astype(np.float32)
-    step, every = 4, 3
-    ratio = runtime.to_host(compare_rows(phase, precision, np.zeros_like(phase), neighbours, AVERAGED, step, every))
+    step, every, none = 4, 3, np.zeros_like(phase)
+    ratio = runtime.to_host(compare_rows(phase, precision, none, none, neighbours, AVERAGED, step, every))
     assert np.isnan(ratio[:5, :3]).all() and np.isfinite(ratio[:, 3:]).all()
     assert np.median(ratio[:, 3:]) / 0.6745 == pytest.approx(1, abs=0.02)
 
@@ -61,24 +70,89 @@ def test_the_estimate_is_what_rows_really_differ_by(arch, overrated):
     mask[100:110, 50:60] = False
     phase[~mask] = np.nan
     precision = np.full((height, width), overrated**2 / 0.05**2, np.float32)
-    sigma = runtime.to_host(estimate_phase_sigma(phase, precision, NO_ERROR, 8, mask, pairs, period_px))
+    sigma = runtime.to_host(estimate_phase_sigma(phase, precision, None, mask, None, pairs, period_px))
     assert np.isnan(sigma[~mask]).all() and np.isfinite(sigma[mask]).all()
     assert np.median(sigma[mask]) == pytest.approx(smoothed.std(), rel=0.05)
     # Beside the hole fewer neighbours are averaged, and part of the model's window is empty.
     assert sigma[105, 49] > 1.5 * np.median(sigma[mask])
 
 
-def test_an_error_of_the_model_widens_the_pixels_around_its_node(arch):
-    """Smoothing does not average it."""
-    height, width = 120, 160
-    phase = reference.ramp(height, width, 12.0, tilt=0.02).astype(np.float32)
+def flat(misfit: np.ndarray, edges: np.ndarray | None = None) -> np.ndarray:
+    """Return the sigma of a plane with a noise of 0.02 rad, not smoothed, given the fit's misfit."""
+    phase = reference.ramp(*misfit.shape, 12.0, tilt=0.02)
     noise = 0.02 * np.random.default_rng(6).standard_normal(phase.shape)
     phase, precision = (phase + noise).astype(np.float32), np.full(phase.shape, 1 / 0.02**2, np.float32)
-    error = np.zeros((15, 20), np.float32)
-    error[9:13, 15:18] = 0.1**2
-    sigma = runtime.to_host(estimate_phase_sigma(phase, precision, error, 8, np.ones(phase.shape, bool), 0, 12.0))
-    assert np.median(sigma[20:50, 20:80]) == pytest.approx(0.02, rel=0.1)
-    assert np.median(sigma[80:96, 128:136]) == pytest.approx(0.1, rel=0.1)
+    everywhere = np.ones(phase.shape, bool)
+    return runtime.to_host(estimate_phase_sigma(phase, precision, misfit, everywhere, edges, 0, 12.0))
+
+
+def misfits_of_noise(shape: tuple[int, int] = (240, 320)) -> np.ndarray:
+    return (np.random.default_rng(7).standard_normal(shape) ** 2).astype(np.float32)
+
+
+def test_misfits_of_noise_cost_next_to_nothing(arch):
+    sigma = flat(misfits_of_noise())[30:-30, 30:-30]
+    assert np.median(sigma) == pytest.approx(0.02, rel=0.05)
+    assert np.quantile(sigma, 0.9) < 0.023
+
+
+def test_a_spot_that_the_model_does_not_fit_is_less_sure(arch):
+    """Misfits of nine standard deviations squared: a model that is wrong across the phase is as wrong along it."""
+    misfit = misfits_of_noise()
+    misfit[100:106, 200:206] = 9.0
+    sigma = flat(misfit)
+    assert np.median(sigma[101:105, 201:205]) == pytest.approx(0.02 * np.sqrt(1 + 8), rel=0.15)
+    assert np.median(sigma[40:60, 100:150]) == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_surface_that_fits_a_little_worse_is_less_sure_all_over(arch):
+    """Too little to be seen in a few pixels, plain to see in some hundred."""
+    misfit = misfits_of_noise()
+    misfit[:, 160:] *= 1.3
+    sigma = flat(misfit)
+    assert np.median(sigma[20:-20, 200:300]) > 1.07 * np.median(sigma[20:-20, 20:120])
+
+
+def test_an_edge_of_paint_is_less_sure(arch):
+    edges = np.zeros((240, 320), np.float32)
+    edges[:, 150:155] = 0.05**2
+    sigma = flat(misfits_of_noise(), edges)
+    assert np.median(sigma[:, 151:154]) == pytest.approx(np.hypot(0.05, 0.02), rel=0.1)
+    assert np.median(sigma[:, :140]) == pytest.approx(0.02, rel=0.05)
+
+
+DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
+MATRIX = np.array(TYPICAL_CROSSTALK)
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_another_colour_widens_its_own_part(cpu, mixed):
+    """A surface of narrow reflectances bends the phase by more than noise; that is said, to a factor of two.
+
+    Where colours are known to act on the projector's light, nothing is left over.
+    """
+    shape, noise, levels = (240, 320), 1.5, FrameLevels(255.0, 1.5, 0.0, 1.5, 5.0, 5.0)
+    truth = reference.ramp(*shape, 12.3, tilt=0.02)
+    light = 0.5 + 0.5 * np.cos(truth[..., None] + DELAYS)
+    light[:, 240:] *= (1.0, 0.6, 0.4)
+    image = (200 * light @ MATRIX.T + noise * np.random.default_rng(7).standard_normal((*shape, 3))).astype(np.float32)
+    crosstalk = Crosstalk.of(np.eye(3), surfaces=Surfaces.of(MATRIX)) if mixed else Crosstalk.of(MATRIX)
+    gains = Gains(*shape, 12.3)
+    model = ChannelModel(gains)
+    gains.measure(image, crosstalk, levels)
+    correction = correction_table(count_phases(image, gains, crosstalk, levels), 9)
+    model.fit(crosstalk, levels, correction, flat_template())
+    found = fit_phase(image, model, crosstalk, levels, correction, 0.02)
+    difference = reference.wrapped_difference(runtime.to_host(found.phase), truth)
+    unwrapped = (truth + difference).astype(np.float32)
+    everywhere = np.ones(shape, bool)
+    sigma = runtime.to_host(estimate_phase_sigma(unwrapped, found.precision, found.misfit, everywhere, None, 0, 12.3))
+    left, right = (difference[40:200, part] for part in (slice(30, 150), slice(260, 310)))
+    said = [np.sqrt((sigma[40:200, part] ** 2).mean()) for part in (slice(30, 150), slice(260, 310))]
+    assert 0.7 < said[0] / (left - left.mean()).std() < 2
+    assert 0.5 < said[1] / (right - right.mean()).std() < 2.5
+    if not mixed:
+        assert (right - right.mean()).std() > 2 * (left - left.mean()).std()
 
 
 def test_menu(menu):
@@ -89,11 +163,11 @@ def test_menu(menu):
         found = phase_sigma(**inputs, averaged=AVERAGED, scatter=1.3, out=out)
         return runtime.to_host(found) if out is None else found
 
-    fields = {"precision": precision, "error": 1e-4 * empty, "neighbours": neighbours, "empty": empty}
+    fields = {"precision": precision, "misfit": empty, "error": 1e-4 * empty, "neighbours": neighbours, "empty": empty}
     menu(measure, np.empty(SHAPE, np.float32), **fields)
 
 
 def test_too_few_rows_to_compare(arch):
-    flat = np.ones((12, 5), np.float32)
+    level = np.ones((12, 5), np.float32)
     with pytest.raises(ShapeError, match="phase has 12 rows: four rows 4 px apart need 13"):
-        compare_rows(flat, flat, flat, np.full((12, 5), WHOLE, np.uint8), AVERAGED, 4, 1)
+        compare_rows(level, level, level, level, np.full((12, 5), WHOLE, np.uint8), AVERAGED, 4, 1)
