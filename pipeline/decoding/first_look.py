@@ -30,7 +30,7 @@ _SHARP = 0.08
 # A node tells a colour if this share of its window is lit.
 _FILLED = 0.3
 # About as many samples tell the ambient light.
-_AMBIENT_SAMPLES = 6000
+_AMBIENT_SAMPLES = 3000
 # Ambient light is at most this share of the frame's; brightness that varies less, as a fraction, does not tell it.
 _MOST_AMBIENT, _LEAST_VARIATION = 0.6, 0.03
 # A fringe swings by twice its modulation over this part of a cycle.

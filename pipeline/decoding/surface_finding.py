@@ -131,8 +131,10 @@ class SurfaceFinder:
         ambient = np.minimum(look.ambient * 3 * color / color.sum(), 0.5 * color)
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
         samples = look.surface_samples(light, np.ones(len(light)), weights, ambient, self._contrast_doubt)
-        left = []
-        for bands in (BROAD, BETWEEN):
+
+        def left_over(bands: FloatArray) -> float:
             (matrix,) = predict_matrices((color - ambient)[None], known.matrix * known.white[:, None], bands)
-            left.append(float(np.median(np.abs(residuals(samples, matrix, ambient, known.light)))))
-        return left[0] < min(_BY_FAR * left[1], _NOISE)
+            return float(np.median(np.abs(residuals(samples, matrix, ambient, known.light))))
+
+        after = left_over(BROAD)
+        return after < _NOISE and after < _BY_FAR * left_over(BETWEEN)

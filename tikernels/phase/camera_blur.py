@@ -16,7 +16,7 @@ from tikernels import checks
 from tikernels._taichi import F32Array2, f32, ti
 from tikernels.arrays import F32
 from tikernels.phase.phase_vector import wrap
-from tikernels.phase.wrapped_phase import has_phase
+from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.strips import STRIP, strip_at, strip_count
 
 # v: a pixel's area makes 1/12, and a lens that is made for the sensor, with a blur of half a pixel, 1/4; and how far it
@@ -24,7 +24,7 @@ from tikernels.strips import STRIP, strip_at, strip_count
 _VARIANCE_PX, _DOUBT_PX = 1 / 3, 1 / 6
 # Slopes on either side of a pixel that differ by more than this, or are steeper, are none: a step is near. rad a px
 _SAME_SLOPE, _STEEPEST = 0.4, 1.2
-_lanes = ti.types.vector(STRIP, ti.f32)
+_lanes, _row = ti.types.vector(STRIP, ti.f32), ti.types.vector(STRIP + 2, ti.f32)
 
 
 @ti.func
@@ -50,20 +50,23 @@ def undo_camera_blur_kernel(
     for t in range(height * strip_count(width, STRIP)):
         y, first, count = strip_at(t, width, STRIP)
         above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
-        upper, here, lower, result = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
-        left, right, sure = _lanes(0.0), _lanes(0.0), _lanes(0.0)
-        light_above, light_below, light_left, light_right = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
+        here, light = _row(0.0), _row(0.0)
+        upper, lower, light_above, light_below = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
+        sure, result = _lanes(0.0), _lanes(0.0)
+        for k in range(ti.max(0, 1 - first), ti.min(STRIP + 2, width - first + 1)):
+            here[k], light[k] = phase[y, first - 1 + k], brightness[y, first - 1 + k]
         for k in range(count):
-            before, after = ti.max(first + k - 1, 0), ti.min(first + k + 1, width - 1)
-            upper[k], here[k], lower[k] = phase[above, first + k], phase[y, first + k], phase[below, first + k]
-            left[k], right[k] = phase[y, before], phase[y, after]
+            upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
             light_above[k], light_below[k] = brightness[above, first + k], brightness[below, first + k]
-            light_left[k], light_right[k] = brightness[y, before], brightness[y, after]
             sure[k] = precision[y, first + k]
+        if first == 0:
+            here[0] = NO_PHASE
+        if count < STRIP or first + STRIP == width:
+            here[count + 1] = NO_PHASE
         for k in range(STRIP):
-            turn = turned_by_blur(upper[k], here[k], lower[k], light_above[k], light_below[k])
-            turn += turned_by_blur(left[k], here[k], right[k], light_left[k], light_right[k])
-            result[k] = ti.select(has_phase(here[k]), here[k] - _VARIANCE_PX * turn, here[k])
+            turn = turned_by_blur(upper[k], here[k + 1], lower[k], light_above[k], light_below[k])
+            turn += turned_by_blur(here[k], here[k + 1], here[k + 2], light[k], light[k + 2])
+            result[k] = here[k + 1] - ti.select(has_phase(here[k + 1]), _VARIANCE_PX * turn, 0.0)
             doubt = _DOUBT_PX * turn
             sure[k] = sure[k] / (1.0 + doubt * doubt * sure[k])
         for k in range(count):

@@ -131,20 +131,22 @@ def _noise(
     # Devices round differently; which samples are alike must not depend on that.
     light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
     # Grouped by the pixel above, whose own noise is another one.
-    light = np.roll(light, 1, axis=1)
+    light, changes = light[:, :-1], changes[:, 1:]
     telling = (light > _DARK_SHARE * bright) & (light < CLIPPED)
     light, changes = light[telling], changes[telling]
     levels, variances = [], []
     if not len(light):
         return 0.0, 0.0
     # As far apart in brightness whatever most of the frame shows.
-    edges = np.geomspace(light.min(), light.max(), _NOISE_GROUPS + 1)[1:-1]
-    numbers = np.searchsorted(edges, light)
+    brightness = np.log(light)
+    lowest, highest = brightness.min(), brightness.max()
+    numbers = ((brightness - lowest) * (_NOISE_GROUPS / (highest - lowest + 1e-6))).astype(np.int8)
     for number in range(_NOISE_GROUPS):
         group = np.flatnonzero(numbers == number)
         if len(group) >= min(_LEAST_GROUP, len(light) / _NOISE_GROUPS):
             # The middle fifth instead of the median: that of whole levels is one or the next.
-            middle = np.sort(np.abs(changes[group]))[2 * len(group) // 5 : 3 * len(group) // 5 + 1].mean()
+            first, last = 2 * len(group) // 5, 3 * len(group) // 5
+            middle = np.sort(np.abs(changes[group]))[first : last + 1].mean()
             levels.append(light[group].mean())
             variances.append((middle / _MIDDLE) ** 2 / sum(factor**2 for factor in _DIFFERENCE))
     x, y = np.array(levels, np.float64), np.array(variances, np.float64)

@@ -6,9 +6,9 @@ import numpy.typing as npt
 
 _Array = npt.NDArray[np.float64]
 
-# Colours are counted on a grid of this step, up to this ratio, in natural logarithms, and smoothed over this many
-# steps. Roots of the counts, as a small surface is to stand out beside a large one.
-_STEP, _RANGE, _SMOOTH = 0.025, 3.0, 1.2
+# Colours are counted on a grid of this step, in natural logarithms, as far out as this many steps, and smoothed over
+# the third. Roots of the counts, as a small surface is to stand out beside a large one.
+_STEP, _FARTHEST, _SMOOTH = 0.025, 120, 1.2
 # The least distance of two colours, in steps.
 _APART = 5
 _MOST = 24
@@ -37,14 +37,16 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
     (n, 3) float64
         1 to 24 ratios, the commonest first.
     """
-    size = int(2 * _RANGE / _STEP)
-    place = np.clip(((ratios[:, [0, 2]] + _RANGE) / _STEP).astype(int), 0, size - 1) @ [size, 1]
-    counts = np.bincount(place, weights, size * size).reshape(size, size).astype(np.float32)
+    place = np.clip((ratios[:, [0, 2]] / _STEP).round().astype(int), -_FARTHEST, _FARTHEST)
+    first = place.min(axis=0) - _APART
+    rows, columns = place.max(axis=0) + _APART + 1 - first
+    counts = np.bincount((place - first) @ [columns, 1], weights, rows * columns).reshape(rows, columns)
+    counts = counts.astype(np.float32)
     smooth = cv2.GaussianBlur(np.sqrt(counts), (0, 0), _SMOOTH)
     peaks = np.argwhere((smooth == cv2.dilate(smooth, np.ones((_APART, _APART)))) & (smooth > 0))
     peaks = peaks[np.argsort(-smooth[tuple(peaks.T)], kind="stable")][: 3 * _MOST]
-    centers, cells = _color_of(peaks), np.argwhere(counts > 0)
-    in_cells, of_cells = counts[tuple(cells.T)], _color_of(cells)
+    centers, cells = _color_of(peaks + first), np.argwhere(counts > 0)
+    in_cells, of_cells = counts[tuple(cells.T)], _color_of(cells + first)
     while True:
         sizes = np.bincount(nearest_colors(of_cells, centers), weights=in_cells, minlength=len(centers))
         if len(centers) == 1 or (sizes.min() >= least and len(centers) <= _MOST):
@@ -59,7 +61,7 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
 
 def _color_of(cells: npt.NDArray[np.integer]) -> _Array:
     """Return the ratios in the middle of cells, (N, 3)."""
-    red, blue = ((cells + 0.5) * _STEP - _RANGE).T
+    red, blue = (cells * _STEP).T
     return np.stack([red, -red - blue, blue], axis=1)
 
 
