@@ -14,12 +14,13 @@ import numpy.typing as npt
 from pipeline.models import FloatArray
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
+from tikernels.phase.camera_blur import VARIANCE_PX
 from tikernels.phase.color_balance import Gains, WindowSum
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.field_motion import FieldMotion
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
-from tikernels.phase.surface_labels import LEAST_PX
+from tikernels.phase.surface_labels import LEAST_PX, Fringe
 from tikernels.phase.surface_matrix import SurfaceSamples
 from tikernels.phase.surfaces import NO_SURFACE
 
@@ -35,6 +36,9 @@ _AMBIENT_SAMPLES = 3000
 _MOST_AMBIENT, _LEAST_VARIATION = 0.6, 0.03
 # A fringe swings by twice its modulation over this part of a cycle.
 _SWING_CYCLES = 0.65
+# How far the fringe's change is averaged for its contrast, in nodes, and the most that blur may take or leave, as a
+# logarithm.
+_CONTRAST_NODES, _MOST_LOST = 0.7, 0.2
 # No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
 _LEAST_NOISE, _DARK = 2e-4, 0.02
 
@@ -96,8 +100,8 @@ class FirstLook:
     @cached_property
     def ambient(self) -> float:
         """Ambient light that the surfaces send back on average, levels: what the modulation does not follow."""
-        _, vector = self._looked_at(_AMBIENT_SAMPLES)
-        modulation = np.hypot(vector[:, 0], vector[:, 1])
+        _, vector, contrast = self._looked_at(_AMBIENT_SAMPLES)
+        modulation = np.hypot(vector[:, 0], vector[:, 1]) / contrast
         shown = modulation > self.levels.modulation
         if not shown.any():
             return 0.0
@@ -108,6 +112,46 @@ class FirstLook:
             return 0.0
         share = 1 - float(modulation.mean()) * variance / (covariance * mean)
         return float(np.clip(share, 0, _MOST_AMBIENT)) * mean
+
+    @cached_property
+    def contrast(self) -> npt.NDArray[np.float32]:
+        """(Hg, Wg) what the camera's blur leaves of the fringe's contrast around every node, beside the usual.
+
+        Where a surface turns away the fringe is finer, and blur takes more of it.
+        """
+        seen = runtime.to_host(self.gains.samples).astype(np.float64)
+        gain = _at_samples(runtime.to_host(self.gains.gains), self.gains)
+        wave = (seen * gain) @ (self._crosstalk.weights[:2].T.astype(np.float64)) @ [1, 1j]
+        phase = np.angle(wave)
+        phase += np.interp(phase, np.linspace(-np.pi, np.pi, len(self.correction)), self.correction)
+        # Every second row shows the same column.
+        change = np.abs(np.angle(np.exp(1j * (phase[2:] - phase[:-2])))) / 2
+        shown = np.abs(wave) > self.levels.modulation
+        weight = (shown[2:] & shown[:-2]).astype(np.float32)
+        size = self.ratios.shape[1::-1]
+        squares, weights = (
+            cv2.GaussianBlur(cv2.resize(part, size, interpolation=cv2.INTER_AREA), (0, 0), _CONTRAST_NODES)
+            for part in ((weight * change**2).astype(np.float32), weight)
+        )
+        known = weights > _FILLED
+        slopes = squares / np.maximum(weights, 1e-3)
+        usual = float(np.median(slopes[known])) if known.any() else 0.0
+        lost = np.where(known, 0.5 * VARIANCE_PX * (slopes - usual), 0)
+        return np.asarray(np.exp(-np.clip(lost, -_MOST_LOST, _MOST_LOST)), np.float32)
+
+    def fringe(self, contrast_doubt: float) -> Fringe:
+        """Return how the fringe of each place differs from the template, given what is doubted of its contrast."""
+        spacing_px, changed, times = self.gains.spacing_px, np.zeros_like(self.contrast), None
+        if self.motion is not None:
+            every = np.s_[spacing_px // 2 :: spacing_px, spacing_px // 2 :: spacing_px]
+            own, times = np.nan_to_num(self.motion.change[every]), self.motion.times
+            changed[: own.shape[0], : own.shape[1]] = own[: changed.shape[0], : changed.shape[1]]
+        return Fringe(contrast_doubt, np.stack([self.contrast, changed], axis=-1), spacing_px, times)
+
+    @cached_property
+    def contrast_around(self) -> FloatArray:
+        """(H, Wb) that around each sample."""
+        return _at_samples(self.contrast, self.gains)
 
     def common_colors(self) -> FloatArray:
         """Return the colours that many nodes have in common, (n, 3) ratios, the commonest first."""
@@ -138,19 +182,20 @@ class FirstLook:
 
     def some_samples(self, wanted: int) -> FloatArray:
         """Return the light of about as many samples as wanted that show a fringe, (N, 3) levels."""
-        seen, vector = self._looked_at(wanted)
+        seen, vector, _ = self._looked_at(wanted)
         shown = np.hypot(vector[:, 0], vector[:, 1]) > self.levels.modulation
         return np.asarray(seen[shown & (seen.max(axis=1) < self.levels.clipped)])
 
-    def _looked_at(self, wanted: int) -> tuple[FloatArray, FloatArray]:
-        """Return about as many samples as wanted, (N, 3), and their b cos(phi), b sin(phi) and a, levels."""
+    def _looked_at(self, wanted: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return about as many samples as wanted, (N, 3), their b cos(phi), b sin(phi) and a, levels, and contrast."""
         samples = runtime.to_host(self.gains.samples)
         step = max(1, samples.shape[0] * samples.shape[1] // wanted)
         while math.gcd(step, samples.shape[1]) > 1:  # or it meets the same columns again and again
             step += 1
         seen = samples.reshape(-1, 3)[::step].astype(np.float64)
         gain = _at_samples(runtime.to_host(self.gains.gains), self.gains).reshape(-1, 3)[::step]
-        return seen, np.asarray((seen * gain) @ self._crosstalk.weights.T.astype(np.float64))
+        contrast = self.contrast_around.ravel()[::step]
+        return seen, np.asarray((seen * gain) @ self._crosstalk.weights.T.astype(np.float64)), contrast
 
     def surface_samples(
         self,
@@ -160,6 +205,7 @@ class FirstLook:
         ambient: FloatArray,
         contrast_doubt: float,
         offset: FloatArray | None = None,
+        contrast: FloatArray | None = None,
     ) -> SurfaceSamples:
         """Return pixels of one surface, with the phase that the arctangent gives them.
 
@@ -173,7 +219,7 @@ class FirstLook:
             Takes the surface's channels to b cos(phi), b sin(phi) and a.
         ambient : (3,)
             Its ambient light, levels.
-        contrast_doubt, offset
+        contrast_doubt, offset, contrast
             See `SurfaceSamples`.
         """
         vector = (light - ambient) @ weights.T
@@ -188,6 +234,7 @@ class FirstLook:
             np.maximum(around, 1e-9),
             contrast_doubt,
             offset,
+            contrast,
         )
 
 

@@ -258,10 +258,11 @@ class SurfaceSearch:
                 places = self._random.permutation(places)[:_MOST_SAMPLES]
             ambient = np.zeros(3) if self._ambient is None else self._ambient[surface]
             light, around = seen.reshape(-1, 3)[places], look.around.ravel()[places]
+            contrast = look.contrast_around.ravel()[places]
             offset = None if offsets is None else offsets.reshape(-1, 3)[places]
             own_weights, doubt = weights / color, known.contrast_doubt
             numbers.append(surface)
-            samples.append(look.surface_samples(light, around, own_weights, ambient, doubt, offset))
+            samples.append(look.surface_samples(light, around, own_weights, ambient, doubt, offset, contrast))
         return numbers, samples
 
     def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False, last: bool = False) -> Relabelled:
@@ -272,7 +273,8 @@ class SurfaceSearch:
         look, known = self._look, self._known
         crosstalk = known.crosstalk(fitted.matrices, self._labels, fitted.ambient)
         model = (crosstalk, look.levels, look.correction, known.template(fitted.light))
-        misfits = surface_misfits(look.device_image, *model, max(known.contrast_doubt, _UNEVEN), step)
+        fringe = look.fringe(max(known.contrast_doubt, _UNEVEN))
+        misfits = surface_misfits(look.device_image, *model, fringe, step)
         usable = (fitted.misfit < _UNFIT) | self._spared | last
         known_so_far = (self._labels[::step, ::step], usable, self._first)
         coded = known.contrast_doubt > 0

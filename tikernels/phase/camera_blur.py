@@ -19,9 +19,10 @@ from tikernels.phase.phase_vector import wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.strips import STRIP, strip_at, strip_count
 
-# v: a pixel's area makes 1/12, and a lens that is made for the sensor, with a blur of half a pixel, 1/4; and how far it
-# may be from that, as a standard deviation.
-_VARIANCE_PX, _DOUBT_PX = 1 / 3, 1 / 6
+#: v, px^2: a pixel's area makes 1/12, and a lens that is made for the sensor, with a blur of half a pixel, 1/4.
+VARIANCE_PX = 1 / 3
+# How far it may be from that, as a standard deviation.
+_DOUBT_PX = 1 / 6
 # Slopes on either side of a pixel that differ by more than this, or are steeper, are none: a step is near. rad a px
 _SAME_SLOPE, _STEEPEST = 0.4, 1.2
 _lanes, _row = ti.types.vector(STRIP, ti.f32), ti.types.vector(STRIP + 2, ti.f32)
@@ -66,7 +67,7 @@ def undo_camera_blur_kernel(
         for k in range(STRIP):
             turn = turned_by_blur(upper[k], here[k + 1], lower[k], light_above[k], light_below[k])
             turn += turned_by_blur(here[k], here[k + 1], here[k + 2], light[k], light[k + 2])
-            result[k] = here[k + 1] - ti.select(has_phase(here[k + 1]), _VARIANCE_PX * turn, 0.0)
+            result[k] = here[k + 1] - ti.select(has_phase(here[k + 1]), VARIANCE_PX * turn, 0.0)
             doubt = _DOUBT_PX * turn
             sure[k] = sure[k] / (1.0 + doubt * doubt * sure[k])
         for k in range(count):

@@ -105,6 +105,21 @@ def load_harmonics(template: F32Array2):
 
 
 @ti.func
+def blurred(harmonics: Static, contrast: f32):
+    """Return `load_harmonics` as a blur leaves them that multiplies the first by this: the nth by its power of n^2."""
+    result = harmonics
+    square = contrast * contrast
+    factor, ratio = contrast, contrast * square
+    for n in ti.static(range(1, HARMONICS + 1)):
+        for channel in ti.static(range(3)):
+            result[channel, n - 1] *= factor
+            result[channel, HARMONICS + n - 1] *= factor
+        factor *= ratio
+        ratio *= square
+    return result
+
+
+@ti.func
 def cycle_and_slope(harmonics: Static, phase: f32):
     """Return the template's three channels at a phase and their derivatives, given `load_harmonics`."""
     cosine, sine = cosine_and_sine(phase)

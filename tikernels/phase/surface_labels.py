@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, LevelsImage
-from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
+from tikernels.phase.channel_template import blurred, cycle_and_slope, load_harmonics
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
@@ -54,6 +54,26 @@ _UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
 _OPENING_PX, _OPENING_CYCLES = 7, 1.5
 
 
+class Fringe(NamedTuple):
+    """How the fringe of each place differs from the template."""
+
+    contrast_doubt: float
+    """Standard deviation of a pixel's contrast, as a fraction."""
+    around: npt.NDArray[np.float32]
+    """(Hg, Wg, 2) around every node of a grid: by what blur multiplies the first harmonic, and the phase's change since
+    the frame before, rad."""
+    spacing_px: int
+    """px between the grid's nodes."""
+    times: npt.NDArray[np.float64] | None
+    """(3,) when red, green and blue are shown, beside the middle one, in times from frame to frame; None: at once."""
+
+    def delays(self, matrix: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return (3, 3): takes the template's derivative to what a change of one rad adds to the channels."""
+        times = np.zeros(3) if self.times is None else self.times
+        white = matrix.astype(np.float64)
+        return np.asarray(white @ np.diag(times) @ np.linalg.inv(white), np.float32)
+
+
 class Relabelled(NamedTuple):
     """Which surface each pixel shows, once misfits have been compared."""
 
@@ -79,6 +99,9 @@ def surface_misfits_kernel(
     read_noise: f32,  # levels
     noise_gain: f32,  # levels
     contrast_doubt: f32,  # as a fraction
+    around: F32Array3,  # (Hg, Wg, 2) contrast beside the template's, and motion, around every node; see `Fringe`
+    delays: F32Array2,  # (3, 3) takes the template's derivative to what motion of one adds, in rad
+    spacing_px: i32,  # between nodes
     step: i32,  # px between the pixels that are looked at
     out: F32Array3,  # (N, ceil(H / step), ceil(W / step)) squares of standard deviations; -1: says nothing
 ):
@@ -88,6 +111,7 @@ def surface_misfits_kernel(
         surface, y, first = t // (height * strips), t // strips % height, t % strips * _PIXELS_AT_ONCE
         weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
         matrix, inverse = surface_matrix(mixing, surface), surface_matrix(unmixing, surface)
+        delay = matrix_of(delays)
         rest = surface_ambient(ambient, surface)
         count = ti.min(_PIXELS_AT_ONCE, width - first)
         red, green, blue, shown = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
@@ -107,7 +131,10 @@ def surface_misfits_kernel(
             wrong, doubt = _MODEL_ERROR * seen.sum() / 3.0, _AMBIENT_ERROR * rest
             noise = read_noise * read_noise + noise_gain * ti.max(seen, 0.0) + wrong * wrong + doubt * doubt
             weight = 1.0 / ti.sqrt(noise)
-            cycle, slope = cycle_and_slope(harmonics, phase[k])
+            i = ti.min(y * step // spacing_px, around.shape[0] - 1)
+            j = ti.min((first + k) * step // spacing_px, around.shape[1] - 1)
+            cycle, slope = cycle_and_slope(blurred(harmonics, around[i, j, 0]), phase[k])
+            cycle += around[i, j, 1] * (delay @ slope)
             model, change = weight * (matrix @ cycle), weight * (matrix @ slope)
             swing = weight * (matrix @ (cycle - 1.0))
             left = misfit_of(weight * (seen - rest), model, change, swing, contrast_doubt)
@@ -122,7 +149,7 @@ def surface_misfits(
     levels: FrameLevels,
     correction: F32,
     template: F32,
-    contrast_doubt: float,
+    fringe: Fringe,
     step: int = 1,
 ) -> _Misfits:
     """Return what each surface's matrix leaves over of every pixel.
@@ -139,8 +166,8 @@ def surface_misfits(
         rad to add to the arctangent; see `equalization.correction_table`.
     template : (3, terms) float32
         One cycle of a neutral surface's channels.
-    contrast_doubt : float
-        Standard deviation of a pixel's contrast about the template's, as a fraction.
+    fringe : Fringe
+        How pixels' fringes differ from the template.
     step : int
         px between the pixels that are looked at, both ways.
 
@@ -171,7 +198,10 @@ def surface_misfits(
         levels.clipped,
         levels.read_noise,
         levels.noise_gain,
-        contrast_doubt,
+        fringe.contrast_doubt,
+        fringe.around,
+        fringe.delays(crosstalk.matrix),
+        fringe.spacing_px,
         step,
         out,
     )

@@ -95,10 +95,15 @@ class SurfaceSamples:
     around: _Array  # (N,) mean brightness around, levels
     contrast_doubt: float  # standard deviation of each one's contrast about the light's, as a fraction
     offset: _Array | None = None  # (N, 3) rad, by how much the phases of red, green and blue are ahead; None: nothing
+    contrast: _Array | None = None  # (N,) of the first harmonic beside the light's, as a factor; None: as it is
 
     def angles(self, phase: _Array) -> _Array:
         """Return the phase at which each primary's light is seen, (N,) or (N, 3) rad, given the pixels'."""
         return phase if self.offset is None else phase[:, None] + self.offset
+
+    def waves(self, light: _Complexes, phase: _Array) -> tuple[_Array, _Array]:
+        """Return each pixel's light and its derivative by the phase, (N, 3), given the pixels' phases."""
+        return waves(light, self.angles(phase), self.contrast)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +139,7 @@ class FittedMatrices:
         )
 
 
-def waves(light: _Complexes, phase: _Array) -> tuple[_Array, _Array]:
+def waves(light: _Complexes, phase: _Array, contrast: _Array | None = None) -> tuple[_Array, _Array]:
     """Return the projector's light and its derivative by the phase, (N, 3).
 
     Parameters
@@ -143,9 +148,13 @@ def waves(light: _Complexes, phase: _Array) -> tuple[_Array, _Array]:
         From the first on.
     phase : (N,) or (N, 3)
         rad; of all primaries, or of each.
+    contrast : (N,), optional
+        By what blur multiplies the first harmonic; the nth by its power of n^2.
     """
     n = np.arange(1, light.shape[1] + 1)
     turns = np.exp(1j * n * phase[..., None])
+    if contrast is not None:
+        turns *= (contrast[:, None] ** n**2).reshape(len(contrast), *[1] * (phase.ndim - 1), -1)
     if phase.ndim == 1:
         return 1 + (turns @ light.T).real, (turns * 1j * n @ light.T).real
     parts = turns * light
@@ -278,7 +287,7 @@ def _contrast_variance(
     """Return the variance of z where a pixel's contrast is not quite the light's."""
     if surface.contrast_doubt == 0:
         return 1.0
-    swing = (waves(light, surface.angles(found.phase))[0] - 1) @ matrix.T * weight
+    swing = (surface.waves(light, found.phase)[0] - 1) @ matrix.T * weight
     return np.asarray(1 + (surface.contrast_doubt * found.brightness * _dot(swing, found.normal)) ** 2)
 
 
@@ -298,7 +307,7 @@ def _across(
 ) -> _Across:
     """Find the phase and the brightness of pixels, and what these leave over."""
     for turn in range(turns + 1):
-        p, change = waves(light, surface.angles(phase))
+        p, change = surface.waves(light, phase)
         m, d = p @ matrix.T * weight, change @ matrix.T * weight
         square = _dot(m, m)
         brightness = np.maximum(_dot(seen, m) / square, 1e-9)
@@ -356,7 +365,7 @@ class _Equations:
         found = _across(surface, rest * weight, matrix, weight, light, phase, turns)
         phase, brightness, m, d, normal, z = found
         angles = surface.angles(phase)
-        self.phase, p = phase, waves(light, angles)[0]
+        self.phase, p = phase, surface.waves(light, phase)[0]
         level = np.sqrt((_dot(m, m) * brightness**2).mean())
         # The columns: nine entries of K, as fractions; three of ambient light; the harmonics, as fractions.
         size = 9 + 3 + light.shape[1]
@@ -369,7 +378,10 @@ class _Equations:
         of_z[:, 9:12] = weight * normal
         of_brightness[:, 9:12] = weight * bright / brightness[:, None]
         for h in range(light.shape[1]):
-            wave = (np.exp(1j * (h + 1) * angles.reshape(len(z), -1)) * known_light[:, h]).real @ matrix.T * weight
+            turning = np.exp(1j * (h + 1) * angles.reshape(len(z), -1))
+            if surface.contrast is not None:
+                turning *= surface.contrast[:, None] ** (h + 1) ** 2
+            wave = (turning * known_light[:, h]).real @ matrix.T * weight
             of_z[:, 12 + h] = brightness * _dot(wave, normal)
             of_brightness[:, 12 + h] = _dot(wave, bright)
         usual = _HUBER * 1.48 * np.median(np.abs(z)) + 1e-12

@@ -50,6 +50,22 @@ def test_ambient_light_is_what_the_modulation_does_not_follow(cpu, gamma):
     assert look_at(image).ambient == 0  # without shading nothing tells
 
 
+def test_where_the_fringe_is_finer_blur_leaves_less_of_it(cpu):
+    """Half of the plane turns away: 9 px a cycle instead of 12.3; of the fundamental v / 2 times the slope squared."""
+    image, _, _ = board(["white"], (240, 320), gamma=1.0, noise=0.2)
+    y = np.arange(240)[:, None]
+    phase = np.where(np.arange(320) < 200, 2 * np.pi * y / PERIOD_PX, 2 * np.pi * y / 9.0)
+    sent = 0.5 + 0.5 * np.cos(phase[..., None] + np.array([-1, 0, 1]) * 2 * np.pi / 3)
+    image = (240 * sent @ surface_matrix(PAINTS["white"]).T + 10).astype(np.float32)
+    look = look_at(image)
+    usual, fine = look.contrast[8:-8, 5:20], look.contrast[8:-8, -10:-3]
+    expected = np.exp(-((2 * np.pi / 9.0) ** 2 - (2 * np.pi / PERIOD_PX) ** 2) / 6)
+    assert np.median(usual) == pytest.approx(1, abs=0.005)
+    assert np.median(fine) == pytest.approx(expected, abs=0.01)
+    fringe = look.fringe(0.01)
+    assert fringe.around.shape == (*look.contrast.shape, 2) and fringe.times is None
+
+
 def test_shadow_and_darkness_are_unlit(cpu):
     image, _, _ = board(["white"], (120, 160))
     image[40:80, 60:100] = 30  # light without a fringe

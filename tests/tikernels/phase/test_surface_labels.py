@@ -9,7 +9,7 @@ from tikernels.phase.channel_template import known_template
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.projector_response import response_table
-from tikernels.phase.surface_labels import relabel, surface_misfits
+from tikernels.phase.surface_labels import Fringe, relabel, surface_misfits
 from tikernels.phase.surfaces import NO_SURFACE, Surfaces
 
 LEVELS = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 5.0)
@@ -27,11 +27,19 @@ def surfaces_of(labels: np.ndarray) -> Crosstalk:
     return Crosstalk.of(neutral, surfaces=Surfaces.of(matrices @ np.linalg.inv(neutral), labels, ambient))
 
 
-def misfits_of(image: np.ndarray, labels: np.ndarray, step: int = 1) -> np.ndarray:
+def even(contrast: float = 1.0, changed: float = 0.0) -> Fringe:
+    around = np.tile(np.array([contrast, changed], np.float32), (8, 10, 1))
+    return Fringe(0.0, around, 32, np.array([-1 / 3, 0, 1 / 3]))
+
+
+EVEN = even()
+
+
+def misfits_of(image: np.ndarray, labels: np.ndarray, step: int = 1, fringe: Fringe = EVEN) -> np.ndarray:
     crosstalk = surfaces_of(labels)
     correction = response_table(_SPECTRUM)
     template = known_template(crosstalk.matrix, _SPECTRUM)
-    return surface_misfits(image, crosstalk, LEVELS, correction, template, 0.0, step)
+    return surface_misfits(image, crosstalk, LEVELS, correction, template, fringe, step)
 
 
 def test_the_right_surface_leaves_noise_over(arch):
@@ -42,6 +50,32 @@ def test_the_right_surface_leaves_noise_over(arch):
         means = misfits[:, numbers == own].mean(axis=1)
         assert 0.5 < means[own] < 1.2
         assert (np.delete(means, own) > 2.5 * means[own]).all()
+
+
+def test_a_finer_fringe_has_less_contrast(arch):
+    """Blur that takes 8 % of the fundamental is no other surface."""
+    image, phase, _ = board(["white"], noise=0.5)
+    spectrum = _SPECTRUM * 0.92 ** (np.arange(5) ** 2)
+    cycle = (np.exp(1j * np.arange(5) * phase[..., None, None]) * np.r_[1, 2 * np.ones(4)] * spectrum).sum(axis=-1).real
+    blurred = image + (240 * (cycle - light(phase)) @ surface_matrix(PAINTS["white"]).T).astype(np.float32)
+    labels = np.zeros(phase.shape, np.uint8)
+    as_if_even, as_it_is = (misfits_of(blurred, labels, fringe=even(contrast))[0].mean() for contrast in (1.0, 0.92))
+    assert as_it_is < 0.7
+    assert as_if_even > 2 * as_it_is
+
+
+def test_motion_between_colours_is_no_other_surface(arch):
+    """A third of 0.4 rad from colour to colour."""
+    phase = board(["white"], noise=0.0)[1]
+    each = phase[..., None] + 0.4 * np.array([-1 / 3, 0, 1 / 3])
+    sent = np.stack([light(each[..., k])[..., k] for k in range(3)], axis=-1)
+    matrix = surface_matrix(PAINTS["white"])
+    image = 240 * sent @ matrix.T + 6 * matrix.sum(axis=1) + 4
+    image = (image + 0.5 * np.random.default_rng(3).standard_normal(image.shape)).astype(np.float32)
+    labels = np.zeros(phase.shape, np.uint8)
+    as_if_still, as_it_is = (misfits_of(image, labels, fringe=even(1.0, moved))[0].mean() for moved in (0.0, 0.4))
+    assert as_it_is < 0.8
+    assert as_if_still > 2 * as_it_is
 
 
 def test_every_second_pixel(arch):

@@ -56,6 +56,18 @@ def test_waves_are_the_light_and_its_slope():
     np.testing.assert_allclose(slope, step, atol=1e-6)
 
 
+def test_blur_takes_more_of_higher_harmonics():
+    """The nth by the power of n^2; a fit that knows it finds what there is."""
+    phase, contrast = np.linspace(-3, 3, 40), np.full(40, 0.9)
+    expected = 1 + sum((0.9**n**2 * LIGHT[:, n - 1] * np.exp(1j * n * phase)[:, None]).real for n in range(1, 5))
+    value, slope = waves(LIGHT, phase, contrast)
+    np.testing.assert_allclose(value, expected, atol=1e-9)
+    each = phase[:, None] + np.array([0.1, 0.0, -0.1])
+    np.testing.assert_allclose(waves(LIGHT, each, contrast)[0][:, 1], value[:, 1], atol=1e-9)
+    step = (waves(LIGHT, phase + 1e-5, contrast)[0] - waves(LIGHT, phase - 1e-5, contrast)[0]) / 2e-5
+    np.testing.assert_allclose(slope, step, atol=1e-6)
+
+
 def fitted(paints: tuple[str, ...], light_off: float = 1.0, **more):
     samples = [pixels(paint) for paint in paints]
     colors = np.stack([s.light.mean(axis=0) - 6 for s in samples])
