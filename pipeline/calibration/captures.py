@@ -29,7 +29,7 @@ SWAPPED = "camera and projector are swapped in the calibration: calibrate geomet
 class PictureSequence(Model):
     """What is projected, in order; ``sequence.json``."""
 
-    kind: Literal["radiometry", "geometry"]
+    kind: Literal["radiometry", "geometry", "chart"]
     size_px: tuple[int, int]  # the projector's width and height
     names: tuple[str, ...]  # of the files, without suffix, in the order of projection
 

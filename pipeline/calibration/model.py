@@ -161,6 +161,7 @@ class Calibration(Model):
     pattern: Pattern | None = None
     crosstalk_matrix: Matrix3 | None = None  # camera = matrix @ projector, in linear light
     response: Response | None = None  # linear light for each projector code
+    wavelengths_nm: Matrix3 | None = None  # where camera channel i (row) sees primary j
     color_shift_px: ColorShift | None = None
     depth_range_mm: tuple[Positive, float] | None = None
     capture: CameraState | None = None
@@ -181,6 +182,10 @@ class Calibration(Model):
             np.any(np.diff(self.response) < 0) or np.any(np.abs(self.response[:, [0, -1]] - [0, 1]) > 1e-6)
         ):
             raise ValueError("response must rise from 0 to 1 in every row")
+        if self.wavelengths_nm is not None:
+            own = np.diag(self.wavelengths_nm)
+            if self.wavelengths_nm.min() < 380 or self.wavelengths_nm.max() > 780 or not (np.diff(own) < 0).all():
+                raise ValueError("wavelengths_nm must lie from 380 to 780, red's own above green's above blue's")
         if self.depth_range_mm is not None and self.depth_range_mm[1] <= self.depth_range_mm[0]:
             raise ValueError("depth_range_mm must be [nearest, farthest]")
         return self

@@ -11,10 +11,12 @@ from rich.table import Table
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.captures import CapturedFolder, refuse_other_camera, write_sequence
+from pipeline.calibration.color_chart import chart_codes, chart_sequence, measure_wavelengths, read_spectra
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Uncertainty, choose_pattern
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
 from pipeline.calibration.pose_folders import measure_poses
 from pipeline.calibration.radiometry import (
+    PRIMARIES,
     Radiometry,
     measure_radiometry,
     radiometry_codes,
@@ -136,6 +138,86 @@ def radiometry(
     name = found.transfer if isinstance(found.transfer, str) else "a curve of its own, measured"
     say(f"the camera's transfer: {name}; grey is red + green + blue to {found.additivity:.2%} of white")
     say(f"wrote {target} and {plot}")
+
+
+@calibrate.command
+def wavelengths(
+    captures: Path | None = None,
+    /,
+    *,
+    make: Path | None = None,
+    out: Path | None = None,
+    size: str = _SIZE,
+    calibration: Path | None = None,
+    spectra: Path | None = None,
+    corners: Annotated[
+        tuple[float, float, float, float, float, float, float, float] | None, Parameter(consume_multiple=True)
+    ] = None,
+    nm: Annotated[
+        tuple[float, float, float, float, float, float, float, float, float] | None, Parameter(consume_multiple=True)
+    ] = None,
+    white_level: Annotated[float | None, Parameter(validator=above_zero)] = None,
+    force: bool = False,
+) -> None:
+    """Measure at which wavelengths the camera's channels see the projector's primaries, from a colour chart.
+
+    It lessens the steps between surfaces of different colours. Example: colorphase calibrate wavelengths --make fields,
+    project and capture each of the four pictures on a chart of 24 patches, then colorphase calibrate wavelengths
+    captures --spectra chart.csv --corners 120 90 510 95 505 350 118 345 --calibration calibration.json --out new.json
+
+    Parameters
+    ----------
+    captures
+        Folder with the captures, in linear light, under the names that the pictures have.
+    make
+        Write the pictures to project into this new folder instead.
+    out
+        The calibration to write.
+    size
+        The projector's width and height in px.
+    calibration
+        The calibration that they are added to; it holds the crosstalk.
+    spectra
+        CSV table of the patches' reflectances: a row a wavelength, nm and then 24 patches in reading order, 0..1.
+    corners
+        x and y, px, of the middles of the first row's first and last patch, and of the last row's last and first.
+    nm
+        The nine wavelengths from data sheets instead: of the red channel under red, green and blue light, then of the
+        green one, then of the blue one.
+    white_level
+        Full scale of the captures; left out, their type's.
+    force
+        Replace an existing calibration.
+    """
+    if make is not None and captures is None and out is None:
+        sequence = chart_sequence(size_of(size))
+        width, height = sequence.size_px
+        write_sequence(make, sequence, lambda name: np.broadcast_to(chart_codes(name), (height, width, 3)))
+        say(f"{len(sequence.names)} pictures in {make}: project each on the chart, and capture it under the same name")
+        return
+    if out is None or calibration is None:
+        raise SettingsError("give --calibration, to which the wavelengths are added, and --out")
+    check_target(out, force=force)
+    known = Calibration.read(calibration)
+    if nm is not None:
+        if captures is not None:
+            raise SettingsError("--nm gives the wavelengths: leave the captures away")
+        values = {**known.model_dump(), "wavelengths_nm": np.reshape(nm, (3, 3))}
+        build(Calibration, values, SettingsError, "calibration").write(out, force=force)
+        say(f"wrote {out}")
+        return
+    if captures is None or spectra is None or corners is None:
+        raise SettingsError("give a folder of captures, --spectra and --corners, or the nine wavelengths with --nm")
+    fields = CapturedFolder(captures, chart_sequence(size_of(size)).names)
+    found = measure_wavelengths(fields, np.reshape(corners, (4, 2)), read_spectra(spectra), white_level)
+    found.add_to(known).write(out, force=force)
+    table = Table(title="wavelengths at which each camera channel sees the projector's light, nm", show_header=True)
+    for heading in ("", *PRIMARIES):
+        table.add_column(heading)
+    for channel, own, sigma in zip(PRIMARIES, found.wavelengths_nm, found.sigma_nm, strict=True):
+        table.add_row(channel, *(f"{value:.0f} ± {deviation:.0f}" for value, deviation in zip(own, sigma, strict=True)))
+    stdout.print(table)
+    say(f"patches are off their spectra by {found.misfit:.1%}; wrote {out}")
 
 
 @calibrate.command

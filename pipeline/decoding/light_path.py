@@ -59,6 +59,7 @@ class LightPath:
         self._bands = settings.reflectance_bands
         self.code = settings.code
         self._equalize = settings.equalize
+        self._wavelengths_nm: FloatArray | None = None
         responses: list[FloatArray] = []  # that the pattern's codes may go through
         compensated: bool | None = None
         self._learned: LightEstimate | None = None
@@ -74,6 +75,7 @@ class LightPath:
                 self.code = calibration.pattern.code
             self.transfer = _transfer(settings, calibration)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
+            self._wavelengths_nm = calibration.wavelengths_nm
             if calibration.response is not None and compensated is not True:
                 responses.append(calibration.response)
             if compensated is True or (compensated is None and responses):
@@ -152,9 +154,9 @@ class LightPath:
         contrasts = cycle_modulations()
         coded = 0.0 if self.code is None else float(contrasts.std() / contrasts.mean())
         if self._bands is None and self._learned is not None:
-            self.surfaces = SurfaceFinder(None, coded)
+            self.surfaces = SurfaceFinder(None, coded, self._wavelengths_nm)
         elif self._bands is None and self.constant_known:
-            self.surfaces = SurfaceFinder(matrix.sum(axis=1), coded)
+            self.surfaces = SurfaceFinder(matrix.sum(axis=1), coded, self._wavelengths_nm)
         if self._bands == "narrow":
             self.crosstalk = Crosstalk.of(np.eye(3), lag=self._lag, surfaces=Surfaces.of(matrix))
         else:

@@ -14,7 +14,7 @@ from tikernels.phase.field_motion import FieldMotion
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import channel_delays, phase_weights
 from tikernels.phase.surface_colors import color_ratios
-from tikernels.phase.surface_matrix import BETWEEN, BROAD, predict_matrices, residuals
+from tikernels.phase.surface_matrix import BETWEEN, BROAD, band_weights, predict_matrices, residuals
 
 # A frame whose colours are this close to white, as logarithms of ratios, has nothing to undo.
 _NEUTRAL = 0.05
@@ -38,10 +38,15 @@ class SurfaceFinder:
         of a frame is taken for it.
     contrast_doubt : float
         Standard deviation of a pixel's contrast about the frame's, as a fraction, where a code changes it; else 0.
+    wavelengths_nm : (3, 3), optional
+        Where camera channel i sees primary j; None: not known.
     """
 
-    def __init__(self, white: FloatArray | None, contrast_doubt: float) -> None:
+    def __init__(
+        self, white: FloatArray | None, contrast_doubt: float, wavelengths_nm: FloatArray | None = None
+    ) -> None:
         self._white, self._contrast_doubt = white, contrast_doubt
+        self._bands = BETWEEN if wavelengths_nm is None else band_weights(wavelengths_nm)
 
     def find(
         self,
@@ -120,6 +125,7 @@ class SurfaceFinder:
             leak=_UNKNOWN_LEAK if self._white is None else _LEAK,
             harmonic=_KNOWN_HARMONIC if template_known else _SEEN_HARMONIC,
             contrast_doubt=self._contrast_doubt,
+            bands=self._bands,
         )
 
     def _acts_after(self, look: FirstLook, known: KnownLight) -> bool:
@@ -137,4 +143,4 @@ class SurfaceFinder:
             return float(np.median(np.abs(residuals(samples, matrix, ambient, known.light))))
 
         after = left_over(BROAD)
-        return after < _NOISE and after < _BY_FAR * left_over(BETWEEN)
+        return after < _NOISE and after < _BY_FAR * left_over(known.bands)

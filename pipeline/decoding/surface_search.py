@@ -19,7 +19,6 @@ from tikernels.phase.phase_vector import phase_weights
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
 from tikernels.phase.surface_labels import LEAST_PX, Relabelled, relabel, surface_misfits
 from tikernels.phase.surface_matrix import (
-    BETWEEN,
     BROAD,
     FittedMatrices,
     SurfaceSamples,
@@ -78,6 +77,8 @@ class KnownLight:
     """How far a harmonic of the light may be off, besides contrast and blur, as a fraction of the first."""
     contrast_doubt: float
     """Standard deviation of a pixel's contrast by the pattern's code, as a fraction."""
+    bands: FloatArray
+    """(3, 3, 3) where colours act, as a rule; see `predict_matrices`."""
 
     def template(self, light: _Complexes) -> npt.NDArray[np.float32]:
         """Return one cycle of a neutral surface's channels."""
@@ -147,7 +148,7 @@ class SurfaceSearch:
         self._labels, self._colors = labels, colors
         self._ambient: FloatArray | None = None  # (n, 3) levels
         self._light = known.light
-        self._bands = [BETWEEN, BROAD]  # where colours act; those that are still possible
+        self._bands = [known.bands, BROAD]  # where colours act; those that are still possible
         # Which surfaces need not fit: those that the frame began with, and those that have not been fitted yet.
         self._first = self._spared = np.ones(len(colors), bool)
         # Places where no new surface is looked for: pixels of an edge see two of them, and no matrix explains that;

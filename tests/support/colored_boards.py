@@ -5,7 +5,7 @@ import numpy as np
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration
 from pipeline.simulation import TYPICAL_CROSSTALK
-from tikernels.phase.surface_matrix import BROAD, NARROW
+from tikernels.phase.surface_matrix import BROAD, NARROW, band_weights
 
 PERIOD_PX = 12.3
 MATRIX = np.array(TYPICAL_CROSSTALK)
@@ -21,6 +21,11 @@ def surface_matrix(reflectance: tuple[float, float, float], broad: float = 0.25)
     return np.asarray(MATRIX * np.exp(weights @ np.log(reflectance)))
 
 
+def band_matrix(reflectance: tuple[float, float, float], wavelengths_nm: np.ndarray) -> np.ndarray:
+    """Return the matrix of a paint where filters and primaries meet at these wavelengths."""
+    return np.asarray(MATRIX * np.exp(band_weights(wavelengths_nm) @ np.log(reflectance)))
+
+
 def light(phase: np.ndarray, gamma: float = 2.0) -> np.ndarray:
     """Return what the projector sends at a phase, (..., 3) in 0..1."""
     return np.asarray((0.5 + 0.5 * np.cos(phase[..., None] + _DELAYS)) ** gamma)
@@ -33,6 +38,7 @@ def board(
     noise: float = 1.0,
     broad: float = 0.25,
     gamma: float = 2.0,
+    matrices: list[np.ndarray] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Photograph columns of paints: levels (H, W, 3) float32 of 255, the true phase, rad, and the paints' numbers."""
     height, width = shape
@@ -41,7 +47,7 @@ def board(
     numbers = np.minimum(x * len(paints) // width, len(paints) - 1)
     sent, image = light(phase, gamma), np.empty((*shape, 3))
     for number, paint in enumerate(paints):
-        matrix = surface_matrix(PAINTS[paint], broad)
+        matrix = surface_matrix(PAINTS[paint], broad) if matrices is None else matrices[number]
         own = numbers == number
         image[own] = 240 * sent[own] @ matrix.T + 6 * matrix.sum(axis=1) + 4  # ambient light, and a pedestal
     image += noise * np.random.default_rng(4).standard_normal(image.shape)

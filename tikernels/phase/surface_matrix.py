@@ -33,6 +33,21 @@ NARROW = np.broadcast_to(np.eye(3), (3, 3, 3))
 #: Between the two, where wavelengths are not known: what common filters and primaries come closest to.
 BETWEEN = 0.15 * BROAD + 0.85 * NARROW
 
+
+def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
+    """Return the weights L, (3, 3, 3), where wavelengths are known: the logarithm of reflectance is linear between.
+
+    Parameters
+    ----------
+    wavelengths_nm : (3, 3)
+        Where filter i and primary j meet; those of i = j, falling, are where the three reflectances stand.
+    """
+    seen = np.asarray(wavelengths_nm, np.float64)
+    knots = np.diag(seen)[::-1]
+    shares = [np.interp(seen, knots, own) for own in np.eye(3)[::-1]]
+    return np.stack(shares, axis=-1)
+
+
 # Newton's steps that find the reflectances, how far one goes at the most, and by how much they keep together.
 _NEWTON, _NEWTON_STEP, _NEWTON_ENOUGH, _TOGETHER = 12, 0.7, 1e-4, 3e-4
 # An entry of K may be this fraction off its prediction: a standard deviation.

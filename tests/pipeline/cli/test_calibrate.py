@@ -30,6 +30,34 @@ def test_radiometry_command(folder, command):
     assert done.returncode == 0 and (folder / "board.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_wavelengths_command(folder, command):
+    """Pictures out; a chart of greys alone tells nothing, nine numbers from data sheets do."""
+    done = command("calibrate", "wavelengths", "--make", "fields", "--size", "64x48", cwd=folder)
+    assert done.returncode == 0 and sorted(path.name for path in (folder / "fields").glob("*.png")) == [
+        "0-black.png",
+        "1-red.png",
+        "2-green.png",
+        "3-blue.png",
+    ]
+    simulated_rig().model_copy(update={"crosstalk_matrix": np.eye(3)}).write(folder / "uncolored.json")
+    known = ("calibrate", "wavelengths", "--calibration", "uncolored.json", "--out", "nine.json")
+    nine = ("625", "553", "462", "622", "536", "468", "628", "515", "462")
+    done = command(*known, "--nm", *nine, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert json.loads((folder / "nine.json").read_text())["wavelengths_nm"][1] == [622, 536, 468]
+    done = command(*known[:-1], "colors.json", "--nm", *nine[::-1], cwd=folder)
+    assert done.returncode == 1 and "wavelengths_nm must lie from 380 to 780" in done.stderr
+    done = command(*known[:-1], "colors.json", "fields", cwd=folder)
+    assert done.returncode == 1 and "--spectra and --corners" in done.stderr
+    rows = [",".join([str(nm), *["0.5"] * 24]) for nm in range(400, 701, 50)]
+    (folder / "chart.csv").write_text("\n".join(rows) + "\n")
+    chart = ("--spectra", "chart.csv", "--corners", "5", "5", "58", "5", "58", "42", "5", "42")
+    for path in (folder / "fields").glob("*.png"):
+        write_png(path, (0.3 * read_image(path) + 20).astype(np.uint8))
+    done = command(*known[:-1], "colors.json", "fields", *chart, cwd=folder)
+    assert done.returncode == 1 and "tells no wavelength" in done.stderr and not (folder / "colors.json").exists()
+
+
 def test_check_and_fix(folder, command):
     """A flat plane is fine; a calibration without its crosstalk is named and mended; nothing is overwritten."""
     truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))

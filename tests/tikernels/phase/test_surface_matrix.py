@@ -9,6 +9,7 @@ from tikernels.phase.surface_matrix import (
     BROAD,
     NARROW,
     SurfaceSamples,
+    band_weights,
     fit_matrices,
     predict_matrices,
     residuals,
@@ -39,6 +40,15 @@ def test_a_colour_foretells_its_matrix(bands, broad):
     """Three reflectances from three numbers, exactly where the weights are those of the paint."""
     matrices = np.stack([normalized(surface_matrix(PAINTS[paint], broad)) for paint in COLORED])
     np.testing.assert_allclose(predict_matrices(matrices.sum(axis=2), MATRIX, bands), matrices, rtol=0.02, atol=2e-3)
+
+
+def test_weights_of_known_wavelengths():
+    """A third of the way from green's to red's, and beyond both: the logarithm is linear between, and flat outside."""
+    weights = band_weights([[620, 560, 470], [590, 530, 440], [650, 500, 450]])
+    np.testing.assert_allclose(weights[0], [[1, 0, 0], [1 / 3, 2 / 3, 0], [0, 0.25, 0.75]])
+    np.testing.assert_allclose(weights[1], [[2 / 3, 1 / 3, 0], [0, 1, 0], [0, 0, 1]])
+    np.testing.assert_allclose(weights[2], [[1, 0, 0], [0, 0.625, 0.375], [0, 0, 1]])
+    np.testing.assert_allclose(band_weights(np.tile([620, 530, 450], (3, 1))), NARROW)
 
 
 def test_white_keeps_its_matrix():
