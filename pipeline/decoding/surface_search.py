@@ -43,8 +43,8 @@ _STEP_PX = 2
 _SETTLED = 0.005
 # Pixels that no surface explains are looked at anew in the next frame if they are more by this factor.
 _MORE = 1.5
-# A surface whose pixels are off its model by more than this fraction is none, unless the frame began with it; and if
-# the largest is, no surfaces have been found.
+# A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it;
+# and if the largest does not, no surfaces have been found.
 _UNFIT = 0.02
 # A light of which this part is not explained may turn the phase by as much, rad.
 _PHASE_OF_LIGHT = 1.5
@@ -166,7 +166,7 @@ class SurfaceSearch:
                 return None
             turn += 1
             if ends:
-                last = self._relabel(fitted, 1, last=True)
+                last = self._relabel(fitted, 1)
                 return self._found(self._keep(last, fitted), last.unexplained)
             before = self._labels
             new = self._relabel(fitted, _STEP_PX)
@@ -266,18 +266,15 @@ class SurfaceSearch:
             samples.append(look.surface_samples(light, around, own_weights, ambient, doubt, offset, contrast))
         return numbers, samples
 
-    def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False, last: bool = False) -> Relabelled:
-        """Give every pixel to the surface that explains it best, looking at one of `step` both ways.
-
-        In the end a surface that does not quite fit is still better than one that fits less.
-        """
+    def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False) -> Relabelled:
+        """Give every pixel to the surface that explains it best, looking at one of `step` both ways."""
         look, known = self._look, self._known
         crosstalk = known.crosstalk(fitted.matrices, self._labels, fitted.ambient)
         model = (crosstalk, look.levels, look.correction, known.template(fitted.light))
         fringe = look.fringe(max(known.contrast_doubt, _UNEVEN))
         misfits = surface_misfits(look.device_image, *model, fringe, step)
-        usable = (fitted.misfit < _UNFIT) | self._spared | last
-        known_so_far = (self._labels[::step, ::step], usable, self._first)
+        fits = (fitted.misfit < _UNFIT) | self._spared
+        known_so_far = (self._labels[::step, ::step], fits, self._first)
         coded = known.contrast_doubt > 0
         new = relabel(misfits, *known_so_far, look.gains.period_px, step, coded=coded, afresh=afresh)
         if step == 1:

@@ -44,9 +44,10 @@ _CODED_CYCLES, _CODED = 0.6, 2.0
 # A whole neighbourhood, in cycles; and how far wide averages are computed on a coarser grid, px.
 _NEIGHBOURHOOD_CYCLES = 0.85
 _GRID_PX = 4
-# A surface of fewer pixels is none, and neither is one whose pixels another explains as well, but for this much.
+# A surface of fewer pixels is none, and neither is one whose pixels another explains as well, but for this much; or if
+# its own model does not fit them, for the second.
 LEAST_PX = 400
-_BETTER = 0.3
+_BETTER, _MUCH_BETTER = 0.3, 1.0
 # No surface explains a place with a larger misfit, or a neighbourhood with one larger than this, also in units of what
 # is usual in the frame.
 _UNEXPLAINED, _UNEXPLAINED_AROUND, _UNUSUAL = 3.0, 1.4, 1.6
@@ -212,7 +213,7 @@ def surface_misfits(
 def relabel(
     misfits: _Misfits,
     before: _Labels,
-    usable: _Mask,
+    fits: _Mask,
     founding: _Mask,
     period_px: float,
     step: int = 1,
@@ -228,8 +229,8 @@ def relabel(
         See `surface_misfits`.
     before : (H, W) uint8
         The surfaces that pixels are taken to show so far.
-    usable : (N,) bool
-        Which surfaces may be kept.
+    fits : (N,) bool
+        Which surfaces fit their pixels; others are kept only where the rest is much worse.
     founding : (N,) bool
         Which ones the frame began with: none that came later takes the place of one.
     period_px : float
@@ -245,7 +246,7 @@ def relabel(
     averages = _averaged(misfits, said, period_px, step, coded)
     if afresh:
         before = np.where(before == NO_SURFACE, NO_SURFACE, averages.argmin(axis=0)).astype(np.uint8)
-    kept = [k for k in range(len(misfits)) if usable[k]] or [0]
+    kept = list(range(len(misfits)))
     sizes = np.bincount(before[said], minlength=len(misfits))
     for k in sorted(kept, key=lambda k: (bool(founding[k]), int(sizes[k]))):
         own = said & (before == k)
@@ -253,8 +254,10 @@ def relabel(
         rivals = [j for j in others if founding[j] or not founding[k]]
         if others and not own.any():
             kept = others
-        elif rivals and min(averages[j][own].mean() for j in rivals) < averages[k][own].mean() + _BETTER:
-            kept = others
+        elif rivals:
+            least = min(averages[j][own].mean() for j in rivals) - averages[k][own].mean()
+            if least < (_BETTER if fits[k] else _MUCH_BETTER):
+                kept = others
     while True:
         nearest = averages[kept].argmin(axis=0)
         sizes = np.bincount(nearest[said], minlength=len(kept))

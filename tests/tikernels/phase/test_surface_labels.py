@@ -115,11 +115,29 @@ def test_what_none_needs_is_dropped_and_what_none_explains_is_told(cpu):
     misfits = misfits_of(image, numbers.astype(np.uint8))
     twice = np.concatenate([misfits, misfits[:1]])
     assert len(relabel(twice, numbers.astype(np.uint8), np.ones(4, bool), np.ones(4, bool), PERIOD_PX).kept) == 3
-    without = relabel(misfits, numbers.astype(np.uint8), np.array([True, False, True]), FOUNDING, PERIOD_PX)
-    assert without.kept == [0, 2]
+    without = relabel(
+        misfits[[0, 2]], np.where(numbers == 2, 1, 0).astype(np.uint8), np.ones(2, bool), FOUNDING[:2], PERIOD_PX
+    )
     inside = np.abs(np.arange(240) - 120) < 30
     assert without.unexplained[20:-20, inside].mean() > 0.8
     assert without.unexplained[:, :60].mean() < 0.02
+
+
+def test_a_surface_that_does_not_fit_stays_where_the_rest_is_much_worse(cpu):
+    """Pixels of orange that no other paint explains keep it; a bad copy of white goes, a good one would stay."""
+    image, _, numbers = board(PAINTED)
+    before = numbers.astype(np.uint8)
+    misfits = misfits_of(image, before)
+    fits = np.array([True, False, True])
+    assert relabel(misfits, before, fits, FOUNDING, PERIOD_PX).kept == [0, 1, 2]
+    halves = np.concatenate([misfits, misfits[:1]])
+    halves[3, :90] = np.maximum(halves[3, :90] - 0.6, 0)
+    before[:90][numbers[:90] == 0] = 3
+    later = np.array([True, True, True, False])
+    kept = [
+        relabel(halves, before, np.array([True, True, True, good]), later, PERIOD_PX).kept for good in (True, False)
+    ]
+    assert kept == [[0, 1, 2, 3], [0, 1, 2]]
 
 
 def test_what_is_refused(cpu):
