@@ -22,6 +22,7 @@ from pipeline.orders.order_finder import OrderFinder, SeenPhase
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
+from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import triangulate
 from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.field_motion import FieldMotion, measure_motion, undo_field_motion
@@ -226,6 +227,7 @@ class Decoder:
         off_rad = looked.phase_rad if isinstance(looked, NoModelFits) else 0.0
         fast = 0.0 if motion is None else motion.too_fast
         doubt = np.hypot(mismatch, off_rad) if found is None else found.constant_sigma
+        light = (model.contrast, mismatch, off_rad, fast, lambda: self._mm_per_rad(surface))
         return Measured(
             phases,
             surface,
@@ -235,8 +237,18 @@ class Decoder:
             constant_known=path.constant_known,
             constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
             order_doubt=placement.warning or lost,
-            light_doubts=light_doubts(model.contrast, mismatch, off_rad, fast, constant_known=path.constant_known),
+            light_doubts=light_doubts(*light, constant_known=path.constant_known),
         )
+
+    def _mm_per_rad(self, surface: SurfaceBuffers) -> float | None:
+        """Return by how much a radian moves the points of a frame, mm; None without any."""
+        rays = self._setup.rays
+        if rays is None or surface.points is None:
+            return None
+        radian = np.ones((rays.rays.shape[0], rays.rays.shape[1]), np.float32)
+        moved = point_sigma(surface.unwrapped, runtime.to_device(radian), surface.points, rays.rays, rays.projector)
+        shift = runtime.to_host(moved)  # synchronises
+        return float(np.nanmedian(shift)) if np.isfinite(shift).any() else None
 
     def _find_surfaces(
         self,

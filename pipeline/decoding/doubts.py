@@ -1,5 +1,7 @@
 """What a frame gives reason to doubt, each in one line that says what to do."""
 
+from collections.abc import Callable
+
 from pipeline.decoding.frame_reader import LinearFrame
 from tikernels.phase.frame_statistics import measure_frame
 from tikernels.transposing import transpose
@@ -21,7 +23,13 @@ def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
 
 
 def light_doubts(
-    contrast: float, mismatch: float, off_rad: float, too_fast: float, *, constant_known: bool
+    contrast: float,
+    mismatch: float,
+    off_rad: float,
+    too_fast: float,
+    mm_per_rad: Callable[[], float | None],
+    *,
+    constant_known: bool,
 ) -> tuple[str, ...]:
     """Say where the light is not as decoding assumes.
 
@@ -35,6 +43,8 @@ def light_doubts(
         By how much phases may be off where no matrix explains a surface's colours; 0: one does.
     too_fast : float
         Share of the surface that moves too fast for colours that follow each other.
+    mm_per_rad : callable
+        Returns what a radian is in depth; None without a calibration.
     constant_known : bool
         Whether the crosstalk is known, so that a mismatch means that it has changed.
     """
@@ -46,13 +56,15 @@ def light_doubts(
         )
     if constant_known and mismatch > _MAX_MISMATCH:
         doubts.append(
-            f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them: "
-            "calibrate the light anew (colorphase calibrate check says what is wrong)"
+            f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, which turns "
+            f"phases by about {_in_depth(mismatch, mm_per_rad)}: calibrate the light anew "
+            "(colorphase calibrate check says what is wrong)"
         )
     elif off_rad > 0:
         doubts.append(
-            f"no matrix explains the largest surface's colours, and phases may be off by some {off_rad:.2f} rad: look "
-            "for other light, a fluorescent paint, or a calibration of another rig"
+            "no matrix explains the largest surface's colours, and phases may be off by some "
+            f"{_in_depth(off_rad, mm_per_rad)}: look for other light, a fluorescent paint, or a calibration of another "
+            "rig"
         )
     if too_fast > _MAX_TOO_FAST:
         doubts.append(
@@ -60,3 +72,10 @@ def light_doubts(
             "after another, cannot be put together there; take frames faster"
         )
     return tuple(doubts)
+
+
+def _in_depth(phase_rad: float, mm_per_rad: Callable[[], float | None]) -> str:
+    """Return a phase in words, with what it is in depth where that is known."""
+    per_rad = mm_per_rad()
+    depth = "" if per_rad is None else f" ({phase_rad * per_rad:.2g} mm)"
+    return f"{phase_rad:.2f} rad{depth}"

@@ -36,7 +36,16 @@ def test_where_there_are_none_the_projector_is_looked_at(cpu):
     ],
 )
 def test_the_light(contrast, mismatch, off, fast, known, said):
-    doubts = light_doubts(contrast, mismatch, off, fast, constant_known=known)
+    doubts = light_doubts(contrast, mismatch, off, fast, lambda: None, constant_known=known)
     assert len(doubts) == len(said)
     for doubt, part in zip(doubts, said, strict=True):
         assert part in doubt
+
+
+def test_what_it_costs_is_said_in_mm(cpu):
+    said = [
+        light_doubts(0.4, mismatch, off, 0.0, lambda: 7.0, constant_known=True)[0]
+        for mismatch, off in ((0.3, 0.0), (0.0, 0.06))
+    ]
+    assert "turns phases by about 0.30 rad (2.1 mm): calibrate the light anew" in said[0]
+    assert "may be off by some 0.06 rad (0.42 mm): look for other light" in said[1]
