@@ -23,7 +23,7 @@ _COLUMNS = 16
 _MIN_SHARE = 0.15
 # What is darker than this share of the brightest does not tell the noise: clipped at zero it would show half of it.
 _DARK_SHARE = 0.06
-# Groups of samples, equally bright within each, that tell how the noise grows with the light; so many each.
+# Groups of samples, equally bright within each, that tell how the noise grows with the light, and samples of each.
 _NOISE_GROUPS, _LEAST_GROUP = 8, 200
 # Fourth differences leave out tilted stripes, and pixels two apart what demosaicing makes of their neighbours.
 _DIFFERENCE, _APART_PX = (1, -4, 6, -4, 1), 2
@@ -55,12 +55,12 @@ class FrameLevels:
     noise: float  # standard deviation of a channel at half of the brightest
     intensity: float  # least mean of the channels of a pixel that counts
     modulation: float  # least modulation of a pixel that counts
-    least_telling: float | None = None  # of one that tells what all have in common; None: the same
+    least_telling: float = 0.0  # of one that tells what all have in common, where that is more
 
     @property
     def telling(self) -> float:
         """Least modulation of a pixel that tells what all have in common: ambient light bends darker ones."""
-        return max(self.modulation, self.least_telling or 0.0)
+        return max(self.modulation, self.least_telling)
 
     @property
     def clipped(self) -> float:

@@ -36,12 +36,12 @@ OFF, PARTLY, WHOLE = 0, 1, 2
 # The error of the channels' model is this share of a pixel's variance: it is fitted to some fifty samples for three
 # channels' gains and offsets.
 _MODEL_ERROR = 0.03
-# Misfits are averaged over this many pixels both ways; the mean of so many that are all right is less than one and
-# this, two of its standard deviations, sqrt(2 / 25). A single pixel counts for no more than the third.
+# Misfits are averaged over this many pixels both ways. Where the model is right their mean exceeds one by less than the
+# second: two standard deviations, sqrt(2 / 25) each. A single pixel counts for no more than the third.
 _AROUND_PX, _BY_CHANCE, _MOST_MISFIT = 5, 0.57, 50.0
 # In the mean over the window a pixel counts for no more than this, rad^2: a highlight is not its neighbourhood's error.
 _MOST_VARIANCE = 0.25
-# One column in so many cycles tells that mean.
+# Columns of a cycle that tell that mean.
 _COLUMNS_A_CYCLE = 2.5
 # Where part of the window that the model is fitted to is empty, as near an edge, it follows the other side's shading:
 # an error in rad, whatever the noise, that grows with the root of that part.
