@@ -119,19 +119,19 @@ class FirstLook:
 
         Where a surface turns away the fringe is finer, and blur takes more of it.
         """
-        seen = runtime.to_host(self.gains.samples).astype(np.float64)
-        gain = _at_samples(runtime.to_host(self.gains.gains), self.gains)
-        wave = (seen * gain) @ (self._crosstalk.weights[:2].T.astype(np.float64)) @ [1, 1j]
-        phase = np.angle(wave)
-        phase += np.interp(phase, np.linspace(-np.pi, np.pi, len(self.correction)), self.correction)
+        gain = _at_samples(runtime.to_host(self.gains.gains), self.gains).astype(np.float32)
+        vector = (runtime.to_host(self.gains.samples) * gain) @ self._crosstalk.weights[:2].T
+        shown = (vector**2).sum(axis=-1) > self.levels.modulation**2
+        phase = np.arctan2(vector[..., 1], vector[..., 0])
+        phase += self._correction_at(phase)
         # Every second row shows the same column.
-        change = np.abs(np.angle(np.exp(1j * (phase[2:] - phase[:-2])))) / 2
-        shown = np.abs(wave) > self.levels.modulation
+        change = 0.5 * (phase[2:] - phase[:-2])
+        change -= np.pi * np.rint(change / np.pi)
         weight = (shown[2:] & shown[:-2]).astype(np.float32)
         size = self.ratios.shape[1::-1]
         squares, weights = (
             cv2.GaussianBlur(cv2.resize(part, size, interpolation=cv2.INTER_AREA), (0, 0), _CONTRAST_NODES)
-            for part in ((weight * change**2).astype(np.float32), weight)
+            for part in (weight * change.astype(np.float32) ** 2, weight)
         )
         known = weights > _FILLED
         slopes = squares / np.maximum(weights, 1e-3)
@@ -197,6 +197,13 @@ class FirstLook:
         contrast = self.contrast_around.ravel()[::step]
         return seen, np.asarray((seen * gain) @ self._crosstalk.weights.T.astype(np.float64)), contrast
 
+    def _correction_at(self, phase: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+        """Return what to add to bare phases, rad; several times as fast as `np.interp`."""
+        places = (phase + np.pi) * ((len(self.correction) - 1) / (2 * np.pi))
+        bins = np.clip(places.astype(np.int32), 0, len(self.correction) - 2)
+        left = self.correction[bins]
+        return np.asarray(left + (places - bins) * (self.correction[bins + 1] - left))
+
     def surface_samples(
         self,
         light: FloatArray,
@@ -224,13 +231,12 @@ class FirstLook:
         """
         vector = (light - ambient) @ weights.T
         bare = np.arctan2(vector[:, 1], vector[:, 0])
-        edges = np.linspace(-np.pi, np.pi, len(self.correction))
         noise = self.levels.read_noise**2 + self.levels.noise_gain * np.maximum(light, 0)
         least = _LEAST_NOISE * np.maximum(light, _DARK * self.levels.white)
         return SurfaceSamples(
             light,
             noise + least**2,
-            bare + np.interp(bare, edges, self.correction),
+            bare + self._correction_at(bare),
             np.maximum(around, 1e-9),
             contrast_doubt,
             offset,
