@@ -84,9 +84,10 @@ def read_spectra(path: Path) -> FloatArray:
         The file cannot be read, or is no such table.
     """
     try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        rows = [line.split("," if "," in line else None) for line in lines if line.strip() and line[0] not in "#\ufeff"]
-        table = np.array([[float(cell) for cell in row] for row in rows if row[0].strip()[:1].isdigit()])
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        # Headings and remarks do not begin with a number.
+        rows = [line.replace(",", " ").split() for line in lines if line.strip()[:1].isdigit()]
+        table = np.array([[float(cell) for cell in row] for row in rows])
     except (OSError, ValueError) as error:
         raise CalibrationError(f"{path} is no table of spectra: {error}") from None
     count = COLUMNS * ROWS

@@ -1,6 +1,7 @@
 """`colorphase calibrate ...`: radiometry, geometry, and whether they still hold."""
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -10,7 +11,7 @@ from cyclopts import App, Parameter
 from rich.table import Table
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.captures import CapturedFolder, refuse_other_camera, write_sequence
+from pipeline.calibration.captures import CapturedFolder, PictureSequence, refuse_other_camera, write_sequence
 from pipeline.calibration.color_chart import chart_codes, chart_sequence, measure_wavelengths, read_spectra
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Uncertainty, choose_pattern
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
@@ -26,7 +27,7 @@ from pipeline.calibration.radiometry_plot import plot_radiometry
 from pipeline.calibration.rig_geometry import GeometryFit, solve_geometry
 from pipeline.cli.console import Arch, above_zero, check_target, read_calibration, read_settings, say, size_of, stdout
 from pipeline.errors import SettingsError
-from pipeline.models import CameraState, build
+from pipeline.models import CameraState, FloatArray, build
 
 if TYPE_CHECKING:
     from pipeline.diagnosis.check_result import CheckResult
@@ -116,10 +117,7 @@ def radiometry(
         Replace an existing calibration.
     """
     if make is not None and captures is None and out is None:
-        sequence = radiometry_sequence(size_of(size))
-        width, height = sequence.size_px
-        write_sequence(make, sequence, lambda name: np.broadcast_to(radiometry_codes(name), (height, width, 3)))
-        say(f"{len(sequence.names)} pictures in {make}: project each, and capture it under the same name")
+        _write_fields(make, radiometry_sequence(size_of(size)), radiometry_codes, "a white target")
         return
     folder, target = _both(captures, out)
     check_target(target, force=force)
@@ -190,10 +188,7 @@ def wavelengths(
         Replace an existing calibration.
     """
     if make is not None and captures is None and out is None:
-        sequence = chart_sequence(size_of(size))
-        width, height = sequence.size_px
-        write_sequence(make, sequence, lambda name: np.broadcast_to(chart_codes(name), (height, width, 3)))
-        say(f"{len(sequence.names)} pictures in {make}: project each on the chart, and capture it under the same name")
+        _write_fields(make, chart_sequence(size_of(size)), chart_codes, "the chart")
         return
     if out is None or calibration is None:
         raise SettingsError("give --calibration, to which the wavelengths are added, and --out")
@@ -360,6 +355,13 @@ def check(
     if fix is not None:
         found.corrected().write(fix, force=force)
         say(f"wrote {fix}: it fits this pattern; measure the radiometry before you make a new one")
+
+
+def _write_fields(folder: Path, sequence: PictureSequence, codes: Callable[[str], FloatArray], target: str) -> None:
+    """Write full fields to project, given each one's (3,) projector codes, 0..1."""
+    width, height = sequence.size_px
+    write_sequence(folder, sequence, lambda name: np.broadcast_to(codes(name), (height, width, 3)))
+    say(f"{len(sequence.names)} pictures in {folder}: project each on {target}, and capture it under the same name")
 
 
 def _show_crosstalk(found: Radiometry) -> None:

@@ -104,7 +104,8 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     Returns
     -------
     FrameStatistics
-        The period to a few per cent, the noise at any brightness to some 20 %.
+        The period to a few per cent, the noise's variance at any brightness to some 20 %, 60 % at the worst; of
+        demosaiced light it is a quarter of a raw pixel's.
 
     Raises
     ------
