@@ -205,7 +205,7 @@ class Decoder:
             known = (model, crosstalk, levels, path.contrast_doubt)
             own = motion.beyond_mean(phases.modulation) if found is None else motion
             undo_field_motion(image, own, *known, out=(work.fitted_phase, phases.precision))
-        undo_camera_blur(work.fitted_phase, work.brightness, out=(work.raw_phase, phases.precision))
+        undo_camera_blur(work.fitted_phase, work.brightness, phases.precision, out=(work.raw_phase, phases.misfit))
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         smooth_phase(work.raw_phase, phases.precision, rates, self._setup.smoothing_pairs, out=phases.phase)

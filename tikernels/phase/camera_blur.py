@@ -15,14 +15,15 @@ import numpy as np
 from tikernels import checks
 from tikernels._taichi import F32Array2, f32, ti
 from tikernels.arrays import F32
+from tikernels.phase.phase_fit import MAX_MISFIT
 from tikernels.phase.phase_vector import wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.strips import STRIP, strip_at, strip_count
 
 #: v, px^2: a pixel's area makes 1/12, and a lens that is made for the sensor, with a blur of half a pixel, 1/4.
 VARIANCE_PX = 1 / 3
-# How far it may be from that, as a standard deviation.
-_DOUBT_PX = 1 / 6
+# How far it may be from that, and what the second order leaves at lips and moles, as a standard deviation.
+_DOUBT_PX = 0.5
 # Slopes on either side of a pixel that differ by more than this, or are steeper, are none: a step is near. rad a px
 _SAME_SLOPE, _STEEPEST = 0.4, 1.2
 _lanes, _row = ti.types.vector(STRIP, ti.f32), ti.types.vector(STRIP + 2, ti.f32)
@@ -44,8 +45,9 @@ def turned_by_blur(before: f32, here: f32, after: f32, dim: f32, bright: f32) ->
 def undo_camera_blur_kernel(
     phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
     brightness: F32Array2,  # (H, W)
-    precision: F32Array2,  # (H, W) 1 / rad^2; lessened
+    precision: F32Array2,  # (H, W) 1 / rad^2
     out: F32Array2,  # (H, W) rad, as the phase
+    out_misfit: F32Array2,  # (H, W) in units of the precision's variance; added to
 ):
     height, width = phase.shape[0], phase.shape[1]
     for t in range(height * strip_count(width, STRIP)):
@@ -53,13 +55,13 @@ def undo_camera_blur_kernel(
         above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
         here, light = _row(0.0), _row(0.0)
         upper, lower, light_above, light_below = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
-        sure, result = _lanes(0.0), _lanes(0.0)
+        sure, result, left = _lanes(0.0), _lanes(0.0), _lanes(0.0)
         for k in range(ti.max(0, 1 - first), ti.min(STRIP + 2, width - first + 1)):
             here[k], light[k] = phase[y, first - 1 + k], brightness[y, first - 1 + k]
         for k in range(count):
             upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
             light_above[k], light_below[k] = brightness[above, first + k], brightness[below, first + k]
-            sure[k] = precision[y, first + k]
+            sure[k], left[k] = precision[y, first + k], out_misfit[y, first + k]
         if first == 0:
             here[0] = NO_PHASE
         if count < STRIP or first + STRIP == width:
@@ -68,15 +70,16 @@ def undo_camera_blur_kernel(
             turn = turned_by_blur(upper[k], here[k + 1], lower[k], light_above[k], light_below[k])
             turn += turned_by_blur(here[k], here[k + 1], here[k + 2], light[k], light[k + 2])
             result[k] = here[k + 1] - ti.select(has_phase(here[k + 1]), VARIANCE_PX * turn, 0.0)
+            # The fit divides the precision by a misfit beyond the largest itself.
             doubt = _DOUBT_PX * turn
-            sure[k] = sure[k] / (1.0 + doubt * doubt * sure[k])
+            left[k] = ti.max(left[k], ti.min(left[k] + doubt * doubt * sure[k], MAX_MISFIT))
         for k in range(count):
             out[y, first + k] = result[k]
-            precision[y, first + k] = sure[k]
+            out_misfit[y, first + k] = left[k]
 
 
-def undo_camera_blur(phase: F32, brightness: F32, out: tuple[F32, F32]) -> None:
-    """Correct phases for the camera's blur, and lessen their precision by what that is unsure of.
+def undo_camera_blur(phase: F32, brightness: F32, precision: F32, out: tuple[F32, F32]) -> None:
+    """Correct phases for the camera's blur, and add to their misfit what that is unsure of.
 
     Parameters
     ----------
@@ -84,8 +87,10 @@ def undo_camera_blur(phase: F32, brightness: F32, out: tuple[F32, F32]) -> None:
         rad, a little beyond [-pi, pi]; NO_PHASE outside the mask.
     brightness : (H, W) float32
         Of the surface under equal light, without the fringe, in any unit.
+    precision : (H, W) float32
+        1 / rad^2, one over the phase's variance.
     out : two (H, W) float32
-        Where the phase goes, rad, not the input; and its precision, 1 / rad^2, which is changed.
+        Where the phase goes, rad, not the input; and its misfit, in units of that variance, which is added to.
 
     Raises
     ------
@@ -95,8 +100,9 @@ def undo_camera_blur(phase: F32, brightness: F32, out: tuple[F32, F32]) -> None:
     phase = checks.read_array("phase", phase, (None, None), np.float32)
     shape = (int(phase.shape[0]), int(phase.shape[1]))
     brightness = checks.read_array("brightness", brightness, shape, np.float32)
-    corrected, precision = (
+    precision = checks.read_array("precision", precision, shape, np.float32)
+    corrected, misfit = (
         checks.out_buffer(name, buffer, shape, np.float32)
-        for name, buffer in zip(("corrected phase", "precision"), out, strict=True)
+        for name, buffer in zip(("corrected phase", "misfit"), out, strict=True)
     )
-    undo_camera_blur_kernel(phase, brightness, precision, corrected)
+    undo_camera_blur_kernel(phase, brightness, precision, corrected, misfit)

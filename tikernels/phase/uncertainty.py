@@ -1,6 +1,6 @@
 """How sure the phase of each pixel is: what the fit says, checked against what rows really differ by.
 
-    sigma^2 = scatter^2 ((averaged + model + misfit) / precision + error) + edge^2 empty
+    sigma^2 = (scatter^2 (averaged + model) + misfit) / precision + error + edge^2 empty
 
 One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. Smoothing over n pixels leaves
 averaged = 1 / n of it, but only where all the neighbours are there, and never the channels' model's own error, which
@@ -15,8 +15,9 @@ as brightness or phase does not show. Smoothing leaves all of that.
 
 Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the scatter: third
 differences over four rows a quarter of a cycle apart, which leave a surface's bend out, in units of what the law of
-propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). Their median tells it, whatever they are
-at edges. Near an edge of the mask part of the balance window is empty.
+propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). Their median tells it, where noise is
+most of what is expected: a model is wrong in the same way over many rows, which then scatter less than they are off.
+Near an edge of the mask part of the balance window is empty.
 """
 
 import cv2
@@ -24,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
+from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti, vec2
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
@@ -60,13 +61,14 @@ _GRID = 2
 
 
 @ti.func
-def smoothed_variance(
+def smoothed_variances(
     precision: F32Array2, misfit: F32Array2, error: F32Array2, neighbours: U8Array2, averaged: f32, y: i32, x: i32
-) -> f32:
-    """Variance of a pixel's phase after smoothing, rad^2; NaN off the mask."""
-    share = ti.select(neighbours[y, x] == WHOLE, averaged, 1.0) + _MODEL_ERROR + misfit[y, x]
-    variance = share / ti.max(precision[y, x], _LEAST_PRECISION) + error[y, x]
-    return ti.select(neighbours[y, x] == OFF, ti.math.nan, variance)
+) -> vec2:
+    """Variances of a pixel's phase after smoothing, rad^2: by noise, NaN off the mask, and by the light's model."""
+    variance = 1.0 / ti.max(precision[y, x], _LEAST_PRECISION)
+    noise = (ti.select(neighbours[y, x] == WHOLE, averaged, 1.0) + _MODEL_ERROR) * variance
+    model = misfit[y, x] * variance + error[y, x]
+    return vec2([ti.select(neighbours[y, x] == OFF, ti.math.nan, noise), model])
 
 
 @ti.kernel
@@ -85,14 +87,14 @@ def compare_rows_kernel(
     rows, columns = out.shape[0], out.shape[1]
     for sample in range(rows * columns):
         y, x = sample // columns, sample % columns * every
-        difference, variance = 0.0, 0.0
+        difference, expected = 0.0, vec2(0.0)
         for k in ti.static(range(4)):
             weight = ti.static((1.0, -3.0, 3.0, -1.0)[k])
             difference += weight * phase[y + k * step, x]
-            variance += (
-                weight * weight * smoothed_variance(precision, misfit, error, neighbours, averaged, y + k * step, x)
-            )
-        out[y, sample % columns] = ti.abs(difference) / ti.sqrt(variance)
+            here = smoothed_variances(precision, misfit, error, neighbours, averaged, y + k * step, x)
+            expected += weight * weight * here
+        ratio = ti.abs(difference) / ti.sqrt(expected.sum())
+        out[y, sample % columns] = ti.select(expected[0] > expected[1], ratio, ti.math.nan)
 
 
 @ti.kernel
@@ -111,7 +113,8 @@ def phase_sigma_kernel(
     for t in range(height * strip_count(width, STRIP)):
         y, first, count = strip_at(t, width, STRIP)
         for x in range(first, first + count):
-            variance = scatter * scatter * smoothed_variance(precision, misfit, error, neighbours, averaged, y, x)
+            variances = smoothed_variances(precision, misfit, error, neighbours, averaged, y, x)
+            variance = scatter * scatter * variances[0] + variances[1]
             out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
 
 
@@ -202,7 +205,8 @@ def compare_rows(
     Returns
     -------
     (H - 3 step, ceil(W / every)) float32
-        0 or more, a standard deviation of one where the noise is as expected; NaN where a row is off the mask.
+        0 or more, a standard deviation of one where the noise is as expected; NaN where a row is off the mask, or more
+        is expected of the light's model than of noise.
 
     Raises
     ------

@@ -30,8 +30,8 @@ def case(seed=1):
 
 def expected_sigma(precision, neighbours, empty, scatter, error=0.0, misfit=0.0):
     """Return the fit's sigma, of which smoothing averages all but the model's 3 %, and 0.025 rad beside nothing."""
-    variance = (np.where(neighbours == WHOLE, AVERAGED, 1) + 0.03 + misfit) / precision + error
-    return np.where(neighbours == OFF, np.nan, np.sqrt(scatter**2 * variance + 0.025**2 * empty))
+    noise, model = (np.where(neighbours == WHOLE, AVERAGED, 1) + 0.03) / precision, misfit / precision + error
+    return np.where(neighbours == OFF, np.nan, np.sqrt(scatter**2 * noise + model + 0.025**2 * empty))
 
 
 def test_as_the_twin(arch):
@@ -119,6 +119,15 @@ def test_an_edge_of_paint_is_less_sure(arch):
     sigma = flat(misfits_of_noise(), edges)
     assert np.median(sigma[:, 151:154]) == pytest.approx(np.hypot(0.05, 0.02), rel=0.1)
     assert np.median(sigma[:, :140]) == pytest.approx(0.02, rel=0.05)
+
+
+def test_a_model_that_is_wrong_over_most_of_a_frame_makes_the_rest_no_surer(arch):
+    """What is wrong in the same way over many rows scatters less than it is off: only noise is compared with rows."""
+    misfit = misfits_of_noise()
+    misfit[:, 100:] *= 20.0
+    sigma = flat(misfit)
+    assert np.median(sigma[20:-20, 10:50]) == pytest.approx(0.02, rel=0.05)
+    assert np.median(sigma[20:-20, 150:-20]) > 0.06
 
 
 DELAYS = np.array([-1, 0, 1]) * 2 * np.pi / 3
