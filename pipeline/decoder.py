@@ -25,7 +25,8 @@ from tikernels.arrays import LevelsImage
 from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import triangulate
 from tikernels.phase.camera_blur import undo_camera_blur
-from tikernels.phase.field_motion import FieldMotion, measure_motion, undo_field_motion
+from tikernels.phase.crosstalk import Crosstalk
+from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
@@ -176,35 +177,27 @@ class Decoder:
         surface: SurfaceBuffers,
     ) -> Measured:
         """Go through all stages, from a frame with fringes to its points."""
-        image, path, work = frame.image, self._path, self._work(frame, period_px)
+        path, work = self._path, self._work(frame, period_px)
         crosstalk, gains, model, rates = path.crosstalk, work.gains, work.model, work.rates
         rays = self._setup.rays
+        image, motion = self._hold_still(frame, levels, work, memory)
         # The phase of every pixel: balance, response, each channel's wave, and a fit to all three.
-        gains.measure(image, crosstalk, levels)
-        faded = 0.0 if memory is None else memory.faded_phase_counts
-        counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
-        correction, cycle = path.cycle(counts, work.period_px)
-        # Surfaces take the model of a first look where nobody else knows a cycle of the light, motion its phases.
-        in_turns = self.settings.field_times is not None and memory is not None
-        first_look = in_turns or (path.surfaces is not None and not path.light_known)
+        counts, correction, cycle = self._measure_cycle(image, crosstalk, levels, work, memory)
+        # Surfaces take the model of a first look where nobody else knows a cycle of the light.
+        first_look = path.surfaces is not None and not path.light_known
         if first_look:
             model.fit(crosstalk, levels, correction, cycle)
-        motion = self._measure_motion(frame, levels, work, correction, memory)
-        looked = self._find_surfaces(frame, levels, work, correction, cycle, memory, motion)
+        looked = self._find_surfaces(image, levels, work, correction, cycle, memory)
         found = looked if isinstance(looked, FoundSurfaces) else None
         if found is not None:
             crosstalk, cycle = found.crosstalk, found.template
-            gains.measure(image, crosstalk, levels)
-            counts = np.asarray(count_phases(image, gains, crosstalk, levels) + faded, np.float64)
-            correction, _ = path.cycle(counts, work.period_px)
+            counts, correction, _ = self._measure_cycle(image, crosstalk, levels, work, memory)
         if found is not None or not first_look:
             model.fit(crosstalk, levels, correction, cycle, fixed=found is not None)
         fit = FittedPhase(work.fitted_phase, phases.modulation, phases.precision, phases.misfit, work.brightness)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         if motion is not None:
-            known = (model, crosstalk, levels, path.contrast_doubt)
-            own = motion.beyond_mean(phases.modulation) if found is None else motion
-            undo_field_motion(image, own, *known, out=(work.fitted_phase, phases.precision))
+            doubt_motion(motion, phases.precision, out=phases.misfit)
         undo_camera_blur(work.fitted_phase, work.brightness, phases.precision, out=(work.raw_phase, phases.misfit))
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
@@ -233,6 +226,7 @@ class Decoder:
             surface,
             phase_counts=counts,
             surfaces=found,
+            at_rest=self.settings.field_times is None or motion is not None,
             orders=orders,
             constant_known=path.constant_known,
             constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
@@ -250,15 +244,45 @@ class Decoder:
         shift = runtime.to_host(moved)  # synchronises
         return float(np.nanmedian(shift)) if np.isfinite(shift).any() else None
 
+    def _measure_cycle(
+        self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels, work: Workspace, memory: FrameMemory | None
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Balance the channels, and return how often phases are seen, what equalises them, and the light's cycle."""
+        work.gains.measure(image, crosstalk, levels)
+        faded = 0.0 if memory is None else memory.faded_phase_counts
+        counts = np.asarray(count_phases(image, work.gains, crosstalk, levels) + faded, np.float64)
+        return (counts, *self._path.cycle(counts, work.period_px))
+
+    def _hold_still(
+        self, frame: LinearFrame, levels: FrameLevels, work: Workspace, memory: FrameMemory | None
+    ) -> tuple[LevelsImage, FieldMotion | None]:
+        """Return the image as if its colours were of one moment, and what has moved between them; None: nothing known.
+
+        By a first look at the phase, and the frame before.
+        """
+        times, path, model = self.settings.field_times, self._path, work.model
+        image, motion = frame.image, None
+        if times is None or memory is None:
+            return image, motion
+        for _ in range(MOTION_TURNS):
+            _, correction, cycle = self._measure_cycle(image, path.crosstalk, levels, work, memory)
+            model.fit(path.crosstalk, levels, correction, cycle)
+            fit = fit_phase(image, model, path.crosstalk, levels, correction, path.contrast_doubt)
+            lag = 0.0
+            if motion is None:
+                motion = measure_motion(fit.phase, memory.surface.unwrapped, times, work.period_px)
+                lag = motion.mean_change(fit.modulation)
+            image = hold_still(frame.image, fit, motion, model, path.crosstalk, lag)
+        return image, motion
+
     def _find_surfaces(
         self,
-        frame: LinearFrame,
+        image: LevelsImage,
         levels: FrameLevels,
         work: Workspace,
         correction: npt.NDArray[np.float32],
         cycle: npt.NDArray[np.float32],
         memory: FrameMemory | None,
-        motion: FieldMotion | None,
     ) -> FoundSurfaces | NoModelFits | None:
         """Find what the surfaces' colours make of the crosstalk; None: nothing beyond what the balance undoes."""
         path, model = self._path, work.model
@@ -267,23 +291,8 @@ class Decoder:
         if not path.light_known:
             cycle = model.template
         before = None if memory is None else memory.surfaces
-        seen = (frame.image, work.gains, path.crosstalk, levels, correction, cycle)
-        return path.surfaces.find(*seen, template_known=path.light_known, before=before, motion=motion)
-
-    def _measure_motion(
-        self,
-        frame: LinearFrame,
-        levels: FrameLevels,
-        work: Workspace,
-        correction: npt.NDArray[np.float32],
-        memory: FrameMemory | None,
-    ) -> FieldMotion | None:
-        """Measure what moved between the frame's colours, by a first look at its phase and the frame before."""
-        times, path, model = self.settings.field_times, self._path, work.model
-        if times is None or memory is None:
-            return None
-        phase = fit_phase(frame.image, model, path.crosstalk, levels, correction, path.contrast_doubt).phase
-        return measure_motion(phase, memory.surface.unwrapped, times, work.period_px)
+        seen = (image, work.gains, path.crosstalk, levels, correction, cycle)
+        return path.surfaces.find(*seen, template_known=path.light_known, before=before)
 
     def _learn_light(self, frame: LinearFrame, period_px: float, surface: SurfaceBuffers) -> bool:
         """Learn crosstalk and response from a frame that was decoded without them; return whether it told them."""

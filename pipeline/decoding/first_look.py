@@ -17,7 +17,6 @@ from tikernels.arrays import LevelsImage
 from tikernels.phase.camera_blur import VARIANCE_PX
 from tikernels.phase.color_balance import Gains, WindowSum
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.field_motion import FieldMotion
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
 from tikernels.phase.surface_labels import LEAST_PX, Fringe
@@ -58,8 +57,6 @@ class FirstLook:
         The frame's noise, and what a pixel needs to have a phase.
     correction : (bins + 1,) float32
         rad to add to the arctangent; see `equalization.correction_table`.
-    motion : FieldMotion, optional
-        How far the colours of the frame are apart, where they follow each other.
 
     Attributes
     ----------
@@ -76,9 +73,7 @@ class FirstLook:
         crosstalk: Crosstalk,
         levels: FrameLevels,
         correction: npt.NDArray[np.float32],
-        motion: FieldMotion | None = None,
     ) -> None:
-        self.motion = motion
         self.device_image, self.gains, self.levels, self.correction = image, gains, levels, correction
         self._crosstalk = crosstalk
         self._smooth = runtime.to_host(gains.smooth).astype(np.float64)
@@ -141,12 +136,7 @@ class FirstLook:
 
     def fringe(self, contrast_doubt: float) -> Fringe:
         """Return how the fringe of each place differs from the template, given what is doubted of its contrast."""
-        spacing_px, changed, times = self.gains.spacing_px, np.zeros_like(self.contrast), None
-        if self.motion is not None:
-            every = np.s_[spacing_px // 2 :: spacing_px, spacing_px // 2 :: spacing_px]
-            own, times = np.nan_to_num(self.motion.change[every]), self.motion.times
-            changed[: own.shape[0], : own.shape[1]] = own[: changed.shape[0], : changed.shape[1]]
-        return Fringe(contrast_doubt, np.stack([self.contrast, changed], axis=-1), spacing_px, times)
+        return Fringe(contrast_doubt, self.contrast, self.gains.spacing_px)
 
     @cached_property
     def contrast_around(self) -> FloatArray:
@@ -211,7 +201,6 @@ class FirstLook:
         weights: FloatArray,
         ambient: FloatArray,
         contrast_doubt: float,
-        offset: FloatArray | None = None,
         contrast: FloatArray | None = None,
     ) -> SurfaceSamples:
         """Return pixels of one surface, with the phase that the arctangent gives them.
@@ -226,7 +215,7 @@ class FirstLook:
             Takes the surface's channels to b cos(phi), b sin(phi) and a.
         ambient : (3,)
             Its ambient light, levels.
-        contrast_doubt, offset, contrast
+        contrast_doubt, contrast
             See `SurfaceSamples`.
         """
         vector = (light - ambient) @ weights.T
@@ -239,7 +228,6 @@ class FirstLook:
             bare + self._correction_at(bare),
             np.maximum(around, 1e-9),
             contrast_doubt,
-            offset,
             contrast,
         )
 

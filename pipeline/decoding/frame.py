@@ -125,6 +125,7 @@ class Measured:
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
     surfaces: FoundSurfaces | None = None
+    at_rest: bool = True  # whether the surfaces are those of one moment: no motion between the colours, or undone
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
 
@@ -299,9 +300,8 @@ class DecodedFrame:
     def memory(self) -> FrameMemory:
         """What the next frame of a video may know of this one."""
         measured = self._measured
-        return FrameMemory(
-            self._setup.stripes, measured.phase_counts, measured.surface, measured.orders, measured.surfaces
-        )
+        surfaces = measured.surfaces if measured.at_rest else None  # motion bends what a frame says of them
+        return FrameMemory(self._setup.stripes, measured.phase_counts, measured.surface, measured.orders, surfaces)
 
     def fetch(self, fields: Iterable[str]) -> None:
         """Read from the device now what these fields are made of; looking at them later asks it nothing more."""

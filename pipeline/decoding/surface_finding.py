@@ -10,7 +10,6 @@ from tikernels.arrays import LevelsImage
 from tikernels.phase.channel_template import channel_harmonics
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.field_motion import FieldMotion
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import channel_delays, phase_weights
 from tikernels.phase.surface_colors import color_ratios
@@ -59,7 +58,6 @@ class SurfaceFinder:
         *,
         template_known: bool,
         before: FoundSurfaces | None = None,
-        motion: FieldMotion | None = None,
     ) -> FoundSurfaces | NoModelFits | None:
         """Return the surfaces of a frame; None if all are neutral, or act as the balance alone undoes.
 
@@ -82,10 +80,8 @@ class SurfaceFinder:
         before : FoundSurfaces, optional
             Those of the frame before in a video: they stay as they were, and only if they leave more unexplained than
             there, new ones are looked for.
-        motion : FieldMotion, optional
-            How far the colours of the frame are apart, where they follow each other.
         """
-        look = FirstLook(image, gains, crosstalk, levels, correction, motion)
+        look = FirstLook(image, gains, crosstalk, levels, correction)
         if not look.lit.any():
             return None
         colors = look.common_colors()
@@ -93,8 +89,7 @@ class SurfaceFinder:
         if np.abs(colors - color_ratios(white)).max() < _NEUTRAL:
             return None
         known = self._known_light(crosstalk, white, template, template_known=template_known)
-        # What moves between its colours bends what a frame says of its surfaces, until the next frame tells how far.
-        if before is not None and motion is None:
+        if before is not None:
             search = SurfaceSearch(look, known, look.labels(colors[:1]), before.fitted.matrices.sum(axis=2))
             return self._judged(search.follow(before))
         if len(colors) == 1 and self._acts_after(look, known):

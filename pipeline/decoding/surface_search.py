@@ -246,7 +246,6 @@ class SurfaceSearch:
         seen = look.image[rows, columns].astype(np.float64)
         clear = seen.max(axis=-1) < look.levels.clipped
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag)
-        offsets = None if look.motion is None else look.motion.offsets(rows, columns)
         numbers, samples = [], []
         for surface, color in enumerate(self._colors):
             own = clear & (labels == surface)
@@ -260,10 +259,9 @@ class SurfaceSearch:
             ambient = np.zeros(3) if self._ambient is None else self._ambient[surface]
             light, around = seen.reshape(-1, 3)[places], look.around.ravel()[places]
             contrast = look.contrast_around.ravel()[places]
-            offset = None if offsets is None else offsets.reshape(-1, 3)[places]
             own_weights, doubt = weights / color, known.contrast_doubt
             numbers.append(surface)
-            samples.append(look.surface_samples(light, around, own_weights, ambient, doubt, offset, contrast))
+            samples.append(look.surface_samples(light, around, own_weights, ambient, doubt, contrast))
         return numbers, samples
 
     def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False) -> Relabelled:

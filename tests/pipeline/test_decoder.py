@@ -323,6 +323,30 @@ def test_lateral_colour_is_undone():
     assert errors[1] < 0.03
 
 
+def test_motion_between_colours_in_turns_is_undone():
+    """A ball that comes 0.7 mm nearer from colour to colour, in the third frame, against the same ball at rest."""
+    step = -0.7
+
+    def photograph(nearer: float, moving: float = 0.0):
+        moved = {"object_motion_mm": (0, 0, nearer), "field_motion_mm": (0, 0, moving)}
+        return simulated("ball", noise_levels=0.0, **moved)[0]
+
+    rig = simulated()[1]
+    film, rest = [photograph(3 * step * k, step).image for k in range(3)], photograph(7 * step)
+    truth = Decoder(calibration=rig, arch="cpu").decode(rest.image)
+    moves = np.abs(rest.phase - photograph(0.0).phase) > 0.2
+    ball = cv2.erode(moves.astype(np.uint8), np.ones((15, 15))) > 0
+    errors = []
+    for times in (None, (1 / 6, 1 / 2, 5 / 6)):
+        decoder, seen = Decoder(DecodeSettings(field_times=times), rig, arch="cpu"), None
+        for image in film:
+            seen = decoder.decode(image, previous=seen)
+        error = np.angle(np.exp(1j * (seen.wrapped_phase - truth.wrapped_phase)))[ball & seen.mask & truth.mask]
+        errors.append(error.std())
+    assert errors[0] > 0.025
+    assert errors[1] < 0.3 * errors[0]
+
+
 @pytest.mark.parametrize("leak, bound", [(0.0, 0.004), (0.05, 0.08)])
 def test_the_constant_says_how_far_it_may_be_off(arch, leak, bound):
     """Crosstalk that is not as calibrated turns the phase, and shows in the channels' waves."""

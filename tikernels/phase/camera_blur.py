@@ -15,7 +15,7 @@ import numpy as np
 from tikernels import checks
 from tikernels._taichi import F32Array2, f32, ti
 from tikernels.arrays import F32
-from tikernels.phase.phase_fit import MAX_MISFIT
+from tikernels.phase.phase_fit import doubted
 from tikernels.phase.phase_vector import wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.strips import STRIP, strip_at, strip_count
@@ -70,9 +70,7 @@ def undo_camera_blur_kernel(
             turn = turned_by_blur(upper[k], here[k + 1], lower[k], light_above[k], light_below[k])
             turn += turned_by_blur(here[k], here[k + 1], here[k + 2], light[k], light[k + 2])
             result[k] = here[k + 1] - ti.select(has_phase(here[k + 1]), VARIANCE_PX * turn, 0.0)
-            # The fit divides the precision by a misfit beyond the largest itself.
-            doubt = _DOUBT_PX * turn
-            left[k] = ti.max(left[k], ti.min(left[k] + doubt * doubt * sure[k], MAX_MISFIT))
+            left[k] = doubted(left[k], _DOUBT_PX * turn, sure[k])
         for k in range(count):
             out[y, first + k] = result[k]
             out_misfit[y, first + k] = left[k]

@@ -1,15 +1,16 @@
 """Undo motion between the colours of a frame, where the projector shows them one after another.
 
-A surface that moves while red, green and blue follow each other is seen at three phases: primary j's is off by v tau_j,
-with v the phase's change from frame to frame and tau_j the field's time beside the middle one's, in frames. The fit
-turns that into an error that changes twice a cycle. To first order the fit's phase is off by
+A surface that moves while red, green and blue follow each other is seen at three phases: that of primary j is ahead by
+v tau_j, with v the phase's change from frame to frame and tau_j the field's time beside the middle one's, in frames. A
+fit of one phase to that is off by an error that changes twice a cycle. The image is therefore given the light that a
+surface at rest would send back, and everything after it sees a frame of one moment:
 
-    v (E . M_tau') / (E . D),    M_tau' = K diag(tau) p'(phi),
+    C + s T A M (p(phi) - p(phi + v tau)),    p = M^-1 t,
 
-with K p what the channels see of the projector's light, and E and D of `phase_fit.py`. With p = M^-1 t that is
-K diag(tau) p' = T A M diag(tau) M^-1 t', all of which is known. v is the phase's change since the frame before,
-averaged over about a cycle, over which the error of either frame cancels. A template that is read off the frame itself
-has the mean of that motion in it already, as a lag of its channels.
+with s, T and A of `phase_fit.py`, M the crosstalk, t the template, and p_j what primary j sends. v is the phase's
+change since the frame before, averaged over about a cycle, over which the error of either frame cancels. phi is that of
+a first look, in which the motion still is; a second turn with the phase of the image at rest leaves a hundredth of it.
+The first template is read off the frame as it is and has the mean change, the lag, in it.
 """
 
 from functools import cache
@@ -20,15 +21,14 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import AnyArray3, F32Array2, F32Array3, U8Array2, f32, ti
+from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2, f32, ti, vec3
 from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
 from tikernels.phase.crosstalk import Crosstalk
-from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_fit import estimator_of, model_at, node_model
-from tikernels.phase.phase_vector import color_at, matrix_of
+from tikernels.phase.phase_fit import FittedPhase, doubted, node_model
+from tikernels.phase.phase_vector import color_at
 from tikernels.phase.surfaces import surface_at, surface_matrix
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, has_phase
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -40,6 +40,8 @@ _GRID_PX = 2
 _FILLED, _AGREEMENT, _FASTEST = 0.1, 0.8, 2.0 * np.pi / 3
 # What is undone is right to this fraction: surfaces speed up and turn.
 _DOUBT = 0.2
+#: Turns of fitting the phase and taking the motion out of the image.
+MOTION_TURNS = 2
 
 
 class FieldMotion(NamedTuple):
@@ -52,8 +54,8 @@ class FieldMotion(NamedTuple):
     too_fast: float
     """Share of the pixels seen in both frames whose change is not told by them, because it is too fast."""
 
-    def beyond_mean(self, modulation: F32) -> "FieldMotion":
-        """Return what is left where a template that was read off this very frame has taken the mean motion in.
+    def mean_change(self, modulation: F32) -> float:
+        """Return the change, rad, that a template has in it which is read off this very frame.
 
         Parameters
         ----------
@@ -61,12 +63,8 @@ class FieldMotion(NamedTuple):
             Levels; the template's samples count by its square.
         """
         weight = runtime.to_host(modulation) ** 2 * np.isfinite(self.change)
-        mean = (np.nan_to_num(self.change) * weight).sum(dtype=np.float64) / max(weight.sum(dtype=np.float64), 1e-9)
-        return self._replace(change=self.change - np.float32(mean))
-
-    def offsets(self, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
-        """Return by how much the phases of red, green and blue are ahead at some pixels, (..., 3) rad."""
-        return np.asarray(np.nan_to_num(self.change[rows, columns])[..., None] * self.times, np.float64)
+        total = (np.nan_to_num(self.change) * weight).sum(dtype=np.float64)
+        return float(total / max(weight.sum(dtype=np.float64), 1e-9))
 
 
 def measure_motion(phase: F32, before: F32, field_times: npt.NDArray[np.float64], period_px: float) -> FieldMotion:
@@ -111,103 +109,144 @@ def measure_motion(phase: F32, before: F32, field_times: npt.NDArray[np.float64]
     return FieldMotion(np.asarray(everywhere, np.float32), times, float(share[filled & ~told].sum()) / seen)
 
 
+@ti.func
+def shifted_cycle(harmonics: Static, unmixing: Static, phase: f32, offsets: vec3) -> vec3:
+    """Return what each primary sends while its fringe is ahead by an offset, rad, given the channels' template."""
+    sent = vec3(0.0)
+    for primary in ti.static(range(3)):
+        cycle, _slope = cycle_and_slope(harmonics, phase + offsets[primary])
+        sent[primary] = (unmixing @ cycle)[primary]
+    return sent
+
+
 @cache
-def _undo_motion_kernel(mixed: bool) -> Any:
+def _hold_still_kernel(mixed: bool) -> Any:
     @ti.kernel
-    def undo_motion_kernel(
+    def hold_still_kernel(
         image: AnyArray3,  # (H, W, 3) levels
+        phase: F32Array2,  # (H, W) rad
+        brightness: F32Array2,  # (H, W) levels
         change: F32Array2,  # (H, W) rad; NaN where it is not known
         labels: U8Array2,  # (H, W) see `Surfaces`
         mixing: F32Array3,  # (N, 3, 3)
-        besides: F32Array2,  # (N, 3) levels
         template: F32Array2,  # (3, terms)
         nodes: F32Array3,  # (Hg, Wg, 6) A and B
-        times: F32Array2,  # (3, 3) M diag(tau) M^-1
+        primaries: F32Array2,  # (7, 3) M, its inverse, and their times
+        lag: f32,  # rad, what change the template has in it
         spacing: f32,  # px between two nodes
-        read_noise: f32,  # levels
-        noise_gain: f32,  # levels
-        contrast_doubt: f32,
-        phase: F32Array2,  # (H, W) rad, to be corrected
-        precision: F32Array2,  # (H, W) 1 / rad^2, to be lessened
+        out: F32Array3,  # (H, W, 3) levels
     ):
         for pixel in range(phase.shape[0] * phase.shape[1]):
             y, x = pixel // phase.shape[1], pixel % phase.shape[1]
-            moved = change[y, x]
+            moved, seen = change[y, x], color_at(image, y, x)
             if has_phase(phase[y, x]) and not ti.math.isnan(moved):
-                harmonics, delays = load_harmonics(template), matrix_of(times)
+                harmonics = load_harmonics(template)
+                matrix, inverse, times = ti.Matrix.zero(f32, 3, 3), ti.Matrix.zero(f32, 3, 3), vec3(0.0)
+                for row, column in ti.static(ti.ndrange(3, 3)):
+                    matrix[row, column] = primaries[row, column]
+                    inverse[row, column] = primaries[3 + row, column]
+                    times[column] = primaries[6, column]
                 v = ti.min(ti.max((y + 0.5) / spacing - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
                 u = ti.min(ti.max((x + 0.5) / spacing - 0.5, 0.0), ti.cast(nodes.shape[1] - 1, ti.f32))
                 j = ti.cast(u, ti.i32)
-                color, ambient = node_model(nodes, v, j)
-                right_color, right_ambient = node_model(nodes, v, j + 1)
+                color, _ambient = node_model(nodes, v, j)
+                right_color, _right = node_model(nodes, v, j + 1)
                 color += (u - j) * (right_color - color)
-                ambient += (u - j) * (right_ambient - ambient)
-                model, slope, swing, rest = model_at(
-                    phase[y, x], color, ambient, harmonics, mixing, besides, labels, y, x, mixed
-                )
-                _cycle, of_template = cycle_and_slope(harmonics, phase[y, x])
-                motion = color * (delays @ of_template)
+                at_once = shifted_cycle(harmonics, inverse, phase[y, x], -lag * times)
+                in_turns = shifted_cycle(harmonics, inverse, phase[y, x], (moved - lag) * times)
+                added = color * (matrix @ (in_turns - at_once))
                 if ti.static(mixed):
-                    motion = surface_matrix(mixing, surface_at(labels, y, x)) @ motion
-                seen = color_at(image, y, x)
-                weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
-                light = weight * (seen - rest)
-                estimator, of_phase, _variance, _brightness = estimator_of(
-                    light, weight * model, weight * slope, weight * swing, contrast_doubt
-                )
-                off = moved * estimator.dot(weight * motion) / ti.max(estimator.dot(of_phase), 1e-12)
-                phase[y, x] -= off
-                doubt = _DOUBT * off
-                precision[y, x] = precision[y, x] / (1.0 + doubt * doubt * precision[y, x])
+                    surface = surface_matrix(mixing, surface_at(labels, y, x))
+                    added, color = surface @ added, surface @ color
+                seen -= 3.0 * brightness[y, x] / ti.max(color.sum(), 1e-12) * added
+            for k in ti.static(range(3)):
+                out[y, x, k] = seen[k]
 
-    return undo_motion_kernel
+    return hold_still_kernel
 
 
-def undo_field_motion(
+def hold_still(
     image: LevelsImage,
+    fit: FittedPhase,
     motion: FieldMotion,
     model: ChannelModel,
     crosstalk: Crosstalk,
-    levels: FrameLevels,
-    contrast_doubt: float,
-    out: tuple[F32, F32],
-) -> None:
-    """Correct phases for the motion between a frame's colours, and lessen their precision by what that is unsure of.
+    lag: float = 0.0,
+    out: F32 | None = None,
+) -> F32:
+    """Return the image as it would be if nothing moved between its colours.
 
     Parameters
     ----------
     image : (H, W, 3) uint8, uint16 or float32
         Linear light, levels, stripes along the rows.
+    fit : FittedPhase
+        What `fit_phase` found, of this image or of what an earlier turn made of it.
     motion : FieldMotion
         See `measure_motion`.
-    model, crosstalk, levels, contrast_doubt
-        What `fit_phase` was given.
-    out : two (H, W) float32
-        The phase, rad, and its precision, 1 / rad^2, as `fit_phase` found them; they are changed.
+    model : ChannelModel
+        What it was fitted with.
+    crosstalk : Crosstalk
+        The same.
+    lag : float
+        rad, what change the model's template has in it; see `FieldMotion.mean_change`.
+    out : (H, W, 3) float32, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (H, W, 3) float32
+        Levels; as they were where no phase or no change is known. A buffer of the device if none is given.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    shape = (model.gains.height, model.gains.width)
+    image = checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
+    change = checks.read_array("change", motion.change, shape, np.float32)
+    out = checks.out_buffer("out", out, (*shape, 3), np.float32)
+    white, surfaces = crosstalk.matrix.astype(np.float64), crosstalk.surfaces
+    primaries = np.vstack([white, np.linalg.inv(white), motion.times]).astype(np.float32)
+    look = (image, fit.phase, fit.brightness, change, surfaces.labels, surfaces.mixing, model.template, model.nodes)
+    _hold_still_kernel(surfaces.mixed)(*look, primaries, lag, model.gains.spacing_px, out)
+    return out
+
+
+@ti.kernel
+def doubt_motion_kernel(
+    change: F32Array2,  # (H, W) rad; NaN where it is not known
+    spread: f32,  # of the times of the three primaries
+    precision: F32Array2,  # (H, W) 1 / rad^2
+    out_misfit: F32Array2,  # (H, W) in units of the precision's variance; added to
+):
+    for pixel in range(change.shape[0] * change.shape[1]):
+        y, x = pixel // change.shape[1], pixel % change.shape[1]
+        if not ti.math.isnan(change[y, x]):
+            doubt = _DOUBT * spread * change[y, x]
+            out_misfit[y, x] = doubted(out_misfit[y, x], doubt, precision[y, x])
+
+
+def doubt_motion(motion: FieldMotion, precision: F32, out: F32) -> None:
+    """Add to the phases' misfit what is unsure of a motion that was undone.
+
+    Parameters
+    ----------
+    motion : FieldMotion
+        See `measure_motion`.
+    precision : (H, W) float32
+        1 / rad^2, one over the phase's variance.
+    out : (H, W) float32
+        The misfit, in units of that variance, which is added to.
 
     Raises
     ------
     ShapeError
         A shape or dtype is another one.
     """
-    shape = (model.gains.height, model.gains.width)
-    image = checks.read_array("image", image, (*shape, 3), *LEVEL_TYPES)
+    precision = checks.read_array("precision", precision, (None, None), np.float32)
+    shape = (int(precision.shape[0]), int(precision.shape[1]))
     change = checks.read_array("change", motion.change, shape, np.float32)
-    matrix = crosstalk.matrix.astype(np.float64)
-    times = (matrix @ np.diag(motion.times) @ np.linalg.inv(matrix)).astype(np.float32)
-    surfaces = crosstalk.surfaces
-    _undo_motion_kernel(surfaces.mixed)(
-        image,
-        change,
-        surfaces.labels,
-        surfaces.mixing,
-        surfaces.ambient,
-        model.template,
-        model.nodes,
-        times,
-        model.gains.spacing_px,
-        levels.read_noise,
-        levels.noise_gain,
-        contrast_doubt,
-        *out,
-    )
+    out = checks.out_buffer("misfit", out, shape, np.float32)
+    doubt_motion_kernel(change, float(np.std(motion.times)), precision, out)

@@ -196,6 +196,15 @@ def misfit_of(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_doub
     return residual * residual / (square + by_contrast * by_contrast)
 
 
+@ti.func
+def doubted(misfit: f32, doubt: f32, precision: f32) -> f32:
+    """Return a misfit with what a correction is unsure of, rad, added to it, in units of the precision's variance.
+
+    No further than the largest misfit: beyond that the fit has divided the precision by its own.
+    """
+    return ti.max(misfit, ti.min(misfit + doubt * doubt * precision, MAX_MISFIT))
+
+
 @cache
 def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
     """Return the kernel from grey levels to phase, for nodes that are `spacing_px` px apart."""

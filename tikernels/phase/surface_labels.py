@@ -60,19 +60,10 @@ class Fringe(NamedTuple):
 
     contrast_doubt: float
     """Standard deviation of a pixel's contrast, as a fraction."""
-    around: npt.NDArray[np.float32]
-    """(Hg, Wg, 2) around every node of a grid: by what blur multiplies the first harmonic, and the phase's change since
-    the frame before, rad."""
+    contrast: npt.NDArray[np.float32]
+    """(Hg, Wg) around every node of a grid: by what blur multiplies the first harmonic."""
     spacing_px: int
     """px between the grid's nodes."""
-    times: npt.NDArray[np.float64] | None
-    """(3,) when red, green and blue are shown, beside the middle one, in times from frame to frame; None: at once."""
-
-    def delays(self, matrix: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Return (3, 3): takes the template's derivative to what a change of one rad adds to the channels."""
-        times = np.zeros(3) if self.times is None else self.times
-        white = matrix.astype(np.float64)
-        return np.asarray(white @ np.diag(times) @ np.linalg.inv(white), np.float32)
 
 
 class Relabelled(NamedTuple):
@@ -100,8 +91,7 @@ def surface_misfits_kernel(
     read_noise: f32,  # levels
     noise_gain: f32,  # levels
     contrast_doubt: f32,  # as a fraction
-    around: F32Array3,  # (Hg, Wg, 2) contrast beside the template's, and motion, around every node; see `Fringe`
-    delays: F32Array2,  # (3, 3) takes the template's derivative to what motion of one adds, in rad
+    contrast: F32Array2,  # (Hg, Wg) beside the template's, around every node; see `Fringe`
     spacing_px: i32,  # between nodes
     step: i32,  # px between the pixels that are looked at
     out: F32Array3,  # (N, ceil(H / step), ceil(W / step)) squares of standard deviations; -1: says nothing
@@ -112,7 +102,6 @@ def surface_misfits_kernel(
         surface, y, first = t // (height * strips), t // strips % height, t % strips * _PIXELS_AT_ONCE
         weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
         matrix, inverse = surface_matrix(mixing, surface), surface_matrix(unmixing, surface)
-        delay = matrix_of(delays)
         rest = surface_ambient(ambient, surface)
         count = ti.min(_PIXELS_AT_ONCE, width - first)
         red, green, blue, shown = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
@@ -132,10 +121,9 @@ def surface_misfits_kernel(
             wrong, doubt = _MODEL_ERROR * seen.sum() / 3.0, _AMBIENT_ERROR * rest
             noise = read_noise * read_noise + noise_gain * ti.max(seen, 0.0) + wrong * wrong + doubt * doubt
             weight = 1.0 / ti.sqrt(noise)
-            i = ti.min(y * step // spacing_px, around.shape[0] - 1)
-            j = ti.min((first + k) * step // spacing_px, around.shape[1] - 1)
-            cycle, slope = cycle_and_slope(blurred(harmonics, around[i, j, 0]), phase[k])
-            cycle += around[i, j, 1] * (delay @ slope)
+            i = ti.min(y * step // spacing_px, contrast.shape[0] - 1)
+            j = ti.min((first + k) * step // spacing_px, contrast.shape[1] - 1)
+            cycle, slope = cycle_and_slope(blurred(harmonics, contrast[i, j]), phase[k])
             model, change = weight * (matrix @ cycle), weight * (matrix @ slope)
             swing = weight * (matrix @ (cycle - 1.0))
             left = misfit_of(weight * (seen - rest), model, change, swing, contrast_doubt)
@@ -200,8 +188,7 @@ def surface_misfits(
         levels.read_noise,
         levels.noise_gain,
         fringe.contrast_doubt,
-        fringe.around,
-        fringe.delays(crosstalk.matrix),
+        fringe.contrast,
         fringe.spacing_px,
         step,
         out,

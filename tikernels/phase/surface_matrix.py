@@ -109,16 +109,11 @@ class SurfaceSamples:
     phase: _Array  # (N,) rad, where the fit begins
     around: _Array  # (N,) mean brightness around, levels
     contrast_doubt: float  # standard deviation of each one's contrast about the light's, as a fraction
-    offset: _Array | None = None  # (N, 3) rad, by how much the phases of red, green and blue are ahead; None: nothing
     contrast: _Array | None = None  # (N,) of the first harmonic beside the light's, as a factor; None: as it is
-
-    def angles(self, phase: _Array) -> _Array:
-        """Return the phase at which each primary's light is seen, (N,) or (N, 3) rad, given the pixels'."""
-        return phase if self.offset is None else phase[:, None] + self.offset
 
     def waves(self, light: _Complexes, phase: _Array) -> tuple[_Array, _Array]:
         """Return each pixel's light and its derivative by the phase, (N, 3), given the pixels' phases."""
-        return waves(light, self.angles(phase), self.contrast)
+        return waves(light, phase, self.contrast)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,19 +156,16 @@ def waves(light: _Complexes, phase: _Array, contrast: _Array | None = None) -> t
     ----------
     light : (3, harmonics) complex128
         From the first on.
-    phase : (N,) or (N, 3)
-        rad; of all primaries, or of each.
+    phase : (N,)
+        rad.
     contrast : (N,), optional
         By what blur multiplies the first harmonic; the nth by its power of n^2.
     """
     n = np.arange(1, light.shape[1] + 1)
     turns = np.exp(1j * n * phase[..., None])
     if contrast is not None:
-        turns *= (contrast[:, None] ** n**2).reshape(len(contrast), *[1] * (phase.ndim - 1), -1)
-    if phase.ndim == 1:
-        return 1 + (turns @ light.T).real, (turns * 1j * n @ light.T).real
-    parts = turns * light
-    return 1 + parts.sum(axis=2).real, (parts * 1j * n).sum(axis=2).real
+        turns *= contrast[:, None] ** n**2
+    return 1 + (turns @ light.T).real, (turns * 1j * n @ light.T).real
 
 
 def fit_matrices(
@@ -379,7 +371,6 @@ class _Equations:
         weight = 1 / np.sqrt(surface.variance)
         found = _across(surface, rest * weight, matrix, weight, light, phase, turns)
         phase, brightness, m, d, normal, z = found
-        angles = surface.angles(phase)
         self.phase, p = phase, surface.waves(light, phase)[0]
         level = np.sqrt((_dot(m, m) * brightness**2).mean())
         # The columns: nine entries of K, as fractions; three of ambient light; the harmonics, as fractions.
@@ -393,10 +384,10 @@ class _Equations:
         of_z[:, 9:12] = weight * normal
         of_brightness[:, 9:12] = weight * bright / brightness[:, None]
         for h in range(light.shape[1]):
-            turning = np.exp(1j * (h + 1) * angles.reshape(len(z), -1))
+            turning = np.exp(1j * (h + 1) * phase)
             if surface.contrast is not None:
-                turning *= surface.contrast[:, None] ** (h + 1) ** 2
-            wave = (turning * known_light[:, h]).real @ matrix.T * weight
+                turning *= surface.contrast ** (h + 1) ** 2
+            wave = (turning[:, None] * known_light[:, h]).real @ matrix.T * weight
             of_z[:, 12 + h] = brightness * _dot(wave, normal)
             of_brightness[:, 12 + h] = _dot(wave, bright)
         usual = _HUBER * 1.48 * np.median(np.abs(z)) + 1e-12
