@@ -24,15 +24,16 @@ B. Han, Advanced iterative algorithm for phase extraction of randomly phase-shif
 from enum import IntEnum
 
 import numpy as np
+import numpy.typing as npt
 
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
 from tikernels.arrays import F32
-from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, template_mismatch, waves_of
+from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, sharpened_waves, template_mismatch, waves_of
 from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
-from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
+from tikernels.phase.fringe_sharpness import FringeSharpness, equalized_at
 from tikernels.phase.phase_vector import arctangent, matrix_of, modulation_of
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.strips import strip_at, strip_count
@@ -60,6 +61,8 @@ _MIN_FACTOR, _MAX_FACTOR = 0.5, 2.0
 # A node speaks for itself as far as less than this share of its window is empty: a window that ends 2.5 of its standard
 # deviations away is that empty, and passes 0.003 of the fringe; one that ends in its middle passes 0.15.
 _EMPTY = 0.006
+# Turns of fitting, at most, while the fringe is found to be sharper here than there.
+_FOCUS_TURNS = 4
 # Numbers of a node that its neighbours may take over: A, B, and the weight that they have.
 _SHARED = 7
 
@@ -103,6 +106,8 @@ class ChannelModel:
         self.nodes = runtime.empty((*grid, 6), np.float32)
         #: (3, terms) t_i: 1, cosines, sines.
         self.template = np.zeros((3, TERMS), np.float32)
+        #: How sharp the fringe is around every node beside the template.
+        self.sharpness = FringeSharpness(blocks, grid)
         #: How far the template's fundamentals are from those that crosstalk and lateral colour make, as a fraction.
         self.mismatch = np.nan
         #: The samples' mean modulation over their mean background; NaN without samples.
@@ -141,9 +146,22 @@ class ChannelModel:
         correction = checks.read_array("correction", correction, (None,), np.float32)
         known = checks.read_array("known", known, (3, TERMS), np.float32)
         share = self._recover_samples(crosstalk, levels)
-        gains, weights = self.gains, crosstalk.weights
-        samples, spacing_px = (self._balanced, self.phases, correction), gains.spacing_px
-        sum_template_kernel(*samples, weights, known, gains.smooth, spacing_px, share, self._normal)
+        gains, sharpness = self.gains, self.sharpness
+        sharpness.forget()
+        for _ in range(_FOCUS_TURNS):
+            self._fit_template(crosstalk.weights, correction, known, share, fixed=fixed)
+            self._fit_nodes(correction, share)
+            seen = (gains.samples, self.phases, correction)
+            if not sharpness.refine(*seen, self.template, self.nodes, gains.window.rows):
+                break
+
+    def _fit_template(
+        self, weights: npt.NDArray[np.float32], correction: F32, known: F32, share: float, *, fixed: bool
+    ) -> None:
+        """Fit one cycle of the channels to the samples."""
+        gains, samples = self.gains, (self._balanced, self.phases, correction)
+        light = (gains.smooth, self.sharpness.values, gains.spacing_px, share)
+        sum_template_kernel(*samples, weights, known, *light, self._normal)
         normal = runtime.to_host(self._normal).sum(axis=0, dtype=np.float64)  # synchronises
         gram = np.zeros((TERMS, TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
@@ -156,7 +174,12 @@ class ChannelModel:
         solved = np.linalg.solve(gram, right)
         self.template[:] = (solved / solved[0]).T
         self.mismatch = template_mismatch(self.template, weights)
-        sum_model_kernel(*samples, self.template, gains.smooth, gains.window.rows, share, self._sums)
+
+    def _fit_nodes(self, correction: F32, share: float) -> None:
+        """Fit A and B around every node."""
+        gains, samples = self.gains, (self._balanced, self.phases, correction)
+        light = (gains.smooth, self.sharpness.values, gains.window.rows, share)
+        sum_model_kernel(*samples, self.template, *light, self._sums)
         gains.window.smooth(self._sums, self._half, self._smooth)
         fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, share, gains.window.samples, self._shared)
         gains.window.smooth(self._shared, self._half_around, self._around)
@@ -231,6 +254,7 @@ def sum_template_kernel(
     phase_weights: F32Array2,  # (3, 3)
     known: F32Array2,  # (3, terms)
     smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
+    sharpness: F32Array2,  # (Hg, Wg) see `fringe_sharpness.py`
     spacing_px: i32,
     share: f32,
     out_normal: F32Array2,  # (strips, terms) the normal equations: upper triangle, right sides
@@ -249,7 +273,8 @@ def sum_template_kernel(
             j = ti.min(number * _EVERY + y % _EVERY, samples.shape[1] - 1)
             if has_phase(phases[y, j]):
                 ambient = ambient_at(smooth, spacing_px, share, y, j * spacing_px)
-                waves = waves_of(equalized(phases[y, j], correction))
+                sharper = sharpness[ti.min(y // spacing_px, sharpness.shape[0] - 1), j]
+                waves = sharpened_waves(waves_of(equalized_at(phases[y, j], correction, sharper)), sharper)
                 light = sample_at(samples, y, j) - ambient
                 # Each sample with its own brightness: bright ones count more, as they are more certain. The background
                 # tells it whatever the phase, apart from what is known of the response and lateral colour.
@@ -275,6 +300,7 @@ def sum_model_kernel(
     correction: F32Array1,  # (bins + 1,) rad
     template: F32Array2,  # (3, terms)
     smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
+    sharpness: F32Array2,  # (Hg, Wg) see `fringe_sharpness.py`
     rows: i32,
     share: f32,
     out_sums: F32Array3,  # (Hb, Wb, 13) see `LineSum`
@@ -286,9 +312,10 @@ def sum_model_kernel(
         count = 0.0
         model, square, seen, product = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         ambient = ambient_at(smooth, 2 * rows, share, i * rows, j * 2 * rows)
+        sharper = sharpness[ti.min(i // 2, sharpness.shape[0] - 1), j]
         for y in range(i * rows, ti.min((i + 1) * rows, height)):
             if has_phase(phases[y, j]):
-                waves = waves_of(equalized(phases[y, j], correction))
+                waves = sharpened_waves(waves_of(equalized_at(phases[y, j], correction, sharper)), sharper)
                 light = sample_at(samples, y, j) - ambient
                 cycle = cycle_at(template, waves)
                 expected = light.dot(cycle) / cycle.dot(cycle) * cycle

@@ -120,6 +120,29 @@ def blurred(harmonics: Static, contrast: f32):
 
 
 @ti.func
+def sharpened(harmonics: Static, sharpness: f32):
+    """Return `load_harmonics`, the nth from the second on times exp((n^2 - 1) sharpness); see `fringe_sharpness.py`."""
+    result = harmonics
+    for n in ti.static(range(2, HARMONICS + 1)):
+        factor = ti.exp(ti.static(n * n - 1) * sharpness)
+        for channel in ti.static(range(3)):
+            result[channel, n - 1] *= factor
+            result[channel, HARMONICS + n - 1] *= factor
+    return result
+
+
+@ti.func
+def sharpened_waves(waves: Static, sharpness: f32):
+    """Return `waves_of`, those of the nth harmonic times the same."""
+    result = waves
+    for n in ti.static(range(2, HARMONICS + 1)):
+        factor = ti.exp(ti.static(n * n - 1) * sharpness)
+        result[n] *= factor
+        result[HARMONICS + n] *= factor
+    return result
+
+
+@ti.func
 def cycle_and_slope(harmonics: Static, phase: f32):
     """Return the template's three channels at a phase and their derivatives, given `load_harmonics`."""
     cosine, sine = cosine_and_sine(phase)

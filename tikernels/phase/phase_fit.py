@@ -48,7 +48,7 @@ from tikernels._taichi import (
 )
 from tikernels.arrays import F32, LevelsImage
 from tikernels.phase.channel_model import ChannelModel
-from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
+from tikernels.phase.channel_template import cycle_and_slope, load_harmonics, sharpened
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import BINS, equalized, place_in_cycle
@@ -222,6 +222,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
         correction: F32Array1,  # (bins + 1,) rad to add to the arctangent
         template: F32Array2,  # (3, terms) one cycle of each channel
         nodes: F32Array3,  # (Hg, Wg, 6) A and B
+        sharpness: F32Array2,  # (Hg, Wg) see `fringe_sharpness.py`
         min_intensity: f32,  # levels
         min_modulation: f32,  # levels
         clipped: f32,  # levels
@@ -238,7 +239,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
         height, width, gaps = image.shape[0], image.shape[1], nodes.shape[1] + 1
         for t in range(height * strip_count(gaps, _GAPS_A_THREAD)):
             y, first, count_of_gaps = strip_at(t, gaps, _GAPS_A_THREAD)
-            weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
+            weights, frame_harmonics = matrix_of(phase_weights), load_harmonics(template)
             v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
             right_color, right_ambient = node_model(nodes, v, first - 1)
             red, green, blue, bare, start_phase = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
@@ -248,6 +249,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                 right_color, right_ambient = node_model(nodes, v, j)
                 color_slope = (right_color - left_color) / ti.cast(spacing_px, ti.f32)
                 ambient_slope = (right_ambient - left_ambient) / ti.cast(spacing_px, ti.f32)
+                harmonics = sharpened(frame_harmonics, sharpness[ti.cast(v, ti.i32), ti.min(j, nodes.shape[1] - 1)])
                 start = j * spacing_px - spacing_px // 2
                 x, stop = ti.max(start, 0), ti.min(start + spacing_px, width)
                 while x < stop:
@@ -432,6 +434,7 @@ def fit_phase(
         correction,
         model.template,
         model.nodes,
+        model.sharpness.values,
         levels.intensity,
         levels.modulation,
         levels.clipped,

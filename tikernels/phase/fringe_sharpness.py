@@ -1,0 +1,164 @@
+"""How sharp the fringe is from place to place, read off the frame: the projector's depth of focus.
+
+A blur of the projector multiplies harmonic n of its light by q^(n^2). The frame's template (`channel_template.py`) has
+the mean of it; where q is exp(x) times that, harmonic n is exp(n^2 x) times the template's. Of that the nodes' A and B
+take the first harmonic over, so that harmonics from the second on are left with exp((n^2 - 1) x).
+
+Across brightness and phase, along the unit vector m of t x t', only a wrong model leaves light over. Over the samples
+of a tile of the frame, of balanced light c = (C - B) / A and brightness s,
+
+    x = sum w (c.m) (s g.m) / sum w ((s g.m)^2 + (0.03 s)^2),    g = sum over n of (n^2 - 1) t_n,
+
+with a weight w that falls where a sample is off by more than paint or noise may make it (P. J. Huber, Robust estimation
+of a location parameter, Annals of Mathematical Statistics 35, 1964, doi:10.1214/aoms/1177703732). The second term keeps
+x at zero where the light has no harmonics, as of a compensated pattern: a model that is wrong by 0.3 % would make an x
+of 0.1 then. A and B, fitted with the template as it was, have taken half of x up: the step is twice as long.
+
+What equalises the arctangent is the bend by the second harmonic beside the first, exp(3 x) times the frame's. That the
+mean over the frame stays as it was measured fixes the mean of x.
+"""
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import checks, runtime
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3
+from tikernels.arrays import F32
+from tikernels.phase.channel_template import HARMONICS, cycle_and_slope, load_harmonics, sharpened
+from tikernels.phase.color_balance import sample_at
+from tikernels.phase.equalization import equalized
+from tikernels.phase.phase_vector import cosine_and_sine
+from tikernels.phase.wrapped_phase import has_phase
+
+# Tiles both ways, which are averaged with their neighbours: as far as a surface may bend out of focus.
+_TILES, _AROUND = 8, 0.7
+# Samples that are off by more than this part of their light count less.
+_HUBER = 0.05
+# What a sample says of x counts beside this, as a fraction of its light; and a tile with less to tell than the second
+# part of the mean one's keeps to the template.
+_PRIOR, _FEW = 0.03, 0.01
+# By how much further a step goes than the samples say.
+_STEP = 2.0
+# In focus, x hardly differs from tile to tile, RMS; beyond the most there is hardly a fringe.
+_IN_FOCUS, _MOST = 0.02, 0.7
+# Columns of what a block's samples say: the two sums of x, and their number.
+_PRODUCT, _SQUARE, _COUNT = range(3)
+
+
+@ti.func
+def equalized_at(bare: f32, correction: F32Array1, sharpness: f32) -> f32:
+    """Return a bare phase as it is where the fringe is sharper than on average, equalised; rad."""
+    return bare + ti.exp(3.0 * sharpness) * (equalized(bare, correction) - bare)
+
+
+@ti.func
+def sharpening(harmonics: Static, phase: f32) -> vec3:
+    """Return the derivative of the three channels by the sharpness, g."""
+    cosine, sine = cosine_and_sine(phase)
+    result = vec3(0.0)
+    real, imaginary = cosine, sine
+    for n in ti.static(range(2, HARMONICS + 1)):
+        real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
+        for channel in ti.static(range(3)):
+            wave = harmonics[channel, n - 1] * real + harmonics[channel, HARMONICS + n - 1] * imaginary
+            result[channel] += ti.static(n * n - 1) * wave
+    return result
+
+
+@ti.kernel
+def sum_sharpness_kernel(
+    samples: F32Array3,  # (H, Wb, 3) the channels that the nodes belong to, levels
+    phases: F32Array2,  # (H, Wb) rad, bare; NO_PHASE where there is none
+    correction: F32Array1,  # (bins + 1,) rad
+    template: F32Array2,  # (3, terms)
+    nodes: F32Array3,  # (Hg, Wg, 6) A and B
+    sharpness: F32Array2,  # (Hg, Wg) as far as it is known
+    rows: i32,  # of a block
+    out_sums: F32Array3,  # (Hb, Wb, 3)
+):
+    """Sum up, block by block, what the sharpness explains of what brightness and phase leave over."""
+    for block in range(out_sums.shape[0] * out_sums.shape[1]):
+        i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+        node = ti.min(i // 2, nodes.shape[0] - 1)
+        color = vec3(nodes[node, j, 0], nodes[node, j, 1], nodes[node, j, 2])
+        ambient = vec3(nodes[node, j, 3], nodes[node, j, 4], nodes[node, j, 5])
+        harmonics = sharpened(load_harmonics(template), sharpness[node, j])
+        sums = vec3(0.0)
+        for y in range(i * rows, ti.min((i + 1) * rows, samples.shape[0])):
+            if has_phase(phases[y, j]):
+                phase = equalized_at(phases[y, j], correction, sharpness[node, j])
+                cycle, slope = cycle_and_slope(harmonics, phase)
+                light = (sample_at(samples, y, j) - ambient) / color
+                brightness = light.dot(cycle) / cycle.dot(cycle)
+                across = cycle.cross(slope).normalized(1e-9)
+                left, effect = light.dot(across), brightness * sharpening(harmonics, phase).dot(across)
+                weight = ti.min(1.0, _HUBER * ti.max(brightness, 0.0) / (ti.abs(left) + 1e-9))
+                least = _PRIOR * brightness
+                sums += vec3(weight * left * effect, weight * (effect * effect + least * least), 1.0)
+        for k in ti.static(range(3)):
+            out_sums[i, j, k] = sums[k]
+
+
+class FringeSharpness:
+    """The sharpness around every node of a frame, and the buffer to measure it.
+
+    Parameters
+    ----------
+    blocks, grid : (int, int)
+        How many blocks and nodes there are; see `BalanceWindow`.
+    """
+
+    def __init__(self, blocks: tuple[int, int], grid: tuple[int, int]) -> None:
+        self._sums = runtime.empty((*blocks, 3), np.float32)
+        #: (Hg, Wg) x.
+        self.values = np.zeros(grid, np.float32)
+
+    def forget(self) -> None:
+        """Take the fringe to be as sharp everywhere."""
+        self.values[:] = 0
+
+    def refine(self, samples: F32, phases: F32, correction: F32, template: F32, nodes: F32, rows: int) -> bool:
+        """Go a step on with what the samples say; return whether the rest of the model wants to be fitted again.
+
+        Parameters
+        ----------
+        samples : (H, Wb, 3) float32
+            Levels of the channels that the nodes belong to.
+        phases : (H, Wb) float32
+            rad, bare; NO_PHASE where there is none.
+        correction : (bins + 1,) float32
+            rad to add to them; see `equalization.correction_table`.
+        template : (3, terms) float32
+            One cycle of each channel.
+        nodes : (Hg, Wg, 6) float32
+            A and B of the channels, levels.
+        rows : int
+            Of a block.
+
+        Raises
+        ------
+        ShapeError
+            A shape or dtype is another one.
+        """
+        samples = checks.read_array("samples", samples, (None, self._sums.shape[1], 3), np.float32)
+        phases = checks.read_array("phases", phases, tuple(samples.shape[:2]), np.float32)
+        nodes = checks.read_array("nodes", nodes, (*self.values.shape, 6), np.float32)
+        sum_sharpness_kernel(samples, phases, correction, template, nodes, self.values, rows, self._sums)
+        sums, size = runtime.to_host(self._sums), self.values.shape[::-1]  # synchronises
+        counts = cv2.resize(np.ascontiguousarray(sums[..., _COUNT]), size, interpolation=cv2.INTER_AREA)
+        if not counts.any():
+            return False
+        step = _STEP * _tiled(sums)
+        self.values += cv2.resize(step, size, interpolation=cv2.INTER_LINEAR)
+        self.values -= np.float32(np.log((counts * np.exp(3 * self.values)).sum() / counts.sum()) / 3)
+        np.clip(self.values, -_MOST, _MOST, out=self.values)
+        shown = cv2.resize(counts, step.shape[::-1], interpolation=cv2.INTER_AREA)
+        return bool(np.sqrt((shown * step**2).sum() / shown.sum()) > _IN_FOCUS)
+
+
+def _tiled(sums: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return x of every tile, given the sums of the blocks."""
+    tiles = cv2.resize(sums, (_TILES, _TILES), interpolation=cv2.INTER_AREA)
+    around = cv2.GaussianBlur(tiles, (0, 0), _AROUND, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(around[..., _PRODUCT] / (around[..., _SQUARE] + _FEW * tiles[..., _SQUARE].mean() + 1e-12))
