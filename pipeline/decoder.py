@@ -186,14 +186,14 @@ class Decoder:
         # Surfaces take the model of a first look where nobody else knows a cycle of the light.
         first_look = path.surfaces is not None and not path.light_known
         if first_look:
-            model.fit(crosstalk, levels, correction, cycle)
+            model.fit(crosstalk, levels, correction, cycle, path.contrast_doubt)
         looked = self._find_surfaces(image, levels, work, correction, cycle, memory)
         found = looked if isinstance(looked, FoundSurfaces) else None
         if found is not None:
             crosstalk, cycle = found.crosstalk, found.template
             counts, correction, _ = self._measure_cycle(image, crosstalk, levels, work, memory)
         if found is not None or not first_look:
-            model.fit(crosstalk, levels, correction, cycle, fixed=found is not None)
+            model.fit(crosstalk, levels, correction, cycle, path.contrast_doubt, fixed=found is not None)
         fit = FittedPhase(work.fitted_phase, phases.modulation, phases.precision, phases.misfit, work.brightness)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         if motion is not None:
@@ -217,10 +217,10 @@ class Decoder:
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
         mismatch = model.mismatch if found is None else found.mismatch
-        off_rad = looked.phase_rad if isinstance(looked, NoModelFits) else 0.0
+        odd = looked.odd if isinstance(looked, FoundSurfaces) else looked
         fast = 0.0 if motion is None else motion.too_fast
-        doubt = np.hypot(mismatch, off_rad) if found is None else found.constant_sigma
-        light = (model.contrast, mismatch, off_rad, fast, lambda: self._mm_per_rad(surface))
+        doubt = np.hypot(mismatch, odd.phase_rad if odd else 0.0) if found is None else found.constant_sigma
+        light = (model.contrast, mismatch, odd, fast, lambda: self._mm_per_rad(surface))
         return Measured(
             phases,
             surface,
@@ -266,7 +266,7 @@ class Decoder:
             return image, motion
         for _ in range(MOTION_TURNS):
             _, correction, cycle = self._measure_cycle(image, path.crosstalk, levels, work, memory)
-            model.fit(path.crosstalk, levels, correction, cycle)
+            model.fit(path.crosstalk, levels, correction, cycle, path.contrast_doubt)
             fit = fit_phase(image, model, path.crosstalk, levels, correction, path.contrast_doubt)
             lag = 0.0
             if motion is None:

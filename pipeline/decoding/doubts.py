@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from pipeline.decoding.frame_reader import LinearFrame
+from pipeline.decoding.surface_search import NoModelFits
 from tikernels.phase.frame_statistics import measure_frame
 from tikernels.transposing import transpose
 
@@ -25,7 +26,7 @@ def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
 def light_doubts(
     contrast: float,
     mismatch: float,
-    off_rad: float,
+    odd: NoModelFits | None,
     too_fast: float,
     mm_per_rad: Callable[[], float | None],
     *,
@@ -39,8 +40,8 @@ def light_doubts(
         The fringe's mean modulation over its mean background.
     mismatch : float
         How far the channels' fundamentals are from what the crosstalk makes of them, as a fraction.
-    off_rad : float
-        By how much phases may be off where no matrix explains a surface's colours; 0: one does.
+    odd : NoModelFits, optional
+        Surfaces whose colours no matrix explains.
     too_fast : float
         Share of the surface that moves too fast for colours that follow each other.
     mm_per_rad : callable
@@ -60,11 +61,11 @@ def light_doubts(
             f"phases by about {_in_depth(mismatch, mm_per_rad)}: calibrate the light anew "
             "(colorphase calibrate check says what is wrong)"
         )
-    elif off_rad > 0:
+    elif odd is not None:
         doubts.append(
-            "no matrix explains the largest surface's colours, and phases may be off by some "
-            f"{_in_depth(off_rad, mm_per_rad)}: look for other light, a fluorescent paint, or a calibration of another "
-            "rig"
+            f"no matrix explains the colours of {odd.share:.0%} of the surface, where phases may be off by some "
+            f"{_in_depth(odd.phase_rad, mm_per_rad)}: look for other light, a fluorescent paint, or a calibration of "
+            "another rig"
         )
     if too_fast > _MAX_TOO_FAST:
         doubts.append(

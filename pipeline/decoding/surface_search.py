@@ -46,8 +46,11 @@ _MORE = 1.5
 # A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it;
 # and if the largest does not, no surfaces have been found.
 _UNFIT = 0.02
-# A light of which this part is not explained may turn the phase by as much, rad.
-_PHASE_OF_LIGHT = 1.5
+# Surfaces that are off by more than this, on more than this share of what is lit, are told of: on spots and highlights
+# `phase_sigma` is larger, but a fluorescent paint has another constant.
+_ODD, _ODD_SHARE = 0.025, 0.02
+# A light of which this part is not explained may turn the phase by as much, rad: 1 to 3.5 on paints that fluoresce.
+_PHASE_OF_LIGHT = 2.0
 # The window in which the light of a new surface is averaged, in cycles.
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
@@ -109,18 +112,22 @@ class FoundSurfaces:
     the surface that is most like white: saturated paints are further off."""
     unexplained: int
     """Pixels that none of them explains."""
+    odd: "NoModelFits | None" = None
+    """Surfaces that their own matrices do not explain, as fluorescent ones."""
 
     @property
     def constant_sigma(self) -> float:
         """Standard deviation of the constant of the least certain surface's phase, rad."""
-        return float(self.fitted.constant_sigma.max())
+        return float(np.hypot(self.fitted.constant_sigma.max(), 0.0 if self.odd is None else self.odd.phase_rad))
 
 
 class NoModelFits(NamedTuple):
-    """The frame's colours contradict the crosstalk: no matrix explains its largest surface."""
+    """Some of the frame's colours contradict the crosstalk: no matrix explains them."""
 
     misfit: float
-    """What is left over of that, as a fraction of its light."""
+    """What is left over of them, as a fraction of their light."""
+    share: float
+    """Of the pixels that are lit."""
 
     @property
     def phase_rad(self) -> float:
@@ -188,9 +195,11 @@ class SurfaceSearch:
     def _found(self, fitted: FittedMatrices, unexplained: _Mask) -> FoundSurfaces | NoModelFits:
         """Return the surfaces, unless the largest does not fit, as with a calibration that is not this rig's."""
         sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
-        misfit = float(fitted.misfit[sizes.argmax()])
-        if misfit > _UNFIT:
-            return NoModelFits(misfit)
+        shares, largest = sizes / max(sizes.sum(), 1), sizes.argmax()
+        if fitted.misfit[largest] > _UNFIT:
+            return NoModelFits(float(fitted.misfit[largest]), float(shares[largest]))
+        strange = (fitted.misfit > _ODD) & (sizes > 0)
+        odd = NoModelFits(float(fitted.misfit[strange].max(initial=0)), float(shares[strange].sum()))
         whitest = np.abs(color_ratios(self._colors) - color_ratios(self._known.white)).max(axis=1).argmin()
         return FoundSurfaces(
             self._known.crosstalk(fitted.matrices, self._labels, fitted.ambient),
@@ -198,6 +207,7 @@ class SurfaceSearch:
             fitted,
             float(fitted.mismatch[whitest]),
             int(np.count_nonzero(unexplained & ~self._tried)),
+            odd if odd.share > _ODD_SHARE else None,
         )
 
     def _fit(self, turn: int, *, ends: bool) -> FittedMatrices | None:

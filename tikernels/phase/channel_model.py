@@ -61,6 +61,9 @@ _MIN_FACTOR, _MAX_FACTOR = 0.5, 2.0
 # A node speaks for itself as far as less than this share of its window is empty: a window that ends 2.5 of its standard
 # deviations away is that empty, and passes 0.003 of the fringe; one that ends in its middle passes 0.15.
 _EMPTY = 0.006
+# By how much the sharpness seems to differ over the frame, as a part of what is doubted of the contrast: the second
+# harmonic changes with the cube of it, and a code with the cycle, of which a tile shows several.
+_SHARPNESS = 0.25
 # Turns of fitting, at most, while the fringe is found to be sharper here than there.
 _FOCUS_TURNS = 4
 # Numbers of a node that its neighbours may take over: A, B, and the weight that they have.
@@ -107,7 +110,7 @@ class ChannelModel:
         #: (3, terms) t_i: 1, cosines, sines.
         self.template = np.zeros((3, TERMS), np.float32)
         #: How sharp the fringe is around every node beside the template.
-        self.sharpness = FringeSharpness(blocks, grid)
+        self.sharpness = FringeSharpness(blocks, grid, (gains.height / gains.period_px, gains.width / gains.period_px))
         #: How far the template's fundamentals are from those that crosstalk and lateral colour make, as a fraction.
         self.mismatch = np.nan
         #: The samples' mean modulation over their mean background; NaN without samples.
@@ -119,6 +122,7 @@ class ChannelModel:
         levels: FrameLevels,
         correction: F32,
         known: F32,
+        contrast_doubt: float,
         *,
         fixed: bool = False,
     ) -> None:
@@ -135,6 +139,8 @@ class ChannelModel:
         known : (3, terms) float32
             The template as far as it is known: it helps to tell the samples' brightness, and stays where there are
             hardly any.
+        contrast_doubt : float
+            Standard deviation of a pixel's contrast about what its neighbourhood shows, as a fraction.
         fixed : bool
             Whether the template is known for sure, and not fitted.
 
@@ -152,7 +158,7 @@ class ChannelModel:
             self._fit_template(crosstalk.weights, correction, known, share, fixed=fixed)
             self._fit_nodes(correction, share)
             seen = (gains.samples, self.phases, correction)
-            if not sharpness.refine(*seen, self.template, self.nodes, gains.window.rows):
+            if not sharpness.refine(*seen, self.template, self.nodes, gains.window.rows, _SHARPNESS * contrast_doubt):
                 break
 
     def _fit_template(

@@ -14,6 +14,10 @@ of a location parameter, Annals of Mathematical Statistics 35, 1964, doi:10.1214
 x at zero where the light has no harmonics, as of a compensated pattern: a model that is wrong by 0.3 % would make an x
 of 0.1 then. A and B, fitted with the template as it was, have taken half of x up: the step is twice as long.
 
+By chance, and by a code that changes the contrast from cycle to cycle, x differs by d from tile to tile where the focus
+does not. Tiles that differ by r, RMS, keep 1 - (d / r)^2 of it, and nothing below d (W. James and C. Stein, Estimation
+with quadratic loss, Fourth Berkeley Symposium 1, 1961).
+
 What equalises the arctangent is the bend by the second harmonic beside the first, exp(3 x) times the frame's. That the
 mean over the frame stays as it was measured fixes the mean of x.
 """
@@ -31,8 +35,8 @@ from tikernels.phase.equalization import equalized
 from tikernels.phase.phase_vector import cosine_and_sine
 from tikernels.phase.wrapped_phase import has_phase
 
-# Tiles both ways, which are averaged with their neighbours: as far as a surface may bend out of focus.
-_TILES, _AROUND = 8, 0.7
+# Tiles both ways, at most, and cycles that each wants; they are averaged with their neighbours.
+_TILES, _CYCLES, _AROUND = 8, 3, 0.7
 # Samples that are off by more than this part of their light count less.
 _HUBER = 0.05
 # What a sample says of x counts beside this, as a fraction of its light; and a tile with less to tell than the second
@@ -107,9 +111,13 @@ class FringeSharpness:
     ----------
     blocks, grid : (int, int)
         How many blocks and nodes there are; see `BalanceWindow`.
+    cycles : (float, float)
+        How many cycles the frame is high and wide.
     """
 
-    def __init__(self, blocks: tuple[int, int], grid: tuple[int, int]) -> None:
+    def __init__(self, blocks: tuple[int, int], grid: tuple[int, int], cycles: tuple[float, float]) -> None:
+        high, wide = (int(np.clip(number / _CYCLES, 1, _TILES)) for number in cycles)
+        self._tiles = (wide, high)
         self._sums = runtime.empty((*blocks, 3), np.float32)
         #: (Hg, Wg) x.
         self.values = np.zeros(grid, np.float32)
@@ -118,7 +126,9 @@ class FringeSharpness:
         """Take the fringe to be as sharp everywhere."""
         self.values[:] = 0
 
-    def refine(self, samples: F32, phases: F32, correction: F32, template: F32, nodes: F32, rows: int) -> bool:
+    def refine(
+        self, samples: F32, phases: F32, correction: F32, template: F32, nodes: F32, rows: int, doubt: float
+    ) -> bool:
         """Go a step on with what the samples say; return whether the rest of the model wants to be fitted again.
 
         Parameters
@@ -135,6 +145,8 @@ class FringeSharpness:
             A and B of the channels, levels.
         rows : int
             Of a block.
+        doubt : float
+            By how much x differs from tile to tile where the focus does not, RMS.
 
         Raises
         ------
@@ -149,16 +161,19 @@ class FringeSharpness:
         counts = cv2.resize(np.ascontiguousarray(sums[..., _COUNT]), size, interpolation=cv2.INTER_AREA)
         if not counts.any():
             return False
-        step = _STEP * _tiled(sums)
-        self.values += cv2.resize(step, size, interpolation=cv2.INTER_LINEAR)
+
+        def spread(values: npt.NDArray[np.float32]) -> float:
+            return float(np.sqrt((counts * values**2).sum() / counts.sum()))
+
+        step = cv2.resize(_STEP * self._tiled(sums), size, interpolation=cv2.INTER_LINEAR)
+        self.values += step
+        self.values *= max(0.0, 1 - (doubt / max(spread(self.values), 1e-9)) ** 2)
         self.values -= np.float32(np.log((counts * np.exp(3 * self.values)).sum() / counts.sum()) / 3)
         np.clip(self.values, -_MOST, _MOST, out=self.values)
-        shown = cv2.resize(counts, step.shape[::-1], interpolation=cv2.INTER_AREA)
-        return bool(np.sqrt((shown * step**2).sum() / shown.sum()) > _IN_FOCUS)
+        return spread(step) > max(_IN_FOCUS, doubt)
 
-
-def _tiled(sums: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-    """Return x of every tile, given the sums of the blocks."""
-    tiles = cv2.resize(sums, (_TILES, _TILES), interpolation=cv2.INTER_AREA)
-    around = cv2.GaussianBlur(tiles, (0, 0), _AROUND, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(around[..., _PRODUCT] / (around[..., _SQUARE] + _FEW * tiles[..., _SQUARE].mean() + 1e-12))
+    def _tiled(self, sums: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return x of every tile, given the sums of the blocks."""
+        tiles = cv2.resize(sums, self._tiles, interpolation=cv2.INTER_AREA)
+        around = cv2.GaussianBlur(tiles, (0, 0), _AROUND, borderType=cv2.BORDER_CONSTANT)
+        return np.asarray(around[..., _PRODUCT] / (around[..., _SQUARE] + _FEW * tiles[..., _SQUARE].mean() + 1e-12))

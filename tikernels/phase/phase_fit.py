@@ -247,8 +247,8 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
             for j in range(first, first + count_of_gaps):
                 left_color, left_ambient = right_color, right_ambient
                 right_color, right_ambient = node_model(nodes, v, j)
-                color_slope = (right_color - left_color) / ti.cast(spacing_px, ti.f32)
-                ambient_slope = (right_ambient - left_ambient) / ti.cast(spacing_px, ti.f32)
+                color_slope = (right_color - left_color) * ti.static(1.0 / spacing_px)
+                ambient_slope = (right_ambient - left_ambient) * ti.static(1.0 / spacing_px)
                 harmonics = sharpened(frame_harmonics, sharpness[ti.cast(v, ti.i32), ti.min(j, nodes.shape[1] - 1)])
                 start = j * spacing_px - spacing_px // 2
                 x, stop = ti.max(start, 0), ti.min(start + spacing_px, width)
@@ -260,12 +260,10 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                     for k in range(width_at_once):
                         along = ti.cast(x + k - start, ti.f32) + 0.5
                         color, ambient = left_color + color_slope * along, left_ambient + ambient_slope * along
-                        seen = vec3(red[k], green[k], blue[k])
-                        projected = without_ambient(seen, besides, labels, y, x + k, mixed)
+                        projected = without_ambient(vec3(red[k], green[k], blue[k]), besides, labels, y, x + k, mixed)
                         channels = neutral_light(projected, unmixing, labels, y, x + k, mixed)
                         vector = fringe_vector(channels, color, ambient, weights)
-                        # In levels of the channels as they are, which the model has stretched to one contrast.
-                        modulation[k] = modulation_of(vector) * color.sum() / 3.0
+                        modulation[k] = modulation_of(vector) * color.sum() / 3.0  # of channels as they are
                         bare[k] = arctangent(vector.y, vector.x)
                     for k in range(width_at_once):
                         start_phase[k] = equalized(bare[k], correction)
@@ -283,10 +281,10 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                         precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
                         bright[k] = shown * (model - swing).sum() / 3.0
                         valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
-                        value = start_phase[k] + ti.min(ti.max(step, -_MAX_STEP), _MAX_STEP)
                         if ti.static(mixed):
                             valid &= shows_surface(labels, y, x + k)
-                        phase[k] = ti.select(valid, value, NO_PHASE)
+                        fitted = start_phase[k] + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
+                        phase[k] = ti.select(valid, fitted, NO_PHASE)
                     for k in range(count):
                         out_phase[y, x + k] = phase[k]
                         out_modulation[y, x + k] = modulation[k]

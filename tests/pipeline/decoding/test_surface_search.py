@@ -76,3 +76,16 @@ def test_light_that_no_matrix_explains_is_said(cpu):
         frame = board_decoder().decode(frame_image)
     assert frame.memory.surfaces is None
     assert frame.constant_sigma > 0.03
+
+
+def test_a_fluorescent_paint_is_said(cpu):
+    """It sends blue back as green and red, which no reflectance does: half of the board, off by 0.07 rad."""
+    matrices = [surface_matrix(PAINTS[paint]) for paint in ("white", "skin")]
+    matrices[1][:2, 2] += 0.1, 0.16
+    image, phase, numbers = board(["white", "skin"], (240, 320), matrices=matrices)
+    with pytest.warns(DecodeWarning, match="no matrix explains the colours of 50% of the surface"):
+        frame = board_decoder().decode(image)
+    constants, rms = paint_errors(frame, phase, numbers)
+    assert np.abs(constants).max() < 2 * frame.constant_sigma
+    assert rms[1] < 1.5 * np.nanmedian(frame.phase_sigma[numbers == 1])
+    assert frame.memory.surfaces is not None

@@ -51,7 +51,7 @@ def recover(image: np.ndarray, *, mixed=False, doubt=0.02, gain=0.0, fitted=True
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, levels)
     correction = correction_table(count_phases(image, gains, crosstalk, levels), 9)
-    model.fit(crosstalk, levels, correction, flat_template())
+    model.fit(crosstalk, levels, correction, flat_template(), 0.02)
     if not fitted:
         model.template[:, 1:] *= 0
     out = fit_phase(image, model, crosstalk, levels, correction, doubt)
@@ -115,6 +115,7 @@ def test_as_the_twin(arch, mixed, gain):
     image[16, 30] += 0.6 * (image[10:23, 30].mean(axis=0) - image[16, 30])  # no such contrast in the model
     found, model, correction = recover(image, mixed=mixed, gain=gain)
     phase, precision = found.phase, found.precision
+    assert np.abs(model.sharpness.values).max() < 1e-6
     # Without a template there is no step.
     start = recover(image, mixed=mixed, gain=gain, fitted=False)[0].phase
     nodes = runtime.to_host(model.nodes).astype(np.float64)

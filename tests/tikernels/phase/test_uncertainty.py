@@ -150,7 +150,7 @@ def test_another_colour_widens_its_own_part(cpu, mixed):
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, levels)
     correction = correction_table(count_phases(image, gains, crosstalk, levels), 9)
-    model.fit(crosstalk, levels, correction, flat_template())
+    model.fit(crosstalk, levels, correction, flat_template(), 0.02)
     found = fit_phase(image, model, crosstalk, levels, correction, 0.02)
     difference = reference.wrapped_difference(runtime.to_host(found.phase), truth)
     unwrapped = (truth + difference).astype(np.float32)
