@@ -186,14 +186,14 @@ class Decoder:
         # Surfaces take the model of a first look where nobody else knows a cycle of the light.
         first_look = path.surfaces is not None and not path.light_known
         if first_look:
-            model.fit(crosstalk, levels, correction, cycle, path.contrast_doubt)
+            model.fit(crosstalk, correction, cycle, path.contrast_doubt)
         looked = self._find_surfaces(image, levels, work, correction, cycle, memory)
         found = looked if isinstance(looked, FoundSurfaces) else None
         if found is not None:
             crosstalk, cycle = found.crosstalk, found.template
             counts, correction, _ = self._measure_cycle(image, crosstalk, levels, work, memory)
         if found is not None or not first_look:
-            model.fit(crosstalk, levels, correction, cycle, path.contrast_doubt, fixed=found is not None)
+            model.fit(crosstalk, correction, cycle, path.contrast_doubt, fixed=found is not None)
         fit = FittedPhase(work.fitted_phase, phases.modulation, phases.precision, phases.misfit, work.brightness)
         fit_phase(image, model, crosstalk, levels, correction, path.contrast_doubt, out=fit)
         if motion is not None:
@@ -249,6 +249,7 @@ class Decoder:
     ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Balance the channels, and return how often phases are seen, what equalises them, and the light's cycle."""
         work.gains.measure(image, crosstalk, levels)
+        work.model.recover(crosstalk, levels)
         faded = 0.0 if memory is None else memory.faded_phase_counts
         counts = np.asarray(count_phases(image, work.gains, crosstalk, levels) + faded, np.float64)
         return (counts, *self._path.cycle(counts, work.period_px))
@@ -266,7 +267,7 @@ class Decoder:
             return image, motion
         for _ in range(MOTION_TURNS):
             _, correction, cycle = self._measure_cycle(image, path.crosstalk, levels, work, memory)
-            model.fit(path.crosstalk, levels, correction, cycle, path.contrast_doubt)
+            model.fit(path.crosstalk, correction, cycle, path.contrast_doubt)
             fit = fit_phase(image, model, path.crosstalk, levels, correction, path.contrast_doubt)
             lag = 0.0
             if motion is None:
@@ -291,7 +292,7 @@ class Decoder:
         if not path.light_known:
             cycle = model.template
         before = None if memory is None else memory.surfaces
-        seen = (image, work.gains, path.crosstalk, levels, correction, cycle)
+        seen = (image, work.model, path.crosstalk, levels, correction, cycle)
         return path.surfaces.find(*seen, template_known=path.light_known, before=before)
 
     def _learn_light(self, frame: LinearFrame, period_px: float, surface: SurfaceBuffers) -> bool:

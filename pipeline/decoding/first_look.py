@@ -15,6 +15,7 @@ from pipeline.models import FloatArray
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.phase.camera_blur import VARIANCE_PX
+from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import Gains, WindowSum
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
@@ -22,6 +23,7 @@ from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_
 from tikernels.phase.surface_labels import LEAST_PX, Fringe
 from tikernels.phase.surface_matrix import SurfaceSamples
 from tikernels.phase.surfaces import NO_SURFACE
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
 _Labels = npt.NDArray[np.uint8]
 
@@ -49,10 +51,10 @@ class FirstLook:
     ----------
     image : (H, W, 3) uint8, uint16 or float32
         Linear light, levels.
-    gains : Gains
-        The frame's, measured.
+    model : ChannelModel
+        The frame's samples, balanced.
     crosstalk : Crosstalk
-        What they were measured with.
+        What they were balanced with.
     levels : FrameLevels
         The frame's noise, and what a pixel needs to have a phase.
     correction : (bins + 1,) float32
@@ -69,13 +71,14 @@ class FirstLook:
     def __init__(
         self,
         image: LevelsImage,
-        gains: Gains,
+        model: ChannelModel,
         crosstalk: Crosstalk,
         levels: FrameLevels,
         correction: npt.NDArray[np.float32],
     ) -> None:
+        gains = model.gains
         self.device_image, self.gains, self.levels, self.correction = image, gains, levels, correction
-        self._crosstalk = crosstalk
+        self._model, self._crosstalk = model, crosstalk
         self._smooth = runtime.to_host(gains.smooth).astype(np.float64)
         predicted = np.maximum(self._smooth[..., WindowSum.PREDICTED : WindowSum.PREDICTED + 3], 1e-9)
         self.ratios = color_ratios(self._smooth[..., WindowSum.SEEN : WindowSum.SEEN + 3] / predicted)
@@ -114,19 +117,16 @@ class FirstLook:
 
         Where a surface turns away the fringe is finer, and blur takes more of it.
         """
-        gain = _at_samples(runtime.to_host(self.gains.gains), self.gains).astype(np.float32)
-        vector = (runtime.to_host(self.gains.samples) * gain) @ self._crosstalk.weights[:2].T
-        shown = (vector**2).sum(axis=-1) > self.levels.modulation**2
-        phase = np.arctan2(vector[..., 1], vector[..., 0])
-        phase += self._correction_at(phase)
-        # Every second row shows the same column.
+        phase = runtime.to_host(self._model.phases)
+        shown = phase < LEAST_NO_PHASE
+        # Every second row shows the same column. What the arctangent is off by is the same everywhere.
         change = 0.5 * (phase[2:] - phase[:-2])
         change -= np.pi * np.rint(change / np.pi)
         weight = (shown[2:] & shown[:-2]).astype(np.float32)
         size = self.ratios.shape[1::-1]
         squares, weights = (
             cv2.GaussianBlur(cv2.resize(part, size, interpolation=cv2.INTER_AREA), (0, 0), _CONTRAST_NODES)
-            for part in (weight * change.astype(np.float32) ** 2, weight)
+            for part in (weight * change**2, weight)
         )
         known = weights > _FILLED
         slopes = squares / np.maximum(weights, 1e-3)
@@ -183,9 +183,9 @@ class FirstLook:
         while math.gcd(step, samples.shape[1]) > 1:  # or it meets the same columns again and again
             step += 1
         seen = samples.reshape(-1, 3)[::step].astype(np.float64)
-        gain = _at_samples(runtime.to_host(self.gains.gains), self.gains).reshape(-1, 3)[::step]
+        balanced = runtime.to_host(self._model.balanced).reshape(-1, 3)[::step].astype(np.float64)
         contrast = self.contrast_around.ravel()[::step]
-        return seen, np.asarray((seen * gain) @ self._crosstalk.weights.T.astype(np.float64)), contrast
+        return seen, np.asarray(balanced @ self._crosstalk.weights.T.astype(np.float64)), contrast
 
     def _correction_at(self, phase: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
         """Return what to add to bare phases, rad; several times as fast as `np.interp`."""

@@ -7,8 +7,8 @@ from pipeline.decoding.first_look import FirstLook
 from pipeline.decoding.surface_search import FoundSurfaces, KnownLight, NoModelFits, SurfaceSearch
 from pipeline.models import FloatArray
 from tikernels.arrays import LevelsImage
+from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import channel_harmonics
-from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_vector import channel_delays, phase_weights
@@ -50,7 +50,7 @@ class SurfaceFinder:
     def find(
         self,
         image: LevelsImage,
-        gains: Gains,
+        model: ChannelModel,
         crosstalk: Crosstalk,
         levels: FrameLevels,
         correction: npt.NDArray[np.float32],
@@ -65,10 +65,10 @@ class SurfaceFinder:
         ----------
         image : (H, W, 3) uint8, uint16 or float32
             Linear light, levels, stripes along the rows.
-        gains : Gains
-            The frame's, measured.
+        model : ChannelModel
+            The frame's samples, balanced.
         crosstalk : Crosstalk
-            On white, what the gains were measured with.
+            On white, what they were balanced with.
         levels : FrameLevels
             The frame's noise, and what a pixel needs to have a phase.
         correction : (bins + 1,) float32
@@ -81,7 +81,7 @@ class SurfaceFinder:
             Those of the frame before in a video: they stay as they were, and only if they leave more unexplained than
             there, new ones are looked for.
         """
-        look = FirstLook(image, gains, crosstalk, levels, correction)
+        look = FirstLook(image, model, crosstalk, levels, correction)
         if not look.lit.any():
             return None
         colors = look.common_colors()

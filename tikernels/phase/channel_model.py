@@ -29,7 +29,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
 from tikernels.arrays import F32
-from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, sharpened_waves, template_mismatch, waves_of
+from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, sharpening_factors, template_mismatch, waves_of
 from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
@@ -92,7 +92,7 @@ class ChannelModel:
         height, columns = int(gains.samples.shape[0]), int(gains.samples.shape[1])
         blocks, grid = gains.window.blocks, gains.window.grid
         #: (H, Wb, 3) the samples times their gains, levels; kept beside them, so that a frame may be fitted twice.
-        self._balanced = runtime.empty((height, columns, 3), np.float32)
+        self.balanced = runtime.empty((height, columns, 3), np.float32)
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
         strips = height * -(-columns // _SAMPLES_A_THREAD)
@@ -115,25 +115,50 @@ class ChannelModel:
         self.mismatch = np.nan
         #: The samples' mean modulation over their mean background; NaN without samples.
         self.contrast = np.nan
+        # Which share of the background is ambient light.
+        self._share = 0.0
 
-    def fit(
-        self,
-        crosstalk: Crosstalk,
-        levels: FrameLevels,
-        correction: F32,
-        known: F32,
-        contrast_doubt: float,
-        *,
-        fixed: bool = False,
-    ) -> None:
-        """Fit the template to the samples that the gains were measured from, then A and B around every node.
+    def recover(self, crosstalk: Crosstalk, levels: FrameLevels) -> None:
+        """Balance the samples that the gains were measured from, find their bare phase, and what is ambient light.
 
         Parameters
         ----------
         crosstalk : Crosstalk
             What the gains were measured with.
         levels : FrameLevels
-            Clipped samples, and those with less modulation, say nothing.
+            Clipped samples, and those with less modulation, have no phase.
+        """
+        gains = self.gains
+        samples = (gains.samples, gains.gains, gains.spacing_px, crosstalk.weights)
+        out = (self.balanced, self.phases, self._moments)
+        recover_samples_kernel(*samples, levels.modulation, levels.telling, levels.clipped, *out)
+        moments = runtime.to_host(self._moments)  # synchronises
+        count, modulation, background, square, product = moments.sum(axis=0, dtype=np.float64)
+        # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
+        # light in it, too.
+        self.contrast = float(modulation / background) if background > 0 else np.nan
+        self._share = 0.0
+        if count > 0:
+            variance, covariance = square - background**2 / count, product - background * modulation / count
+            if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
+                share = 1 - modulation * variance / (covariance * background)
+                self._share = float(np.clip(share, 0, _MAX_AMBIENT))
+
+    def fit(
+        self,
+        crosstalk: Crosstalk,
+        correction: F32,
+        known: F32,
+        contrast_doubt: float,
+        *,
+        fixed: bool = False,
+    ) -> None:
+        """Fit the template to the samples that have been recovered, then A and B around every node.
+
+        Parameters
+        ----------
+        crosstalk : Crosstalk
+            What the gains were measured with.
         correction : (bins + 1,) float32
             rad, to be added to the bare phase; see `equalization.correction_table`.
         known : (3, terms) float32
@@ -151,22 +176,19 @@ class ChannelModel:
         """
         correction = checks.read_array("correction", correction, (None,), np.float32)
         known = checks.read_array("known", known, (3, TERMS), np.float32)
-        share = self._recover_samples(crosstalk, levels)
         gains, sharpness = self.gains, self.sharpness
         sharpness.forget()
         for _ in range(_FOCUS_TURNS):
-            self._fit_template(crosstalk.weights, correction, known, share, fixed=fixed)
-            self._fit_nodes(correction, share)
+            self._fit_template(crosstalk.weights, correction, known, fixed=fixed)
+            self._fit_nodes(correction)
             seen = (gains.samples, self.phases, correction)
             if not sharpness.refine(*seen, self.template, self.nodes, gains.window.rows, _SHARPNESS * contrast_doubt):
                 break
 
-    def _fit_template(
-        self, weights: npt.NDArray[np.float32], correction: F32, known: F32, share: float, *, fixed: bool
-    ) -> None:
+    def _fit_template(self, weights: npt.NDArray[np.float32], correction: F32, known: F32, *, fixed: bool) -> None:
         """Fit one cycle of the channels to the samples."""
-        gains, samples = self.gains, (self._balanced, self.phases, correction)
-        light = (gains.smooth, self.sharpness.values, gains.spacing_px, share)
+        gains, samples = self.gains, (self.balanced, self.phases, correction)
+        light = (gains.smooth, self.sharpness.values, gains.spacing_px, self._share)
         sum_template_kernel(*samples, weights, known, *light, self._normal)
         normal = runtime.to_host(self._normal).sum(axis=0, dtype=np.float64)  # synchronises
         gram = np.zeros((TERMS, TERMS))
@@ -181,32 +203,15 @@ class ChannelModel:
         self.template[:] = (solved / solved[0]).T
         self.mismatch = template_mismatch(self.template, weights)
 
-    def _fit_nodes(self, correction: F32, share: float) -> None:
+    def _fit_nodes(self, correction: F32) -> None:
         """Fit A and B around every node."""
-        gains, samples = self.gains, (self._balanced, self.phases, correction)
-        light = (gains.smooth, self.sharpness.values, gains.window.rows, share)
+        gains, samples = self.gains, (self.balanced, self.phases, correction)
+        light = (gains.smooth, self.sharpness.values, gains.window.rows, self._share)
         sum_model_kernel(*samples, self.template, *light, self._sums)
         gains.window.smooth(self._sums, self._half, self._smooth)
-        fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, share, gains.window.samples, self._shared)
+        fit_nodes_kernel(self._smooth, gains.smooth, gains.gains, self._share, gains.window.samples, self._shared)
         gains.window.smooth(self._shared, self._half_around, self._around)
         settle_nodes_kernel(self._shared, self._around, self.nodes)
-
-    def _recover_samples(self, crosstalk: Crosstalk, levels: FrameLevels) -> float:
-        """Balance the samples, find their bare phase, and return which share of the background is ambient light."""
-        gains = self.gains
-        samples = (gains.samples, gains.gains, gains.spacing_px, crosstalk.weights)
-        out = (self._balanced, self.phases, self._moments)
-        recover_samples_kernel(*samples, levels.modulation, levels.telling, levels.clipped, *out)
-        moments = runtime.to_host(self._moments)  # synchronises
-        count, modulation, background, square, product = moments.sum(axis=0, dtype=np.float64)
-        # Over the frame the modulation is proportional to what the projector sends, the background has the ambient
-        # light in it, too.
-        self.contrast = float(modulation / background) if background > 0 else np.nan
-        if count > 0:
-            variance, covariance = square - background**2 / count, product - background * modulation / count
-            if variance * count > (_MIN_VARIATION * background) ** 2 and covariance > 0:
-                return float(np.clip(1 - modulation * variance / (covariance * background), 0, _MAX_AMBIENT))
-        return 0.0
 
 
 @ti.kernel
@@ -280,7 +285,8 @@ def sum_template_kernel(
             if has_phase(phases[y, j]):
                 ambient = ambient_at(smooth, spacing_px, share, y, j * spacing_px)
                 sharper = sharpness[ti.min(y // spacing_px, sharpness.shape[0] - 1), j]
-                waves = sharpened_waves(waves_of(equalized_at(phases[y, j], correction, sharper)), sharper)
+                waves = waves_of(equalized_at(phases[y, j], correction, ti.exp(3.0 * sharper)))
+                waves *= sharpening_factors(sharper)
                 light = sample_at(samples, y, j) - ambient
                 # Each sample with its own brightness: bright ones count more, as they are more certain. The background
                 # tells it whatever the phase, apart from what is known of the response and lateral colour.
@@ -319,9 +325,10 @@ def sum_model_kernel(
         model, square, seen, product = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
         ambient = ambient_at(smooth, 2 * rows, share, i * rows, j * 2 * rows)
         sharper = sharpness[ti.min(i // 2, sharpness.shape[0] - 1), j]
+        bend, factors = ti.exp(3.0 * sharper), sharpening_factors(sharper)
         for y in range(i * rows, ti.min((i + 1) * rows, height)):
             if has_phase(phases[y, j]):
-                waves = sharpened_waves(waves_of(equalized_at(phases[y, j], correction, sharper)), sharper)
+                waves = factors * waves_of(equalized_at(phases[y, j], correction, bend))
                 light = sample_at(samples, y, j) - ambient
                 cycle = cycle_at(template, waves)
                 expected = light.dot(cycle) / cycle.dot(cycle) * cycle

@@ -132,13 +132,12 @@ def sharpened(harmonics: Static, sharpness: f32):
 
 
 @ti.func
-def sharpened_waves(waves: Static, sharpness: f32):
-    """Return `waves_of`, those of the nth harmonic times the same."""
-    result = waves
+def sharpening_factors(sharpness: f32):
+    """Return what `sharpened` multiplies `waves_of` by."""
+    result = ti.Vector.one(f32, TERMS)
     for n in ti.static(range(2, HARMONICS + 1)):
         factor = ti.exp(ti.static(n * n - 1) * sharpness)
-        result[n] *= factor
-        result[HARMONICS + n] *= factor
+        result[n], result[HARMONICS + n] = factor, factor
     return result
 
 

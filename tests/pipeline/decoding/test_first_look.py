@@ -5,6 +5,7 @@ import pytest
 from support.colored_boards import MATRIX, PAINTS, PERIOD_PX, board, surface_matrix
 
 from pipeline.decoding.first_look import FirstLook, repeated
+from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
@@ -20,7 +21,9 @@ def look_at(image: np.ndarray) -> FirstLook:
     crosstalk = Crosstalk.of(MATRIX)
     gains = Gains(*image.shape[:2], PERIOD_PX)
     gains.measure(image, crosstalk, LEVELS)
-    return FirstLook(image, gains, crosstalk, LEVELS, FLAT)
+    model = ChannelModel(gains)
+    model.recover(crosstalk, LEVELS)
+    return FirstLook(image, model, crosstalk, LEVELS, FLAT)
 
 
 def test_nodes_have_the_paints_colours(arch):

@@ -42,7 +42,8 @@ def fitted(image: np.ndarray) -> tuple[ChannelModel, Gains]:
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, LEVELS)
     correction = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9)
-    model.fit(crosstalk, LEVELS, correction, flat_template(), 0.02)
+    model.recover(crosstalk, LEVELS)
+    model.fit(crosstalk, correction, flat_template(), 0.02)
     return model, gains
 
 
@@ -118,15 +119,18 @@ def test_what_a_fit_takes_and_refuses(arch):
     first = model.template.copy(), runtime.to_host(model.nodes).copy()
     correction, known = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9), flat_template()
     for form in (np.copy, every_second, read_only, on_device):
-        model.fit(crosstalk, LEVELS, form(correction), form(known), 0.02)
+        model.recover(crosstalk, LEVELS)
+        model.fit(crosstalk, form(correction), form(known), 0.02)
         np.testing.assert_array_equal(model.template, first[0])
         np.testing.assert_array_equal(runtime.to_host(model.nodes), first[1])
     for bad in (correction.astype(np.float64), correction[None], correction[:0], correction.tolist()):
         with pytest.raises(tikernels.ShapeError, match=r"correction (has shape|is)"):
-            model.fit(crosstalk, LEVELS, bad, known, 0.02)
+            model.recover(crosstalk, LEVELS)
+            model.fit(crosstalk, bad, known, 0.02)
     for bad in (known.astype(np.float64), known[None], known[:, :-1], known[:2], known.tolist()):
         with pytest.raises(tikernels.ShapeError, match=r"known (has shape|is)"):
-            model.fit(crosstalk, LEVELS, correction, bad, 0.02)
+            model.recover(crosstalk, LEVELS)
+            model.fit(crosstalk, correction, bad, 0.02)
 
 
 def test_a_fringe_that_shows_twelve_phases_tells_the_template(cpu):

@@ -39,7 +39,8 @@ def decode(image: np.ndarray, crosstalk: Crosstalk):
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, LEVELS)
     correction = correction_table(count_phases(image, gains, crosstalk, LEVELS), 9)
-    model.fit(crosstalk, LEVELS, correction, flat_template(), 0.02)
+    model.recover(crosstalk, LEVELS)
+    model.fit(crosstalk, correction, flat_template(), 0.02)
     return model, fit_phase(image, model, crosstalk, LEVELS, correction, 0.02)
 
 

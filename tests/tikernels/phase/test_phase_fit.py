@@ -51,7 +51,8 @@ def recover(image: np.ndarray, *, mixed=False, doubt=0.02, gain=0.0, fitted=True
     model = ChannelModel(gains)
     gains.measure(image, crosstalk, levels)
     correction = correction_table(count_phases(image, gains, crosstalk, levels), 9)
-    model.fit(crosstalk, levels, correction, flat_template(), 0.02)
+    model.recover(crosstalk, levels)
+    model.fit(crosstalk, correction, flat_template(), 0.02)
     if not fitted:
         model.template[:, 1:] *= 0
     out = fit_phase(image, model, crosstalk, levels, correction, doubt)
