@@ -55,7 +55,7 @@ class DecodeSettings(Model):
     """Window along the stripes; 0: none."""
     code: Literal["contrast"] | None = None
     """The pattern's code, by which orders become absolute; a calibration's pattern wins. "contrast": the modulation of
-    each cycle tells which one it is (`colorphase pattern --code contrast`)."""
+    each cycle tells which one it is, as in what `colorphase pattern` makes."""
     field_times: Vector3 | None = None
     """When the projector shows red, green and blue where it shows them one after another: the middle of each, in times
     from frame to frame. Then `previous` tells what moved in between. None: all at once."""

@@ -87,7 +87,7 @@ class SimulatedResult:
 
 
 def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str], None]) -> SimulatedResult:
-    """Simulate a frame of a bust, decode it with the rig's calibration, draw it, and measure it.
+    """Simulate a frame of a bust under the coded pattern, decode it with the rig's calibration, draw and measure it.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str],
         tell("simulating one colour frame")
         runtime.init(arch)
         simulation = SimulationSettings()
-        rig = simulated_rig()
+        rig = simulated_rig(code="contrast")
         truth = simulate_frame(rig, simulation)
         calibration = rig.model_copy(update={"crosstalk_matrix": simulation.crosstalk_matrix})
         tell("decoding it")

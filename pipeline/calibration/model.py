@@ -273,17 +273,18 @@ def choose_pattern(
     known: Calibration | None,
     period_px: float | None,
     stripes: Literal["horizontal", "vertical"] | None,
-    code: Literal["contrast"] | None = None,
+    code: Literal["contrast", "none"] | None = None,
 ) -> Pattern:
-    """Return the pattern that frames are taken with: what was named, else the calibration's.
+    """Return the pattern that frames are taken with: what was named, else the calibration's, else one with the code.
 
     Raises
     ------
     SettingsError
         There is no such pattern.
     """
-    before = known.pattern if known is not None and known.pattern is not None else Pattern(period_px=DEFAULT_PERIOD_PX)
+    usual = Pattern(period_px=DEFAULT_PERIOD_PX, code="contrast")
+    before = known.pattern if known is not None and known.pattern is not None else usual
     values = before.model_dump()
     chosen = (("period_px", period_px), ("stripes", stripes), ("code", code))
-    values |= {name: value for name, value in chosen if value is not None}
+    values |= {name: None if value == "none" else value for name, value in chosen if value is not None}
     return build(Pattern, values, SettingsError, "pattern")

@@ -227,6 +227,7 @@ def geometry(
     options: BoardOptions = _BOARD,
     period: float | None = None,
     stripes: Literal["horizontal", "vertical"] | None = None,
+    code: Literal["contrast", "none"] | None = None,
     baseline_mm: float | None = None,
     white_level: Annotated[float | None, Parameter(validator=above_zero)] = None,
     calibration: Path | None = None,
@@ -255,6 +256,8 @@ def geometry(
         17.4545.
     stripes
         Its direction; left out, the earlier calibration's, else horizontal.
+    code
+        Its code, as colorphase pattern was told; left out, the earlier calibration's, else contrast.
     baseline_mm
         The distance between camera and projector where it is known; a wrong square size shows in it.
     white_level
@@ -274,7 +277,7 @@ def geometry(
     check_target(target, force=force)
     known = read_calibration(calibration)
     described = options.board(board)
-    pattern = choose_pattern(known, period, stripes)
+    pattern = choose_pattern(known, period, stripes, code)
     measured = measure_poses(folder, described, size_px, white_level)
     found = solve_geometry(measured.poses, measured.camera_size_px, size_px, pattern, known, baseline_mm)
     found.calibration.write(target, force=force)

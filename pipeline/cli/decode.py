@@ -17,6 +17,7 @@ from pipeline.errors import SettingsError
 from pipeline.footage.image_folder import IMAGE_SUFFIXES
 from pipeline.footage.source import StoredAs
 from pipeline.output.folder import refuse_others
+from pipeline.output.report import depth_in_words
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import MeshKind, mesh_fields
 from pipeline.settings import DecodeSettings
@@ -79,6 +80,7 @@ def decode(
     out: str,
     settings: Path | None = None,
     calibration: Path | None = None,
+    depth_range: tuple[float, float] | None = None,
     arch: Arch = "auto",
     force: bool = False,
     video: FootageOptions = _FOOTAGE,
@@ -102,12 +104,14 @@ def decode(
         TOML file of settings; what is left out is the default.
     calibration
         The rig's calibration.json; with it results are in mm.
+    depth_range
+        The nearest and the farthest depth of what was photographed, mm; it tells the order of what has no code.
     arch
         Where to compute.
     force
         Write into a folder that holds other things.
     """
-    chosen, rig = read_settings(settings), read_calibration(calibration)
+    chosen, rig = read_settings(settings), _within(read_calibration(calibration), depth_range)
     if input.suffix.lower() not in IMAGE_SUFFIXES or input.is_dir():
         _decode_video(input, out, chosen, rig, arch, video, stored_as, force=force)
         return
@@ -120,8 +124,24 @@ def decode(
     with steps() as step:
         frame = decode_picture(input, out, chosen, rig, stored_as, arch, force=force, tell=step)
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
+    if (relative := depth_in_words(frame)) is not None:
+        say(relative)
     if not frame.mask.any():  # the warning has said why
         sys.exit(1)
+
+
+def _within(rig: Calibration | None, depth_range_mm: tuple[float, float] | None) -> Calibration | None:
+    """Return a calibration with the depths at which things are."""
+    if depth_range_mm is None:
+        return rig
+    if rig is None or not rig.has_geometry:
+        raise SettingsError("--depth-range is in mm: give a --calibration with the rig's geometry, too")
+    nearest, farthest = depth_range_mm
+    if not 0 < nearest < farthest:
+        raise SettingsError(
+            f"--depth-range is {nearest:g} {farthest:g}: give the nearest and the farthest depth in mm, as 700 1100"
+        )
+    return rig.model_copy(update={"depth_range_mm": depth_range_mm})
 
 
 def _decode_video(

@@ -30,7 +30,7 @@ def pattern(
     size: str | None = None,
     period: float | None = None,
     stripes: Literal["horizontal", "vertical"] | None = None,
-    code: Literal["contrast"] | None = None,
+    code: Literal["contrast", "none"] | None = None,
     calibration: Path | None = None,
     brightness: float = 1.0,
     board: Literal["charuco", "chessboard"] | None = None,
@@ -52,7 +52,8 @@ def pattern(
     stripes
         Which way they run; left out, the calibration's, else horizontal.
     code
-        "contrast": the modulation of each cycle tells which one it is, so that one frame gives absolute depth.
+        "contrast": the modulation of each cycle tells which one it is, so that one frame gives absolute depth; "none":
+        a plain pattern, whose depth is relative. Left out, the calibration's, else contrast.
     calibration
         The rig's calibration.json; the projector's response is then undone in the pattern.
     brightness

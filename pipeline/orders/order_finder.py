@@ -38,7 +38,10 @@ _EVERY_COLUMN = 8
 # Where a code that nobody has told of places more than this share of the pixels, it is one.
 _MIN_CODED = 0.5
 
-_CODE_NOT_SEEN = "the frame does not show the contrast code: project a pattern made with --code contrast"
+_CODE_NOT_SEEN = (
+    "the frame does not show the contrast code: project what colorphase pattern makes, or calibrate the rig with "
+    "--code none"
+)
 _CODE_NOT_TOLD = 'the frame shows a contrast code: set code = "contrast" to use it'
 _OTHER_SCENE = "nothing of the frame before is seen again: the orders start afresh"
 

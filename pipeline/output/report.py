@@ -51,6 +51,25 @@ def frame_report(
     }
 
 
+def depth_in_words(frame: DecodedFrame) -> str | None:
+    """Say between what a frame's depth is only relative, and what would tell; None: every order is absolute."""
+    if not frame.mask.any():
+        return None
+    if not frame.calibrated:
+        return "depth is relative, in rad of phase and not in mm: give a --calibration"
+    unknown, point_sigma = frame.mask & ~frame.absolute, frame.point_sigma
+    if point_sigma is None or not unknown.any():
+        return None
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mm_per_rad = float(np.nanmedian((point_sigma / frame.phase_sigma)[unknown]))
+    regions = np.count_nonzero(np.bincount(frame.region[unknown]))
+    which = "the surface" if regions == 1 else f"each of {regions} surfaces"
+    return (
+        f"depth is relative on {unknown.sum() / frame.mask.sum():.0%} of the pixels: {which} there may be off by whole "
+        f"cycles, some {2 * np.pi * mm_per_rad:.2g} mm each; a pattern with the code or a --depth-range tells"
+    )
+
+
 def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[str, float | int]:
     """Return how far a result is from the truth it was simulated from.
 
@@ -66,8 +85,10 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
     dict
         ``phase_rms_rad`` over the lit pixels (brighter than 20 levels, 4 px inside the lit area), one constant, given
         as ``phase_constant_rad``, removed; ``coverage``, the share of those pixels that have a result;
-        ``wrong_orders``, pixels whose order is not their surface's commonest; and with a calibration ``depth_rms_mm``,
-        each surface's commonest order, which nothing in one frame tells, taken as known.
+        ``wrong_orders``, pixels whose order is not their surface's commonest; and with a calibration, over the same
+        pixels, ``depth_rms_mm`` and ``depth_p999_mm``, RMS and 99.9th percentile of the depth error as it is,
+        ``absolute``, the share of the lit pixels whose order is said to be absolute, and
+        ``depth_rms_order_known_mm``, as if each surface's commonest order were its true one.
     """
     brightness = truth.image.mean(axis=2) * (255.0 / truth.white_level)
     square = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
@@ -92,12 +113,15 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
             commonest[here] = values[np.argmax(counts)]
             wrong += int(here.sum() - counts.max())
     measured["wrong_orders"] = wrong
-    if frame.calibrated:
+    if frame.points is not None:
         geometry = truth.rig.geometry()
         placed = (frame.unwrapped_phase - 2 * np.pi * commonest).astype(np.float32)
         points = runtime.to_host(triangulate(placed, geometry.camera.rays(), geometry.for_triangulation()))
-        depth_error = (points - truth.points)[valid][:, 2]
-        measured["depth_rms_mm"] = float(np.sqrt(np.nanmean(depth_error.astype(np.float64) ** 2)))
+        off, order_known = ((found - truth.points)[valid][:, 2].astype(np.float64) for found in (frame.points, points))
+        measured["depth_rms_mm"] = float(np.sqrt(np.nanmean(off**2)))
+        measured["depth_p999_mm"] = float(np.nanquantile(np.abs(off), 0.999))
+        measured["depth_rms_order_known_mm"] = float(np.sqrt(np.nanmean(order_known**2)))
+        measured["absolute"] = float((lit & frame.absolute).sum() / lit.sum())
     return measured
 
 

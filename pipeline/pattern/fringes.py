@@ -58,7 +58,7 @@ def make_pattern(
         if length > CYCLES * pattern.period_px:
             raise SettingsError(
                 f"the code tells {CYCLES} cycles apart, but {length} px hold {length / pattern.period_px:.0f} of "
-                f"{pattern.period_px:g} px: take a period of {length / CYCLES:.3g} px or more"
+                f"{pattern.period_px:g} px: take a period of {length / CYCLES:.3g} px or more, or no code"
             )
         modulation = modulation_at(np.arange(length) / pattern.period_px)[:, None]
     codes = brightness * (0.5 + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES)))

@@ -120,6 +120,10 @@ def test_the_pattern_that_was_named_wins_over_the_calibrations():
     known = simulated_rig(period_px=20, stripes="vertical")
     assert choose_pattern(known, None, None) == known.pattern
     assert choose_pattern(known, 12, None, "contrast") == Pattern(period_px=12, stripes="vertical", code="contrast")
-    assert choose_pattern(None, None, None) == Pattern(period_px=768 / 44)
+    assert choose_pattern(None, None, None) == Pattern(period_px=768 / 44, code="contrast")
+    assert choose_pattern(None, None, None, "none") == Pattern(period_px=768 / 44)
+    coded = simulated_rig(code="contrast")
+    assert choose_pattern(coded, None, None) == coded.pattern
+    assert choose_pattern(coded, None, None, "none").code is None
     with pytest.raises(SettingsError, match="period_px"):
         choose_pattern(None, 1, None)

@@ -51,11 +51,25 @@ def test_decode_without_one_is_relative(folder, command):
     done = command("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert json.loads((folder / "rad" / "report.json").read_text())["range_unit"] == "rad"
+    assert "depth is relative, in rad of phase and not in mm: give a --calibration" in done.stdout
     assert read_mesh(folder / "rad" / "mesh.ply").unit == "rad"
     assert "points" not in set(zarr.open_group(folder / "rad" / "result.zarr", mode="r").array_keys())
     # Our own results may be replaced.
     again = command("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
     assert again.returncode == 0, again.stderr
+
+
+def test_a_depth_range_tells_the_order(folder, command):
+    arguments = ("decode", "frame.png", "--arch", "cpu", "--calibration", "calibration.json")
+    relative = command(*arguments, "--out", "anywhere", cwd=folder)
+    assert "there may be off by whole cycles, some" in " ".join(relative.stdout.split())
+    told = command(*arguments, "--out", "ranged", "--depth-range", "860", "940", cwd=folder)
+    assert told.returncode == 0 and "relative" not in told.stdout
+    assert json.loads((folder / "ranged" / "report.json").read_text())["orders_are_absolute"]
+    refused = command(*arguments, "--out", "no", "--depth-range", "900", "700", cwd=folder)
+    assert "--depth-range is 900 700: give the nearest and the farthest depth in mm, as 700 1100" in refused.stderr
+    refused = command(*arguments[:4], "--out", "no", "--depth-range", "700", "900", cwd=folder)
+    assert "--depth-range is in mm: give a --calibration" in refused.stderr
 
 
 def test_a_frame_without_fringes(folder, command):

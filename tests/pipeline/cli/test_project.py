@@ -95,4 +95,13 @@ def test_pictures_that_are_refused(command, name, picture, message):
 def test_a_pattern_has_the_size_that_was_asked_for(command, tmp_path):
     assert command("pattern", "pattern.png", "--size", "320x240") == (0, "", "")
     assert read_image(tmp_path / "pattern.png").shape == (240, 320, 3)
-    assert json.loads((tmp_path / "pattern.json").read_text())["stripes"] == "horizontal"
+    described = json.loads((tmp_path / "pattern.json").read_text())
+    assert described["stripes"] == "horizontal" and described["code"] == "contrast"
+
+
+def test_a_plain_pattern_is_asked_for(command, tmp_path):
+    assert command("pattern", "plain.png", "--size", "320x240", "--code", "none") == (0, "", "")
+    assert json.loads((tmp_path / "plain.json").read_text())["code"] is None
+    error = command("pattern", "fine.png", "--size", "1920x1080", "--period", "6")[2]
+    assert "take a period of 7.94 px or more, or no code" in error
+    assert command("pattern", "fine.png", "--size", "1920x1080", "--period", "6", "--code", "none")[0] == 0

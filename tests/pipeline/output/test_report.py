@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.output.report import frame_report, measure_against_truth
+from pipeline.errors import DecodeWarning
+from pipeline.output.report import depth_in_words, frame_report, measure_against_truth
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
+from tikernels import runtime
+from tikernels.depth.triangulation import triangulate
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -23,13 +26,20 @@ def truth(cpu):
 def result(truth, error_rad=0.0, calibrated=False):
     """Return what a decoder would give that is off by some phase."""
     phase = np.where(truth.mask, truth.phase + error_rad, np.nan).astype(np.float32)
-    return SimpleNamespace(unwrapped_phase=phase, mask=truth.mask, calibrated=calibrated)
+    found = SimpleNamespace(unwrapped_phase=phase, mask=truth.mask, points=None)
+    if calibrated:
+        geometry = truth.rig.geometry()
+        points = triangulate(phase, geometry.camera.rays(), geometry.for_triangulation())
+        found.points, found.absolute = runtime.to_host(points), truth.mask & (np.arange(128) < 64)
+    return found
 
 
 def test_the_truth_itself_has_no_error(truth):
     measured = measure_against_truth(result(truth, calibrated=True), truth)
     assert measured["coverage"] == 1 and measured["wrong_orders"] == 0
-    assert measured["phase_rms_rad"] < 1e-4 and measured["depth_rms_mm"] < 0.01
+    assert measured["phase_rms_rad"] < 1e-4
+    assert max(measured[name] for name in ("depth_rms_mm", "depth_p999_mm", "depth_rms_order_known_mm")) < 0.01
+    assert measured["absolute"] == pytest.approx(0.5, abs=0.05)
 
 
 def test_a_constant_is_told_and_is_no_error(truth):
@@ -46,10 +56,26 @@ def test_noise_is_an_rms_and_whole_cycles_are_orders(truth):
     assert measured["wrong_orders"] == 16
 
 
-def test_a_surface_may_have_any_order_of_its_own(truth):
-    """Nothing in one frame tells it: depth is measured as if it were known."""
+def test_no_order_is_given_back(truth):
+    """A surface that is a whole cycle off is as far off as that makes it; beside it stands the rest of its error."""
     measured = measure_against_truth(result(truth, 2 * np.pi, calibrated=True), truth)
-    assert measured["wrong_orders"] == 0 and measured["depth_rms_mm"] < 0.01
+    assert measured["wrong_orders"] == 0 and measured["depth_rms_order_known_mm"] < 0.01
+    assert measured["depth_rms_mm"] > 50 and measured["depth_p999_mm"] > measured["depth_rms_mm"]
+
+
+def test_depth_that_is_only_relative_is_said(truth):
+    """Without a calibration, without the code, and with a depth range."""
+    rig = truth.rig
+    plain = Decoder(arch="cpu").decode(truth.image)
+    assert depth_in_words(plain) == "depth is relative, in rad of phase and not in mm: give a --calibration"
+    said = depth_in_words(Decoder(calibration=rig, arch="cpu").decode(truth.image))
+    assert "relative on 100% of the pixels: the surface there may be off by whole cycles, some" in said
+    # The plane stands 900 mm away; the period is twice the usual one, of 45 mm a cycle.
+    assert 80 < float(said.split("some ")[1].split(" mm")[0]) < 110
+    ranged = rig.model_copy(update={"depth_range_mm": (890.0, 910.0)})
+    assert depth_in_words(Decoder(calibration=ranged, arch="cpu").decode(truth.image)) is None
+    with pytest.warns(DecodeWarning, match="no fringe"):
+        assert depth_in_words(Decoder(arch="cpu").decode(np.zeros_like(truth.image))) is None
 
 
 def test_what_is_missing_of_the_lit_pixels_is_coverage(truth):
