@@ -18,7 +18,7 @@ from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, count_votes, split_by_votes
 from pipeline.orders.coded_orders import find_absolute_orders
 from pipeline.orders.modulation import blur_shift, code_deviations, modulation_corrections
-from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, AbsoluteOrders, OrderRange
+from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, AbsoluteOrders, OrderRange
 from pipeline.pattern.contrast_code import cycle_modulations
 from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
@@ -29,6 +29,8 @@ from tikernels.phase.equalization import modulation_tables
 from tikernels.phase.smoothing import RATE_ACROSS
 from tikernels.unwrapping.patches import MIN_REGION_PX, Patches, PatchGraph, RegionTable
 
+# Where more of the surface than this does not fit into the depth range, the range is not believed.
+_MAX_OUT_OF_RANGE = 0.02
 # With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
 # (rad) that is worth a pass over the image.
 _MAX_LOST = 0.02
@@ -43,6 +45,10 @@ _CODE_NOT_SEEN = (
     "--code none"
 )
 _CODE_NOT_TOLD = 'the frame shows a contrast code: set code = "contrast" to use it'
+_OUT_OF_RANGE = (
+    "{:.0%} of the surface fits at no order into the depth range of {:g} to {:g} mm, which therefore tells none: "
+    "give the range of all that is in view"
+)
 _OTHER_SCENE = "nothing of the frame before is seen again: the orders start afresh"
 
 
@@ -185,7 +191,8 @@ class OrderFinder:
                 roots = parts if carried.same_scene else None
             warning = warning if carried.same_scene else _OTHER_SCENE
         if not coded and self._depth_range_mm is not None:
-            absolute = self._place_by_depth(seen, patches.graph(), roots, rays)
+            absolute, out_of_range = self._place_by_depth(seen, patches.graph(), roots, rays)
+            warning = warning or out_of_range
         if not self._code_looked_for:
             self._code_looked_for = True
             warning = _CODE_NOT_TOLD if self._shows_a_code(seen, patches) else warning
@@ -248,15 +255,21 @@ class OrderFinder:
 
     def _place_by_depth(
         self, seen: SeenPhase, graph: PatchGraph, roots: npt.NDArray[np.int32] | None, rays: CameraRays | None
-    ) -> AbsoluteOrders | None:
-        """Find the orders that the depth range leaves possible."""
+    ) -> tuple[AbsoluteOrders | None, str | None]:
+        """Find the orders that the depth range leaves possible, and say if it does not hold what is in view."""
         order_range = self._order_range(seen, graph, rays)
-        if order_range is None:
-            return None
+        if order_range is None or self._depth_range_mm is None:
+            return None, None
         roots = graph.root if roots is None else roots
-        parts = np.flatnonzero(np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX)
+        pixels = np.bincount(roots, graph.pixels, len(roots))
+        parts = np.flatnonzero(pixels >= MIN_REGION_PX)
         ranges = order_range.by_part(roots, parts, graph.pixels)
-        return AbsoluteOrders(roots, parts, tuple(within.alone() for within in ranges))
+        outside = pixels[parts[[not within.holds for within in ranges]]].sum() / max(pixels[parts].sum(), 1)
+        if outside > _MAX_OUT_OF_RANGE:
+            # What of the rest fits, fits by chance.
+            unknown = AbsoluteOrders(roots, parts, (NOTHING_KNOWN,) * len(parts))
+            return unknown, _OUT_OF_RANGE.format(outside, *self._depth_range_mm)
+        return AbsoluteOrders(roots, parts, tuple(within.alone() for within in ranges)), None
 
     def _order_range(self, seen: SeenPhase, graph: PatchGraph, rays: CameraRays | None) -> OrderRange | None:
         """Return how many cycles every patch may lack: its first pixel's ray in the depth range and the pattern."""

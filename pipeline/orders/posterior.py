@@ -17,8 +17,9 @@ _RANGE_SIGMA = 0.2
 # What stays possible of an order far outside the range, relative to one inside; the likeliest order contradicts the
 # range if it lies four standard deviations outside.
 _FLOOR, _FAR_OUTSIDE = 1e-6, 0.8
-# This share of a region's pixels may lie outside at either end: rims, and what leaked in from other surfaces.
-_OUTLIERS = 0.1
+# This share of a region's pixels may lie outside at either end: rims, and what leaked in from other surfaces. Where the
+# range alone is to tell the order, only the second share may, and the others by this fraction of a cycle.
+_OUTLIERS, _STRAYS, _LEAVES = 0.1, 0.02, 0.25
 
 
 @dataclass(frozen=True)
@@ -33,9 +34,14 @@ class OrderRange:
         self, roots: npt.NDArray[np.integer], parts: Integers, pixels: npt.NDArray[np.integer]
     ) -> list["PartRange"]:
         """Return what is possible of most pixels of each part."""
-        least = _quantiles(self.least, 1 - _OUTLIERS, roots, parts, pixels)
-        most = _quantiles(self.most, _OUTLIERS, roots, parts, pixels)
-        return [PartRange(*ends, self.of_depth) for ends in zip(least, most, strict=True)]
+        held = (roots, parts, pixels)
+        (least, most), (all_least, all_most) = (
+            (_quantiles(self.least, 1 - share, *held), _quantiles(self.most, share, *held))
+            for share in (_OUTLIERS, _STRAYS)
+        )
+        best = np.rint((all_least + all_most) / 2)
+        outside = np.maximum(np.maximum(all_least - best, best - all_most), 0)
+        return [PartRange(*ends, self.of_depth) for ends in zip(least, most, outside, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -44,11 +50,17 @@ class PartRange:
 
     least: float
     most: float
+    outside: float  # by how many the whole part, but for strays, leaves the range at its best order
     of_depth: bool
+
+    @property
+    def holds(self) -> bool:
+        """Whether the range holds the whole part: else it says nothing of it, and is not what it was said to be."""
+        return self.outside <= _LEAVES
 
     def alone(self) -> "Posterior":
         """Return the posterior of a part of which nothing else is known, if anybody has said where surfaces are."""
-        if not self.of_depth:
+        if not self.of_depth or not self.holds:
             return NOTHING_KNOWN
         ends = sorted((self.least, self.most))
         first, last = int(np.floor(ends[0])) - 1, int(np.ceil(ends[1])) + 1

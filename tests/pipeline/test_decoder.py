@@ -131,7 +131,7 @@ def test_the_depth_range_chooses_the_order():
     depth = truth.points[..., 2]
     middle = float(np.nanmedian(depth))
     for offset in (-200.0, 0.0, 200.0):
-        ranged = calibration.model_copy(update={"depth_range_mm": (middle + offset - 50, middle + offset + 50)})
+        ranged = calibration.model_copy(update={"depth_range_mm": (middle + offset - 250, middle + offset + 250)})
         frame = Decoder(DecodeSettings(), ranged, arch="cpu").decode(truth.image)
         # A cycle is some 90 mm here: the order nearest to the middle lies within half of it.
         assert abs(np.nanmedian(frame.range_image) - middle - offset) < 60

@@ -41,7 +41,7 @@ def frame_of(rig, unwrapper, **known):
 def test_scikit_image_in_twenty_lines(cpu, stripes):
     import_but_fail_in_ci("skimage")
     rig = simulated_rig(SIZE, period_px=2 * 768 / 44, stripes=stripes)
-    own, theirs = (frame_of(rig, unwrapper, depth_range_mm=(850, 950)) for unwrapper in (None, ScikitImage()))
+    own, theirs = (frame_of(rig, unwrapper, depth_range_mm=(800, 1010)) for unwrapper in (None, ScikitImage()))
     truth = simulate_frame(rig, SETTINGS)
     both = own.mask & theirs.mask & truth.mask
     assert both.sum() > 0.95 * own.mask.sum()

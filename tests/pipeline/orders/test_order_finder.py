@@ -98,7 +98,7 @@ def test_axes_in_parallel_need_a_range():
 @pytest.mark.parametrize("depth_range_mm, absolute", [((880.0, 920.0), True), ((300.0, 3000.0), False)])
 def test_a_narrow_range_tells_the_order(cpu, depth_range_mm, absolute):
     rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
-    settings = SimulationSettings(scene="plane")
+    settings = SimulationSettings(scene="waves")
     image = simulate_frame(rig, settings).image
     known = {"crosstalk_matrix": settings.crosstalk_matrix, "depth_range_mm": depth_range_mm}
     frame = Decoder(DecodeSettings(), rig.model_copy(update=known), arch="cpu").decode(image)
