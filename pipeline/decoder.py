@@ -31,6 +31,7 @@ from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.phase.smoothing import measure_rates, smooth_phase
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
+from tikernels.unwrapping.rim_pixels import leave_out_strangers
 
 
 class Decoder:
@@ -213,6 +214,7 @@ class Decoder:
         regions = patches.write(phases.phase, rates, surface.unwrapped, surface.mask, surface.region)
         orders = placement.region_orders(patches, regions, memory)
         lost = self._orders.refine(seen, patches, regions, orders, out=surface)
+        leave_out_strangers(phases.modulation, out=(surface.unwrapped, surface.mask, surface.region))
         # Its place.
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
