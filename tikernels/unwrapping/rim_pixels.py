@@ -17,12 +17,14 @@ import numpy as np
 from tikernels import checks
 from tikernels._taichi import F32Array2, I32Array2, U8Array2, i32, ti, u1
 from tikernels.arrays import F32, I32, U8
-from tikernels.strips import STRIP, strip_at, strip_count
+from tikernels.strips import strip_at, strip_count
 
-# How far surfaces are looked at, px; and at which of these distances another one is looked for first.
-_REACH, _FIRST = 5, (2, 5)
+# How far surfaces are looked at, px.
+_REACH = 5
 # How much less or more light a pixel has than its own surface, as a logarithm; and how much nearer to it is another's.
 _UNLIKE, _NEARER = math.log(1 / 0.65), 0.7
+# Pixels of a strip.
+_PIXELS_AT_ONCE = 16
 
 
 @ti.func
@@ -33,17 +35,6 @@ def region_at(region: I32Array2, y: i32, x: i32) -> i32:
     if inside:
         number = region[y, x]
     return number
-
-
-@ti.func
-def meets_another(region: I32Array2, y: i32, x: i32) -> u1:
-    """Whether another surface is near, seen from afar: most pixels have none."""
-    own, found = region[y, x], False
-    for side, k in ti.static(ti.ndrange(4, len(_FIRST))):
-        dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
-        other = region_at(region, y + _FIRST[k] * dy, x + _FIRST[k] * dx)
-        found |= (other > 0) & (other != own)
-    return found
 
 
 @ti.func
@@ -70,6 +61,19 @@ def is_stranger(modulation: F32Array2, region: I32Array2, y: i32, x: i32) -> u1:
     return stranger
 
 
+@ti.func
+def shows_two(region: I32Array2, y: i32, first: i32) -> u1:
+    """Whether there are two surfaces around a strip, by a look at every eighth pixel: most strips have one."""
+    number, two = 0, False
+    for row, column in ti.static(ti.ndrange(3, 4)):
+        there = ti.min(ti.max(y + (row - 1) * _REACH, 0), region.shape[0] - 1)
+        x = ti.min(ti.max(first - _REACH + column * (_PIXELS_AT_ONCE + 2 * _REACH) // 3, 0), region.shape[1] - 1)
+        seen = region[there, x]
+        two |= (seen > 0) & (number > 0) & (seen != number)
+        number = ti.max(number, seen)
+    return two
+
+
 @ti.kernel
 def leave_out_strangers_kernel(
     modulation: F32Array2,  # (H, W) levels
@@ -78,17 +82,20 @@ def leave_out_strangers_kernel(
     mask: U8Array2,  # (H, W)
 ):
     height, width = region.shape[0], region.shape[1]
-    for t in range(height * strip_count(width, STRIP)):
-        y, first, count = strip_at(t, width, STRIP)
-        for x in range(first, first + count):
-            if region[y, x] > 0 and meets_another(region, y, x) and is_stranger(modulation, region, y, x):
-                mask[y, x] = ti.cast(0, ti.u8)
+    for t in range(height * strip_count(width, _PIXELS_AT_ONCE)):
+        y, first, count = strip_at(t, width, _PIXELS_AT_ONCE)
+        if shows_two(region, y, first):
+            for x in range(first, first + count):
+                if region[y, x] > 0:
+                    if is_stranger(modulation, region, y, x):
+                        mask[y, x] = ti.cast(0, ti.u8)
     # Only now: what is left out is looked at by its neighbours as it was.
-    for t in range(height * strip_count(width, STRIP)):
-        y, first, count = strip_at(t, width, STRIP)
+    for t in range(height * strip_count(width, _PIXELS_AT_ONCE)):
+        y, first, count = strip_at(t, width, _PIXELS_AT_ONCE)
         for x in range(first, first + count):
-            region[y, x] = ti.select(mask[y, x] == 0, 0, region[y, x])
-            unwrapped[y, x] = ti.select(mask[y, x] == 0, ti.math.nan, unwrapped[y, x])
+            if mask[y, x] == 0 and region[y, x] > 0:
+                region[y, x] = 0
+                unwrapped[y, x] += ti.math.nan
 
 
 def leave_out_strangers(modulation: F32, out: tuple[F32, U8, I32]) -> None:
