@@ -3,9 +3,11 @@
 import re
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
+import numpy.typing as npt
 from cyclopts import Parameter
 
 from pipeline.batch.job import Crop, Job
@@ -19,7 +21,7 @@ from pipeline.footage.source import StoredAs
 from pipeline.output.folder import refuse_others
 from pipeline.output.report import depth_in_words
 from pipeline.output.store import chosen_fields
-from pipeline.output.stored_result import MeshKind, mesh_fields
+from pipeline.output.stored_result import MeshKind, StoredResult, mesh_fields
 from pipeline.settings import DecodeSettings
 
 #: Exit code where some frames are bad and the rest is done.
@@ -124,7 +126,7 @@ def decode(
     with steps() as step:
         frame = decode_picture(input, out, chosen, rig, stored_as, arch, force=force, tell=step)
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
-    if (relative := depth_in_words(frame)) is not None:
+    if (relative := depth_in_words(partial(getattr, frame), in_mm=frame.calibrated)) is not None:
         say(relative)
     if not frame.mask.any():  # the warning has said why
         sys.exit(1)
@@ -184,6 +186,7 @@ def _decode_video(
             tell=show,
         )
     _say_summary(summary, job.store)
+    _say_whether_relative(job.store)
     if options.export is not None:
         write_meshes(job.store, Path(out, _MESHES), options.export)
     if summary.bad:
@@ -197,6 +200,21 @@ def _check_meshes(out: str, job: Job, *, in_mm: bool) -> None:
     lacking = [name for name in mesh_fields(in_mm=in_mm) if name not in job.fields]
     if lacking:
         raise SettingsError(f"meshes are made of {' and '.join(lacking)}: add that to --fields")
+
+
+def _say_whether_relative(location: str) -> None:
+    """Say of the last frame whether its depth is only relative."""
+    stored = StoredResult(location)
+    if not stored.done:
+        return
+    number = stored.done[-1]
+
+    def read(name: str) -> npt.NDArray[Any] | None:
+        return stored.read(name, number) if name in stored.fields else None
+
+    relative = depth_in_words(read, in_mm=stored.in_mm)
+    if relative is not None:
+        say(f"frame {number}: {relative}")
 
 
 def _say_summary(summary: DecodeSummary, store: str) -> None:

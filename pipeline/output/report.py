@@ -1,5 +1,6 @@
 """What a result is worth, in numbers: ``report.json``, and how far a simulated frame's result is from its truth."""
 
+from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -51,22 +52,34 @@ def frame_report(
     }
 
 
-def depth_in_words(frame: DecodedFrame) -> str | None:
-    """Say between what a frame's depth is only relative, and what would tell; None: every order is absolute."""
-    if not frame.mask.any():
+def depth_in_words(read: Callable[[str], npt.NDArray[Any] | None], *, in_mm: bool) -> str | None:
+    """Say between what a frame's depth is only relative, and what would tell; None: every order is absolute.
+
+    Parameters
+    ----------
+    read : callable
+        Returns a field of the frame by its name; None: it was not stored.
+    in_mm : bool
+        Whether the frame has places in mm.
+    """
+    mask, absolute, region = read("mask"), read("absolute"), read("region")
+    if mask is not None and not mask.any():
         return None
-    if not frame.calibrated:
+    if not in_mm:
         return "depth is relative, in rad of phase and not in mm: give a --calibration"
-    unknown, point_sigma = frame.mask & ~frame.absolute, frame.point_sigma
-    if point_sigma is None or not unknown.any():
+    if mask is None or absolute is None or not (unknown := mask & ~absolute).any():
         return None
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mm_per_rad = float(np.nanmedian((point_sigma / frame.phase_sigma)[unknown]))
-    regions = np.count_nonzero(np.bincount(frame.region[unknown]))
-    which = "the surface" if regions == 1 else f"each of {regions} surfaces"
+    surfaces = 2 if region is None else np.count_nonzero(np.bincount(region[unknown]))
+    which = "the surface" if surfaces == 1 else "each surface"
+    phase_sigma, point_sigma = read("phase_sigma"), read("point_sigma")
+    cycle = ""
+    if phase_sigma is not None and point_sigma is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mm_per_rad = float(np.nanmedian((point_sigma / phase_sigma)[unknown]))
+        cycle = f", some {2 * np.pi * mm_per_rad:.2g} mm each"
     return (
-        f"depth is relative on {unknown.sum() / frame.mask.sum():.0%} of the pixels: {which} there may be off by whole "
-        f"cycles, some {2 * np.pi * mm_per_rad:.2g} mm each; a pattern with the code or a --depth-range tells"
+        f"depth is relative on {unknown.sum() / mask.sum():.0%} of the pixels: {which} there may be off by whole "
+        f"cycles{cycle}; a pattern with the code or a --depth-range tells"
     )
 
 

@@ -117,6 +117,10 @@ def test_decode_footage(folder, command):
     assert "3 of 4 frames decoded; they are in footage/result.zarr" in done.stdout
     group = zarr.open_group(folder / "footage" / "result.zarr", mode="r")
     assert group["points"].shape == (4, 240, 320, 3)
+    assert "relative" not in done.stdout  # what tells it was not stored
+    everything = (*options[:1], "all", *options[2:6], "--start", "3")
+    told = " ".join(command("decode", film, *everything, cwd=folder).stdout.split())
+    assert "frame 3: depth is relative on 100% of the pixels" in told and "mm each; a pattern with the code" in told
     again = command("decode", film, *options, cwd=folder)
     assert again.returncode == 3 and "3 of them before" in again.stdout
     for arguments, message in [

@@ -66,17 +66,24 @@ def test_no_order_is_given_back(truth):
 def test_depth_that_is_only_relative_is_said(truth):
     """Without a calibration, without the code, and with a depth range."""
     rig = truth.rig
+
+    def words(frame, lacks=()) -> str | None:
+        return depth_in_words(lambda name: None if name in lacks else getattr(frame, name), in_mm=frame.calibrated)
+
     plain = Decoder(arch="cpu").decode(truth.image)
-    assert depth_in_words(plain) == "depth is relative, in rad of phase and not in mm: give a --calibration"
-    said = depth_in_words(Decoder(calibration=rig, arch="cpu").decode(truth.image))
+    assert words(plain) == "depth is relative, in rad of phase and not in mm: give a --calibration"
+    calibrated = Decoder(calibration=rig, arch="cpu").decode(truth.image)
+    said = words(calibrated)
     assert "relative on 100% of the pixels: the surface there may be off by whole cycles, some" in said
     # The plane stands 900 mm away; the period is twice the usual one, of 45 mm a cycle.
     assert 80 < float(said.split("some ")[1].split(" mm")[0]) < 110
+    assert "each surface there may be off by whole cycles; a" in words(calibrated, ("region", "point_sigma"))
+    assert words(calibrated, ("absolute",)) is None
     waves = simulate_frame(rig, SimulationSettings(scene="waves", noise_levels=0.0))
     ranged = rig.model_copy(update={"depth_range_mm": (880.0, 920.0)})
-    assert depth_in_words(Decoder(calibration=ranged, arch="cpu").decode(waves.image)) is None
+    assert words(Decoder(calibration=ranged, arch="cpu").decode(waves.image)) is None
     with pytest.warns(DecodeWarning, match="no fringe"):
-        assert depth_in_words(Decoder(arch="cpu").decode(np.zeros_like(truth.image))) is None
+        assert words(Decoder(arch="cpu").decode(np.zeros_like(truth.image))) is None
 
 
 def test_what_is_missing_of_the_lit_pixels_is_coverage(truth):
