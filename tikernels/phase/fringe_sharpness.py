@@ -85,7 +85,7 @@ def sum_sharpness_kernel(
     for block in range(out_sums.shape[0] * out_sums.shape[1]):
         i, j = block // out_sums.shape[1], block % out_sums.shape[1]
         node = ti.min(i // 2, nodes.shape[0] - 1)
-        color = vec3(nodes[node, j, 0], nodes[node, j, 1], nodes[node, j, 2])
+        color = ti.max(vec3(nodes[node, j, 0], nodes[node, j, 1], nodes[node, j, 2]), 1e-6)
         ambient = vec3(nodes[node, j, 3], nodes[node, j, 4], nodes[node, j, 5])
         harmonics = sharpened(load_harmonics(template), sharpness[node, j])
         bend, sums = ti.exp(3.0 * sharpness[node, j]), vec3(0.0)
