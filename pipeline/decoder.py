@@ -221,7 +221,7 @@ class Decoder:
         mismatch = model.mismatch if found is None else found.mismatch
         odd = looked.odd if isinstance(looked, FoundSurfaces) else looked
         fast = 0.0 if motion is None else motion.too_fast
-        doubt = np.hypot(mismatch, odd.phase_rad if odd else 0.0) if found is None else found.constant_sigma
+        doubt = np.hypot(mismatch, 0.0 if odd is None else odd.phase_rad) if found is None else found.constant_sigma
         light = (model.contrast, mismatch, odd, fast, lambda: self._mm_per_rad(surface))
         return Measured(
             phases,

@@ -69,8 +69,8 @@ def depth_in_words(read: Callable[[str], npt.NDArray[Any] | None], *, in_mm: boo
         return "depth is relative, in rad of phase and not in mm: give a --calibration"
     if mask is None or absolute is None or not (unknown := mask & ~absolute).any():
         return None
-    surfaces = 2 if region is None else np.count_nonzero(np.bincount(region[unknown]))
-    which = "the surface" if surfaces == 1 else "each surface"
+    single = region is not None and len(np.unique(region[unknown])) == 1
+    which = "the surface" if single else "each surface"
     phase_sigma, point_sigma = read("phase_sigma"), read("point_sigma")
     cycle = ""
     if phase_sigma is not None and point_sigma is not None:

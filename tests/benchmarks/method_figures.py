@@ -6,7 +6,7 @@ python tests/benchmarks/method_figures.py
 import argparse
 from pathlib import Path
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts `support` and `reference` on the path
 import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np

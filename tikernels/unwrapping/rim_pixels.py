@@ -41,9 +41,8 @@ def region_at(region: I32Array2, y: i32, x: i32) -> i32:
 def is_stranger(modulation: F32Array2, region: I32Array2, y: i32, x: i32) -> u1:
     """Whether a pixel's light is another surface's."""
     own, others = ti.Vector([0.0, 0.0]), ti.Vector([0.0, 0.0])
-    for side in range(4):
-        dy = ti.select(side == 0, -1, 0) + ti.select(side == 1, 1, 0)
-        dx = ti.select(side == 2, -1, 0) + ti.select(side == 3, 1, 0)
+    for side in ti.static(range(4)):
+        dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
         for far in range(1, _REACH + 1):
             number = region_at(region, y + far * dy, x + far * dx)
             if number > 0:
