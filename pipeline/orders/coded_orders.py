@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from pipeline.models import FloatArray
 from pipeline.orders.posterior import NOTHING_KNOWN, AbsoluteOrders, Integers, OrderRange, Posterior
-from pipeline.pattern.contrast_code import CYCLES, contrast_steps
+from pipeline.pattern.contrast_code import contrast_steps
 from pipeline.robust import robust_sigma
 from tikernels.order_evidence.contrast_reading import (
     BACKGROUND,
@@ -27,7 +27,13 @@ from tikernels.order_evidence.contrast_reading import (
     WINDOW,
     match_stretches,
 )
-from tikernels.order_evidence.part_joining import CANDIDATES, join_parts
+from tikernels.order_evidence.offset_labelling import (
+    Links,
+    connected_parts,
+    pool_evidence,
+    settle_labels,
+    weigh_offsets,
+)
 from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 
@@ -50,14 +56,18 @@ _MAX_DEVIATION = 9.0
 # Where the squared deviation of the steps is larger than this on average, in variances, none of the offsets that
 # stretches have named is the right one.
 _NOWHERE = 5.5
-# A stretch votes if it fits, and if the next best place is less likely by exp(-5).
-_MIN_LEAD = 10.0
-_MIN_VOTES = 3
-# Offsets with less than this share of a region's votes are chance, or too small a part to keep others from joining.
-_MIN_SHARE = 0.02
-# Two parts stay apart if both show five cycles and each prefers its own offset by this margin, in variances, and by
-# this margin a step: the steps of one cycle share their errors, so a hundred of them say little more than one.
-_MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP = 4, 60.0, 1.5
+# Regions of fewer pixels or steps are too small to be parted.
+_MIN_PARTED_PX, _MIN_STEPS = 600, 6
+# An offset is a candidate where patches, with what comes over contacts of this support or more undiminished and this
+# many patches far, prefer it to their region's own by this margin, in variances; it takes this many such patches, and
+# the commonest few are looked at.
+_FULL_SUPPORT, _POOLED, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 3, 100.0, 3, 12
+# What a difference of labels costs across a contact of full support, in variances, the least share of it, and how often
+# labels settle.
+_LABEL_COST, _LEAST_SUPPORT, _SWEEPS = 20.0, 0.05, 8
+# How probably a piece that the labels have cut off, which hangs together with its region, has that one's orders before
+# its own steps are asked; and from which probability on it is no piece of its own.
+_SAME_SURFACE, _REJOINS = 0.9, 0.93
 # What a frame's code may look like: the strength of its steps (0: it shows none; a response of gamma 2.4 and ambient
 # light leave a third), and by how much steps deviate from it, blemishes, slopes and blur included (natural logarithm).
 _STRENGTHS = np.array([0.0, 0.35, 0.5, 0.71, 1.0])
@@ -125,19 +135,13 @@ def find_absolute_orders(
     steps = _contrast_steps(sums, graph, width, rising)
     # By medians: the steps at edges are many times too large.
     strength = float(np.median(np.abs(steps.rise)) / np.median(np.abs(contrast_steps()))) if len(steps.rise) else 0.0
-    roots = graph.root
+    roots, main = graph.root, np.full(len(graph.root), -1)
     if strength >= _MIN_STRENGTH:
-        stretches = _stretches(steps)
-        offsets, sigma, strength = _local_offsets(steps, stretches, strength)
-        roots = _split(steps, graph, stretches, offsets, strength, sigma)
-    parts = np.flatnonzero(np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX)
-    seen = _seen_steps(steps, roots, parts)
-    # A cut is free to choose its place, and chance has as many places to look like the code.
-    cut = np.zeros(len(roots), np.bool_)
-    cut[graph.root[roots != graph.root]] = True
-    places = np.ptp(steps.order) if len(steps.order) else 1
-    luck = np.where(cut[graph.root[parts]], np.log(max(places, 1)), 0.0)
-    posteriors, readable = _posteriors([_log_likelihood(part) for part in seen], luck)
+        roots, main = _cut(steps, graph, *_spread_and_strength(steps, _stretches(steps), strength))
+    parts, posteriors, readable = _placed(steps, graph, roots, main)
+    if (main >= 0).any():
+        roots = _rejoined(roots, main, graph, parts, posteriors)
+        parts, posteriors, readable = _placed(steps, graph, roots, main)
     if order_range is not None:
         ranges = order_range.by_part(roots, parts, graph.pixels)
         posteriors = [
@@ -145,6 +149,41 @@ def find_absolute_orders(
             for within, posterior in zip(ranges, posteriors, strict=True)
         ]
     return AbsoluteOrders(roots, parts, tuple(posteriors)), readable
+
+
+def _placed(
+    steps: _Steps, graph: PatchGraph, roots: npt.NDArray[np.int32], main: Integers
+) -> tuple[Integers, list[Posterior], bool]:
+    """Return the parts that are large enough, their posteriors, and whether they show the code.
+
+    A piece that was cut off hangs together with its region: that, too, is known of its offset.
+    """
+    parts = np.flatnonzero(np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX)
+    seen = _seen_steps(steps, roots, parts)
+    # A cut is free to choose its place, and chance has as many places to look like the code.
+    origin = main[graph.root[parts]]
+    places = np.ptp(steps.order) if len(steps.order) else 1
+    luck = np.where(origin >= 0, np.log(max(places, 1)), 0.0)
+    posteriors, readable = _posteriors([_log_likelihood(part) for part in seen], luck)
+    of_main = {int(part): posterior.best for part, posterior in zip(parts, posteriors, strict=True)}
+    for k, part in enumerate(parts):
+        if origin[k] >= 0 and origin[k] != part:
+            posteriors[k] = posteriors[k].beside(of_main.get(int(origin[k])), _SAME_SURFACE)
+    return parts, posteriors, readable
+
+
+def _rejoined(
+    roots: npt.NDArray[np.int32], main: Integers, graph: PatchGraph, parts: Integers, posteriors: list[Posterior]
+) -> npt.NDArray[np.int32]:
+    """Return the roots with those pieces put back that have their region's offset, or are too small to tell."""
+    origin = main[graph.root]
+    offset = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
+    back = origin >= 0
+    for part, posterior in offset.items():
+        region = offset.get(int(origin[part]))
+        if region is not None and posterior.error(region.best) > 1 - _REJOINS:
+            back[roots == part] = False
+    return np.where(back, origin, roots).astype(np.int32)
 
 
 def _contrast_steps(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, rising: bool) -> _Steps:
@@ -188,112 +227,89 @@ def _stretches(steps: _Steps) -> Integers:
     return stretches if steps.rising else stretches[:, ::-1]
 
 
-def _local_offsets(steps: _Steps, stretches: Integers, strength: float) -> tuple[Integers, float, float]:
-    """Place every stretch by itself.
-
-    Returns
-    -------
-    offsets : (n,) int64
-        What its orders lack to be absolute; where it cannot tell, a number below any offset.
-    sigma : float
-        Standard deviation of a step.
-    strength : float
-        Of the code's steps.
-    """
+def _spread_and_strength(steps: _Steps, stretches: Integers, strength: float) -> tuple[float, float]:
+    """Return the standard deviation of a step, and the strength of the code's, by the stretches that fit clearly."""
     if len(stretches) == 0:
-        return np.zeros(0, np.int64), _MIN_SIGMA, strength
+        return _MIN_SIGMA, strength
     # What all five steps have in common may be the contrast's own slow change.
     common = 1 - 1 / np.sqrt(1 + _STRETCH * (_DRIFT / _MIN_SIGMA) ** 2)
     without = np.eye(_STRETCH) - common / _STRETCH
     windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
     seen = steps.rise[stretches] @ without
     matches = match_stretches(seen.astype(np.float32), (strength * windows).astype(np.float32))
-    best, least, second = matches[:, WINDOW].astype(np.int64), matches[:, LEAST], matches[:, SECOND]
-    clear = least < 0.25 * second
-    sigma = _MIN_SIGMA
-    if clear.any():
-        expected = windows[best[clear]]
-        factor = (seen[clear] * expected).sum(axis=1) / np.maximum((expected**2).sum(axis=1), 1e-12)
-        strength = float(np.median(factor))
-        remaining = ((seen[clear] - strength * expected) ** 2).mean(axis=1)
-        sigma = max(sigma, 1.7 * float(np.sqrt(np.median(remaining))))
-    sure = (least < _STRETCH * _MAX_DEVIATION * sigma**2) & (second - least > _MIN_LEAD * sigma**2)
-    return np.where(sure, best - steps.order[stretches[:, 0]], -2 * CYCLES), sigma, strength
+    best, clear = matches[:, WINDOW].astype(np.int64), matches[:, LEAST] < 0.25 * matches[:, SECOND]
+    if not clear.any():
+        return _MIN_SIGMA, strength
+    expected = windows[best[clear]]
+    factor = (seen[clear] * expected).sum(axis=1) / np.maximum((expected**2).sum(axis=1), 1e-12)
+    strength = float(np.median(factor))
+    remaining = ((seen[clear] - strength * expected) ** 2).mean(axis=1)
+    return max(_MIN_SIGMA, 1.7 * float(np.sqrt(np.median(remaining)))), strength
 
 
-def _split(
-    steps: _Steps, graph: PatchGraph, stretches: Integers, offsets: Integers, strength: float, sigma: float
-) -> npt.NDArray[np.int32]:
-    """Return the root of every patch's part: regions whose stretches name one offset stay whole."""
-    sure = offsets > -CYCLES
-    owner = graph.root[steps.low[stretches[sure, 0]]] if len(stretches) else np.zeros(0, np.int32)
-    ballots = _ballots(owner, offsets[sure])
-    ballot, votes = np.unique(ballots, return_counts=True)
-    ballot, votes = ballot[votes >= _MIN_VOTES], votes[votes >= _MIN_VOTES]
-    named = _counted(ballot)
-    split = np.bincount(named[0], minlength=len(graph.root)) > 1
-    if not split.any():
-        return graph.root
-    evidence = np.zeros((len(graph.root), CANDIDATES + 1))
-    code = contrast_steps()
-    for root in np.flatnonzero(split):
-        mine = named[0] == root
-        candidates = named[1, mine][np.argsort(-votes[mine], kind="stable")][: CANDIDATES - 1]
-        own = np.flatnonzero(graph.root[steps.low] == root)
-        place = steps.order[own, None] + candidates
-        inside = (place >= 0) & (place < len(code))
-        deviation = (steps.rise[own, None] - strength * code[np.clip(place, 0, len(code) - 1)]) ** 2 / sigma**2
-        deviation = np.where(inside, np.minimum(deviation, _MAX_DEVIATION), _MAX_DEVIATION)
-        padding = np.full((len(own), CANDIDATES - 1 - len(candidates)), _MAX_DEVIATION)
-        nowhere = np.full((len(own), 1), _NOWHERE)
-        terms = np.concatenate([deviation, padding, nowhere, np.ones((len(own), 1))], axis=1)
-        # A step belongs to the patches of both its cycles.
-        for end in (steps.low[own], steps.high[own]):
-            for k in range(CANDIDATES + 1):
-                evidence[:, k] += 0.5 * np.bincount(end, terms[:, k], len(evidence))
-    orders = np.tile(np.array([2**20, -(2**20)], np.int32), (len(graph.root), 1))
-    for end in (steps.low, steps.high):
-        np.minimum.at(orders[:, 0], end, steps.order)
-        np.maximum.at(orders[:, 1], end, steps.order + 1)
-    inside = split[graph.root[graph.ends[0]]]
-    ends, weight = graph.ends[:, inside], graph.votes[inside]
-    # Votes within a fifth count alike, and chance decides between them: parts then grow round, not in rows.
-    shuffled = (np.arange(len(weight), dtype=np.uint32) * np.uint32(2654435769)).astype(np.int64)
-    # Contacts between patches that stretches place differently come last, when their parts know where they are.
-    common = votes >= _MIN_SHARE * np.bincount(named[0], votes)[named[0]]
-    trusted = np.isin(ballots, ballot[common])
-    named_a, named_b = _named_offsets(steps, stretches[sure][trusted], offsets[sure][trusted], len(graph.root))[ends]
-    differ = (named_a != named_b) & (np.minimum(named_a, named_b) > -CYCLES)
-    sort = np.lexsort((shuffled, -np.floor(4 * np.log2(np.maximum(weight, 1))), differ))
-    parents = np.zeros(len(graph.root), np.int32)
-    if len(sort):
-        pairs = np.ascontiguousarray(ends[:, sort])
-        parents = join_parts(pairs, _MIN_SPAN, _MIN_MARGIN, _MARGIN_A_STEP, orders, evidence.astype(np.float32))
-    return np.where(split[graph.root], parents, graph.root).astype(np.int32)
+def _cut(steps: _Steps, graph: PatchGraph, sigma: float, strength: float) -> tuple[npt.NDArray[np.int32], Integers]:
+    """Cut pieces off regions that the code contradicts.
 
-
-def _ballots(voters: npt.NDArray[np.integer], offsets: Integers) -> Integers:
-    """Return voter and offset as one number."""
-    return np.asarray(voters.astype(np.int64) * (4 * CYCLES) + offsets + 2 * CYCLES)
-
-
-def _counted(ballots: Integers) -> Integers:
-    """Return the (2, n) voters and offsets of ballots."""
-    return np.stack([ballots // (4 * CYCLES), ballots % (4 * CYCLES) - 2 * CYCLES])
-
-
-def _named_offsets(steps: _Steps, stretches: Integers, offsets: Integers, patches: int) -> Integers:
-    """Return the offset that most of the stretches through a patch have; a number below any where there are none.
-
-    The first and the last cycle of a stretch may lie beyond a step and still pass: only the others name their patches.
+    Returns
+    -------
+    roots : (P,) int32
+        The patch that stands for each patch's part.
+    main : (P,) int64
+        By region, the root of its largest part with the region's own offset; -1 where nothing was cut off.
     """
-    through = steps.low[stretches[:, 1:]]
-    ballots, count = np.unique(_ballots(through.ravel(), np.repeat(offsets, through.shape[1])), return_counts=True)
-    patch, offset = _counted(ballots)
-    sort = np.lexsort((offset, count, patch))
-    named = np.full(patches, -2 * CYCLES)
-    named[patch[sort]] = offset[sort]  # the last of a patch is the commonest
-    return named
+    roots, main = graph.root.copy(), np.full(len(graph.root), -1)
+    owner = graph.root[steps.low]
+    pixels, count = np.bincount(graph.root, graph.pixels), np.bincount(owner, minlength=len(graph.root))
+    regions = np.flatnonzero(pixels >= _MIN_PARTED_PX)
+    number = np.empty(len(graph.root), np.int64)
+    for region in regions[count[regions] >= _MIN_STEPS]:
+        patches, own = np.flatnonzero(graph.root == region), np.flatnonzero(owner == region)
+        number[patches] = np.arange(len(patches))
+        within = graph.root[graph.ends[0]] == region
+        ends, support = number[graph.ends[:, within]], np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
+        seen = (number[steps.low[own]], number[steps.high[own]]), steps.order[own], steps.rise[own]
+        labels = _labels(*seen, ends, support, len(patches), sigma, strength)
+        if labels is None:
+            continue
+        whole = labels[ends[0]] == labels[ends[1]]
+        pieces = connected_parts(ends[:, whole], len(patches))
+        roots[patches] = patches[pieces]
+        own_offset = np.bincount(pieces[labels == 0], graph.pixels[patches][labels == 0], len(patches))
+        main[region] = patches[own_offset.argmax()]
+    return roots, main
+
+
+def _labels(
+    ends_of_steps: tuple[Integers, Integers],
+    order: Integers,
+    rise: FloatArray,
+    ends: Integers,
+    support: FloatArray,
+    patches: int,
+    sigma: float,
+    strength: float,
+) -> npt.NDArray[np.int32] | None:
+    """Label a region's patches with the offsets that their steps name, 0 for the region's own; None: all have that."""
+    code = strength * contrast_steps()
+    offsets = range(-int(order.max()), len(code) - int(order.min()))
+    evidence = weigh_offsets(ends_of_steps, order, rise, code, offsets, patches, sigma, _MAX_DEVIATION)
+    own = int(evidence.sum(axis=1).argmin())
+    links = Links.of(ends, patches)
+    pooled = pool_evidence(evidence, links, support, _POOLED)
+    best = pooled.argmin(axis=0)
+    margin = pooled[own] - pooled[best, np.arange(patches)]
+    named, votes = np.unique(best[(best != own) & (margin > _MIN_MARGIN)], return_counts=True)
+    named, votes = named[votes >= _MIN_PATCHES], votes[votes >= _MIN_PATCHES]
+    if len(named) == 0:
+        return None
+    candidates = np.append(own, named[np.argsort(-votes, kind="stable")][:_CANDIDATES])
+    # None of them is right where the steps deviate by more than this from all.
+    shown = np.bincount(np.concatenate(ends_of_steps), minlength=patches)
+    nowhere = (0.5 * _NOWHERE * shown[None]).astype(np.float32)
+    first = np.concatenate([pooled[candidates], pool_evidence(nowhere, links, support, _POOLED)]).argmin(axis=0)
+    costs = _LABEL_COST * np.maximum(support, _LEAST_SUPPORT)
+    labels = settle_labels(np.concatenate([evidence[candidates], nowhere]), first, links, costs, _SWEEPS)
+    return None if (labels == 0).all() else labels
 
 
 def _seen_steps(steps: _Steps, roots: npt.NDArray[np.int32], parts: Integers) -> list[_PartSteps]:

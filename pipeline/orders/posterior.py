@@ -102,6 +102,16 @@ class Posterior:
         # Not "1 - probability": that would leave nothing of what is smaller than its rounding.
         return float(self.probability[:place].sum() + self.probability[place + 1 :].sum())
 
+    def beside(self, offset: int | None, probability: float) -> "Posterior":
+        """Return the posterior of a part that has, as far as its neighbours tell, this offset with this probability."""
+        place = None if offset is None else offset - self.first
+        if place is None or not 0 <= place < len(self.probability) or len(self.probability) < 2:
+            return self
+        prior = np.full(len(self.probability), (1 - probability) / (len(self.probability) - 1))
+        prior[place] = probability
+        product = prior * self.probability
+        return Posterior(self.first, product / product.sum())
+
 
 NOTHING_KNOWN = Posterior(0, np.zeros(0))
 

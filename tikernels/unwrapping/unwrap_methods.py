@@ -31,6 +31,8 @@ class PatchMethod(Protocol):
     """A cell has places for 2^draft_bits patches at first."""
     adds_votes: bool
     """Whether contacts between the same regions that agree on the shift have their votes added up."""
+    regions_are_given: bool = False
+    """Whether somebody else knows the regions, which are not parted then."""
 
     def grow(self, phase: F32, quality: F32, rates: F32, drafts: Drafts) -> None:
         """Sort the pixels of every cell into patches, and note their contacts.

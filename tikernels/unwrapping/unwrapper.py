@@ -2,8 +2,9 @@
 
 A method (`unwrap_methods.py`) sorts the pixels of every cell into patches and notes where they touch. The patches are
 then joined in rounds (`region_merging.py`): every region joins the neighbour with which its contact is the best
-supported. The result does not depend on the number of threads. Nothing is joined across a step, so a surface that
-nothing connects to the rest becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
+supported. The result does not depend on the number of threads. Nothing is joined across a step, and what only touches
+where the step is a whole cycle is parted again (`region_parting.py`). So a surface that nothing connects to the rest
+becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
 """
 
 import numpy as np
@@ -18,6 +19,8 @@ from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.patch_numbering import collect_patches_kernel, number_patches_kernel
 from tikernels.unwrapping.patches import Patches, one_thread_is_faster
 from tikernels.unwrapping.region_merging import close_gaps_kernel, merge_patches_kernel, settle_patches_kernel
+from tikernels.unwrapping.region_parting import part_regions, regions_that_step
+from tikernels.unwrapping.surface_borders import measure_borders
 from tikernels.unwrapping.tables import Contact, Counter, Final, Match, Patch, Region, Seam
 from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
 
@@ -89,7 +92,17 @@ class RegionUnwrapper:
         self._method.hang_together(drafts, table)
         self._merge(contacts)
         settle_patches_kernel(one_thread_is_faster(count), count, table)
-        return Patches(count, drafts, self._method, table, self._regions, self._final, self._seams)
+        patches = Patches(count, drafts, self._method, table, self._regions, self._final, self._seams)
+        if not self._method.regions_are_given:
+            self._part(patches, phase, quality, rates)
+        return patches
+
+    def _part(self, patches: Patches, phase: F32, quality: F32, rates: F32) -> None:
+        """Part regions that hang together by the smaller part of a border."""
+        of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
+        borders = measure_borders(phase, quality, rates, *of_patches)
+        if regions_that_step(patches.roots(), borders).any():
+            patches.split(part_regions(patches.graph(), borders))
 
     def _grow(self, phase: F32, quality: F32, rates: F32) -> tuple[int, int]:
         """Let the method draft patches, with more places if a cell is crowded; return how many patches and contacts."""

@@ -1,0 +1,188 @@
+"""Where patches border on each other: over how many pixels the surface goes on, and over how many it steps.
+
+From a pixel to the fourth one after it the phase is compared with what the slopes on either side let expect. Two
+surfaces that touch may agree in places, where the step between them is a whole cycle; along most of their border they
+do not. The pixels between are passed over: some see both surfaces, and their phase is neither's.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import runtime
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ivec2, ivec4, ti
+from tikernels.arrays import F32, I32
+from tikernels.phase.phase_vector import PI
+from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
+from tikernels.unwrapping.continuity import frame_rates
+from tikernels.unwrapping.tables import (
+    ORDER_BITS,
+    cell_bounds,
+    cell_count,
+    cells_of,
+    patch_number,
+)
+
+# The surface is looked at again this many pixels further on; slopes are taken over this many. Steeper ones (rad a px,
+# relative to the usual change) are no slopes, and count as none.
+_REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
+# A surface goes on where the phase departs by less than the first, and steps where it departs by more than the second
+# (rad); in a noisy frame by these many standard deviations of what departs inside surfaces.
+_GOES_ON, _STEPS = 0.15, 0.25
+_GOES_ON_SIGMAS, _STEPS_SIGMAS = 2.5, 4.0
+_SIGMA_OF_MEDIAN = 1.4826
+# Pairs of patches that a cell may note; more than eight are hardly ever met.
+_PLACES = 24
+
+Integers = npt.NDArray[np.int64]
+
+
+class Borders(NamedTuple):
+    """Pairs of patches with a common border; a pair may be there twice."""
+
+    ends: Integers
+    """(2, N) the patches."""
+    going_on: npt.NDArray[np.float64]
+    """(N,) pixels over which the surface goes on; a dim one counts less."""
+    stepping: npt.NDArray[np.float64]
+    """(N,) pixels over which it steps."""
+
+
+@ti.func
+def without_cycles(angle: f32) -> f32:
+    """Return an angle less its whole cycles, in [-pi, pi]."""
+    return angle - 2.0 * PI * ti.round(angle * (0.5 / PI))
+
+
+@ti.func
+def slope_beyond(difference: f32, rate: f32) -> f32:
+    """Return a slope, rad a px, beyond the usual change; 0 where it is too steep to be one."""
+    slope = without_cycles(difference - _SLOPE_PX * rate) / _SLOPE_PX
+    return ti.select(ti.abs(slope) > _MAX_SLOPE, 0.0, slope)
+
+
+@ti.func
+def departure(phase: F32Array2, y: i32, x: i32, down: Static, rate: f32) -> f32:
+    """How far (rad) the phase departs from what the slopes before and after let expect; NO_PHASE if not to be told."""
+    dy, dx = ti.static((down, 1 - down))
+    result = NO_PHASE
+    far = _REACH + _SLOPE_PX
+    if y >= _SLOPE_PX * dy and x >= _SLOPE_PX * dx and y + far * dy < phase.shape[0] and x + far * dx < phase.shape[1]:
+        one, two = phase[y - _SLOPE_PX * dy, x - _SLOPE_PX * dx], phase[y, x]
+        three, four = phase[y + _REACH * dy, x + _REACH * dx], phase[y + far * dy, x + far * dx]
+        if has_phase(one) and has_phase(two) and has_phase(three) and has_phase(four):
+            slope = rate + 0.5 * (slope_beyond(two - one, rate) + slope_beyond(four - three, rate))
+            result = ti.abs(without_cycles(three - two - _REACH * slope))
+    return result
+
+
+@ti.kernel
+def sample_departures_kernel(
+    phase: F32Array2,  # (H, W) rad
+    rates: F32Array2,  # see `frame_rates`
+    out_departures: F32Array2,  # (2, cells) along and across the stripes, rad; NO_PHASE where they cannot be told
+):
+    """Measure at one place of each cell by how much the phase departs."""
+    height, width = phase.shape[0], phase.shape[1]
+    for cell in range(cell_count(height, width)):
+        along, across, _ = frame_rates(rates)
+        top, left, bottom, right = cell_bounds(cell, height, width)
+        y, x = (top + bottom) // 2, (left + right) // 2
+        out_departures[0, cell] = departure(phase, y, x, 0, along)
+        out_departures[1, cell] = departure(phase, y, x, 1, across)
+
+
+@ti.func
+def note_border(ends: ivec2, px: f32, steps: i32, cell: i32, count: Static, out_ends: I32Array2, out_px: F32Array2):
+    """Add pixels to those of a pair of patches in a cell's notes."""
+    low, high = ti.min(ends[0], ends[1]), ti.max(ends[0], ends[1])
+    place, noted = count, ti.min(count, _PLACES)
+    for k in range(noted):
+        if out_ends[0, _PLACES * cell + k] == low and out_ends[1, _PLACES * cell + k] == high:
+            place = k
+    if place < _PLACES:
+        at = _PLACES * cell + place
+        if place == count:
+            out_ends[0, at], out_ends[1, at] = low, high
+            out_px[0, at], out_px[1, at] = 0.0, 0.0
+            count += 1
+        out_px[steps, at] = out_px[steps, at] + px
+
+
+@ti.kernel
+def measure_borders_kernel(
+    phase: F32Array2,  # (H, W) rad
+    quality: F32Array2,  # (H, W)
+    rates: F32Array2,  # see `frame_rates`
+    labels: I32Array2,  # (H, W) patch and order in it
+    cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
+    draft_bits: i32,
+    goes_on: f32,  # rad
+    steps: f32,  # rad
+    out_ends: I32Array2,  # (2, _PLACES cells) patches
+    out_px: F32Array2,  # (2, _PLACES cells) pixels over which the surface goes on, and over which it steps
+    out_counts: I32Array1,  # (cells,) how many pairs
+):
+    """Look at the pixels after which another patch begins, to the right and below."""
+    height, width = phase.shape[0], phase.shape[1]
+    for cell in range(cell_count(height, width)):
+        along, across, mean_quality = frame_rates(rates)
+        top, left, bottom, right = cell_bounds(cell, height, width)
+        bounds, count = ivec4(top, left, bottom, right), 0
+        for down in ti.static(range(2)):
+            rate = ti.static(down) * across + ti.static(1 - down) * along
+            for y in range(bounds[0], ti.min(bounds[2], height - down * _REACH)):
+                for x in range(bounds[1], ti.min(bounds[3], width - (1 - down) * _REACH)):
+                    here, beside = labels[y, x], labels[y + down, x + 1 - down]
+                    if here >= 0 and (here >> ORDER_BITS) != (beside >> ORDER_BITS):
+                        far = ivec2(y + down * _REACH, x + (1 - down) * _REACH)
+                        there = labels[far[0], far[1]]
+                        if there >= 0 and (here >> ORDER_BITS) != (there >> ORDER_BITS):
+                            departs = departure(phase, y, x, down, rate)
+                            low = ti.min(quality[y, x], quality[far[0], far[1]])
+                            px = ti.min(4.0 * low / mean_quality, 1.0)
+                            ends = ivec2(
+                                patch_number(here >> ORDER_BITS, cells, draft_bits),
+                                patch_number(there >> ORDER_BITS, cells, draft_bits),
+                            )
+                            if departs < goes_on:
+                                note_border(ends, px, 0, cell, count, out_ends, out_px)
+                            elif departs > steps and departs < NO_PHASE:
+                                note_border(ends, px, 1, cell, count, out_ends, out_px)
+        out_counts[cell] = count
+
+
+def measure_borders(phase: F32, quality: F32, rates: F32, labels: I32, cells: I32, draft_bits: int) -> Borders:
+    """Measure over how many pixels the surface goes on from each patch to those beside it, and over how many it steps.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad in [-pi, pi]; NO_PHASE outside the mask.
+    quality : (H, W) float32
+        Larger is better; the modulation.
+    rates : (N, 5) float32
+        What `measure_rates` found.
+    labels : (H, W) int32
+        Patch and order in it.
+    cells : (3, cells + 1) int32
+        See `Cell`; numbered.
+    draft_bits : int
+        A cell has places for 2^bits patches.
+    """
+    rows, columns = cells_of(int(phase.shape[0]), int(phase.shape[1]))
+    count = rows * columns
+    sample = runtime.empty((2, count), np.float32)
+    sample_departures_kernel(phase, rates, sample)
+    departures = runtime.to_host(sample)  # synchronises
+    told = departures[departures < NO_PHASE]
+    sigma = _SIGMA_OF_MEDIAN * float(np.median(told)) if len(told) else 0.0
+    goes_on, steps = max(_GOES_ON, _GOES_ON_SIGMAS * sigma), max(_STEPS, _STEPS_SIGMAS * sigma)
+    ends = runtime.empty((2, _PLACES * count), np.int32)
+    px = runtime.empty((2, _PLACES * count), np.float32)
+    counts = runtime.empty((count,), np.int32)
+    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, goes_on, steps, ends, px, counts)
+    used = np.arange(_PLACES) < runtime.to_host(counts)[:, None]  # synchronises
+    pairs, pixels = runtime.to_host(ends)[:, used.ravel()], runtime.to_host(px)[:, used.ravel()]
+    return Borders(pairs.astype(np.int64), pixels[0].astype(np.float64), pixels[1].astype(np.float64))
