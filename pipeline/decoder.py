@@ -207,7 +207,7 @@ class Decoder:
         seen = SeenPhase(image, gains, crosstalk, phases, work.raw_phase, rates, correction, period_px)
         placement = self._orders.find(seen, patches, rays, memory)
         if placement.roots is not None:
-            patches.split(placement.roots)
+            patches.split(placement.roots, placement.left_out)
         if rays is not None and self._orders.expected_depth_mm is not None:
             patches.place(phases.phase, rays.rays, rays.projector, self._orders.expected_depth_mm)
         patches.set_orders(*placement.offsets())

@@ -73,8 +73,8 @@ def compare(wrapped: Array, quality: Array, mask: Array, truth: Array, surface: 
     theirs = wrong(peer_unwraps(wrapped, mask), truth, surface)
     for method in ("directional", "reliability"):
         ours = tikernels.unwrap_phase(wrapped, quality, mask, stripes, method)
-        # What we leave out, specks and hidden steps, is small change: 2 % of the picture.
-        assert np.count_nonzero(np.isnan(ours) & mask) < 0.02 * mask.size, method
+        # What we leave out, specks, slivers and hidden steps, is small change: 4 % of the picture.
+        assert np.count_nonzero(np.isnan(ours) & mask) < 0.04 * mask.size, method
         mine = wrong(ours, truth, surface)
         valid = np.count_nonzero(mask)
         assert mine <= theirs, f"{method}: {mine} wrong orders, scikit-image has {theirs} of {valid}"

@@ -61,7 +61,7 @@ _MIN_PARTED_PX, _MIN_STEPS = 600, 6
 # An offset is a candidate where patches, with what comes over contacts of this support or more undiminished and this
 # many patches far, prefer it to their region's own by this margin, in variances; it takes this many such patches, and
 # the commonest few are looked at.
-_FULL_SUPPORT, _POOLED, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 3, 100.0, 3, 12
+_FULL_SUPPORT, _POOLED, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 3, 300.0, 3, 12
 # What a difference of labels costs across a contact of full support, in variances, the least share of it, and how often
 # labels settle.
 _LABEL_COST, _LEAST_SUPPORT, _SWEEPS = 20.0, 0.05, 8
@@ -160,15 +160,17 @@ def _placed(
     """
     parts = np.flatnonzero(np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX)
     seen = _seen_steps(steps, roots, parts)
-    # A cut is free to choose its place, and chance has as many places to look like the code.
+    # A piece is free to choose where it begins and where it ends, and chance has as many ways to look like the code.
     origin = main[graph.root[parts]]
     places = np.ptp(steps.order) if len(steps.order) else 1
-    luck = np.where(origin >= 0, np.log(max(places, 1)), 0.0)
+    luck = np.where(origin >= 0, 2 * np.log(max(places, 1)), 0.0)
     posteriors, readable = _posteriors([_log_likelihood(part) for part in seen], luck)
-    of_main = {int(part): posterior.best for part, posterior in zip(parts, posteriors, strict=True)}
+    of_main = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
     for k, part in enumerate(parts):
-        if origin[k] >= 0 and origin[k] != part:
-            posteriors[k] = posteriors[k].beside(of_main.get(int(origin[k])), _SAME_SURFACE)
+        region = of_main.get(int(origin[k]))
+        if region is not None and origin[k] != part:
+            sure = 1 - region.error(region.best)
+            posteriors[k] = posteriors[k].beside(region.best, _SAME_SURFACE * sure)
     return parts, posteriors, readable
 
 

@@ -39,6 +39,8 @@ _MIN_CORRECTION = 1e-3
 _EVERY_COLUMN = 8
 # Where a code that nobody has told of places more than this share of the pixels, it is one.
 _MIN_CODED = 0.5
+# A speck of fewer pixels whose likeliest order is wrong with a higher probability has any depth, and is left out.
+_MIN_GUESSED_PX, _MAX_GUESS = 800, 0.5
 
 _CODE_NOT_SEEN = (
     "the frame does not show the contrast code: project what colorphase pattern makes, or calibrate the rig with "
@@ -74,6 +76,7 @@ class Placement:
     absolute: AbsoluteOrders | None  # by a code, or by the depth range
     carried: CarriedOrders | None  # by the frame before
     coded: bool  # whether `absolute` is by a code
+    left_out: npt.NDArray[np.bool_] | None  # (P,) patches of specks that nothing places
     warning: str | None  # what the user should know
 
     def offsets(self) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]:
@@ -175,7 +178,7 @@ class OrderFinder:
         memory : FrameMemory, optional
             Of the frame before.
         """
-        roots, absolute, carried, warning = None, None, None, None
+        roots, absolute, carried, warning, left_out = None, None, None, None, None
         coded = self._code == "contrast"
         if coded:
             graph = patches.graph()
@@ -190,13 +193,18 @@ class OrderFinder:
                 carried = count_votes(votes, parts)
                 roots = parts if carried.same_scene else None
             warning = warning if carried.same_scene else _OTHER_SCENE
+        if absolute is not None and readable:
+            unknown = absolute.parts[absolute.error_probability(absolute.offsets) > _MAX_GUESS]
+            unknown = unknown[~np.isin(unknown, [] if carried is None else carried.roots)]
+            small = np.bincount(absolute.roots, graph.pixels, len(graph.pixels)) < _MIN_GUESSED_PX
+            left_out = np.isin(absolute.roots, unknown[small[unknown]])
         if not coded and self._depth_range_mm is not None:
             absolute, out_of_range = self._place_by_depth(seen, patches.graph(), roots, rays)
             warning = warning or out_of_range
         if not self._code_looked_for:
             self._code_looked_for = True
             warning = _CODE_NOT_TOLD if self._shows_a_code(seen, patches) else warning
-        return Placement(roots, absolute, carried, coded, warning)
+        return Placement(roots, absolute, carried, coded, left_out, warning)
 
     def refine(
         self, seen: SeenPhase, patches: Patches, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers

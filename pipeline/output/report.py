@@ -20,10 +20,6 @@ from tikernels.depth.triangulation import triangulate
 _LIT_LEVELS = 20.0
 # And that lie further than this inside the rim of what is lit: filters see nothing on one side there.
 _RIM_PX = 4
-# Two neighbouring points further apart lie on different surfaces.
-_SURFACE_STEP_MM = 4.0
-# Pixels of a surface, at least, for its commonest order to mean anything.
-_MIN_SURFACE_PX = 500
 
 
 def frame_report(
@@ -98,10 +94,10 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
     dict
         ``phase_rms_rad`` over the lit pixels (brighter than 20 levels, 4 px inside the lit area), one constant, given
         as ``phase_constant_rad``, removed; ``coverage``, the share of those pixels that have a result;
-        ``wrong_orders``, pixels whose order is not their surface's commonest; and with a calibration, over the same
+        ``wrong_orders``, pixels whose order is not their region's commonest; and with a calibration, over the same
         pixels, ``depth_rms_mm`` and ``depth_p999_mm``, RMS and 99.9th percentile of the depth error as it is,
         ``absolute``, the share of the lit pixels whose order is said to be absolute, and
-        ``depth_rms_order_known_mm``, as if each surface's commonest order were its true one.
+        ``depth_rms_order_known_mm``, as if each region's commonest order were its true one.
     """
     brightness = truth.image.mean(axis=2) * (255.0 / truth.white_level)
     square = np.ones((2 * _RIM_PX + 1, 2 * _RIM_PX + 1), np.uint8)
@@ -117,14 +113,13 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
     measured["phase_rms_rad"] = float(np.sqrt(np.mean(wrapped**2)))
     measured["phase_constant_rad"] = constant
     cycles = np.rint((error - constant) / (2 * np.pi)).astype(int)
-    surface = np.where(valid, _surfaces(truth), 0)
-    wrong, commonest = 0, np.full(valid.shape, np.nan)  # NaN: on no surface large enough to tell
-    for number in np.flatnonzero(np.bincount(surface.ravel()) >= _MIN_SURFACE_PX):
-        if number > 0:
-            here = surface == number
-            values, counts = np.unique(cycles[here], return_counts=True)
-            commonest[here] = values[np.argmax(counts)]
-            wrong += int(here.sum() - counts.max())
+    region = np.where(valid, frame.region, 0)
+    wrong, commonest = 0, np.full(valid.shape, np.nan)
+    for number in np.flatnonzero(np.bincount(region.ravel())[1:]) + 1:
+        here = region == number
+        values, counts = np.unique(cycles[here], return_counts=True)
+        commonest[here] = values[np.argmax(counts)]
+        wrong += int(here.sum() - counts.max())
     measured["wrong_orders"] = wrong
     if frame.points is not None:
         geometry = truth.rig.geometry()
@@ -136,18 +131,3 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
         measured["depth_rms_order_known_mm"] = float(np.sqrt(np.nanmean(order_known**2)))
         measured["absolute"] = float((lit & frame.absolute).sum() / lit.sum())
     return measured
-
-
-def _surfaces(truth: SimulatedFrame) -> npt.NDArray[np.int32]:
-    """(H, W) int32: number of the connected true surface of each lit pixel; 0 elsewhere."""
-    height, width = truth.mask.shape
-    # On a grid twice as fine the places between two pixels say whether they are joined.
-    grid = np.zeros((2 * height - 1, 2 * width - 1), np.uint8)
-    grid[::2, ::2] = truth.mask
-    with np.errstate(invalid="ignore"):
-        gap_down = np.linalg.norm(np.diff(truth.points, axis=0), axis=-1) < _SURFACE_STEP_MM
-        gap_right = np.linalg.norm(np.diff(truth.points, axis=1), axis=-1) < _SURFACE_STEP_MM
-    grid[1::2, ::2] = gap_down & truth.mask[1:] & truth.mask[:-1]
-    grid[::2, 1::2] = gap_right & truth.mask[:, 1:] & truth.mask[:, :-1]
-    labels: npt.NDArray[np.int32] = cv2.connectedComponents(grid, connectivity=4)[1][::2, ::2]
-    return labels

@@ -103,7 +103,7 @@ class GivenRegions(PatchMethod):
         integers from 0.
     """
 
-    draft_bits, adds_votes, regions_are_given = 2, True, True
+    draft_bits, adds_votes = 2, True
 
     def __init__(self, unwrapper: UserUnwrapper) -> None:
         self._unwrapper = unwrapper

@@ -114,13 +114,15 @@ class Patches:
         ends, votes = self._method.complete_graph(table[Patch.HEAD], ends[:, agree], noted[Contact.VOTES, agree])
         return PatchGraph(root, offset, table[Patch.PIXELS].copy(), table[Patch.FIRST].copy(), ends, votes)
 
-    def split(self, roots: npt.NDArray[np.int32]) -> None:
+    def split(self, roots: npt.NDArray[np.int32], left_out: npt.NDArray[np.bool_] | None = None) -> None:
         """Make regions of the patches that share a root, which is one of them; their orders stay.
 
         Parameters
         ----------
         roots : (P,) int32
             The patch that stands for each patch's region.
+        left_out : (P,) bool, optional
+            Patches that count no pixels from now on: regions of such are not written.
 
         Raises
         ------
@@ -132,6 +134,8 @@ class Patches:
         self._check_numbers("roots", roots)
         table = runtime.to_host(self.table)
         table[Patch.ROOT, : self.count] = roots
+        if left_out is not None:
+            table[Patch.PIXELS, : self.count][left_out] = 0
         _write_back(self.table, table)
         self._choose_starts()
 

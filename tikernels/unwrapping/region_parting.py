@@ -25,6 +25,8 @@ from tikernels.unwrapping.tables import add_alone
 _MAX_STEPPING, _MIN_PATCH_PX = 2.5, 60
 # Of their common border, two parts must go on over more than this share.
 _MIN_SHARE = 0.6
+# A part of fewer pixels is a sliver, whose relation to the rest nobody will tell: it is left out.
+_MIN_PART_PX = 400
 
 Integers = npt.NDArray[np.int64]
 
@@ -124,7 +126,7 @@ def regions_that_step(roots: npt.NDArray[np.int32], borders: Borders) -> npt.NDA
     return np.asarray(np.bincount(a[a == b], borders.stepping[a == b], len(roots)) > _MAX_STEPPING)
 
 
-def part_regions(graph: PatchGraph, borders: Borders) -> npt.NDArray[np.int32]:
+def part_regions(graph: PatchGraph, borders: Borders) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
     """Part the regions inside which surfaces step.
 
     Parameters
@@ -136,8 +138,10 @@ def part_regions(graph: PatchGraph, borders: Borders) -> npt.NDArray[np.int32]:
 
     Returns
     -------
-    (P,) int32
+    roots : (P,) int32
         The patch that stands for the region of each patch.
+    slivers : (P,) bool
+        Patches of parts that are too small.
     """
     steps = regions_that_step(graph.root, borders)[graph.root]
     ours = steps[graph.ends[0]]
@@ -153,7 +157,8 @@ def part_regions(graph: PatchGraph, borders: Borders) -> npt.NDArray[np.int32]:
     grow_parts_kernel(np.ascontiguousarray(contacts), *noted, lists, parents)
     borders = Borders(parents[ends].astype(np.int64), going_on, stepping)
     joined = _join_parts(parents, parents[contacts], borders)
-    return np.where(steps, joined, graph.root).astype(np.int32)
+    sliver = steps & (np.bincount(joined, graph.pixels, len(joined))[joined] < _MIN_PART_PX)
+    return np.where(steps, joined, graph.root).astype(np.int32), sliver
 
 
 def _join_parts(parts: npt.NDArray[np.int32], contacts: npt.NDArray[np.int32], borders: Borders) -> Integers:

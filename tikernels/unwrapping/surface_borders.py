@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ivec2, ivec4, ti
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3, vec4
 from tikernels.arrays import F32, I32
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
@@ -28,10 +28,13 @@ from tikernels.unwrapping.tables import (
 # relative to the usual change) are no slopes, and count as none.
 _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 # A surface goes on where the phase departs by less than the first, and steps where it departs by more than the second
-# (rad); in a noisy frame by these many standard deviations of what departs inside surfaces.
+# (rad); where noise or ripple depart by more inside surfaces, by these many of
+# their standard deviations, along the stripes and across by its own.
 _GOES_ON, _STEPS = 0.15, 0.25
 _GOES_ON_SIGMAS, _STEPS_SIGMAS = 2.5, 4.0
 _SIGMA_OF_MEDIAN = 1.4826
+# These are told by the cells that lie up to this many further: a bumpy surface departs by more than the wall behind it.
+_AROUND = 2
 # Pairs of patches that a cell may note; more than eight are hardly ever met.
 _PLACES = 24
 
@@ -110,6 +113,29 @@ def note_border(ends: ivec2, px: f32, steps: i32, cell: i32, count: Static, out_
         out_px[steps, at] = out_px[steps, at] + px
 
 
+@ti.func
+def border_at(
+    phase: F32Array2, quality: F32Array2, usual: vec3, limits: vec4, labels: I32Array2, down: Static, y: i32, x: i32
+):
+    """Return the label on the far side of a border that begins after a pixel, its pixels, and whether it steps.
+
+    A negative label: there is none, or it says nothing.
+    """
+    dy, dx = ti.static((down, 1 - down))
+    far, px, steps = -1, 0.0, 0
+    here, beside = labels[y, x], labels[y + dy, x + dx]
+    if here >= 0 and (here >> ORDER_BITS) != (beside >> ORDER_BITS):
+        there = labels[y + _REACH * dy, x + _REACH * dx]
+        if there >= 0 and (here >> ORDER_BITS) != (there >> ORDER_BITS):
+            departs = departure(phase, y, x, down, usual[down])
+            low = ti.min(quality[y, x], quality[y + _REACH * dy, x + _REACH * dx])
+            px = ti.min(4.0 * low / usual[2], 1.0)
+            goes_on = departs < limits[2 * down]
+            steps = ti.cast(departs > limits[2 * down + 1], i32)
+            far = ti.select(goes_on or (steps == 1 and has_phase(departs)), there, -1)
+    return far, px, steps
+
+
 @ti.kernel
 def measure_borders_kernel(
     phase: F32Array2,  # (H, W) rad
@@ -118,8 +144,7 @@ def measure_borders_kernel(
     labels: I32Array2,  # (H, W) patch and order in it
     cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
     draft_bits: i32,
-    goes_on: f32,  # rad
-    steps: f32,  # rad
+    limits: F32Array2,  # (4, cells) rad: up to which a surface goes on and from which it steps, along and across
     out_ends: I32Array2,  # (2, _PLACES cells) patches
     out_px: F32Array2,  # (2, _PLACES cells) pixels over which the surface goes on, and over which it steps
     out_counts: I32Array1,  # (cells,) how many pairs
@@ -128,29 +153,33 @@ def measure_borders_kernel(
     height, width = phase.shape[0], phase.shape[1]
     for cell in range(cell_count(height, width)):
         along, across, mean_quality = frame_rates(rates)
+        usual = vec3(along, across, mean_quality)
         top, left, bottom, right = cell_bounds(cell, height, width)
         bounds, count = ivec4(top, left, bottom, right), 0
+        own = vec4(limits[0, cell], limits[1, cell], limits[2, cell], limits[3, cell])
         for down in ti.static(range(2)):
-            rate = ti.static(down) * across + ti.static(1 - down) * along
-            for y in range(bounds[0], ti.min(bounds[2], height - down * _REACH)):
-                for x in range(bounds[1], ti.min(bounds[3], width - (1 - down) * _REACH)):
-                    here, beside = labels[y, x], labels[y + down, x + 1 - down]
-                    if here >= 0 and (here >> ORDER_BITS) != (beside >> ORDER_BITS):
-                        far = ivec2(y + down * _REACH, x + (1 - down) * _REACH)
-                        there = labels[far[0], far[1]]
-                        if there >= 0 and (here >> ORDER_BITS) != (there >> ORDER_BITS):
-                            departs = departure(phase, y, x, down, rate)
-                            low = ti.min(quality[y, x], quality[far[0], far[1]])
-                            px = ti.min(4.0 * low / mean_quality, 1.0)
-                            ends = ivec2(
-                                patch_number(here >> ORDER_BITS, cells, draft_bits),
-                                patch_number(there >> ORDER_BITS, cells, draft_bits),
-                            )
-                            if departs < goes_on:
-                                note_border(ends, px, 0, cell, count, out_ends, out_px)
-                            elif departs > steps and departs < NO_PHASE:
-                                note_border(ends, px, 1, cell, count, out_ends, out_px)
+            stop = ivec2(height - down * _REACH, width - (1 - down) * _REACH)
+            for y in range(bounds[0], ti.min(bounds[2], stop[0])):
+                for x in range(bounds[1], ti.min(bounds[3], stop[1])):
+                    there, px, steps = border_at(phase, quality, usual, own, labels, down, y, x)
+                    if there >= 0:
+                        here = patch_number(labels[y, x] >> ORDER_BITS, cells, draft_bits)
+                        ends = ivec2(here, patch_number(there >> ORDER_BITS, cells, draft_bits))
+                        note_border(ends, px, steps, cell, count, out_ends, out_px)
         out_counts[cell] = count
+
+
+def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt.NDArray[np.float32]:
+    """Return (2, cells): the departures (rad) up to which a surface goes on, and from which it steps."""
+    told = np.where(departures < NO_PHASE, departures, np.nan).reshape(rows, columns)
+    framed = np.pad(told, _AROUND, constant_values=np.nan)
+    around = np.lib.stride_tricks.sliding_window_view(framed, (2 * _AROUND + 1,) * 2).reshape(rows * columns, -1)
+    # What is missing sorts to the end.
+    found = np.count_nonzero(~np.isnan(around), axis=1)
+    median = np.sort(around, axis=1)[np.arange(len(around)), np.maximum(found - 1, 0) // 2]
+    sigma = _SIGMA_OF_MEDIAN * np.where(found > 0, median, 0)
+    limits = [np.maximum(_GOES_ON, _GOES_ON_SIGMAS * sigma), np.maximum(_STEPS, _STEPS_SIGMAS * sigma)]
+    return np.stack(limits).astype(np.float32)
 
 
 def measure_borders(phase: F32, quality: F32, rates: F32, labels: I32, cells: I32, draft_bits: int) -> Borders:
@@ -175,14 +204,11 @@ def measure_borders(phase: F32, quality: F32, rates: F32, labels: I32, cells: I3
     count = rows * columns
     sample = runtime.empty((2, count), np.float32)
     sample_departures_kernel(phase, rates, sample)
-    departures = runtime.to_host(sample)  # synchronises
-    told = departures[departures < NO_PHASE]
-    sigma = _SIGMA_OF_MEDIAN * float(np.median(told)) if len(told) else 0.0
-    goes_on, steps = max(_GOES_ON, _GOES_ON_SIGMAS * sigma), max(_STEPS, _STEPS_SIGMAS * sigma)
+    limits = np.concatenate([_limits(seen, rows, columns) for seen in runtime.to_host(sample)])  # synchronises
     ends = runtime.empty((2, _PLACES * count), np.int32)
     px = runtime.empty((2, _PLACES * count), np.float32)
     counts = runtime.empty((count,), np.int32)
-    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, goes_on, steps, ends, px, counts)
+    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, limits, ends, px, counts)
     used = np.arange(_PLACES) < runtime.to_host(counts)[:, None]  # synchronises
     pairs, pixels = runtime.to_host(ends)[:, used.ravel()], runtime.to_host(px)[:, used.ravel()]
     return Borders(pairs.astype(np.int64), pixels[0].astype(np.float64), pixels[1].astype(np.float64))

@@ -31,8 +31,8 @@ class PatchMethod(Protocol):
     """A cell has places for 2^draft_bits patches at first."""
     adds_votes: bool
     """Whether contacts between the same regions that agree on the shift have their votes added up."""
-    regions_are_given: bool = False
-    """Whether somebody else knows the regions, which are not parted then."""
+    parts_regions: bool = False
+    """Whether regions that hang together by the smaller part of a border are parted."""
 
     def grow(self, phase: F32, quality: F32, rates: F32, drafts: Drafts) -> None:
         """Sort the pixels of every cell into patches, and note their contacts.
@@ -87,7 +87,7 @@ class VotedRuns(PatchMethod):
     the centre, by priority of intensity, location and direction; here all cells grow at once.
     """
 
-    draft_bits, adds_votes = _RUN_DRAFT_BITS, True
+    draft_bits, adds_votes, parts_regions = _RUN_DRAFT_BITS, True, True
 
     def __init__(self, height: int, width: int) -> None:
         pass

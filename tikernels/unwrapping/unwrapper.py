@@ -93,7 +93,7 @@ class RegionUnwrapper:
         self._merge(contacts)
         settle_patches_kernel(one_thread_is_faster(count), count, table)
         patches = Patches(count, drafts, self._method, table, self._regions, self._final, self._seams)
-        if not self._method.regions_are_given:
+        if self._method.parts_regions:
             self._part(patches, phase, quality, rates)
         return patches
 
@@ -102,7 +102,7 @@ class RegionUnwrapper:
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
         borders = measure_borders(phase, quality, rates, *of_patches)
         if regions_that_step(patches.roots(), borders).any():
-            patches.split(part_regions(patches.graph(), borders))
+            patches.split(*part_regions(patches.graph(), borders))
 
     def _grow(self, phase: F32, quality: F32, rates: F32) -> tuple[int, int]:
         """Let the method draft patches, with more places if a cell is crowded; return how many patches and contacts."""

@@ -82,7 +82,7 @@ def test_what_a_plane_cannot_show():
 
 def test_another_shape():
     with pytest.raises(CalibrationError, match="mm from the nearest plane"):
-        checked("bust", "plane")
+        checked("objects", "plane")
     with pytest.raises(CalibrationError, match="radius is given as 0 mm"):
         checked("ball", "ball", 0.0)
 

@@ -27,7 +27,9 @@ def patches(offsets):
 
 
 def placement(**found):
-    return Placement(**{"roots": None, "absolute": None, "carried": None, "coded": False, "warning": None, **found})
+    return Placement(
+        **{"roots": None, "absolute": None, "carried": None, "coded": False, "left_out": None, "warning": None, **found}
+    )
 
 
 def carried(**values):

@@ -88,3 +88,15 @@ def test_a_range_that_the_surface_leaves_tells_nothing(scene, depth_range):
     with pytest.warns(DecodeWarning, match="fits at no order into the depth range of"):
         frame, _ = decoded(scene, depth_range)
     assert not frame.absolute.any()
+
+
+def test_what_hangs_together_has_the_same_orders_unless_its_own_steps_contradict():
+    undecided = Posterior(-2, np.full(10, 0.1))
+    beside = undecided.beside(3, 0.9)
+    assert beside.best == 3
+    assert beside.error(3) == pytest.approx(0.1)
+    contradicts = np.full(10, 1e-8)
+    contradicts[0] = 1 - 9e-8
+    assert Posterior(-2, contradicts).beside(3, 0.9).best == -2
+    for nothing_to_say in (None, 40):
+        assert undecided.beside(nothing_to_say, 0.9) is undecided

@@ -26,7 +26,7 @@ def truth(cpu):
 def result(truth, error_rad=0.0, calibrated=False):
     """Return what a decoder would give that is off by some phase."""
     phase = np.where(truth.mask, truth.phase + error_rad, np.nan).astype(np.float32)
-    found = SimpleNamespace(unwrapped_phase=phase, mask=truth.mask, points=None)
+    found = SimpleNamespace(unwrapped_phase=phase, mask=truth.mask, region=truth.mask.astype(int), points=None)
     if calibrated:
         geometry = truth.rig.geometry()
         points = triangulate(phase, geometry.camera.rays(), geometry.for_triangulation())

@@ -1,0 +1,185 @@
+"""Piles of balls and plates before a wall, seen by pixels that average over their area, with exact truth.
+
+Rays meet planes and balls in closed form: an oracle that shares nothing with the simulator's distance fields.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration import Calibration
+from pipeline.pattern.fringes import make_pattern
+from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulatedFrame, simulated_rig
+
+Floats = npt.NDArray[np.float64]
+
+SIZE = (640, 480)
+PAINTS = (SKIN, WHITE, (0.6, 0.25, 0.1), (0.7, 0.6, 0.15), (0.15, 0.45, 0.2), (0.15, 0.25, 0.6))
+# Rays a pixel along either side; blur of projector and camera, px; ambient light; noise, levels.
+_SAMPLES, _BLUR, _AMBIENT, _NOISE = 3, (0.6, 0.5), 0.05, 1.5
+_FALLOFF_MM = 918.0
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A plane n . p = distance, whole or seen inside an outline, or a ball."""
+
+    color: tuple[float, float, float]
+    normal: Floats | None = None
+    distance_mm: float = 0.0
+    outline: tuple[bool, float, float, float, float] | None = None  # ellipse or box; its middle, half width and height
+    middle: Floats | None = None
+    radius_mm: float = 0.0
+
+
+def piled_objects(
+    seed: int,
+    *,
+    objects: int,
+    cycles: tuple[float, float],
+    gamma: float,
+    code: str | None = "contrast",
+    painted: bool = False,
+    touching: bool = False,
+) -> tuple[SimulatedFrame, npt.NDArray[np.int64]]:
+    """Return a frame, and which surface every pixel sees (0: the wall).
+
+    Parameters
+    ----------
+    seed : int
+        Of places, tilts and noise.
+    objects : int
+        How many.
+    cycles : (2,) float
+        How many cycles high they are.
+    gamma : float
+        The projector's response.
+    code : {"contrast"}, optional
+        The pattern's.
+    painted : bool
+        Every object has a colour of its own, and the wall is white; else all are skin.
+    touching : bool
+        All are plates, and each lies one to three whole cycles before the wall at a place of its border.
+    """
+    rng = np.random.default_rng(seed)
+    rig = simulated_rig(SIZE, code="contrast" if code else None)
+    surfaces = [_wall(rng, painted)]
+    for _ in range(objects):
+        color = PAINTS[rng.integers(len(PAINTS))] if painted else SKIN
+        surfaces.append(_object(rng, rig, surfaces[0], cycles, color, touching))
+    return _photographed(rng, rig, surfaces, gamma)
+
+
+def _wall(rng: np.random.Generator, painted: bool) -> Surface:
+    normal = np.array([rng.uniform(-0.15, 0.15), rng.uniform(-0.15, 0.15), 1.0])
+    return Surface(WHITE if painted else SKIN, normal, float(rng.uniform(930, 1000)))
+
+
+def _object(
+    rng: np.random.Generator,
+    rig: Calibration,
+    wall: Surface,
+    cycles: tuple[float, float],
+    color: tuple[float, float, float],
+    touching: bool,
+) -> Surface:
+    half_height = rng.uniform(*cycles) * 12 / 2
+    half_width = half_height * rng.uniform(0.7, 1.6)
+    x, y = rng.uniform(40, SIZE[0] - 40), rng.uniform(40, SIZE[1] - 40)
+    outline = (bool(rng.random() < 0.5), x, y, half_width, half_height)
+    normal = np.array([rng.uniform(-0.4, 0.4), rng.uniform(-0.4, 0.4), 1.0])
+    ray, depth = _ray(rig, x, y), rng.uniform(800, 910)
+    if touching:
+        geometry = rig.geometry()
+        dx, dy = ((0, -half_height), (0, half_height), (-half_width, 0), (half_width, 0))[rng.integers(4)]
+        ray = _ray(rig, x + dx, y + dy)
+        behind = wall.distance_mm / float(ray @ wall.normal)
+        depths = np.linspace(behind - 180, behind, 600)
+        lead = np.abs(geometry.pattern_cycles(depths[:, None] * ray) - geometry.pattern_cycles((behind * ray)[None]))
+        depth = float(np.interp(rng.integers(1, 4), lead[::-1], depths[::-1]))
+    elif rng.random() < 0.5:
+        radius = half_height / rig.camera.matrix[0, 0] * depth
+        return Surface(color, middle=ray * depth + [0, 0, radius], radius_mm=radius)
+    return Surface(color, normal, float(depth * ray @ normal), outline)
+
+
+def _ray(rig: Calibration, x: float, y: float) -> Floats:
+    k = rig.camera.matrix
+    return np.array([(x - k[0, 2]) / k[0, 0], (y - k[1, 2]) / k[1, 1], 1.0])
+
+
+def _met(
+    rig: Calibration, surfaces: list[Surface], origin: Floats, rays: Floats
+) -> tuple[Floats, npt.NDArray[np.int64]]:
+    """Return how far along rays (..., 3) the first surface lies, and its number; inf and -1 where there is none."""
+    k = rig.camera.matrix
+    nearest, number = np.full(rays.shape[:-1], np.inf), np.full(rays.shape[:-1], -1)
+    for n, surface in enumerate(surfaces):
+        if surface.normal is not None:
+            far = (surface.distance_mm - origin @ surface.normal) / (rays @ surface.normal)
+            met = far > 1e-6
+            if surface.outline is not None:
+                ellipse, x, y, half_width, half_height = surface.outline
+                p = origin + far[..., None] * rays
+                u = (p[..., 0] / p[..., 2] * k[0, 0] + k[0, 2] - x) / half_width
+                v = (p[..., 1] / p[..., 2] * k[1, 1] + k[1, 2] - y) / half_height
+                met &= (u * u + v * v < 1) if ellipse else (np.maximum(np.abs(u), np.abs(v)) < 1)
+        else:
+            away = origin - surface.middle
+            along, square = rays @ away, (rays**2).sum(axis=-1)
+            under = along**2 - square * (away @ away - surface.radius_mm**2)
+            far = (-along - np.sqrt(np.maximum(under, 0))) / square
+            met = (under > 0) & (far > 1e-6)
+        nearer = met & (far < nearest)
+        nearest, number = np.where(nearer, far, nearest), np.where(nearer, n, number)
+    return nearest, number
+
+
+def _photographed(
+    rng: np.random.Generator, rig: Calibration, surfaces: list[Surface], gamma: float
+) -> tuple[SimulatedFrame, npt.NDArray[np.int64]]:
+    geometry = rig.geometry()
+    k, projector = geometry.camera.matrix, geometry.projector
+    light = cv2.GaussianBlur(cv2.pow(make_pattern(projector.size_px, geometry.pattern), gamma), (0, 0), _BLUR[0])
+    centre = -geometry.rotation.T @ geometry.translation_mm
+    y, x = np.indices(SIZE[::-1])
+    total = np.zeros((*SIZE[::-1], 3))
+    colors = np.array([surface.color for surface in surfaces])
+    places = (np.arange(_SAMPLES) + 0.5) / _SAMPLES - 0.5
+    for sub_y, sub_x in np.stack(np.meshgrid(places, places, indexing="ij"), -1).reshape(-1, 2):
+        rays = np.stack([(x + sub_x - k[0, 2]) / k[0, 0], (y + sub_y - k[1, 2]) / k[1, 1], np.ones(x.shape)], -1)
+        far, number = _met(rig, surfaces, np.zeros(3), rays)
+        points = far[..., None] * rays
+        towards = points - centre
+        distance = np.linalg.norm(towards, axis=-1)
+        slope = np.zeros(x.shape)
+        for n, surface in enumerate(surfaces):
+            inside = number == n
+            if surface.normal is not None:
+                normal = np.broadcast_to(surface.normal / np.linalg.norm(surface.normal), towards[inside].shape)
+            else:
+                normal = (surface.middle - points[inside]) / surface.radius_mm
+            slope[inside] = (normal * towards[inside]).sum(axis=-1) / distance[inside]
+        lit = (_met(rig, surfaces, centre, towards)[0] > 1 - 2e-3) & (slope > 0)
+        seen = points @ geometry.rotation.T + geometry.translation_mm
+        pixel = (seen[..., :2] / seen[..., 2:]) * projector.matrix[[0, 1], [0, 1]] + projector.matrix[:2, 2]
+        lit &= (pixel > -0.5).all(axis=-1) & (pixel < np.array(projector.size_px) - 0.5).all(axis=-1)
+        arrives = cv2.remap(light, pixel.astype(np.float32), None, cv2.INTER_LINEAR)
+        falls = np.where(lit, slope * (_FALLOFF_MM / distance) ** 2, 0)[..., None] * arrives
+        total += colors[number] * ((_AMBIENT + falls) @ np.array(TYPICAL_CROSSTALK).T)
+        if sub_y == sub_x == 0:
+            truth, which = (pixel[..., geometry.phase_axis], lit, points), number
+    image = cv2.GaussianBlur(total / _SAMPLES**2, (0, 0), _BLUR[1])
+    image = 0.9 * image / np.quantile(image, 0.995) + _NOISE / 255 * rng.standard_normal(image.shape)
+    frame = SimulatedFrame(
+        rig=rig,
+        image=np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8),
+        white_level=255,
+        phase=2 * np.pi / geometry.pattern.period_px * truth[0],
+        mask=truth[1],
+        points=truth[2].astype(np.float32),
+        reflectance=colors[which].astype(np.float32),
+    )
+    return frame, which

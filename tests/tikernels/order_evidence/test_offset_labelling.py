@@ -1,0 +1,75 @@
+"""Labels of patches by the offsets that their steps name, against NumPy twins."""
+
+import numpy as np
+
+from tikernels.order_evidence.offset_labelling import (
+    Links,
+    connected_parts,
+    pool_evidence,
+    settle_labels,
+    weigh_offsets,
+)
+
+ROWS, COLUMNS = 6, 9
+COUNT = ROWS * COLUMNS
+
+
+def grid():
+    """Return the ends of the contacts of a grid of patches."""
+    number = np.arange(COUNT).reshape(ROWS, COLUMNS)
+    beside = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()])
+    below = np.stack([number[:-1].ravel(), number[1:].ravel()])
+    return np.concatenate([beside, below], axis=1)
+
+
+def test_deviations_as_the_twin(arch):
+    rng = np.random.default_rng(0)
+    code = rng.normal(0, 0.1, 20)
+    low, high, order = rng.integers(0, COUNT, 200), rng.integers(0, COUNT, 200), rng.integers(-4, 9, 200)
+    rise, offsets = rng.normal(0, 0.1, 200), range(-8, 24)
+    evidence = weigh_offsets((low, high), order, rise, code, offsets, COUNT, 0.05, 9.0)
+    expected = np.zeros((len(offsets), COUNT))
+    for k, offset in enumerate(offsets):
+        place = order + offset
+        inside = (place >= 0) & (place < len(code))
+        deviation = np.where(inside, np.minimum(((rise - code[np.clip(place, 0, 19)]) / 0.05) ** 2, 9.0), 9.0)
+        np.add.at(expected[k], low, 0.5 * deviation)
+        np.add.at(expected[k], high, 0.5 * deviation)
+    np.testing.assert_allclose(evidence, expected, rtol=1e-5, atol=1e-4)
+
+
+def test_what_is_pooled_as_the_twin(arch):
+    rng = np.random.default_rng(1)
+    ends, weights = grid(), rng.uniform(0, 1, grid().shape[1])
+    evidence = rng.uniform(0, 9, (7, COUNT)).astype(np.float32)
+    matrix = np.zeros((COUNT, COUNT))
+    matrix[ends[0], ends[1]] = matrix[ends[1], ends[0]] = weights
+    expected = evidence.astype(float)
+    for _ in range(3):
+        expected = evidence + expected @ matrix
+    pooled = pool_evidence(evidence, Links.of(ends, COUNT), weights, 3)
+    np.testing.assert_allclose(pooled, expected, rtol=1e-5)
+
+
+def test_labels_settle_with_their_neighbours(arch):
+    """Two halves that show different offsets, a third of the patches by chance the other one: two halves again."""
+    rng = np.random.default_rng(2)
+    right = (np.arange(COUNT) % COLUMNS >= 5).astype(int)
+    shown = np.where(rng.random(COUNT) < 0.25, 1 - right, right)
+    evidence = np.where(np.arange(2)[:, None] == shown, 0.0, 6.0).astype(np.float32)
+    evidence[:, shown == right] *= 2
+    ends = grid()
+    links = Links.of(ends, COUNT)
+    labels = settle_labels(evidence, shown, links, np.full(ends.shape[1], 4.0), 8)
+    assert np.mean(labels == right) > 0.9 > np.mean(shown == right)
+    # Where a difference costs nothing, every patch keeps what it shows itself.
+    alone = settle_labels(evidence, np.zeros(COUNT, int), links, np.zeros(ends.shape[1]), 1)
+    np.testing.assert_array_equal(alone, shown)
+
+
+def test_parts_that_are_connected():
+    ends = grid()
+    cut = (ends % COLUMNS >= 5).sum(axis=0) != 1
+    parts = connected_parts(ends[:, cut], COUNT)
+    np.testing.assert_array_equal(parts, np.where(np.arange(COUNT) % COLUMNS >= 5, 5, 0))
+    np.testing.assert_array_equal(connected_parts(ends[:, :0], 3), [0, 1, 2])

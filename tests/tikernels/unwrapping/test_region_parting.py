@@ -1,0 +1,82 @@
+"""Regions that touch where the step between them is a whole cycle."""
+
+import numpy as np
+import pytest
+import reference
+from support.wrapped_surfaces import join, written
+
+from tikernels.unwrapping.patches import PatchGraph
+from tikernels.unwrapping.region_parting import part_regions, regions_that_step
+from tikernels.unwrapping.surface_borders import Borders
+
+SHAPE = (240, 320)
+CYCLE = 2 * np.pi
+
+
+def disc_and_wall(slope):
+    """Return the phase (rad) of a disc before a wall, exactly a cycle at its left end; where the disc is."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    disc = (y - 120) ** 2 + (x - 160) ** 2 < 70**2
+    return reference.ramp(*SHAPE, 12.0) + np.where(disc, CYCLE + slope * (x - 90), 0.0), disc
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_a_disc_that_touches_the_wall_is_a_region_of_its_own(arch, noise):
+    """It joins the wall for a tenth of its border, where the step is a cycle; everywhere else it steps."""
+    true, disc = disc_and_wall(0.03)
+    rng = np.random.default_rng(3)
+    phase = reference.wrapped(true + rng.normal(0, noise, SHAPE)).astype(np.float32)
+    patches, rates = join(phase)
+    unwrapped, mask, region = written(patches, phase, rates)
+    sizes = np.bincount(region.ravel())[1:]
+    assert len(sizes) == 2
+    assert 0.8 * disc.sum() < sizes[1] < 1.02 * disc.sum()
+    # In either region all pixels have the same order relative to the truth.
+    for number in (1, 2):
+        inside = (region == number) & (mask != 0)
+        cycles = np.rint((unwrapped[inside] - true[inside]) / CYCLE)
+        assert np.mean(cycles != np.median(cycles)) < 0.005
+
+
+def test_one_surface_stays_one(arch):
+    """A bump as steep as a nose, with noise, and a hole."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    bump = 9 * np.exp(-((y - 120) ** 2 + (x - 160) ** 2) / 900)
+    rng = np.random.default_rng(4)
+    phase = reference.wrapped(reference.ramp(*SHAPE, 12.0) + bump + rng.normal(0, 0.1, SHAPE)).astype(np.float32)
+    patches, _ = join(phase)
+    roots, counts = np.unique(patches.roots(), return_counts=True)
+    assert counts.max() > 0.98 * counts.sum(), f"{len(roots)} regions"
+
+
+def test_parts_join_over_most_of_their_border():
+    """Three rows of patches: the second goes on over most of its border with the first, the third does not."""
+    number = np.arange(30).reshape(3, 10)
+    along = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()])
+    down = np.stack([number[:-1].ravel(), number[1:].ravel()])
+    stepping = np.zeros(20)
+    stepping[[0, 1, 2]] = 8.0  # of the first border 3 of 10 pairs step,
+    stepping[[10, 11, 12, 13, 14, 15]] = 8.0  # of the second 6
+    borders = Borders(
+        np.concatenate([along, down], axis=1),
+        np.concatenate([np.full(27, 8.0), 8.0 - stepping]),
+        np.concatenate([np.zeros(27), stepping]),
+    )
+    ends = np.concatenate([along, down[:, stepping == 0]], axis=1).astype(np.int32)
+    zeros = np.zeros(30, np.int32)
+    of_patches = (zeros, zeros, np.full(30, 128, np.int32), np.arange(30, dtype=np.int32))
+    votes = np.concatenate([np.full(27, 400), np.full(11, 300)]).astype(np.int32)
+    graph = PatchGraph(*of_patches, ends, votes)
+    assert regions_that_step(graph.root, borders)[0]
+    roots, slivers = part_regions(graph, borders)
+    assert not slivers.any()
+    assert len(np.unique(roots[:20])) == 1
+    assert len(np.unique(roots[20:])) == 1
+    assert roots[0] != roots[20]
+    # A row of small patches is a sliver.
+    few = np.repeat([128, 128, 30], 10).astype(np.int32)
+    _, slivers = part_regions(graph._replace(pixels=few), borders)
+    np.testing.assert_array_equal(slivers, np.arange(30) >= 20)
+    # Where nothing steps, nothing is parted.
+    smooth = Borders(borders.ends, borders.going_on, np.zeros(47))
+    assert not regions_that_step(graph.root, smooth).any()
