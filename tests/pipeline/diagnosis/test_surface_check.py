@@ -81,8 +81,11 @@ def test_what_a_plane_cannot_show():
 
 
 def test_another_shape():
+    rig = half_rig().model_copy(update=KNOWN)
+    frame = Decoder(DecodeSettings(), rig, arch="cpu").decode(simulate_frame(rig).image)
+    frame.region[frame.mask] = 1  # bust and wall, as if they were one
     with pytest.raises(CalibrationError, match="mm from the nearest plane"):
-        checked("objects", "plane")
+        check_surface(frame, rig, "plane")
     with pytest.raises(CalibrationError, match="radius is given as 0 mm"):
         checked("ball", "ball", 0.0)
 
