@@ -113,3 +113,16 @@ def test_what_are_not_patches_is_refused(arch):
         patches.set_orders(regions, np.zeros(len(regions) + 1, int))
     np.testing.assert_array_equal(patches.roots(), roots)
     np.testing.assert_array_equal(patches.orders(regions), orders_before)
+
+
+def test_what_is_left_out_is_not_written(arch):
+    phase = reference.wrapped(surface()).astype(np.float32)
+    patches, rates = join(phase)
+    roots = patches.roots()
+    largest = np.bincount(roots).argmax()
+    before = written(patches, phase, rates)[2]
+    patches.split(roots, roots == largest)
+    mask, region = written(patches, phase, rates)[1:]
+    assert np.count_nonzero(before == 1) > 5000
+    assert not mask[before == 1].any()
+    assert region.max() == before.max() - 1
