@@ -177,14 +177,14 @@ def _placed(
 def _rejoined(
     roots: npt.NDArray[np.int32], main: Integers, graph: PatchGraph, parts: Integers, posteriors: list[Posterior]
 ) -> npt.NDArray[np.int32]:
-    """Return the roots with those pieces put back that have their region's offset, or are too small to tell."""
+    """Return the roots with those pieces put back that have their region's offset."""
     origin = main[graph.root]
     offset = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
-    back = origin >= 0
+    back = np.zeros(len(roots), np.bool_)
     for part, posterior in offset.items():
         region = offset.get(int(origin[part]))
-        if region is not None and posterior.error(region.best) > 1 - _REJOINS:
-            back[roots == part] = False
+        if region is not None and posterior.error(region.best) <= 1 - _REJOINS:
+            back |= roots == part
     return np.where(back, origin, roots).astype(np.int32)
 
 

@@ -16,26 +16,20 @@ from tikernels.arrays import F32, I32
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.unwrapping.continuity import frame_rates
-from tikernels.unwrapping.tables import (
-    ORDER_BITS,
-    cell_bounds,
-    cell_count,
-    cells_of,
-    patch_number,
-)
+from tikernels.unwrapping.tables import ORDER_BITS, cell_bounds, cell_count, cells_of, patch_number
 
 # The surface is looked at again this many pixels further on; slopes are taken over this many. Steeper ones (rad a px,
 # relative to the usual change) are no slopes, and count as none.
 _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 # A surface goes on where the phase departs by less than the first, and steps where it departs by more than the second
-# (rad); where noise or ripple depart by more inside surfaces, by these many of
-# their standard deviations, along the stripes and across by its own.
+# (rad); or by these many standard deviations of what departs around, along the stripes and across by its own, where
+# noise, ripple or relief make that more.
 _GOES_ON, _STEPS = 0.15, 0.25
 _GOES_ON_SIGMAS, _STEPS_SIGMAS = 2.5, 4.0
 _SIGMA_OF_MEDIAN = 1.4826
-# These are told by the cells that lie up to this many further: a bumpy surface departs by more than the wall behind it.
+# Around a cell are those up to this many further: a bumpy surface departs by more than the wall behind it.
 _AROUND = 2
-# Pairs of patches that a cell may note; more than eight are hardly ever met.
+# Pairs of patches that a cell may note; what it has no place for does not count.
 _PLACES = 24
 
 Integers = npt.NDArray[np.int64]
