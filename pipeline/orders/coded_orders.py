@@ -163,7 +163,8 @@ def _placed(
     # A piece is free to choose where it begins and where it ends, and chance has as many ways to look like the code.
     origin = main[graph.root[parts]]
     places = np.ptp(steps.order) if len(steps.order) else 1
-    luck = np.where(origin >= 0, 2 * np.log(max(places, 1)), 0.0)
+    ends = np.where(origin == parts, 1, 2)  # of what remains of the region the labels have found one
+    luck = np.where(origin >= 0, ends * np.log(max(places, 1)), 0.0)
     posteriors, readable = _posteriors([_log_likelihood(part) for part in seen], luck)
     of_main = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
     for k, part in enumerate(parts):
@@ -379,10 +380,10 @@ def _posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> 
     the logarithm by how much likelier than it seems each part shows no code at all.
     """
     alone = np.log(_STRENGTH_PRIOR / len(_SPREADS))[:, None] + np.zeros(len(_SPREADS))
+    shown = alone + sum(_evidence(part) for _, part in likelihoods if part.shape[-1])
     for (_, likelihood), more in zip(likelihoods, luck, strict=True):
         likelihood[_STRENGTHS == 0] += more
-    told = [part for _, part in likelihoods if part.shape[-1]]
-    together = alone + sum(_evidence(part) for part in told)
+    together = alone + sum(_evidence(part) for _, part in likelihoods if part.shape[-1])
     posteriors = []
     for first, likelihood in likelihoods:
         if likelihood.shape[-1] == 0:
@@ -394,8 +395,8 @@ def _posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> 
         logarithm = np.logaddexp.reduce(prior[..., None] + likelihood, axis=(0, 1))
         probability = np.exp(logarithm - logarithm.max())
         posteriors.append(Posterior(first, probability / probability.sum()))
-    without = np.logaddexp.reduce(together[_STRENGTHS == 0], axis=None)
-    return posteriors, bool(without < np.logaddexp.reduce(together[_STRENGTHS > 0], axis=None))
+    without = np.logaddexp.reduce(shown[_STRENGTHS == 0], axis=None)
+    return posteriors, bool(without < np.logaddexp.reduce(shown[_STRENGTHS > 0], axis=None))
 
 
 def _evidence(likelihood: FloatArray) -> FloatArray:

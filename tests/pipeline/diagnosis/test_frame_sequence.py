@@ -93,7 +93,9 @@ def rendered(scene, share, swing_mm, direction, count=14):
         image = 0.9 * image / np.quantile(image, 0.995) + 1.5 / 255 * rng.standard_normal(image.shape)
         images.append(np.rint(255 * np.clip(image, 0, 1)).astype(np.uint8))
     decoder = Decoder(DecodeSettings(crosstalk_matrix=np.eye(3)), arch="cpu")
-    decoded = [decoder.decode(image) for image in images]
+    decoded = []
+    for image in images:  # bust and wall keep their orders from frame to frame
+        decoded.append(decoder.decode(image, decoded[-1] if decoded else None))
     return images, 255, [frame.unwrapped_phase for frame in decoded], [frame.mask for frame in decoded]
 
 
