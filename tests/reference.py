@@ -514,6 +514,21 @@ def join_parts(
     return part
 
 
+def grow_parts(
+    contacts: Array, against: Array, px: Array, pixels: Array, max_stepping: float, min_patch_px: int
+) -> Array:
+    """Return a number of the part of each patch: contacts join in order, except parts that step against each other."""
+    part, pixels = np.arange(len(pixels)), pixels.copy()
+    for a, b in contacts.T:
+        a, b = part[a], part[b]
+        first, second = part[against.T]
+        stepping = px[((first == a) & (second == b)) | ((first == b) & (second == a))].sum()
+        if a != b and (min(pixels[a], pixels[b]) < min_patch_px or stepping <= max_stepping):
+            pixels[min(a, b)] += pixels[max(a, b)]
+            part[part == max(a, b)] = min(a, b)
+    return part
+
+
 def correct_by_modulation(phase: Array, deviations: Array, tables: Array, shift: float, reach: float) -> Array:
     """Return the corrected absolute phase (rad): response and blur where the modulation departs from the usual one."""
     cycles = phase / CYCLE

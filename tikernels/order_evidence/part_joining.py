@@ -11,19 +11,12 @@ import numpy.typing as npt
 from tikernels import checks
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, f32, i32, ti, u1
 from tikernels.unwrapping.tables import add_alone
+from tikernels.unwrapping.union_find import part_of, rounds_at_once, settled
 
 #: Offsets that the evidence of a region is weighed for.
 CANDIDATES = 8
-
-
-@ti.func
-def part_of(parents: I32Array1, patch: i32) -> i32:
-    """Return the patch that stands for a patch's part, and shorten the way to it."""
-    part = patch
-    while parents[part] != part:
-        parents[part] = parents[parents[part]]
-        part = parents[part]
-    return part
+# Loop rounds that a contact costs: what is added up, and what it takes to find the parts.
+_ROUNDS_A_CONTACT = 16
 
 
 @ti.func
@@ -63,26 +56,24 @@ def unite(a: i32, b: i32, orders: I32Array2, evidence: F32Array2, parents: I32Ar
 
 @ti.kernel
 def join_parts_kernel(
+    first: i32,  # contact to begin with,
+    stop: i32,  # and the one to stop before
     ends: I32Array2,  # (2, C) the patches of each contact, the best supported ones first
     span: i32,  # orders that a part must show before it counts
     min_margin: f32,  # by how much a part must prefer its offset to another part's,
     margin_a_pair: f32,  # and by how much for each pair of cycles it has
     orders: I32Array2,  # (P, 2) first and last order of each patch, then of each part
     evidence: F32Array2,  # (P, CANDIDATES + 1) deviation from each offset, and pairs of cycles; then of each part
-    out_parents: I32Array1,  # (P,) a patch of the same part, in the end the one that stands for it
+    parents: I32Array1,  # (P,) a patch of the same part
 ):
     """Go through the contacts one by one, in one thread."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for patch in range(out_parents.shape[0]):
-            out_parents[patch] = patch
-        for contact in range(ends.shape[1]):
-            a, b = part_of(out_parents, ends[0, contact]), part_of(out_parents, ends[1, contact])
+        for contact in range(first, stop):
+            a, b = part_of(parents, ends[0, contact]), part_of(parents, ends[1, contact])
             if a != b:
                 if not lie_apart(a, b, span, min_margin, margin_a_pair, orders, evidence):
-                    unite(a, b, orders, evidence, out_parents)
-        for patch in range(out_parents.shape[0]):
-            out_parents[patch] = part_of(out_parents, patch)
+                    unite(a, b, orders, evidence, parents)
 
 
 def join_parts(
@@ -122,7 +113,10 @@ def join_parts(
     ends = checks.read_array("ends", ends, (2, None), np.int32)
     orders = checks.read_array("orders", orders, (count, 2), np.int32)
     evidence = checks.read_array("evidence", evidence, (count, CANDIDATES + 1), np.float32)
-    parents = np.empty(count, np.int32)
+    parents = np.arange(count, dtype=np.int32)
     # The kernel adds up in place.
-    join_parts_kernel(ends, span, min_margin, margin_a_pair, orders.copy(), evidence.copy(), parents)
-    return parents
+    rules, sums = (span, min_margin, margin_a_pair), (orders.copy(), evidence.copy())
+    at_once = rounds_at_once() // _ROUNDS_A_CONTACT
+    for first in range(0, ends.shape[1], at_once):
+        join_parts_kernel(first, min(first + at_once, ends.shape[1]), ends, *rules, *sums, parents)
+    return settled(parents)

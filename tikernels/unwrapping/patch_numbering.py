@@ -6,15 +6,19 @@ from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Counter, Pa
 
 @ti.kernel
 def number_patches_kernel(
-    cell_total: i32,
+    first: i32,  # cell to begin with,
+    stop: i32,  # and the one to stop before
     cells: I32Array2,  # (3, cells + 1) counts of patches and contacts; become the numbers of each cell's first ones
-    out_counters: I32Array1,  # (4,) see `Counter`
+    counters: I32Array1,  # (4,) see `Counter`; of the cells before the first one, if any
 ):
-    """Add the counts of all cells up, cell after cell."""
+    """Add the counts of cells up, cell after cell."""
     ti.loop_config(serialize=True)
     for _ in range(1):
         patches, contacts, crowded = 0, 0, 0
-        for cell in range(cell_total):
+        if first > 0:
+            patches, contacts = counters[Counter.PATCHES], counters[Counter.CONTACTS]
+            crowded = counters[Counter.CROWDED]
+        for cell in range(first, stop):
             patch_count, contact_count = cells[Cell.PATCHES, cell], cells[Cell.CONTACTS, cell]
             most = (1 << CONTACT_BITS) - 1
             crowded = ti.max(crowded, ti.max(patch_count, (contact_count + most) >> CONTACT_BITS))
@@ -22,11 +26,12 @@ def number_patches_kernel(
             cells[Cell.CONTACTS, cell] = contacts
             patches += patch_count
             contacts += contact_count
-        cells[Cell.PATCHES, cell_total] = patches
-        cells[Cell.CONTACTS, cell_total] = contacts
-        out_counters[Counter.PATCHES] = patches
-        out_counters[Counter.CONTACTS] = contacts
-        out_counters[Counter.CROWDED] = crowded
+        if stop == cells.shape[1] - 1:
+            cells[Cell.PATCHES, stop] = patches
+            cells[Cell.CONTACTS, stop] = contacts
+        counters[Counter.PATCHES] = patches
+        counters[Counter.CONTACTS] = contacts
+        counters[Counter.CROWDED] = crowded
 
 
 @ti.kernel

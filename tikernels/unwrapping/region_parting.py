@@ -19,6 +19,7 @@ from tikernels._taichi import F32Array1, I32Array1, I32Array2, f32, i32, ti
 from tikernels.unwrapping.patches import PatchGraph
 from tikernels.unwrapping.surface_borders import Borders
 from tikernels.unwrapping.tables import add_alone
+from tikernels.unwrapping.union_find import part_of, rounds_at_once, settled
 
 # Parts that step against each other over more pixels than this do not grow together; patches of fewer pixels than the
 # second are slivers beside a step, whose phase is nobody's, and join whom they touch.
@@ -27,6 +28,8 @@ _MAX_STEPPING, _MIN_PATCH_PX = 2.5, 60
 _MIN_SHARE = 0.6
 # A part of fewer pixels is a sliver, whose relation to the rest nobody will tell: it is left out.
 _MIN_PART_PX = 400
+# Loop rounds that a contact and an end of a list cost, with what it takes to find their parts.
+_ROUNDS_A_CONTACT, _ROUNDS_AN_END = 6, 3
 
 Integers = npt.NDArray[np.int64]
 
@@ -41,16 +44,6 @@ class _List(IntEnum):
 
 
 @ti.func
-def part_at(parents: I32Array1, patch: i32) -> i32:
-    """Return the patch that stands for a patch's part, and shorten the way to it."""
-    part = patch
-    while parents[part] != part:
-        parents[part] = parents[parents[part]]
-        part = parents[part]
-    return part
-
-
-@ti.func
 def stepping_between(parents: I32Array1, a: i32, b: i32, lists: I32Array2, ends: I32Array1, px: F32Array1) -> f32:
     """Return over how many pixels two parts step against each other: the one with fewer such ends tells."""
     few, other = a, b
@@ -58,7 +51,7 @@ def stepping_between(parents: I32Array1, a: i32, b: i32, lists: I32Array2, ends:
         few, other = b, a
     total, end = 0.0, lists[_List.FIRST, few]
     while end >= 0:
-        if part_at(parents, ends[end ^ 1]) == other:
+        if part_of(parents, ends[end ^ 1]) == other:
             total += px[end >> 1]
         end = lists[_List.NEXT, end]
     return total
@@ -78,38 +71,75 @@ def join_lists(into: i32, other: i32, lists: I32Array2):
 
 @ti.kernel
 def grow_parts_kernel(
+    first: i32,  # contact to begin with
+    rounds: i32,  # of loops after which to stop
     contacts: I32Array2,  # (2, C) the patches of each contact, the best supported ones first
     ends: I32Array1,  # (2 S,) patches that step against each other, one after the other
     px: F32Array1,  # (S,) over how many pixels
-    pixels: I32Array1,  # (P,) how many each patch has, then each part
-    lists: I32Array2,  # (4, P or 2 S) see `_List`; scratch
-    out_parents: I32Array1,  # (P,) the patch that stands for each patch's part
+    pixels: I32Array1,  # (P,) how many each part has
+    lists: I32Array2,  # (4, P or 2 S) see `_List`
+    parents: I32Array1,  # (P,) a patch of the same part
+    out_next: I32Array1,  # (1,) the contact to go on with
 ):
     """Join patches along their contacts to parts that do not step against each other; in one thread."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        for patch in range(out_parents.shape[0]):
-            out_parents[patch] = patch
-            lists[_List.FIRST, patch] = -1
-            lists[_List.LENGTH, patch] = 0
-        for end in range(ends.shape[0]):
-            patch = ends[end]
-            lists[_List.NEXT, end] = lists[_List.FIRST, patch]
-            if lists[_List.FIRST, patch] < 0:
-                lists[_List.LAST, patch] = end
-            lists[_List.FIRST, patch] = end
-            add_alone(lists[_List.LENGTH, patch], 1)
-        for contact in range(contacts.shape[1]):
-            a, b = part_at(out_parents, contacts[0, contact]), part_at(out_parents, contacts[1, contact])
+        contact, done = first, 0
+        while contact < contacts.shape[1] and done < rounds:
+            a, b = part_of(parents, contacts[0, contact]), part_of(parents, contacts[1, contact])
             if a != b:
-                sliver = ti.min(pixels[a], pixels[b]) < _MIN_PATCH_PX
-                if sliver or stepping_between(out_parents, a, b, lists, ends, px) <= _MAX_STEPPING:
+                joins = ti.min(pixels[a], pixels[b]) < _MIN_PATCH_PX
+                if not joins:
+                    done += _ROUNDS_AN_END * ti.min(lists[_List.LENGTH, a], lists[_List.LENGTH, b])
+                    joins = stepping_between(parents, a, b, lists, ends, px) <= _MAX_STEPPING
+                if joins:
                     low, high = ti.min(a, b), ti.max(a, b)
-                    out_parents[high] = low
+                    parents[high] = low
                     add_alone(pixels[low], pixels[high])
                     join_lists(low, high, lists)
-        for patch in range(out_parents.shape[0]):
-            out_parents[patch] = part_at(out_parents, patch)
+            done += _ROUNDS_A_CONTACT
+            contact += 1
+        out_next[0] = contact
+
+
+def grow_parts(
+    contacts: npt.NDArray[np.int32],
+    against: npt.NDArray[np.int32],
+    px: npt.NDArray[np.float32],
+    pixels: npt.NDArray[np.int32],
+) -> npt.NDArray[np.int32]:
+    """Join patches along their contacts, but not parts that step against each other.
+
+    Parameters
+    ----------
+    contacts : (2, C) int32
+        The patches of each contact, the best supported ones first.
+    against : (S, 2) int32
+        Patches that step against each other,
+    px : (S,) float32
+        and over how many pixels.
+    pixels : (P,) int32
+        How many each patch has.
+
+    Returns
+    -------
+    (P,) int32
+        The patch that stands for each patch's part.
+    """
+    count, ends = len(pixels), against.ravel()
+    lists = np.full((len(_List), max(count, len(ends), 1)), -1, np.int32)
+    lists[_List.LENGTH, :count] = np.bincount(ends, minlength=count)
+    by_patch = np.argsort(ends, kind="stable")
+    goes_on = ends[by_patch][1:] == ends[by_patch][:-1]
+    lists[_List.NEXT, by_patch[:-1][goes_on]] = by_patch[1:][goes_on]
+    lists[_List.LAST, ends[by_patch]] = by_patch
+    lists[_List.FIRST, ends[by_patch[::-1]]] = by_patch[::-1]
+    # The kernel adds up in place.
+    tables = (np.ascontiguousarray(contacts), ends, px, pixels.copy(), lists)
+    parents, following = np.arange(count, dtype=np.int32), np.zeros(1, np.int32)
+    while following[0] < contacts.shape[1]:
+        grow_parts_kernel(int(following[0]), rounds_at_once(), *tables, parents, following)
+    return settled(parents)
 
 
 def regions_that_step(roots: npt.NDArray[np.int32], borders: Borders) -> npt.NDArray[np.bool_]:
@@ -149,12 +179,9 @@ def part_regions(graph: PatchGraph, borders: Borders) -> tuple[npt.NDArray[np.in
     a, b = graph.root[borders.ends]
     inside = (a == b) & steps[borders.ends[0]]
     ends, going_on, stepping = borders.ends[:, inside], borders.going_on[inside], borders.stepping[inside]
-    parents = np.empty(len(graph.root), np.int32)
-    against = ends[:, stepping > 0].T.astype(np.int32).ravel()
-    lists = np.empty((len(_List), max(len(parents), len(against))), np.int32)
-    # The kernel adds up in place.
-    noted = (against, stepping[stepping > 0].astype(np.float32), graph.pixels.copy())
-    grow_parts_kernel(np.ascontiguousarray(contacts), *noted, lists, parents)
+    steps_here = stepping > 0
+    against = np.ascontiguousarray(ends[:, steps_here].T, np.int32)
+    parents = grow_parts(contacts, against, stepping[steps_here].astype(np.float32), graph.pixels)
     borders = Borders(parents[ends].astype(np.int64), going_on, stepping)
     joined = _join_parts(parents, parents[contacts], borders)
     sliver = steps & (np.bincount(joined, graph.pixels, len(joined))[joined] < _MIN_PART_PX)

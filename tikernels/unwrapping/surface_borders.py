@@ -27,6 +27,8 @@ _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 _GOES_ON, _STEPS = 0.15, 0.25
 _GOES_ON_SIGMAS, _STEPS_SIGMAS = 2.5, 4.0
 _SIGMA_OF_MEDIAN = 1.4826
+# Where that is more than this (rad), no departure tells a step from noise.
+_MOST = 2.0
 # Around a cell are those up to this many further: a bumpy surface departs by more than the wall behind it.
 _AROUND = 2
 # Pairs of patches that a cell may note; what it has no place for does not count.
@@ -172,8 +174,9 @@ def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt
     found = np.count_nonzero(~np.isnan(around), axis=1)
     median = np.sort(around, axis=1)[np.arange(len(around)), np.maximum(found - 1, 0) // 2]
     sigma = _SIGMA_OF_MEDIAN * np.where(found > 0, median, 0)
-    limits = [np.maximum(_GOES_ON, _GOES_ON_SIGMAS * sigma), np.maximum(_STEPS, _STEPS_SIGMAS * sigma)]
-    return np.stack(limits).astype(np.float32)
+    steps = np.maximum(_STEPS, _STEPS_SIGMAS * sigma)
+    steps[steps > _MOST] = NO_PHASE
+    return np.stack([np.maximum(_GOES_ON, _GOES_ON_SIGMAS * sigma), steps]).astype(np.float32)
 
 
 def measure_borders(phase: F32, quality: F32, rates: F32, labels: I32, cells: I32, draft_bits: int) -> Borders:

@@ -22,6 +22,7 @@ from tikernels.unwrapping.region_merging import close_gaps_kernel, merge_patches
 from tikernels.unwrapping.region_parting import part_regions, regions_that_step
 from tikernels.unwrapping.surface_borders import measure_borders
 from tikernels.unwrapping.tables import Contact, Counter, Final, Match, Patch, Region, Seam
+from tikernels.unwrapping.union_find import rounds_at_once
 from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
 
 
@@ -109,7 +110,10 @@ class RegionUnwrapper:
         drafts = self._drafts
         while True:
             self._method.grow(phase, quality, rates, drafts)
-            number_patches_kernel(drafts.cells, drafts.cell_table, self._counters)
+            at_once = rounds_at_once()
+            for first in range(0, drafts.cells, at_once):
+                stop = min(first + at_once, drafts.cells)
+                number_patches_kernel(first, stop, drafts.cell_table, self._counters)
             counts = runtime.to_host(self._counters)  # synchronises
             crowded = int(counts[Counter.CROWDED])
             if crowded <= 1 << drafts.bits:

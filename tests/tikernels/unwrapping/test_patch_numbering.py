@@ -27,10 +27,12 @@ def drafted(seed: int):
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("serial", [True, False])
-def test_as_numpy(arch, seed, serial):
+@pytest.mark.parametrize("at_once", [CELLS, 10])
+def test_as_numpy(arch, seed, serial, at_once):
     cells, patches, contacts = drafted(seed)
-    counts, counters = cells.copy(), np.zeros(4, np.int32)
-    number_patches_kernel(CELLS, cells, counters)
+    counts, counters = cells.copy(), np.full(4, 99, np.int32)
+    for first in range(0, CELLS, at_once):
+        number_patches_kernel(first, min(first + at_once, CELLS), cells, counters)
     for row in (Cell.PATCHES, Cell.CONTACTS):
         np.testing.assert_array_equal(cells[row], np.concatenate([[0], np.cumsum(counts[row, :-1])]))
     assert counters[Counter.PATCHES] == counts[Cell.PATCHES].sum()

@@ -5,8 +5,9 @@ import pytest
 import reference
 from support.wrapped_surfaces import join, written
 
+from tikernels.unwrapping import region_parting
 from tikernels.unwrapping.patches import PatchGraph
-from tikernels.unwrapping.region_parting import part_regions, regions_that_step
+from tikernels.unwrapping.region_parting import grow_parts, part_regions, regions_that_step
 from tikernels.unwrapping.surface_borders import Borders
 
 SHAPE = (240, 320)
@@ -47,6 +48,35 @@ def test_one_surface_stays_one(arch):
     patches, _ = join(phase)
     roots, counts = np.unique(patches.roots(), return_counts=True)
     assert counts.max() > 0.98 * counts.sum(), f"{len(roots)} regions"
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_parts_grow_as_the_twin(arch, seed):
+    """Stripes of two shades of patches, which step against the other shade: more loop rounds than one call may do."""
+    rng = np.random.default_rng(seed)
+    rows, columns = 80, 100
+    number = np.arange(rows * columns).reshape(rows, columns)
+    along = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()])
+    down = np.stack([number[:-1].ravel(), number[1:].ravel()])
+    contacts = np.concatenate([along, down], axis=1).astype(np.int32)
+    contacts = np.ascontiguousarray(contacts[:, rng.permutation(contacts.shape[1])])
+    shade = (number % columns // 10 % 2).ravel()
+    against = contacts[:, shade[contacts[0]] != shade[contacts[1]]].T.copy()
+    # Quarters: sums of float32 are then exact in any order.
+    px = np.round(rng.uniform(0, 8, len(against)) * 4).astype(np.float32) / 4
+    pixels = rng.integers(40, 129, rows * columns).astype(np.int32)
+    before = pixels.copy()
+    limits = (region_parting._MAX_STEPPING, region_parting._MIN_PATCH_PX)
+    expected = reference.grow_parts(contacts, against, px, pixels, *limits)
+    np.testing.assert_array_equal(grow_parts(contacts, against, px, pixels), expected)
+    np.testing.assert_array_equal(pixels, before)
+    assert 2 < len(np.unique(expected)) < 500
+
+
+def test_nothing_steps():
+    contacts = np.array([[0, 1], [1, 2]], np.int32)
+    none = np.empty((0, 2), np.int32), np.empty(0, np.float32)
+    np.testing.assert_array_equal(grow_parts(contacts, *none, np.full(4, 128, np.int32)), [0, 0, 0, 3])
 
 
 def test_parts_join_over_most_of_their_border():

@@ -22,10 +22,8 @@ def test_as_the_twin(arch, noise, seed):
     unwrapped = tikernels.unwrap_phase(phase, quality, mask)
     order, region = reference.unwrap_phase(phase, quality, mask)
     found = ~np.isnan(unwrapped)
-    # Where a hidden step leaves a pixel out hangs on single pixels' noise: one in a hundred may. In 0.3 rad of noise
-    # borders step by chance, and slivers are left out, which the twin keeps.
-    few = {0.0: 0, 0.3: 0.07}.get(noise, 0.01)
-    assert np.count_nonzero(found != (region > 0)) <= few * mask.size
+    # Where a hidden step leaves a pixel out hangs on single pixels' noise: one in a hundred may.
+    assert np.count_nonzero(found != (region > 0)) <= (0.01 * mask.size if noise else 0)
     wrong = reference.wrong_orders(orders(unwrapped, phase) - order, np.where(found, region, 0))
     assert wrong.sum() <= (1e-4 * mask.size if noise else 0)
 
@@ -93,7 +91,7 @@ def test_noise_at_twelve_pixels_a_cycle(arch, method):
     unwrapped = tikernels.unwrap_phase(phase, np.ones_like(phase), mask, method=method)
     found = ~np.isnan(unwrapped)
     cycles = np.rint(np.nan_to_num(unwrapped - true) / (2 * np.pi)).astype(int)
-    assert found.mean() > 0.9
+    assert found.mean() > 0.95
     assert reference.wrong_orders(cycles, found.astype(int)).sum() <= 1e-3 * mask.size
 
 
