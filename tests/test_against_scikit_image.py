@@ -73,12 +73,12 @@ def compare(wrapped: Array, quality: Array, mask: Array, truth: Array, surface: 
     theirs = wrong(peer_unwraps(wrapped, mask), truth, surface)
     for method in ("directional", "reliability"):
         ours = tikernels.unwrap_phase(wrapped, quality, mask, stripes, method)
-        # What we leave out, specks, slivers and hidden steps, is small change: 4 % of the picture.
-        assert np.count_nonzero(np.isnan(ours) & mask) < 0.04 * mask.size, method
+        # What we leave out, specks and hidden steps, is small change: 2 % of the picture.
+        assert np.count_nonzero(np.isnan(ours) & mask) < 0.02 * mask.size, method
         mine = wrong(ours, truth, surface)
         valid = np.count_nonzero(mask)
-        # Or but for a few pixels at a border where two regions touch.
-        assert mine <= theirs + 2e-5 * valid, f"{method}: {mine} wrong orders, scikit-image has {theirs} of {valid}"
+        # Its one region has the orders of most of a surface; ours may touch inside one, a rim's last pixels apart.
+        assert mine <= theirs + 1e-5 * valid, f"{method}: {mine} wrong orders, scikit-image has {theirs} of {valid}"
 
 
 @pytest.mark.parametrize("gamma", [1.0, pytest.param(2.0, marks=pytest.mark.long)])

@@ -39,11 +39,12 @@ def test_accuracy_on_every_scene(arch, scene, gamma, reflectance):
     assert measured["phase_rms_rad"] < 0.05  # 0.36 mm on this rig at the usual period
     assert abs(measured["phase_constant_rad"]) < 0.015
     assert measured["coverage"] > 0.95
-    if scene == "bust":  # at this size a plain pattern may join head and shoulders, which a shadow parts, a cycle off
-        assert measured["wrong_orders"] < 0.12 * frame.mask.sum()
-        return
-    assert measured["wrong_orders"] == 0
-    assert measured["depth_rms_order_known_mm"] < 1.0  # the period is twice the usual one, so a radian is twice as deep
+    # Where the bust happens to be a whole cycle before the wall, a cell beside it may be in the wrong one's region.
+    assert measured["wrong_orders"] <= (0.001 if scene == "bust" else 0) * frame.mask.sum()
+    if measured["wrong_orders"] == 0:
+        assert (
+            measured["depth_rms_order_known_mm"] < 1.0
+        )  # the period is twice the usual one, so a radian is twice as deep
 
 
 @pytest.mark.parametrize(
@@ -105,7 +106,7 @@ def test_fields_agree():
     assert not frame.fringe_order[~mask].any()
     np.testing.assert_array_equal(frame.region > 0, mask)
     sizes = np.bincount(frame.region.ravel())[1:]
-    assert (np.diff(sizes) <= 0.01 * frame.mask.sum()).all()  # rims are left out after the regions were numbered
+    assert (np.diff(sizes) <= 0).all()
     assert not frame.absolute.any()
     np.testing.assert_array_equal(frame.range_image[mask], frame.points[..., 2][mask])
     assert frame.region.dtype == frame.fringe_order.dtype == np.int32

@@ -24,10 +24,14 @@ from tikernels.unwrapping.union_find import part_of, rounds_at_once, settled
 # Parts that step against each other over more pixels than this do not grow together; patches of fewer pixels than the
 # second are slivers beside a step, whose phase is nobody's, and join whom they touch.
 _MAX_STEPPING, _MIN_PATCH_PX = 2.5, 60
-# Of their common border, two parts must go on over more than this share.
-_MIN_SHARE = 0.6
+# Of their common border, two parts must go on over more than the first share; one that would be left out alone, more
+# than the second.
+_MIN_SHARE, _MIN_SLIVER_SHARE = 0.6, 0.5
 # A part of fewer pixels is a sliver, whose relation to the rest nobody will tell: it is left out.
 _MIN_PART_PX = 400
+# A patch from which the surface goes on to other parts over this many pixels may hold their border, where it cannot be
+# seen. It is left out: of a bust before a wall, 320x240 pixels, 163 pixels were whole cycles off, now 51.
+_MIN_TORN_PX = 12.0
 # Loop rounds that a contact and an end of a list cost, with what it takes to find their parts.
 _ROUNDS_A_CONTACT, _ROUNDS_AN_END = 6, 3
 
@@ -171,7 +175,7 @@ def part_regions(graph: PatchGraph, borders: Borders) -> tuple[npt.NDArray[np.in
     roots : (P,) int32
         The patch that stands for the region of each patch.
     slivers : (P,) bool
-        Patches of parts that are too small.
+        Patches of parts that are too small, and those that may hold a border between two parts.
     """
     steps = regions_that_step(graph.root, borders)[graph.root]
     ours = steps[graph.ends[0]]
@@ -183,12 +187,16 @@ def part_regions(graph: PatchGraph, borders: Borders) -> tuple[npt.NDArray[np.in
     against = np.ascontiguousarray(ends[:, steps_here].T, np.int32)
     parents = grow_parts(contacts, against, stepping[steps_here].astype(np.float32), graph.pixels)
     borders = Borders(parents[ends].astype(np.int64), going_on, stepping)
-    joined = _join_parts(parents, parents[contacts], borders)
+    joined = _join_parts(parents, parents[contacts], borders, graph.pixels)
+    torn = steps & _touch_another_part(joined, ends, going_on)
+    joined = _without(joined, torn)
     sliver = steps & (np.bincount(joined, graph.pixels, len(joined))[joined] < _MIN_PART_PX)
     return np.where(steps, joined, graph.root).astype(np.int32), sliver
 
 
-def _join_parts(parts: npt.NDArray[np.int32], contacts: npt.NDArray[np.int32], borders: Borders) -> Integers:
+def _join_parts(
+    parts: npt.NDArray[np.int32], contacts: npt.NDArray[np.int32], borders: Borders, pixels: npt.NDArray[np.int32]
+) -> Integers:
     """Join parts in rounds, those that go on over the largest share of their border first."""
     count = len(parts)
     whole = parts.astype(np.int64)
@@ -201,7 +209,9 @@ def _join_parts(parts: npt.NDArray[np.int32], contacts: npt.NDArray[np.int32], b
         going_on, stepping = np.bincount(member, going_on), np.bincount(member, stepping)
         a, b = pairs // count, pairs % count
         share = going_on / np.maximum(going_on + stepping, 1e-9)
-        joins = (a != b) & (share > _MIN_SHARE) & np.isin(pairs, touching)
+        size = np.bincount(whole, pixels, count)
+        least = np.where(np.minimum(size[a], size[b]) < _MIN_PART_PX, _MIN_SLIVER_SHARE, _MIN_SHARE)
+        joins = (a != b) & (share > least) & np.isin(pairs, touching)
         if not joins.any():
             return whole
         # Those that are each other's best become one: nothing that joins later changes which they are.
@@ -218,6 +228,21 @@ def _join_parts(parts: npt.NDArray[np.int32], contacts: npt.NDArray[np.int32], b
         pairs, touching = (
             _pairs(np.stack([into[keys // count], into[keys % count]]), count) for keys in (pairs, touching)
         )
+
+
+def _touch_another_part(parts: Integers, ends: Integers, going_on: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    """Return of every patch whether the surface goes on from it to other parts over a whole side."""
+    apart = parts[ends[0]] != parts[ends[1]]
+    px = np.bincount(ends[:, apart].ravel(), np.tile(going_on[apart], 2), len(parts))
+    return np.asarray(px >= _MIN_TORN_PX)
+
+
+def _without(parts: Integers, alone: npt.NDArray[np.bool_]) -> Integers:
+    """Make patches parts of their own; what is left of the others needs a patch that stands for it."""
+    rest = np.flatnonzero(~alone)
+    standing = np.arange(len(parts))
+    standing[parts[rest]] = rest
+    return np.where(alone, np.arange(len(parts)), standing[parts])
 
 
 def _pairs(ends: Integers, count: int) -> Integers:

@@ -73,7 +73,7 @@ def test_menu(menu):
 @pytest.mark.parametrize("bands", ["broad", "narrow"])
 def test_backends_decode_the_same(arch, bands):
     """A frame's phase to 1e-3 rad, 7 um of depth; its orders except for a pixel in 10,000; each backend bit by bit."""
-    frame = simulate_frame(simulated_rig((320, 240)), SimulationSettings(scene="waves", reflectance_bands=bands))
+    frame = simulate_frame(simulated_rig((320, 240)), SimulationSettings(reflectance_bands=bands))
     settings = DecodeSettings(crosstalk_matrix=np.array(TYPICAL_CROSSTALK), reflectance_bands=bands)
     results = {}
     for name in (arch, "cpu"):
