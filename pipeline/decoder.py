@@ -29,7 +29,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
-from tikernels.phase.smoothing import measure_rates, smooth_phase
+from tikernels.phase.smoothing import measure_rates
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
 
@@ -202,19 +202,22 @@ class Decoder:
         undo_camera_blur(work.fitted_phase, work.brightness, phases.precision, out=(work.raw_phase, phases.misfit))
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
-        smooth_phase(work.raw_phase, phases.precision, rates, self._setup.smoothing_pairs, out=phases.phase)
-        patches = work.unwrapper.join(phases.phase, phases.modulation, rates)
-        seen = SeenPhase(image, gains, crosstalk, phases, work.raw_phase, rates, correction, period_px)
+        work.smoother.along(work.raw_phase, phases.precision, rates, out=work.phase)
+        patches = work.unwrapper.join(work.phase, phases.modulation, rates)
+        smoothed = (work.phase, phases.modulation, work.raw_phase, rates)
+        seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px)
         placement = self._orders.find(seen, patches, rays, memory)
         if placement.roots is not None:
             patches.split(placement.roots, placement.left_out)
         if rays is not None and self._orders.expected_depth_mm is not None:
-            patches.place(phases.phase, rays.rays, rays.projector, self._orders.expected_depth_mm)
+            patches.place(work.phase, rays.rays, rays.projector, self._orders.expected_depth_mm)
         patches.set_orders(*placement.offsets())
-        regions = patches.write(phases.phase, rates, surface.unwrapped, surface.mask, surface.region)
+        rows = replace(surface, unwrapped=work.unwrapped)
+        regions = patches.write(work.phase, rates, rows.unwrapped, rows.mask, rows.region)
         orders = placement.region_orders(patches, regions, memory)
-        lost = self._orders.refine(seen, patches, regions, orders, out=surface)
-        leave_out_strangers(phases.modulation, out=(surface.unwrapped, surface.mask, surface.region))
+        lost = self._orders.refine(seen, patches, regions, orders, out=rows)
+        leave_out_strangers(phases.modulation, out=(rows.unwrapped, rows.mask, rows.region))
+        work.smoother.across(rows.unwrapped, rows.mask, rates, out=(surface.unwrapped, phases.variance))
         # Its place.
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
@@ -317,5 +320,5 @@ class Decoder:
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period_px = float(2 ** (np.round(8 * np.log2(period_px)) / 8))
         if self._workspace is None or not self._workspace.fits(frame.shape, period_px):
-            self._workspace = Workspace(*frame.shape, period_px, self._unwrapping)
+            self._workspace = Workspace(*frame.shape, period_px, self._setup.smoothing_pairs, self._unwrapping)
         return self._workspace

@@ -11,6 +11,7 @@ from pipeline.models import CameraState, Matrix3, Model, NonNegative, Positive, 
 from tikernels.errors import ShapeError
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX
+from tikernels.phase.smoothing import MAX_SMOOTHING_PX
 from tikernels.unwrapping import METHODS
 
 
@@ -51,8 +52,8 @@ class DecodeSettings(Model):
     light (see `Decoder`)."""
     unwrap_method: Annotated[str, AfterValidator(_known_method)] = "directional"
     """How neighbours' orders are joined: row runs by votes, or pixels along the most reliable edges (slower)."""
-    smoothing_px: Annotated[int, Field(ge=0, le=33), AfterValidator(_odd_or_zero)] = 5
-    """Window along the stripes; 0: none."""
+    smoothing_px: Annotated[int, Field(ge=0, le=MAX_SMOOTHING_PX), AfterValidator(_odd_or_zero)] = 7
+    """Side of the window that the phase is smoothed over, along the stripes and across them; 0: none."""
     code: Literal["contrast"] | None = None
     """The pattern's code, by which orders become absolute; a calibration's pattern wins. "contrast": the modulation of
     each cycle tells which one it is, as in what `colorphase pattern` makes."""

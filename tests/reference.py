@@ -171,8 +171,8 @@ def usual_change(phase: Array, quality: Array) -> tuple[float, float, float]:
     return mean_change(neighbour(phase, 0, 1)), mean_change(neighbour(phase, 1, 0)), max(mean_quality, 1e-12)
 
 
-def smooth_along_stripes(wrapped_phase: Array, mask: Array, smoothing_px: int) -> Array:
-    """Average each pixel with the pairs left and right of it that its surface holds; leave pixels at steps alone."""
+def smooth_phase(wrapped_phase: Array, mask: Array, smoothing_px: int) -> Array:
+    """Fit a quadric to what each pixel's surface holds of a window; leave pixels at steps alone."""
     phase = np.where(mask, wrapped_phase, np.nan).astype(np.float64)
     along, across, _ = usual_change(phase, phase)
 
@@ -183,15 +183,37 @@ def smooth_along_stripes(wrapped_phase: Array, mask: Array, smoothing_px: int) -
         ]
         return (np.fmax(*departures) > MAX_DEPARTURE) & (np.fmin(*departures) > 0.3)
 
-    total, count = np.zeros(phase.shape), np.ones(phase.shape)
-    for k in range(1, smoothing_px // 2 + 1):
-        left, right = (wrapped_difference(neighbour(phase, 0, side), phase) for side in (-k, k))
-        near = np.maximum(np.abs(left), np.abs(right)) < 1.0
-        counts = np.where(near, np.clip(2.5 - 2 * np.abs(left + right) / 0.6, 0, 1), 0.0)
-        total += counts * np.where(near, left + right, 0.0)
-        count += 2 * counts
+    def pairs(values: Array, rows: int, columns: int, rate: float) -> Iterator[tuple[int, Array, Array]]:
+        """Yield each distance, what the pair counts there, and the sum of its differences to the pixel."""
+        for k in range(1, smoothing_px // 2 + 1):
+            one, other = (
+                wrapped_difference(neighbour(values, side * rows, side * columns) - values, side * rate)
+                for side in (-k, k)
+            )
+            near = np.maximum(np.abs(one), np.abs(other)) < 1.0
+            counts = np.where(near, np.clip(2.5 - 2 * np.abs(one + other) / 0.6, 0, 1), 0.0)
+            yield k, counts, np.where(near, one + other, 0.0)
+
+    def mean_and_quadric(found: list[tuple[int, Array, Array]]) -> tuple[Array, Array, Array]:
+        """Return how many pixels count, and what their mean and their quadric add to the pixel's own value."""
+        count, squares, fourths = (
+            (power == 0) + np.zeros(phase.shape) + sum(2 * k**power * c for k, c, _ in found) for power in (0, 2, 4)
+        )
+        sums = [np.zeros(phase.shape) + sum(k**power * c * d for k, c, d in found) for power in (0, 2)]
+        curved = fourths + 2.0
+        return count, sums[0] / count, (curved * sums[0] - squares * sums[1]) / (count * curved - squares**2)
+
     keep = np.isnan(phase) | saw_two_surfaces(1, 0, across) | saw_two_surfaces(0, 1, along)
-    return np.where(keep, wrapped_phase, wrapped_difference(phase + total / count, 0.0))
+    averaged, mean, quadric = mean_and_quadric(list(pairs(phase, 0, 1, along)))
+    rows, bend = np.where(keep, np.nan, phase + mean), quadric - mean
+    columns = []
+    for k, counts, difference in pairs(rows, 1, 0, across):
+        # A row's variance is one over what its mean is of; a pair counts by its own, up to eight times.
+        others = 1 / neighbour(averaged, -k, 0) + 1 / neighbour(averaged, k, 0)
+        columns.append((k, counts * np.nan_to_num(np.minimum(2 / averaged / others, 8)), difference))
+    count, _, added = mean_and_quadric(columns)
+    bends = sum(np.nan_to_num(c * (neighbour(bend, -k, 0) + neighbour(bend, k, 0))) for k, c, _ in columns)
+    return np.where(keep, wrapped_phase, wrapped_difference(rows + added + (bend + bends) / count, 0.0))
 
 
 def unwrap_phase(wrapped_phase: Array, quality: Array, mask: Array) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from tikernels.errors import DeviceNotReady, ShapeError
 from tikernels.phase.color_balance import balance_color
 from tikernels.phase.crosstalk import correct_crosstalk
 from tikernels.phase.equalization import equalize_phase
-from tikernels.phase.smoothing import smooth_along_stripes
+from tikernels.phase.smoothing import smooth_phase
 from tikernels.phase.wrapped_phase import compute_wrapped_phase
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import linearize
@@ -28,7 +28,7 @@ __all__ = [
     "equalize_phase",
     "init",
     "linearize",
-    "smooth_along_stripes",
+    "smooth_phase",
     "supported_archs",
     "triangulate",
     "triangulate_mesh",

@@ -28,7 +28,7 @@ def unwrap_frame(image: npt.NDArray[np.uint8], crosstalk_matrix: npt.ArrayLike) 
     balanced = tikernels.balance_color(light, period_px, mask)  # section 3.1
     phase, modulation, _ = tikernels.compute_wrapped_phase(balanced)  # equation 3.3
     phase = tikernels.equalize_phase(phase, mask, harmonics=int(period_px / 2))  # section 3.2
-    phase = tikernels.smooth_along_stripes(phase, mask)  # the "simple mean filter" of section 5
+    phase = tikernels.smooth_phase(phase, mask)  # the "simple mean filter" of section 5
     unwrapped = tikernels.unwrap_phase(phase, modulation, mask)  # section 4.1
     return tikernels.correct_fringe_order(unwrapped, np.isfinite(unwrapped))  # section 4.2
 

@@ -25,9 +25,9 @@ _MOST_FREE = 2
 class PhaseBuffers:
     """What is recovered of every pixel by itself; stripes along the rows."""
 
-    phase: F32  # (H, W) rad, wrapped, smoothed; NO_PHASE outside the mask
     modulation: F32  # (H, W) grey levels
     precision: F32  # (H, W) 1 / rad^2, before smoothing
+    variance: F32  # (H, W) rad^2, what smoothing makes of one over it
     misfit: F32  # (H, W) the square of what the model of the channels leaves over, over its variance
 
 
@@ -47,10 +47,10 @@ G = TypeVar("G", PhaseBuffers, SurfaceBuffers)
 
 def clear_buffers(phases: PhaseBuffers, surface: SurfaceBuffers) -> None:
     """Write what a frame holds in which nothing is measured."""
-    for buffer in (phases.phase, phases.precision, surface.unwrapped, surface.points):
+    for buffer in (phases.precision, surface.unwrapped, surface.points):
         if buffer is not None:
             buffer.fill(np.nan)
-    for zeros in (phases.modulation, phases.misfit, surface.mask, surface.region):
+    for zeros in (phases.modulation, phases.variance, phases.misfit, surface.mask, surface.region):
         zeros.fill(0)
 
 
@@ -75,7 +75,7 @@ class BufferPool:
             self._shape = shape
             self._free.clear()  # frames come in one size, so what is left of another one is not needed again
         pixels, unwrapping = _Loan(self._free), _Loan(self._free)
-        phases = PhaseBuffers(*(pixels.take(name, shape) for name in ("phase", "modulation", "precision", "misfit")))
+        phases = PhaseBuffers(*(pixels.take(name, shape) for name in ("modulation", "precision", "variance", "misfit")))
         surface = SurfaceBuffers(
             unwrapping.take("unwrapped", shape),
             unwrapping.take("mask", shape, np.uint8),

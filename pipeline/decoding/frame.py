@@ -39,9 +39,7 @@ Floats = npt.NDArray[np.float32]
 _LEAST_CONSTANT = 0.0006
 # What the phases of the frames before still count when the response is equalised, from frame to frame.
 _FADING = 0.9
-# The bias of the smoothing is taken from second differences over this many px, most of whose noise averages out, in
-# every fourth row.
-_BEND_PX, _BEND_ROWS = 6, 4
+_CYCLE = np.float32(2 * np.pi)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +107,7 @@ class FrameSetup:
     """What all frames of a decoder have in common."""
 
     stripes: str  # "horizontal" or "vertical"; the buffers have stripes along the rows
-    smoothing_pairs: int  # neighbours on either side that the smoothing averages over
+    smoothing_pairs: int  # neighbours on either side that the smoothing fits
     rays: CameraRays | None  # with a calibration
     reference: Floats | None  # (H, W) rad, unwrapped phase of a plane that ranges are measured from without one
 
@@ -167,23 +165,21 @@ class DecodedFrame:
         """(regions + 1,) bool: by region, whether its orders are absolute; False for 0, no region."""
         return self._measured.orders.known
 
-    @field("float32", "rad", needs=("mask", "_phase"), rounding=WRAPPED_PHASE_DIGITS)
+    @field("float32", "rad", needs=("unwrapped_phase",), rounding=WRAPPED_PHASE_DIGITS)
     def wrapped_phase(self) -> Floats:
         """Phase in [-pi, pi], corrected and smoothed; NaN outside the mask."""
-        phase = self._phase
-        phase = phase - np.float32(2 * np.pi) * np.rint(phase / np.float32(2 * np.pi))
-        return np.where(self.mask, phase, np.float32(np.nan))
+        phase = self.unwrapped_phase
+        return np.asarray(phase - _CYCLE * np.rint(phase / _CYCLE))
 
     @field("float32", "rad", needs=("unwrapped_phase",), rounding=PHASE_DIGITS)
     def unwrapped_phase(self) -> Floats:
         """The phase with its whole cycles; NaN outside the mask."""
         return self._read(self._measured.surface.unwrapped)
 
-    @field("int32", needs=("mask", "_phase", "unwrapped_phase"))
+    @field("int32", needs=("mask", "unwrapped_phase"))
     def fringe_order(self) -> npt.NDArray[np.int32]:
         """Whole cycles: unwrapped = wrapped + 2 pi order; 0 outside the mask."""
-        cycles = (self.unwrapped_phase - self.wrapped_phase) / np.float32(2 * np.pi)
-        return np.rint(np.where(self.mask, cycles, 0)).astype(np.int32)
+        return np.rint(np.where(self.mask, self.unwrapped_phase / _CYCLE, 0)).astype(np.int32)
 
     @field("bool", needs=("mask",))
     def mask(self) -> npt.NDArray[np.bool_]:
@@ -233,17 +229,9 @@ class DecodedFrame:
 
         Crosstalk that is not as calibrated, or channels that respond differently, show in the channels' waves: they
         turn the phase by about as much as these differ from what they should be. Only what turns all three colours
-        alike leaves no trace. Smoothing adds its bias on surfaces that bend along the stripes. NaN without fringes.
+        alike leaves no trace. NaN without fringes.
         """
-        phase = (self.unwrapped_phase.T if self._setup.stripes == "vertical" else self.unwrapped_phase)[::_BEND_ROWS]
-        pairs, bias = self._setup.smoothing_pairs, 0.0
-        if pairs and phase.shape[1] > 2 * _BEND_PX:
-            bend = phase[:, 2 * _BEND_PX :] - 2 * phase[:, _BEND_PX:-_BEND_PX] + phase[:, : -2 * _BEND_PX]
-            smooth = np.abs(bend) < 1  # more is a step
-            if smooth.any():
-                # A window of n px has a variance of (n^2 - 1) / 12, and n = 2 pairs + 1.
-                bias = float(bend[smooth].mean()) / _BEND_PX**2 * pairs * (pairs + 1) / 6
-        return np.float32(np.sqrt(_LEAST_CONSTANT**2 + bias**2 + self._measured.constant_sigma**2))
+        return np.float32(np.hypot(_LEAST_CONSTANT, self._measured.constant_sigma))
 
     @field("float32", "mm", axes=("y", "x", "xyz"), needs=("points",), in_mm=True)
     def points(self) -> Floats | None:
@@ -273,10 +261,6 @@ class DecodedFrame:
             return self.unwrapped_phase - self._setup.reference
         return self.unwrapped_phase - _best_ramp(self.unwrapped_phase, self.mask)
 
-    @cached_property
-    def _phase(self) -> Floats:
-        return self._read(self._measured.phases.phase)
-
     @property
     def row_sigma(self) -> Floats:
         """(H, W) float32, rad: `phase_sigma` by what rows really differ by alone, whatever the light's model is."""
@@ -291,7 +275,7 @@ class DecodedFrame:
         """Estimate the standard deviations; without the misfit the light's model is taken to be right."""
         phases, surface = self._measured.phases, self._measured.surface
         with runtime.lock:
-            known = (surface.unwrapped, phases.precision, misfit, surface.mask)
+            known = (surface.unwrapped, phases.precision, phases.variance, misfit, surface.mask)
             found = self._measured.surfaces
             edges = None if found is None or misfit is None else edge_variance(found.crosstalk)
             return estimate_phase_sigma(*known, edges, self._setup.smoothing_pairs, self.period_px or 1.0)

@@ -7,7 +7,7 @@ import numpy as np
 from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import Gains
-from tikernels.phase.smoothing import rates_buffer
+from tikernels.phase.smoothing import Smoother, rates_buffer
 from tikernels.unwrapping import PatchMethod, RegionUnwrapper
 
 
@@ -20,11 +20,15 @@ class Workspace:
         Of the image.
     period_px : float
         Camera px a cycle.
+    pairs : int
+        Neighbours on either side that the smoothing fits.
     method : callable
         Makes the unwrapping's method for a height and a width; see `METHODS`.
     """
 
-    def __init__(self, height: int, width: int, period_px: float, method: Callable[[int, int], PatchMethod]) -> None:
+    def __init__(
+        self, height: int, width: int, period_px: float, pairs: int, method: Callable[[int, int], PatchMethod]
+    ) -> None:
         self.period_px = period_px
         self._shape = (height, width)
         self.gains = Gains(height, width, period_px)
@@ -33,6 +37,9 @@ class Workspace:
         self.fitted_phase = runtime.empty((height, width), np.float32)
         self.brightness = runtime.empty((height, width), np.float32)
         self.raw_phase = runtime.empty((height, width), np.float32)
+        self.smoother = Smoother(height, width, pairs)
+        self.phase = runtime.empty((height, width), np.float32)  # of the rows smoothed
+        self.unwrapped = runtime.empty((height, width), np.float32)
         self.unwrapper = RegionUnwrapper(height, width, method(height, width))
 
     def fits(self, shape: tuple[int, int], period_px: float) -> bool:

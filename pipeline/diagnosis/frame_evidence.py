@@ -12,6 +12,7 @@ from pipeline.footage.source import StoredFrame
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
+from tikernels.phase.smoothing import left_of_variance
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import WHITE_LEVELS, linearize
 from tikernels.raw.pixel_format import Siting
@@ -94,7 +95,7 @@ def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> Fra
     variance = np.maximum(variance, 1e-9)
     # The information on the phase, sum_i (dI_i / dphi)^2 over noise^2, is half the sum of the squared amplitudes over
     # noise^2; and half a squared amplitude is its wave's variance.
-    power = np.sqrt(np.median(variance.sum(axis=-1)) * max(look.settings.smoothing_px, 1))
+    power = np.sqrt(np.median(variance.sum(axis=-1)) / left_of_variance(look.settings.smoothing_px // 2))
     at_full = np.count_nonzero(look.encoded >= _FULL, axis=-1)
     lit = at_full[frame.mask | (at_full > 1)]
     return FrameQuality(

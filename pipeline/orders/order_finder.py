@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
-from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers
+from pipeline.decoding.buffers import SurfaceBuffers
 from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, count_votes, split_by_votes
@@ -61,7 +61,8 @@ class SeenPhase:
     image: LevelsImage  # (H, W, 3) linear light
     gains: Gains  # of the colour balance
     crosstalk: Crosstalk  # what they were measured with
-    phases: PhaseBuffers  # smoothed
+    phase: F32  # (H, W) rad, smoothed along the stripes
+    modulation: F32  # (H, W) levels
     raw_phase: F32  # (H, W) rad, before smoothing
     rates: F32  # of `measure_rates`
     correction: npt.NDArray[np.float32]  # (N,) rad, the response's, over a cycle
@@ -185,7 +186,7 @@ class OrderFinder:
             absolute, readable = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
             roots, warning = absolute.roots, None if readable else _CODE_NOT_SEEN
         if memory is not None:
-            votes = vote_orders(seen.phases.phase, patches, memory.surface.unwrapped, memory.surface.region)
+            votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region)
             if roots is not None:  # the code has split them, and knows better
                 carried = count_votes(votes, roots)
             else:
@@ -227,10 +228,10 @@ class OrderFinder:
         """
         if self._code != "contrast":
             return None
-        known, phases = orders.known, seen.phases
+        known = orders.known
         if known.any():
             surface = (out.unwrapped, out.mask, out.region)
-            found = (phases.phase, seen.raw_phase, phases.modulation, seen.rates)
+            found = (seen.phase, seen.raw_phase, seen.modulation, seen.rates)
             adopt_pixels(patches.final, *found, known, out=surface)
         # The response's correction is for the pattern's mean modulation.
         deviations, slopes = code_deviations(float(cycle_modulations().mean()))
@@ -239,7 +240,7 @@ class OrderFinder:
         corrections = modulation_corrections(deviations, modulation_tables(seen.correction))
         corrections -= blur_shift(*sampled, known, slopes, seen.period_px) * slopes
         if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
-            correct_by_modulation(out.region, known, corrections, out=(phases.phase, out.unwrapped))
+            correct_by_modulation(out.region, known, corrections, out=(seen.phase, out.unwrapped))
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
         if lost > _MAX_LOST:
             return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
@@ -256,8 +257,7 @@ class OrderFinder:
     def _find_absolute(
         self, seen: SeenPhase, patches: Patches, graph: PatchGraph, order_range: OrderRange | None
     ) -> tuple[AbsoluteOrders, bool]:
-        phases = seen.phases
-        sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, phases.phase, phases.modulation, patches)
+        sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, seen.phase, seen.modulation, patches)
         rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
         return find_absolute_orders(sums, graph, int(seen.image.shape[1]), rising, order_range)
 
@@ -283,7 +283,7 @@ class OrderFinder:
         """Return how many cycles every patch may lack: its first pixel's ray in the depth range and the pattern."""
         if self._geometry is None or rays is None:
             return None
-        phase = runtime.to_host(seen.phases.phase)  # synchronises
+        phase = runtime.to_host(seen.phase)  # synchronises
         y, x = np.divmod(graph.first, phase.shape[1])
         here = phase[y, x] / (2 * np.pi) + graph.offset
         pattern = self._geometry.pattern

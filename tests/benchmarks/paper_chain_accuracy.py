@@ -150,7 +150,7 @@ def paper_steps(scene: Scene) -> tuple[dict[str, Image], Steps]:
     balanced = step("balance, 25x25 box (OpenCV)", lambda: balance(corrected, mask, box))
     bent = arctangent(balanced)
     flat = step("equalisation: the paper's chain", lambda: tikernels.equalize_phase(bent, mask), keep)
-    step(SMOOTHED, lambda: tikernels.smooth_along_stripes(flat, mask), keep)
+    step(SMOOTHED, lambda: tikernels.smooth_phase(flat, mask), keep)
 
     def equalized(image: Image) -> Image:
         return np.asarray(tikernels.equalize_phase(arctangent(image), mask))

@@ -82,7 +82,7 @@ def test_no_device_before_init():
         "    'balance_color': lambda: tikernels.balance_color(image, 12),\n"
         "    'compute_wrapped_phase': lambda: tikernels.compute_wrapped_phase(image),\n"
         "    'equalize_phase': lambda: tikernels.equalize_phase(phase, mask),\n"
-        "    'smooth_along_stripes': lambda: tikernels.smooth_along_stripes(phase, mask),\n"
+        "    'smooth_phase': lambda: tikernels.smooth_phase(phase, mask),\n"
         "    'unwrap_phase': lambda: tikernels.unwrap_phase(phase, phase, mask),\n"
         "    'correct_fringe_order': lambda: tikernels.correct_fringe_order(phase, mask),\n"
         "    'triangulate_mesh': lambda: tikernels.triangulate_mesh(image, mask, 1.0),\n"

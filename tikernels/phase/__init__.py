@@ -4,7 +4,7 @@ from tikernels.phase.color_balance import balance_color
 from tikernels.phase.crosstalk import correct_crosstalk, invert_crosstalk
 from tikernels.phase.equalization import equalize_phase
 from tikernels.phase.frame_statistics import measure_frame
-from tikernels.phase.smoothing import smooth_along_stripes
+from tikernels.phase.smoothing import smooth_phase
 from tikernels.phase.wrapped_phase import compute_wrapped_phase
 
 __all__ = [
@@ -14,5 +14,5 @@ __all__ = [
     "equalize_phase",
     "invert_crosstalk",
     "measure_frame",
-    "smooth_along_stripes",
+    "smooth_phase",
 ]

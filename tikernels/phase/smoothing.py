@@ -1,27 +1,45 @@
-"""Smooth the phase along the stripes, where it changes least, without crossing a step.
+"""Smooth the phase over a square window, without crossing a step and without rounding what bends.
+
+A plane and its bend are fitted to the window (Savitzky and Golay 1964, doi:10.1021/ac60214a047): seven pixels both ways
+leave 0.27 of the noise, and 0.80 of a relief that repeats every seven pixels, along the stripes as across them. The
+least-squares quadric of a square window is put together of means and quadrics of its rows and columns,
+
+    quadric = mean along (quadric across) + quadric along (mean across) - mean along (mean across),
+
+so the rows are smoothed first, then the columns. Neighbours count in pairs, one on either side, so that a slope leaves
+no bias, and only where the surface goes on from one to the other: near a step fewer count. Across the stripes a phase's
+variance changes with the phase, and pairs count by it.
 
 A pixel at a step sees both surfaces and has a phase between them that belongs to neither: such pixels are dropped.
 """
 
+from enum import IntEnum
 from functools import cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array2, Static, f32, i32, ti, u1
-from tikernels.arrays import F32, Mask
+from tikernels._taichi import F32Array2, F32Array3, Static, U8Array2, f32, ti, u1
+from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_vector import PI, wrap
-from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
+from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
 from tikernels.strips import STRIP, strip_at, strip_count
 
-# A pair of neighbours left and right counts while each is within a radian of the pixel and the surface bends less
-# between them than noise makes it, four standard deviations, of which one of three pixels weighs twice; or than the
-# least, which round surfaces do within a few px. Beyond the most, some 4 mm on a rig with 0.14 rad a mm, it is a step.
-_BEND_SIGMAS = 4.0 * 6.0**0.5
+# A pair of neighbours counts while each is within a radian of what the usual change leads to, and the surface bends
+# less between them than noise makes it, four standard deviations; or than the least, which round surfaces do within a
+# few px. Beyond the most, some 4 mm on a rig with 0.14 rad a mm, it is a step.
+_BEND_SIGMAS = 4.0
 _LEAST_BEND, _MAX_BEND = 0.1, 0.6
 _MAX_CHANGE = 1.0
+# 1 / rad^2, where nothing is known of the noise.
+_LEAST_PRECISION = 1e-6
+# Rows that are more or less sure than a pixel's own count for more or less, up to this many times.
+_MOST_WEIGHT = 8.0
+# rad, farther than any unwrapped phase: where there is none.
+_FAR, _NO_ROW = 1e6, 4e6
 # A neighbour that departs by more than this from the usual change lies on another surface: 0.8 rad is a depth step of
 # 6 mm on that rig; noise of 0.2 rad a pixel passes.
 MAX_DEPARTURE = 0.8
@@ -29,12 +47,28 @@ MAX_DEPARTURE = 0.8
 NO_NEIGHBOUR = 0.5 * NO_PHASE
 # A pixel at a step that departs by less than this from one side belongs to that side.
 _SAME_SURFACE = 0.3
+# What is known of the bend beforehand, as if seen by this sum of fourth powers of distances, px^4: where only the next
+# neighbours count, half of the pixel's own phase stays; where all do, it changes nothing.
+_BEND_PRIOR = 2.0
 # Every eighth pixel both ways tells the usual change.
 _SAMPLE = 8
+#: The largest window: each neighbour more takes longer to compile.
+MAX_SMOOTHING_PX = 15
 #: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad a px, and
 #: the mean quality.
 RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = range(3)
-# Places in its other rows: sums of the changes' cosines and sines along and across, and the row's mean quality.
+
+
+class _Row(IntEnum):
+    """Planes of what smoothing along the rows keeps beside their means."""
+
+    BEND = 0  # what the quadric adds to the mean, rad
+    MEAN_VARIANCE = 1  # rad^2, of the mean
+    FIT_VARIANCE = 2  # and of the quadric
+
+
+# Places in the other rows of what `measure_rates` fills: sums of the changes' cosines and sines along and across, and
+# the row's mean quality.
 _ALONG_COSINE, _ALONG_SINE, _ACROSS_COSINE, _ACROSS_SINE, _ROW_QUALITY = range(5)
 
 
@@ -54,42 +88,60 @@ def departure(difference: f32, rate: f32) -> f32:
 
 
 @ti.func
-def largest_bend(precision: f32) -> f32:
-    """Return how much the phase may bend between two neighbours left and right of a pixel, rad."""
-    return ti.min(ti.max(_BEND_SIGMAS / ti.sqrt(precision + 1e-6), _LEAST_BEND), _MAX_BEND)
+def inverse_bend(variance: f32) -> f32:
+    """Return one over how much the phase may bend between two neighbours of a pixel, 1 / rad.
+
+    The variance is that of the sum of their differences to it, rad^2.
+    """
+    return 1.0 / ti.min(ti.max(_BEND_SIGMAS * ti.sqrt(variance), _LEAST_BEND), _MAX_BEND)
 
 
 @ti.func
-def mean_correction(values: Static, middle: i32, pairs: Static, max_bend: f32) -> f32:
-    """Return what to add to a phase of a row to make it the mean with its neighbours.
+def pair_counts(one: f32, other: f32, per_bend: f32) -> f32:
+    """Return how much a pair of neighbours counts, 0 to 1, that differ by this from a pixel; rad."""
+    near = ti.max(ti.abs(one), ti.abs(other)) < _MAX_CHANGE
+    # Fading, so that rounding decides nothing.
+    return ti.select(near, ti.min(ti.max(2.5 - 2.0 * ti.abs(one + other) * per_bend, 0.0), 1.0), 0.0)
 
-    They count in pairs, so that a steady slope along the stripe leaves no bias.
+
+@ti.func
+def change_over(rate: f32, tap: Static) -> f32:
+    """Return the usual change over some pixels, rad in [-pi, pi]."""
+    change = tap * rate
+    return change - 2.0 * PI * ti.round(change / (2.0 * PI))
+
+
+@ti.func
+def quadric_weights(count: f32, squares: f32, fourths: f32):
+    """Return a and b: the quadric's value in the middle is the sum of (a - b distance^2) times the phases.
+
+    Of the sums over a row's pixels that count: their number, squares of their distances (px), and fourth powers.
     """
-    total, count = 0.0, 1.0
-    for tap in ti.static(range(1, pairs + 1)):
-        left, right = wrap(values[middle - tap] - values[middle]), wrap(values[middle + tap] - values[middle])
-        near = ti.max(ti.abs(left), ti.abs(right)) < _MAX_CHANGE
-        # Fading, so that rounding decides nothing.
-        counts = ti.min(ti.max(2.5 - 2.0 * ti.abs(left + right) / max_bend, 0.0), 1.0)
-        counts = ti.select(near, counts, 0.0)
-        total += counts * ti.select(near, left + right, 0.0)
-        count += 2.0 * counts
-    return total / count
+    curved = fourths + _BEND_PRIOR
+    scale = 1.0 / (count * curved - squares * squares)
+    return curved * scale, squares * scale
+
+
+@ti.func
+def quadric_share(a: f32, b: f32, count: f32, squares: f32, fourths: f32) -> f32:
+    """Return what the quadric leaves of a variance."""
+    return a * a * count - 2.0 * a * b * squares + b * b * fourths
 
 
 @cache
-def _smooth_phase_kernel(pairs: int) -> Any:
-    """Return the kernel that averages over `pairs` neighbours on either side."""
+def _smooth_rows_kernel(pairs: int) -> Any:
+    """Return the kernel that fits `pairs` neighbours on either side along the rows."""
     reach = max(pairs, 1)
     window = 2 * reach + STRIP
     taps, lanes = ti.types.vector(window, ti.f32), ti.types.vector(STRIP, ti.f32)
 
     @ti.kernel
-    def smooth_phase_kernel(
+    def smooth_rows_kernel(
         phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
         precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
         rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad a px
-        out: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask, STEP_PHASE between two surfaces
+        out: F32Array2,  # (H, W) rad, the rows' means; NO_PHASE outside the mask, STEP_PHASE between two surfaces
+        out_rows: F32Array3,  # (3, H, W) see `_Row`
     ):
         height, width = phase.shape[0], phase.shape[1]
         last = rates.shape[0] - 1
@@ -98,7 +150,8 @@ def _smooth_phase_kernel(pairs: int) -> Any:
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
             values = taps(0.0)
-            upper, lower, certainty, result = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            upper, lower, certainty = lanes(0.0), lanes(0.0), lanes(0.0)
+            mean, bend, mean_variance, fit_variance = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
             for k in range(window):
                 values[k] = NO_PHASE
             for k in range(ti.max(0, reach - first), ti.min(window, width - first + reach)):
@@ -116,13 +169,100 @@ def _smooth_phase_kernel(pairs: int) -> Any:
                 to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
                 to_lower = ti.select(below == y, 2.0 * NO_NEIGHBOUR, to_lower)
                 step = between_surfaces(to_left, to_right) | between_surfaces(to_upper, to_lower)
-                correction = mean_correction(values, reach + k, pairs, largest_bend(certainty[k]))
-                value = ti.select(step, STEP_PHASE, centre + correction)
-                result[k] = ti.select(has_phase(centre), value, NO_PHASE)
+                variance = 1.0 / (certainty[k] + _LEAST_PRECISION)
+                per_bend = inverse_bend(6.0 * variance)
+                total, total_2, count, squares, fourths = 0.0, 0.0, 1.0, 0.0, 0.0
+                for tap in ti.static(range(1, pairs + 1)):
+                    change = change_over(rate_along, tap)
+                    one = wrap(values[reach + k - tap] - centre + change)
+                    other = wrap(values[reach + k + tap] - centre - change)
+                    counts = pair_counts(one, other, per_bend)
+                    both = ti.select(counts > 0.0, counts * (one + other), 0.0)
+                    total, total_2 = total + both, total_2 + tap * tap * both
+                    count, squares = count + 2.0 * counts, squares + 2.0 * tap * tap * counts
+                    fourths += 2.0 * tap**4 * counts
+                a, b = quadric_weights(count, squares, fourths)
+                # A pixel between two surfaces has nothing but itself, should one of them claim it.
+                here = ti.select(step, STEP_PHASE, centre + total / count)
+                mean[k] = ti.select(has_phase(centre), here, NO_PHASE)
+                bend[k] = ti.select(step, 0.0, a * total - b * total_2 - total / count)
+                mean_variance[k] = variance * ti.select(step, 1.0, 1.0 / count)
+                fit_variance[k] = variance * ti.select(step, 1.0, quadric_share(a, b, count, squares, fourths))
             for k in range(length):
-                out[y, first + k] = result[k]
+                out[y, first + k] = mean[k]
+                out_rows[_Row.BEND, y, first + k] = bend[k]
+                out_rows[_Row.MEAN_VARIANCE, y, first + k] = mean_variance[k]
+                out_rows[_Row.FIT_VARIANCE, y, first + k] = fit_variance[k]
 
-    return smooth_phase_kernel
+    return smooth_rows_kernel
+
+
+@ti.func
+def change_across(near: f32, far: f32, change: f32, wraps: Static) -> f32:
+    """Return how far a pixel in another row departs from the usual change, rad."""
+    departs = far - near - change
+    return wrap(departs) if ti.static(wraps) else departs
+
+
+@cache
+def _smooth_columns_kernel(pairs: int, wraps: bool) -> Any:
+    """Return the kernel that fits `pairs` neighbours on either side across the rows, of rows that are smoothed."""
+    lanes = ti.types.vector(STRIP, ti.f32)
+
+    @ti.kernel
+    def smooth_columns_kernel(
+        phase: F32Array2,  # (H, W) rad, the rows' means; without whole cycles if it `wraps`
+        mask: U8Array2,  # (H, W)
+        rows: F32Array3,  # (3, H, W) see `_Row`
+        rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad a px
+        out: F32Array2,  # (H, W) rad; NaN outside the mask
+        out_variance: F32Array2,  # (H, W) rad^2
+    ):
+        height, width = out.shape[0], out.shape[1]
+        last = rates.shape[0] - 1
+        for t in range(height * strip_count(width, STRIP)):
+            y, first, length = strip_at(t, width, STRIP)
+            rate = rates[last, RATE_ACROSS]
+            centre, bend, variance, upper, lower = lanes(0.0), lanes(0.0), lanes(1.0), lanes(0.0), lanes(0.0)
+            bends, others, count, squares, fourths = lanes(0.0), lanes(1.0), lanes(1.0), lanes(0.0), lanes(0.0)
+            total, total_2, total_bend = lanes(0.0), lanes(0.0), lanes(0.0)
+            for k in range(length):
+                centre[k] = ti.select(mask[y, first + k] != 0, phase[y, first + k], _FAR)
+                bend[k], variance[k] = rows[_Row.BEND, y, first + k], rows[_Row.MEAN_VARIANCE, y, first + k]
+            for tap in ti.static(range(1, pairs + 1)):
+                if y >= tap and y + tap < height:
+                    change = change_over(rate, tap) if ti.static(wraps) else tap * rate
+                    above, below = y - tap, y + tap
+                    for k in range(length):
+                        x = first + k
+                        upper[k] = ti.select(mask[above, x] != 0, phase[above, x], _NO_ROW)
+                        lower[k] = ti.select(mask[below, x] != 0, phase[below, x], _NO_ROW)
+                        bends[k] = rows[_Row.BEND, above, x] + rows[_Row.BEND, below, x]
+                        others[k] = rows[_Row.MEAN_VARIANCE, above, x] + rows[_Row.MEAN_VARIANCE, below, x]
+                    for k in range(STRIP):
+                        one = change_across(centre[k], upper[k], -change, wraps)
+                        other = change_across(centre[k], lower[k], change, wraps)
+                        counts = pair_counts(one, other, inverse_bend(others[k] + 4.0 * variance[k]))
+                        weight = counts * ti.min(2.0 * variance[k] / others[k], _MOST_WEIGHT)
+                        both = ti.select(counts > 0.0, weight * (one + other), 0.0)
+                        total[k], total_2[k] = total[k] + both, total_2[k] + tap * tap * both
+                        total_bend[k] += weight * bends[k]
+                        count[k], squares[k] = count[k] + 2.0 * weight, squares[k] + 2.0 * tap * tap * weight
+                        fourths[k] += 2.0 * tap**4 * weight
+            for k in range(length):
+                upper[k] = rows[_Row.FIT_VARIANCE, y, first + k] - variance[k]
+            for k in range(STRIP):
+                a, b = quadric_weights(count[k], squares[k], fourths[k])
+                fitted = centre[k] + a * total[k] - b * total_2[k] + (bend[k] + total_bend[k]) / count[k]
+                # A row's mean and what its quadric adds to it are uncorrelated.
+                left = variance[k] * quadric_share(a, b, count[k], squares[k], fourths[k]) + upper[k] / count[k]
+                inside = centre[k] < 0.5 * _FAR
+                centre[k] = ti.select(inside, fitted, ti.math.nan)
+                variance[k] = ti.select(inside, left, variance[k])
+            for k in range(length):
+                out[y, first + k], out_variance[y, first + k] = centre[k], variance[k]
+
+    return smooth_columns_kernel
 
 
 def rates_buffer(height: int) -> F32:
@@ -164,39 +304,126 @@ def measure_rates(phase: F32, quality: F32, out: F32 | None = None) -> F32:
     return out
 
 
-def smooth_phase(phase: F32, precision: F32, rates: F32, pairs: int, out: F32 | None = None) -> F32:
-    """Average the phase over a few pixels along the rows, and mark the pixels between two surfaces.
+def _window(pairs: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the weights of mean and quadric where all pairs count, (2 pairs + 1,) each."""
+    place = np.arange(-pairs, pairs + 1.0)
+    count, squares, fourths = (float(np.sum(place**power)) for power in (0, 2, 4))
+    curved = fourths + _BEND_PRIOR
+    quadric = (curved - squares * place**2) / (count * curved - squares**2)
+    return np.full(len(place), 1 / count), quadric
+
+
+def left_of_variance(pairs: int) -> float:
+    """Return which share of the variance smoothing leaves where all pairs count, along the rows and across them."""
+    mean, quadric = _window(pairs)
+    left, bend = float(mean @ mean), float(quadric @ quadric - mean @ mean)
+    return left * float(quadric @ quadric) + bend * left
+
+
+def left_of_differences(pairs: int, step: int) -> float:
+    """Return the variance of third differences over rows this many px apart, for a variance of one before smoothing."""
+    third = np.zeros(3 * step + 1)
+    third[::step] = (1, -3, 3, -1)
+    mean, quadric = _window(pairs)
+    across = [float(np.sum(np.convolve(third, weights) ** 2)) for weights in (mean, quadric)]
+    left, bend = float(mean @ mean), float(quadric @ quadric - mean @ mean)
+    return left * across[1] + bend * across[0]
+
+
+class Smoother:
+    """Smooths phases of one size: first the rows, and when the whole cycles are known the columns.
+
+    In between the phases may be unwrapped, and corrected by what their order tells, as `modulation_correction.py` does:
+    along the stripes that is the same for all pixels of a window, across them it is not.
 
     Parameters
     ----------
-    phase : (H, W) float32
-        rad, up to 0.6 beyond [-pi, pi]; NO_PHASE outside the mask.
-    precision : (H, W) float32
-        1 / rad^2, one over the phase's variance; 0 where nothing is known of it.
-    rates : (H / 8 + 1, 5) float32
-        What `measure_rates` found of the same phase.
+    height, width : int
+        Of the image.
     pairs : int
-        Neighbours on either side that are averaged, 0 or more.
-    out : (H, W) float32, optional
-        Where the result goes; not the input.
-
-    Returns
-    -------
-    (H, W) float32
-        rad, a little beyond [-pi, pi]; NO_PHASE outside the mask, STEP_PHASE between two surfaces.
-
-    Raises
-    ------
-    ShapeError
-        A shape or dtype is another one, or `out` cannot be written.
+        Neighbours on either side that count, along the rows and across them, 0 or more.
     """
-    phase = checks.read_array("phase", phase, (None, None), np.float32)
-    shape = (int(phase.shape[0]), int(phase.shape[1]))
-    precision = checks.read_array("precision", precision, shape, np.float32)
-    rates = checks.read_array("rates", rates, _rates_shape(shape[0]), np.float32)
-    out = checks.out_buffer("out", out, shape, np.float32)
-    _smooth_phase_kernel(pairs)(phase, precision, rates, out)
-    return out
+
+    def __init__(self, height: int, width: int, pairs: int) -> None:
+        self.shape = (height, width)
+        self._pairs = pairs
+        self._rows = runtime.empty((len(_Row), height, width), np.float32)
+
+    def along(self, phase: F32, precision: F32, rates: F32, out: F32 | None = None) -> F32:
+        """Average the phase along the rows, keep what its bend adds, and mark the pixels between two surfaces.
+
+        Parameters
+        ----------
+        phase : (H, W) float32
+            rad, up to 0.6 beyond [-pi, pi]; NO_PHASE outside the mask.
+        precision : (H, W) float32
+            1 / rad^2, one over the phase's variance; 0 where nothing is known of it.
+        rates : (H / 8 + 1, 5) float32
+            What `measure_rates` found of the same phase.
+        out : (H, W) float32, optional
+            Where the result goes; not the input.
+
+        Returns
+        -------
+        (H, W) float32
+            rad, a little beyond [-pi, pi]; NO_PHASE outside the mask, STEP_PHASE between two surfaces.
+
+        Raises
+        ------
+        ShapeError
+            A shape or dtype is another one, or `out` cannot be written.
+        """
+        phase = checks.read_array("phase", phase, self.shape, np.float32)
+        precision = checks.read_array("precision", precision, self.shape, np.float32)
+        rates = checks.read_array("rates", rates, _rates_shape(self.shape[0]), np.float32)
+        out = checks.out_buffer("out", out, self.shape, np.float32)
+        _smooth_rows_kernel(self._pairs)(phase, precision, rates, out, self._rows)
+        return out
+
+    def across(
+        self,
+        phase: F32,
+        mask: U8,
+        rates: F32,
+        out: tuple[F32, F32] | None = None,
+        *,
+        wraps: bool = False,
+    ) -> tuple[F32, F32]:
+        """Fit the columns of what `along` has averaged last.
+
+        Parameters
+        ----------
+        phase : (H, W) float32
+            rad, that average with whole cycles.
+        mask : (H, W) uint8
+            Where it holds.
+        rates : (H / 8 + 1, 5) float32
+            What `measure_rates` found.
+        out : two (H, W) float32, optional
+            Where the results go; not the input.
+        wraps : bool
+            Whether the phase lacks the whole cycles: rad in [-pi, pi] and a little beyond.
+
+        Returns
+        -------
+        phase : (H, W) float32
+            rad; NaN outside the mask.
+        variance : (H, W) float32
+            rad^2, by the precisions that `along` was given; of independent noise.
+
+        Raises
+        ------
+        ShapeError
+            A shape or dtype is another one, or `out` cannot be written.
+        """
+        phase = checks.read_array("phase", phase, self.shape, np.float32)
+        mask = checks.read_array("mask", mask, self.shape, np.uint8)
+        rates = checks.read_array("rates", rates, _rates_shape(self.shape[0]), np.float32)
+        smoothed, variance = (None, None) if out is None else out
+        smoothed = checks.out_buffer("out[0]", smoothed, self.shape, np.float32)
+        variance = checks.out_buffer("out[1]", variance, self.shape, np.float32)
+        _smooth_columns_kernel(self._pairs, wraps)(phase, mask, self._rows, rates, smoothed, variance)
+        return smoothed, variance
 
 
 @ti.kernel
@@ -250,16 +477,17 @@ def measure_rates_kernel(
 @ti.kernel
 def restore_kernel(
     wrapped_phase: F32Array2,  # (H, W) rad
-    out: F32Array2,  # (H, W) rad; wrapped; what is NO_PHASE becomes the input's phase
+    smoothed: F32Array2,  # (H, W) rad, a little beyond +-pi
+    held: U8Array2,  # (H, W) where that is
+    out: F32Array2,  # (H, W) rad in [-pi, pi]; elsewhere what it was
 ):
-    for pixel in range(wrapped_phase.shape[0] * wrapped_phase.shape[1]):
-        y, x = pixel // wrapped_phase.shape[1], pixel % wrapped_phase.shape[1]
-        smoothed = out[y, x]
-        out[y, x] = wrap(smoothed) if has_phase(smoothed) else wrapped_phase[y, x]
+    for pixel in range(out.shape[0] * out.shape[1]):
+        y, x = pixel // out.shape[1], pixel % out.shape[1]
+        out[y, x] = wrap(smoothed[y, x]) if held[y, x] != 0 else wrapped_phase[y, x]
 
 
-def smooth_along_stripes(wrapped_phase: F32, mask: Mask, smoothing_px: int = 5, *, out: F32 | None = None) -> F32:
-    """Average the phase over a few pixels along the rows.
+def smooth_phase(wrapped_phase: F32, mask: Mask, smoothing_px: int = 7, *, out: F32 | None = None) -> F32:
+    """Smooth the phase over a square window.
 
     Parameters
     ----------
@@ -268,30 +496,33 @@ def smooth_along_stripes(wrapped_phase: F32, mask: Mask, smoothing_px: int = 5, 
     mask : (H, W) bool or uint8
         Valid pixels.
     smoothing_px : int
-        Odd length of the window, 1 to 33 px.
+        Odd side of the window, 1 to 15 px.
     out : (H, W) float32, optional
         Where the result goes; not the input.
 
     Returns
     -------
     (H, W) float32
-        rad in [-pi, pi]; unchanged outside the mask and at steps. Neighbours count in pairs left and right, and only
-        while the surface goes on, so steps stay sharp and slopes unbiased.
+        rad in [-pi, pi]; unchanged outside the mask and at steps. Neighbours count in pairs on either side, and only
+        while the surface goes on, so steps stay sharp, slopes unbiased and round surfaces round.
 
     Raises
     ------
     ShapeError
-        A shape or dtype is another one, the window is even or too long, or `out` cannot be written.
+        A shape or dtype is another one, the window is even or too large, or `out` cannot be written.
     """
     wrapped_phase = checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
     shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
     mask = checks.read_mask("mask", mask, shape)
-    if smoothing_px % 2 == 0 or not 1 <= smoothing_px <= 33:
-        raise ShapeError(f"smoothing_px is {smoothing_px}: take an odd number from 1 to 33")
+    if smoothing_px % 2 == 0 or not 1 <= smoothing_px <= MAX_SMOOTHING_PX:
+        raise ShapeError(f"smoothing_px is {smoothing_px}: take an odd number from 1 to {MAX_SMOOTHING_PX}")
     out = checks.out_array("out", out, shape, np.float32)
     marked = np.empty(shape, np.float32)
     mark_no_phase_kernel(wrapped_phase, mask, marked)
-    of_noise_nothing_is_known = np.zeros(shape, np.float32)
-    smooth_phase(marked, of_noise_nothing_is_known, measure_rates(marked, marked), smoothing_px // 2, out=out)
-    restore_kernel(wrapped_phase, out)
+    rates = measure_rates(marked, marked)
+    smoother = Smoother(*shape, smoothing_px // 2)
+    rows = runtime.to_host(smoother.along(marked, np.zeros(shape, np.float32), rates))
+    held = (rows < LEAST_NO_PHASE).astype(np.uint8)
+    smoothed, _ = smoother.across(rows, held, rates, wraps=True)
+    restore_kernel(wrapped_phase, smoothed, held, out)
     return out

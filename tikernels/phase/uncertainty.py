@@ -1,10 +1,9 @@
 """How sure the phase of each pixel is: what the fit says, checked against what rows really differ by.
 
-    sigma^2 = (scatter^2 (averaged + model) + misfit) / precision + error + edge^2 empty
+    sigma^2 = scatter^2 (smoothed + model / precision) + misfit / precision + error + edge^2 empty
 
-One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. Smoothing over n pixels leaves
-averaged = 1 / n of it, but only where all the neighbours are there, and never the channels' model's own error, which
-they share.
+One over the fit's precision (`phase_fit.py`) is the variance of a pixel's phase. What smoothing makes of it
+(`smoothing.py`) is for noise; the channels' model's own error, which neighbours share, stays.
 
 What that model is wrong by the fit's misfit tells. Its mean is one where the model is right, and a model that is wrong
 across the phase is as wrong along it: the usual scaling of a fit's variance by its chi square, place by place. Over a
@@ -30,10 +29,9 @@ from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
 from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
 from tikernels.phase.phase_fit import MAX_MISFIT
+from tikernels.phase.smoothing import left_of_differences, left_of_variance
 from tikernels.strips import STRIP, strip_at, strip_count
 
-#: Where a pixel is: off the mask, on it, and on it with all the neighbours that smoothing averages over.
-OFF, PARTLY, WHOLE = 0, 1, 2
 # The error of the channels' model is this share of a pixel's variance: it is fitted to some fifty samples for three
 # channels' gains and offsets.
 _MODEL_ERROR = 0.03
@@ -62,13 +60,20 @@ _GRID = 2
 
 @ti.func
 def smoothed_variances(
-    precision: F32Array2, misfit: F32Array2, error: F32Array2, neighbours: U8Array2, averaged: f32, y: i32, x: i32
+    precision: F32Array2,
+    misfit: F32Array2,
+    error: F32Array2,
+    smoothed: F32Array2,
+    mask: U8Array2,
+    independent: f32,
+    y: i32,
+    x: i32,
 ) -> vec2:
     """Variances of a pixel's phase after smoothing, rad^2: by noise, NaN off the mask, and by the light's model."""
     variance = 1.0 / ti.max(precision[y, x], _LEAST_PRECISION)
-    noise = (ti.select(neighbours[y, x] == WHOLE, averaged, 1.0) + _MODEL_ERROR) * variance
+    noise = independent * smoothed[y, x] + _MODEL_ERROR * variance
     model = misfit[y, x] * variance + error[y, x]
-    return vec2([ti.select(neighbours[y, x] == OFF, ti.math.nan, noise), model])
+    return vec2([ti.select(mask[y, x] == 0, ti.math.nan, noise), model])
 
 
 @ti.kernel
@@ -77,8 +82,9 @@ def compare_rows_kernel(
     precision: F32Array2,  # (H, W) 1 / rad^2
     misfit: F32Array2,  # (H, W) beyond one
     error: F32Array2,  # (H, W) rad^2, the model's
-    neighbours: U8Array2,  # (H, W)
-    averaged: f32,  # what smoothing leaves of the variance
+    smoothed: F32Array2,  # (H, W) rad^2, the noise's after smoothing
+    mask: U8Array2,  # (H, W)
+    independent: f32,  # what of a difference's variance smoothing leaves, over what it would leave of independent rows
     step: i32,  # px between the rows that are compared
     every: i32,  # px between the columns
     out: F32Array2,  # (H - 3 step, ceil(W / every))
@@ -91,7 +97,7 @@ def compare_rows_kernel(
         for k in ti.static(range(4)):
             weight = ti.static((1.0, -3.0, 3.0, -1.0)[k])
             difference += weight * phase[y + k * step, x]
-            here = smoothed_variances(precision, misfit, error, neighbours, averaged, y + k * step, x)
+            here = smoothed_variances(precision, misfit, error, smoothed, mask, independent, y + k * step, x)
             expected += weight * weight * here
         ratio = ti.abs(difference) / ti.sqrt(expected.sum())
         out[y, sample % columns] = ti.select(expected[0] > expected[1], ratio, ti.math.nan)
@@ -102,9 +108,9 @@ def phase_sigma_kernel(
     precision: F32Array2,  # (H, W) 1 / rad^2
     misfit: F32Array2,  # (H, W) beyond one
     error: F32Array2,  # (H, W) rad^2, the model's
-    neighbours: U8Array2,  # (H, W)
+    smoothed: F32Array2,  # (H, W) rad^2, the noise's after smoothing
+    mask: U8Array2,  # (H, W)
     empty: F32Array2,  # (H, W) the part of the model's window that is off the mask
-    averaged: f32,  # what smoothing leaves of the variance
     scatter: f32,  # by how much more rows differ than expected
     out: F32Array2,  # (H, W) rad; NaN outside the mask
 ):
@@ -113,7 +119,7 @@ def phase_sigma_kernel(
     for t in range(height * strip_count(width, STRIP)):
         y, first, count = strip_at(t, width, STRIP)
         for x in range(first, first + count):
-            variances = smoothed_variances(precision, misfit, error, neighbours, averaged, y, x)
+            variances = smoothed_variances(precision, misfit, error, smoothed, mask, 1.0, y, x)
             variance = scatter * scatter * variances[0] + variances[1]
             out[y, x] = ti.sqrt(variance + _EDGE_ERROR * _EDGE_ERROR * empty[y, x])
 
@@ -122,9 +128,9 @@ def phase_sigma(
     precision: F32,
     misfit: F32,
     error: F32,
-    neighbours: U8,
+    smoothed: F32,
+    mask: U8,
     empty: F32,
-    averaged: float,
     scatter: float,
     out: F32 | None = None,
 ) -> F32:
@@ -138,12 +144,12 @@ def phase_sigma(
         What the channels' model leaves over of a few pixels, beyond one; in units of the precision's variance.
     error : (H, W) float32
         rad^2, the variance that the channels' model leaves over the balance window.
-    neighbours : (H, W) uint8
-        OFF, PARTLY or WHOLE.
+    smoothed : (H, W) float32
+        rad^2, the variance by noise after smoothing.
+    mask : (H, W) uint8
+        Valid pixels.
     empty : (H, W) float32
         Which part of the window that the channels' model is fitted to is off the mask, 0..1.
-    averaged : float
-        What is left of the variance after smoothing, as a share.
     scatter : float
         How far rows really differ, in units of what is expected.
     out : (H, W) float32, optional
@@ -163,10 +169,11 @@ def phase_sigma(
     shape = (int(precision.shape[0]), int(precision.shape[1]))
     misfit = checks.read_array("misfit", misfit, shape, np.float32)
     error = checks.read_array("error", error, shape, np.float32)
-    neighbours = checks.read_array("neighbours", neighbours, shape, np.uint8)
+    smoothed = checks.read_array("smoothed", smoothed, shape, np.float32)
+    mask = checks.read_array("mask", mask, shape, np.uint8)
     empty = checks.read_array("empty", empty, shape, np.float32)
     out = checks.out_buffer("out", out, shape, np.float32)
-    phase_sigma_kernel(precision, misfit, error, neighbours, empty, averaged, scatter, out)
+    phase_sigma_kernel(precision, misfit, error, smoothed, mask, empty, scatter, out)
     return out
 
 
@@ -175,8 +182,9 @@ def compare_rows(
     precision: F32,
     misfit: F32,
     error: F32,
-    neighbours: U8,
-    averaged: float,
+    smoothed: F32,
+    mask: U8,
+    independent: float,
     step: int,
     every: int,
     out: F32 | None = None,
@@ -193,10 +201,12 @@ def compare_rows(
         What the channels' model leaves over of a few pixels, beyond one; in units of the precision's variance.
     error : (H, W) float32
         rad^2, the variance that the channels' model leaves over the balance window.
-    neighbours : (H, W) uint8
-        OFF, PARTLY or WHOLE.
-    averaged : float
-        What is left of the variance after smoothing, as a share.
+    smoothed : (H, W) float32
+        rad^2, the variance by noise after smoothing.
+    mask : (H, W) uint8
+        Valid pixels.
+    independent : float
+        What smoothing leaves of the variance of the differences, over what it would leave if the rows were independent.
     step, every : int
         px between the rows that are compared, and between the columns that are looked at.
     out : (H - 3 step, ceil(W / every)) float32, optional
@@ -218,17 +228,19 @@ def compare_rows(
     precision = checks.read_array("precision", precision, (height, width), np.float32)
     misfit = checks.read_array("misfit", misfit, (height, width), np.float32)
     error = checks.read_array("error", error, (height, width), np.float32)
-    neighbours = checks.read_array("neighbours", neighbours, (height, width), np.uint8)
+    smoothed = checks.read_array("smoothed", smoothed, (height, width), np.float32)
+    mask = checks.read_array("mask", mask, (height, width), np.uint8)
     if height <= 3 * step:
         raise ShapeError(f"phase has {height} rows: four rows {step} px apart need {3 * step + 1}")
     out = checks.out_buffer("out", out, (height - 3 * step, -(-width // every)), np.float32)
-    compare_rows_kernel(phase, precision, misfit, error, neighbours, averaged, step, every, out)
+    compare_rows_kernel(phase, precision, misfit, error, smoothed, mask, independent, step, every, out)
     return out
 
 
 def estimate_phase_sigma(
     unwrapped: F32,
     precision: F32,
+    smoothed: F32,
     misfit: F32 | None,
     mask: Mask,
     edges: npt.NDArray[np.float32] | None,
@@ -243,6 +255,8 @@ def estimate_phase_sigma(
         rad; NaN off the mask.
     precision : (H, W) float32
         1 / rad^2, what the fit says of the phase before smoothing.
+    smoothed : (H, W) float32
+        rad^2, the variance that noise leaves after smoothing; see `Smoother`.
     misfit : (H, W) float32, optional
         What it says of the model, see `FittedPhase`; None: the model is right.
     mask : (H, W) bool or uint8
@@ -250,7 +264,7 @@ def estimate_phase_sigma(
     edges : (H, W) float32, optional
         rad^2, what edges between surfaces make; see `surface_edges`; None: nothing.
     pairs : int
-        Neighbours on either side that `smooth_phase` averaged over.
+        Neighbours on either side that the smoothing fitted.
     period_px : float
         Camera px a cycle.
 
@@ -265,21 +279,19 @@ def estimate_phase_sigma(
         A shape or dtype is another one.
     """
     inside = runtime.to_host(checks.read_mask("mask", mask, tuple(unwrapped.shape)))  # synchronises
-    neighbours = _neighbours(inside, pairs)
-    averaged = 1 / (2 * pairs + 1)
     around, error = np.zeros(inside.shape, np.float32), np.zeros(inside.shape, np.float32)
     if misfit is not None:
-        left: npt.NDArray[np.float32] = np.minimum(runtime.to_host(misfit), np.float32(_MOST_MISFIT))
-        left = np.where(inside != 0, left, np.float32(0))
+        over: npt.NDArray[np.float32] = np.minimum(runtime.to_host(misfit), np.float32(_MOST_MISFIT))
+        over = np.where(inside != 0, over, np.float32(0))
         # The fit has divided the precision by the larger ones already.
-        divided = np.maximum(np.float32(1), left / np.float32(MAX_MISFIT))
-        around = _misfit_around(left, inside) / divided
-        error = _window_error(left, divided * runtime.to_host(precision), inside, period_px)
+        divided = np.maximum(np.float32(1), over / np.float32(MAX_MISFIT))
+        around = _misfit_around(over, inside) / divided
+        error = _window_error(over, divided * runtime.to_host(precision), inside, period_px)
     if edges is not None:
         error = error + edges
-    known = (precision, around, error, neighbours)
-    scatter = _scatter(unwrapped, *known, averaged, period_px)
-    return phase_sigma(*known, _empty_share(inside, period_px), averaged, scatter)
+    known = (precision, around, error, smoothed, inside)
+    scatter = _scatter(unwrapped, *known, pairs, period_px)
+    return phase_sigma(*known, _empty_share(inside, period_px), scatter)
 
 
 def _misfit_around(misfit: npt.NDArray[np.float32], inside: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
@@ -312,27 +324,23 @@ def _window_error(
     return np.asarray(cv2.resize(error, inside.shape[::-1], interpolation=cv2.INTER_LINEAR), np.float32)
 
 
-def _neighbours(inside: npt.NDArray[np.uint8], pairs: int) -> npt.NDArray[np.uint8]:
-    """Return OFF, PARTLY or WHOLE of every pixel, which are 0, 1 and 2: the mask, and the mask without its margins."""
-    return np.asarray(inside + cv2.erode(inside, np.ones((1, 2 * pairs + 1), np.uint8)), np.uint8)
-
-
 def _scatter(
     unwrapped: F32,
     precision: F32,
     misfit: F32,
     error: F32,
-    neighbours: npt.NDArray[np.uint8],
-    averaged: float,
+    smoothed: F32,
+    mask: npt.NDArray[np.uint8],
+    pairs: int,
     period_px: float,
 ) -> float:
     """Return how far rows a quarter of a cycle apart differ, in units of what is expected; 1 where none tells."""
-    step, every = max(2, round(period_px / 4)), max(1, neighbours.size // _SCATTER_SAMPLES)
-    if len(neighbours) <= 3 * step:
+    step, every = max(2, round(period_px / 4)), max(1, mask.size // _SCATTER_SAMPLES)
+    if len(mask) <= 3 * step:
         return 1.0
-    ratio = runtime.to_host(
-        compare_rows(unwrapped, precision, misfit, error, neighbours, averaged, step, every)
-    )  # synchronises
+    independent = left_of_differences(pairs, step) / (20 * left_of_variance(pairs))
+    compared = compare_rows(unwrapped, precision, misfit, error, smoothed, mask, independent, step, every)
+    ratio = runtime.to_host(compared)  # synchronises
     sure = runtime.to_host(precision)[: len(ratio), ::every]
     known = np.isfinite(ratio)
     if not known.any():

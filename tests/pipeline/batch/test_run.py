@@ -208,7 +208,7 @@ def test_a_store_half_made_is_completed(job, undisturbed):
 @pytest.mark.parametrize(
     "change, key",
     [
-        ({"settings": DecodeSettings(smoothing_px=3)}, "settings.smoothing_px is 5 there, 3 here"),
+        ({"settings": DecodeSettings(smoothing_px=3)}, "settings.smoothing_px is 7 there, 3 here"),
         ({"fields": ("mask",)}, "fields"),
         ({"step": 2}, "step is 1 there, 2 here"),
         ({"crop": Crop(0, 0, 64, 64)}, "region_of_interest"),

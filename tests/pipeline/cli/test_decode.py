@@ -124,7 +124,7 @@ def test_decode_footage(folder, command):
     again = command("decode", film, *options, cwd=folder)
     assert again.returncode == 3 and "3 of them before" in again.stdout
     for arguments, message in [
-        (("--settings", "settings.toml"), r"settings.smoothing_px is 5 there, 3 here"),
+        (("--settings", "settings.toml"), r"settings.smoothing_px is 7 there, 3 here"),
         (("--roi", "1,2,3"), "give x,y,width,height"),
         (("--roi", "0,0,00,²"), "give x,y,width,height"),
         (("--roi", "0,0,400,100"), "sticks out of the 320x240 frame"),

@@ -33,12 +33,12 @@ def test_what_nobody_holds_is_used_again(arch):
     pool = BufferPool()
     phases, surface = pool.lend((16, 32), points=True)
     on_host = runtime.started() == "cpu"
-    kept = {address(phases.phase)} if on_host else {id(phases.phase)}
+    kept = {address(phases.variance)} if on_host else {id(phases.variance)}
     assert surface.points.shape == (16, 32, 3)
     del phases, surface
     gc.collect()
     phases, _ = pool.lend((16, 32), points=True)
-    seen = (phases.phase, phases.modulation, phases.precision)
+    seen = (phases.variance, phases.modulation, phases.precision)
     assert kept <= ({address(array) for array in seen} if on_host else {id(array) for array in seen})
 
 
@@ -64,7 +64,7 @@ def test_another_size_drops_what_waits(cpu):
 def test_cleared_buffers_hold_nothing(cpu):
     phases, surface = BufferPool().lend((4, 5), points=True)
     clear_buffers(phases, surface)
-    for array in (phases.phase, phases.precision, surface.unwrapped, surface.points):
+    for array in (phases.precision, surface.unwrapped, surface.points):
         assert np.isnan(array).all()
-    for array in (phases.modulation, surface.mask, surface.region):
+    for array in (phases.modulation, phases.variance, surface.mask, surface.region):
         assert not array.any()

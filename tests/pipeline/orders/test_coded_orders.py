@@ -76,7 +76,7 @@ def test_without_a_calibration():
 @pytest.mark.parametrize(("scene", "gamma", "reflectance"), [("plane", 2.0, SKIN), ("waves", 1.0, WHITE)])
 @pytest.mark.parametrize("blur_px", [0.0, 2.0])
 def test_the_phase_stays_as_good(scene, gamma, reflectance, blur_px):
-    """With the code the phase's error is at most 1.25 times that without it, blur or not."""
+    """With the code the phase's error is at most 1.25 times that without it, or 0.008 rad, blur or not."""
     errors = {}
     for code in (None, "contrast"):
         truth, calibration = simulated(
@@ -85,7 +85,7 @@ def test_the_phase_stays_as_good(scene, gamma, reflectance, blur_px):
         frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(truth.image)
         error = np.angle(np.exp(1j * (frame.wrapped_phase - truth.phase)[frame.mask & truth.mask]))
         errors[code] = np.std(error)
-    assert errors["contrast"] < 1.25 * errors[None]
+    assert errors["contrast"] < max(1.25 * errors[None], 0.008)
 
 
 def test_a_reused_frame_forgets():
@@ -204,13 +204,15 @@ def test_half_in_shadow():
 
 @pytest.mark.filterwarnings("ignore:no matrix explains")
 def test_a_texture_with_the_fringes_period():
+    """It hides part of the code: what is not certain any more, here the bust's head, is said not to be."""
     truth, calibration = simulated("bust")
     rows = np.arange(SIZE[1])[:, None, None]
     image = (truth.image * (0.75 + 0.25 * np.cos(2 * np.pi * rows / 12.3))).astype(np.uint8)
-    frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
+    with pytest.warns(DecodeWarning, match="show too little of the code"):
+        frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
     right, wrong = shares(frame, truth)
-    assert right > 0.95
-    assert wrong < 0.002
+    assert right > 0.85
+    assert wrong < 0.0005
 
 
 def test_a_hidden_step_of_whole_cycles_splits_a_region(arch):

@@ -1,5 +1,6 @@
 """Standard deviations: as NumPy computes them, and as the errors really are."""
 
+import cv2
 import numpy as np
 import pytest
 import reference
@@ -13,48 +14,48 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import correction_table
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.phase_fit import count_phases, fit_phase
+from tikernels.phase.smoothing import _window, left_of_variance
 from tikernels.phase.surfaces import Surfaces
-from tikernels.phase.uncertainty import OFF, PARTLY, WHOLE, compare_rows, estimate_phase_sigma, phase_sigma
+from tikernels.phase.uncertainty import compare_rows, estimate_phase_sigma, phase_sigma
 
 SHAPE = (41, 67)
-AVERAGED = 0.2  # of the variance, after smoothing over five px
 
 
 def case(seed=1):
-    """Return a precision and what the smoothing of each pixel rests on."""
+    """Return a precision, the variance that smoothing leaves, and a mask."""
     rng = np.random.default_rng(seed)
     precision = (1e3 + 4e3 * rng.random(SHAPE)).astype(np.float32)
-    neighbours = rng.choice(np.array([OFF, PARTLY, WHOLE], np.uint8), SHAPE, p=(0.1, 0.2, 0.7))
-    return precision, neighbours
+    return precision, (1e-3 * rng.random(SHAPE)).astype(np.float32), (rng.random(SHAPE) > 0.1).astype(np.uint8)
 
 
-def expected_sigma(precision, neighbours, empty, scatter, error=0.0, misfit=0.0):
+def expected_sigma(precision, smoothed, mask, empty, scatter, error=0.0, misfit=0.0):
     """Return the fit's sigma, of which smoothing averages all but the model's 3 %, and 0.025 rad beside nothing."""
-    noise, model = (np.where(neighbours == WHOLE, AVERAGED, 1) + 0.03) / precision, misfit / precision + error
-    return np.where(neighbours == OFF, np.nan, np.sqrt(scatter**2 * noise + model + 0.025**2 * empty))
+    noise, model = smoothed + 0.03 / precision, misfit / precision + error
+    return np.where(mask == 0, np.nan, np.sqrt(scatter**2 * noise + model + 0.025**2 * empty))
 
 
 def test_as_the_twin(arch):
-    precision, neighbours = case()
+    precision, smoothed, mask = case()
     empty = np.random.default_rng(2).random(SHAPE).astype(np.float32)
     error = (1e-4 * np.random.default_rng(5).random(SHAPE)).astype(np.float32)
     misfit = np.random.default_rng(8).random(SHAPE).astype(np.float32)
-    out = phase_sigma(precision, misfit, error, neighbours, empty, AVERAGED, 1.3)
-    expected = expected_sigma(precision, neighbours, empty, 1.3, error, misfit)
+    out = phase_sigma(precision, misfit, error, smoothed, mask, empty, 1.3)
+    expected = expected_sigma(precision, smoothed, mask, empty, 1.3, error, misfit)
     np.testing.assert_allclose(runtime.to_host(out), expected, rtol=1e-5)
 
 
 def test_rows_that_differ_by_what_is_expected_have_a_ratio_of_one(arch):
     """Of a bent surface with that noise; the median of a normal distribution's size is 0.6745 sigma."""
     height, width = 400, 300
-    precision, neighbours = np.full((height, width), 2500, np.float32), np.full((height, width), WHOLE, np.uint8)
-    neighbours[:5, :7] = OFF
-    sigma = expected_sigma(precision, neighbours, np.float32(0), 1)
+    precision, smoothed = (np.full((height, width), value, np.float32) for value in (2500, 0.2 / 2500))
+    mask = np.ones((height, width), np.uint8)
+    mask[:5, :7] = 0
+    sigma = expected_sigma(precision, smoothed, mask, np.float32(0), 1)
     rows = np.arange(height)[:, None]
     noise = sigma * np.random.default_rng(3).standard_normal((height, width))
     phase = (0.1 * rows + 1e-4 * rows**2 + noise).astype(np.float32)
     step, every, none = 4, 3, np.zeros_like(phase)
-    ratio = runtime.to_host(compare_rows(phase, precision, none, none, neighbours, AVERAGED, step, every))
+    ratio = runtime.to_host(compare_rows(phase, precision, none, none, smoothed, mask, 1.0, step, every))
     assert np.isnan(ratio[:5, :3]).all() and np.isfinite(ratio[:, 3:]).all()
     assert np.median(ratio[:, 3:]) / 0.6745 == pytest.approx(1, abs=0.02)
 
@@ -63,17 +64,21 @@ def test_rows_that_differ_by_what_is_expected_have_a_ratio_of_one(arch):
 def test_the_estimate_is_what_rows_really_differ_by(arch, overrated):
     """Of a plane with smoothed noise, to 5 %, whether the fit's precision is right or half as good as it says."""
     height, width, pairs, period_px = 240, 200, 2, 12.0
-    noise = np.random.default_rng(4).standard_normal((height, width + 2 * pairs)) * 0.05
-    smoothed = np.stack([noise[:, k : width + k] for k in range(2 * pairs + 1)]).mean(axis=0)
+    noise = np.random.default_rng(4).standard_normal((height + 2 * pairs, width + 2 * pairs)) * 0.05
+    mean, quadric = (weights[:, None] for weights in _window(pairs))
+    kernel = quadric @ mean.T + mean @ (quadric - mean).T
+    smoothed = cv2.filter2D(noise, -1, kernel)[pairs:-pairs, pairs:-pairs]
     phase = (reference.ramp(height, width, period_px, tilt=0.02) + smoothed).astype(np.float32)
     mask = np.ones((height, width), bool)
     mask[100:110, 50:60] = False
     phase[~mask] = np.nan
     precision = np.full((height, width), overrated**2 / 0.05**2, np.float32)
-    sigma = runtime.to_host(estimate_phase_sigma(phase, precision, None, mask, None, pairs, period_px))
+    variance = left_of_variance(pairs) / precision
+    variance[105, 49] = 1 / precision[105, 49]
+    sigma = runtime.to_host(estimate_phase_sigma(phase, precision, variance, None, mask, None, pairs, period_px))
     assert np.isnan(sigma[~mask]).all() and np.isfinite(sigma[mask]).all()
     assert np.median(sigma[mask]) == pytest.approx(smoothed.std(), rel=0.05)
-    # Beside the hole fewer neighbours are averaged, and part of the model's window is empty.
+    # Beside the hole nothing was smoothed, and part of the model's window is empty.
     assert sigma[105, 49] > 1.5 * np.median(sigma[mask])
 
 
@@ -83,7 +88,7 @@ def flat(misfit: np.ndarray, edges: np.ndarray | None = None) -> np.ndarray:
     noise = 0.02 * np.random.default_rng(6).standard_normal(phase.shape)
     phase, precision = (phase + noise).astype(np.float32), np.full(phase.shape, 1 / 0.02**2, np.float32)
     everywhere = np.ones(phase.shape, bool)
-    return runtime.to_host(estimate_phase_sigma(phase, precision, misfit, everywhere, edges, 0, 12.0))
+    return runtime.to_host(estimate_phase_sigma(phase, precision, 1 / precision, misfit, everywhere, edges, 0, 12.0))
 
 
 def misfits_of_noise(shape: tuple[int, int] = (240, 320)) -> np.ndarray:
@@ -156,7 +161,8 @@ def test_another_colour_widens_its_own_part(cpu, mixed):
     difference = reference.wrapped_difference(runtime.to_host(found.phase), truth)
     unwrapped = (truth + difference).astype(np.float32)
     everywhere = np.ones(shape, bool)
-    sigma = runtime.to_host(estimate_phase_sigma(unwrapped, found.precision, found.misfit, everywhere, None, 0, 12.3))
+    seen = (found.precision, 1 / runtime.to_host(found.precision), found.misfit)
+    sigma = runtime.to_host(estimate_phase_sigma(unwrapped, *seen, everywhere, None, 0, 12.3))
     left, right = (difference[40:200, part] for part in (slice(30, 150), slice(260, 310)))
     said = [np.sqrt((sigma[40:200, part] ** 2).mean()) for part in (slice(30, 150), slice(260, 310))]
     assert 0.7 < said[0] / (left - left.mean()).std() < 2
@@ -166,18 +172,25 @@ def test_another_colour_widens_its_own_part(cpu, mixed):
 
 
 def test_menu(menu):
-    precision, neighbours = case()
+    precision, smoothed, mask = case()
     empty = np.random.default_rng(2).random(SHAPE).astype(np.float32)
 
     def measure(out=None, **inputs):
-        found = phase_sigma(**inputs, averaged=AVERAGED, scatter=1.3, out=out)
+        found = phase_sigma(**inputs, scatter=1.3, out=out)
         return runtime.to_host(found) if out is None else found
 
-    fields = {"precision": precision, "misfit": empty, "error": 1e-4 * empty, "neighbours": neighbours, "empty": empty}
+    fields = {
+        "precision": precision,
+        "misfit": empty,
+        "error": 1e-4 * empty,
+        "smoothed": smoothed,
+        "mask": mask,
+        "empty": empty,
+    }
     menu(measure, np.empty(SHAPE, np.float32), **fields)
 
 
 def test_too_few_rows_to_compare(arch):
     level = np.ones((12, 5), np.float32)
     with pytest.raises(ShapeError, match="phase has 12 rows: four rows 4 px apart need 13"):
-        compare_rows(level, level, level, level, np.full((12, 5), WHOLE, np.uint8), AVERAGED, 4, 1)
+        compare_rows(level, level, level, level, level, np.ones((12, 5), np.uint8), 1.0, 4, 1)
