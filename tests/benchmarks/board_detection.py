@@ -8,7 +8,7 @@ Beside it what one call of OpenCV's findChessboardCornersSB does, exhaustive and
 import sys
 import time
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import cv2
 import numpy as np
 from support.board_photographs import View, photograph, rms_px, wall

@@ -11,7 +11,7 @@ noise and all else staying: its constant, its RMS around that, what 99.9 % of th
 
 import argparse
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import numpy as np
 from support.exposures_off_cycle import KINDS, SHARE, moved, simulate_exposure
 

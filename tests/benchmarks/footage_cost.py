@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Literal
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import av
 import cv2
 import numpy as np

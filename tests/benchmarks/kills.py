@@ -8,7 +8,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 from support.command_line import command
 from support.recorded_footage import contents, kill_again_and_again, record
 

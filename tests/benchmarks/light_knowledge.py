@@ -6,7 +6,7 @@ python tests/benchmarks/light_knowledge.py board-free | doctor [frames a fault]
 import sys
 from collections import Counter
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import cv2
 import numpy as np
 from support.single_faults import FAULTS, diagnosed, photographed

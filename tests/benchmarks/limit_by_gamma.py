@@ -12,7 +12,7 @@ deviation.
 import argparse
 import warnings
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import numpy as np
 from support.phase_limit import phase_limit
 

@@ -9,7 +9,7 @@ python tests/benchmarks/order_probability.py [--frames 200] [--seed 1] [--depth-
 import argparse
 from itertools import pairwise
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import numpy as np
 import numpy.typing as npt
 from support.uncertain_frames import judged_regions, uncertain_frame

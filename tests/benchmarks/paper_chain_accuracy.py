@@ -17,7 +17,7 @@ from functools import partial
 from types import FrameType
 from typing import Any
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import cv2
 import numpy as np
 import numpy.typing as npt

@@ -10,7 +10,7 @@ python tests/benchmarks/piles.py [--frames 20] [--seed 1] [--arch cpu]
 import argparse
 import warnings
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import cv2
 import numpy as np
 import numpy.typing as npt

@@ -24,7 +24,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 import cv2
 import numpy as np
 from support.import_graph import circles, imported_modules, module_paths, ranks_of, rooms_of

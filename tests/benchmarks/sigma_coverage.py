@@ -54,7 +54,7 @@ def main() -> None:
             truth = simulate_frame(
                 simulated_rig(), SimulationSettings(scene=scene, gamma=gamma, reflectance=color, seed=1)
             )
-            for smoothing in (0, 5):
+            for smoothing in (0, 7):
                 pixels(truth, name, scene, smoothing)
     print("\n| frames | constant, rad RMS | its sigma, rad RMS | within one | within two |")
     print("|---|---|---|---|---|")

@@ -16,7 +16,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-import _tests_path  # noqa: F401
+import _tests_path  # noqa: F401 - puts support on the path
 from support.recorded_footage import record
 
 from pipeline import DecodeSettings
