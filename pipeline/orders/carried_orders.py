@@ -1,6 +1,7 @@
 """Keep the orders of the frame before, region by region: an object keeps its depth while it moves."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +44,31 @@ class CarriedOrders:
     offsets: npt.NDArray[np.int64]  # (n,) to be added to their orders
     before: npt.NDArray[np.int64]  # (n,) the region of the frame before that they come from
     error_probability: npt.NDArray[np.float64]  # (n,) that they do not go on from there with these orders
+
+    def with_neighbours(self, parts: npt.NDArray[np.int32], beside: npt.NDArray[np.int32]) -> Self:
+        """Let parts that nothing carries keep their orders relative to the part that they go on with most; unsure.
+
+        A part may be newly seen, or have moved too far to vote.
+
+        Parameters
+        ----------
+        parts : (P,) int32
+            The patch that stands for each patch's part.
+        beside : (P,) int32
+            See `Patches.beside`.
+        """
+        alone = np.setdiff1d(parts, self.roots)
+        partner = parts[beside[alone]]
+        told = np.isin(partner, self.roots)
+        alone, places = alone[told], np.searchsorted(self.roots, partner[told])
+        order = np.argsort(np.concatenate([self.roots, alone]), kind="stable")
+        return replace(
+            self,
+            roots=np.concatenate([self.roots, alone])[order],
+            offsets=np.concatenate([self.offsets, self.offsets[places]])[order],
+            before=np.concatenate([self.before, self.before[places]])[order],
+            error_probability=np.concatenate([self.error_probability, np.ones(len(alone))])[order],
+        )
 
 
 def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> CarriedOrders:

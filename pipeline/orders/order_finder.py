@@ -190,8 +190,11 @@ class OrderFinder:
             if roots is not None:  # the code has split them, and knows better
                 carried = count_votes(votes, roots)
             else:
-                parts = split_by_votes(votes, patches.graph(), memory.orders.known)
+                graph = patches.graph()
+                parts = split_by_votes(votes, graph, memory.orders.known)
                 carried = count_votes(votes, parts)
+                if patches.beside is not None and carried.same_scene:
+                    carried = carried.with_neighbours(parts, patches.beside)
                 roots = parts if carried.same_scene else None
             warning = warning if carried.same_scene else _OTHER_SCENE
         if absolute is not None and readable:

@@ -88,6 +88,9 @@ class Patches:
         self._method = method
         self._regions = region_table
         self._seams = seams
+        #: (P,) the patch that stands for the region which each patch's region goes on with most, though not enough to
+        #: be one with it; its own where there is none. None: nothing was parted.
+        self.beside: npt.NDArray[np.int32] | None = None
         self._choose_starts()
 
     @property

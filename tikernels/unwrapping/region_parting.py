@@ -160,7 +160,9 @@ def regions_that_step(roots: npt.NDArray[np.int32], borders: Borders) -> npt.NDA
     return np.asarray(np.bincount(a[a == b], borders.stepping[a == b], len(roots)) > _MAX_STEPPING)
 
 
-def part_regions(graph: PatchGraph, borders: Borders) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_]]:
+def part_regions(
+    graph: PatchGraph, borders: Borders
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], npt.NDArray[np.int32]]:
     """Part the regions inside which surfaces step.
 
     Parameters
@@ -176,6 +178,9 @@ def part_regions(graph: PatchGraph, borders: Borders) -> tuple[npt.NDArray[np.in
         The patch that stands for the region of each patch.
     slivers : (P,) bool
         Patches of parts that are too small, and those that may hold a border between two parts.
+    beside : (P,) int32
+        The patch that stands for the part which each patch's part goes on with most, though not enough to be one with
+        it; its own where there is none.
     """
     steps = regions_that_step(graph.root, borders)[graph.root]
     ours = steps[graph.ends[0]]
@@ -187,17 +192,22 @@ def part_regions(graph: PatchGraph, borders: Borders) -> tuple[npt.NDArray[np.in
     against = np.ascontiguousarray(ends[:, steps_here].T, np.int32)
     parents = grow_parts(contacts, against, stepping[steps_here].astype(np.float32), graph.pixels)
     borders = Borders(parents[ends].astype(np.int64), going_on, stepping)
-    joined = _join_parts(parents, parents[contacts], borders, graph.pixels)
+    joined, partners = _join_parts(parents, parents[contacts], borders, graph.pixels)
     torn = steps & _touch_another_part(joined, ends, going_on)
+    partner = partners[joined]
     joined = _without(joined, torn)
+    beside = np.where(steps & ~torn, joined[partner], graph.root)
     sliver = steps & (np.bincount(joined, graph.pixels, len(joined))[joined] < _MIN_PART_PX)
-    return np.where(steps, joined, graph.root).astype(np.int32), sliver
+    return np.where(steps, joined, graph.root).astype(np.int32), sliver, beside.astype(np.int32)
 
 
 def _join_parts(
     parts: npt.NDArray[np.int32], contacts: npt.NDArray[np.int32], borders: Borders, pixels: npt.NDArray[np.int32]
-) -> Integers:
-    """Join parts in rounds, those that go on over the largest share of their border first."""
+) -> tuple[Integers, Integers]:
+    """Join parts in rounds, those that go on over the largest share of their border first.
+
+    Returns (P,) each one's whole, and of each whole the one that it goes on with most.
+    """
     count = len(parts)
     whole = parts.astype(np.int64)
     touching = np.unique(_pairs(contacts.astype(np.int64), count))
@@ -213,7 +223,11 @@ def _join_parts(
         least = np.where(np.minimum(size[a], size[b]) < _MIN_PART_PX, _MIN_SLIVER_SHARE, _MIN_SHARE)
         joins = (a != b) & (share > least) & np.isin(pairs, touching)
         if not joins.any():
-            return whole
+            partners, order = np.arange(count), np.flatnonzero((a != b) & np.isin(pairs, touching))
+            order = order[np.argsort(share[order], kind="stable")]
+            for one, other in ((a, b), (b, a)):
+                partners[one[order]] = other[order]
+            return whole, partners
         # Those that are each other's best become one: nothing that joins later changes which they are.
         a, b, share = a[joins], b[joins], share[joins]
         rank = np.empty(len(a), np.int64)

@@ -103,7 +103,9 @@ class RegionUnwrapper:
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
         borders = measure_borders(phase, quality, rates, *of_patches)
         if regions_that_step(patches.roots(), borders).any():
-            patches.split(*part_regions(patches.graph(), borders))
+            roots, slivers, beside = part_regions(patches.graph(), borders)
+            patches.split(roots, slivers)
+            patches.beside = beside
 
     def _grow(self, phase: F32, quality: F32, rates: F32) -> tuple[int, int]:
         """Let the method draft patches, with more places if a cell is crowded; return how many patches and contacts."""

@@ -34,6 +34,20 @@ def test_the_majority_of_a_region_decides():
     assert (carried.error_probability < 0.02).all()
 
 
+def test_what_nothing_carries_follows_what_it_goes_on_with():
+    """The third part goes on with the first, the fourth with the third, of which nothing is known by itself."""
+    parts = np.array([0, 0, 2, 3, 4], np.int32)
+    carried = count_votes(votes_of((40, 0, 2, 3, 1), (50, 3, -1, 1, 3)), parts)
+    found = carried.with_neighbours(parts, np.array([3, 3, 0, 0, 2], np.int32))
+    np.testing.assert_array_equal(found.roots, [0, 2, 3])
+    np.testing.assert_array_equal(found.offsets, [2, 2, -1])
+    np.testing.assert_array_equal(found.before, [1, 1, 3])
+    assert found.error_probability[1] == 1
+    np.testing.assert_array_equal(found.error_probability[[0, 2]], carried.error_probability)
+    alone = np.arange(5, dtype=np.int32)
+    np.testing.assert_array_equal(carried.with_neighbours(parts, alone).roots, carried.roots)
+
+
 @pytest.mark.parametrize(
     "rows",
     [
