@@ -21,6 +21,7 @@ import _tests_path  # noqa: F401 - puts support on the path
 import cv2
 import numpy as np
 import numpy.typing as npt
+from moving_scenes import surfaces
 from support.best_times import best_ms
 from support.phase_limit import phase_limit
 
@@ -52,7 +53,8 @@ class Unwrapped:
 
     unwrapped_phase: npt.NDArray[np.float32]  # (H, W) rad
     mask: Mask  # (H, W)
-    calibrated: bool = False
+    region: npt.NDArray[np.int32]  # (H, W) true surfaces, which the paper's chain does not tell apart
+    points: None = None
 
 
 @dataclass(frozen=True)
@@ -126,7 +128,7 @@ Steps = dict[str, Callable[[], Any]]
 SMOOTHED, FITTED, DECODED = (
     "the paper's chain, smoothed",
     "fit of every pixel: the decoder, unsmoothed",
-    "smoothing along the stripes: the decoder",
+    "smoothing over 7 x 7 px: the decoder",
 )
 
 
@@ -180,7 +182,7 @@ def decoders(scene: Scene) -> dict[str, Decoder]:
 
 def measured(scene: Scene, phase: Image, mask: Mask) -> tuple[float, float, float, float]:
     """Return phase error and constant (rad), the ratio to the information limit, and the coverage."""
-    found = measure_against_truth(Unwrapped(phase, mask), scene.truth)
+    found = measure_against_truth(Unwrapped(phase, mask, surfaces(scene.truth, scene.mask)), scene.truth)
     square = np.ones((9, 9), np.uint8)
     inside = cv2.erode(scene.truth.mask.astype(np.uint8), square, borderType=cv2.BORDER_CONSTANT, borderValue=0)
     lit = (inside != 0) & (scene.truth.image.mean(axis=2) > 20) & mask
@@ -233,7 +235,8 @@ def print_unwrapping(scenes: list[Scene], rounds: int) -> None:
         }
         for name, body in work.items():
             unwrapped = np.asarray(body())
-            found = measure_against_truth(Unwrapped(unwrapped, np.isfinite(unwrapped)), scene.truth)
+            there = np.isfinite(unwrapped)
+            found = measure_against_truth(Unwrapped(unwrapped, there, surfaces(scene.truth, there)), scene.truth)
             table[name].append(f"{found['wrong_orders']}, {found['coverage']:.3f}")
         frame = decoders(scene)[DECODED].decode(scene.truth.image)
         found = measure_against_truth(frame, scene.truth)
