@@ -106,7 +106,7 @@ def limits(truth: SimulatedFrame, settings: SimulationSettings) -> dict[str, str
     """Return the RMS of the Cramer-Rao bound of the phase, rad, of the arrays and of a Bayer mosaic of them.
 
     Known is everything but the phase, and how it changes from pixel to pixel; it is told by all samples of a window.
-    Smoothed, that is what default smoothing takes together: five pixels along the stripes.
+    The window is a pixel, or five along the stripes.
     """
     clean = settings.model_copy(update={"noise_levels": 0.0, "bits": 16})
     light = simulate_frame(truth.rig, clean).image / 65535 * 255
