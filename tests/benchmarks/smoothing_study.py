@@ -1,6 +1,6 @@
 """What smoothing leaves of noise, relief and steps, and how near it brings the phase to the information limit.
 
-python tests/benchmarks/smoothing.py [--frames 6]
+python tests/benchmarks/smoothing_study.py [--frames 6]
 
 First of phases made for it, 12 px a cycle: what is left of the noise, of waves of 7.25 px (5 mm on the usual rig) along
 the stripes and across them, and the error of the pixels at a step of 0.7 rad (5 mm). Then of decoded frames, skin at
