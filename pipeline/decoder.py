@@ -28,8 +28,8 @@ from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
+from tikernels.phase.phase_change import measure_rates
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
-from tikernels.phase.smoothing import measure_rates
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
 

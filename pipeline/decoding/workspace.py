@@ -7,7 +7,8 @@ import numpy as np
 from tikernels import runtime
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import Gains
-from tikernels.phase.smoothing import Smoother, rates_buffer
+from tikernels.phase.phase_change import rates_buffer
+from tikernels.phase.smoothing import Smoother
 from tikernels.unwrapping import PatchMethod, RegionUnwrapper
 
 

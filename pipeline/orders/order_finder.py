@@ -26,7 +26,7 @@ from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measur
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import modulation_tables
-from tikernels.phase.smoothing import RATE_ACROSS
+from tikernels.phase.phase_change import RATE_ACROSS
 from tikernels.unwrapping.patches import MIN_REGION_PX, Patches, PatchGraph, RegionTable
 
 # Where more of the surface than this does not fit into the depth range, the range is not believed.

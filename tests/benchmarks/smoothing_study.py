@@ -30,7 +30,8 @@ from pipeline.simulation import (
     simulated_rig,
 )
 from tikernels import runtime
-from tikernels.phase.smoothing import Smoother, measure_rates
+from tikernels.phase.phase_change import measure_rates
+from tikernels.phase.smoothing import Smoother
 
 PAIRS, WAVE_PX, STEP_RAD = 3, 7.25, 0.7
 SHAPE = (200, 240)

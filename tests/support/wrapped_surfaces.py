@@ -5,7 +5,7 @@ import numpy.typing as npt
 import reference
 
 from tikernels import runtime
-from tikernels.phase.smoothing import MEAN_QUALITY, RATE_ACROSS, RATE_ALONG, measure_rates
+from tikernels.phase.phase_change import MEAN_QUALITY, RATE_ACROSS, RATE_ALONG, measure_rates
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, ORDER_BITS, ORDER_MASK, ORDER_ZERO
 from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod

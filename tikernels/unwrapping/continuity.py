@@ -6,8 +6,9 @@ as bright, surely lies on the same.
 """
 
 from tikernels._taichi import F32Array2, I32Array2, f32, i32, ivec2, ti, u1
+from tikernels.phase.phase_change import MEAN_QUALITY, RATE_ACROSS, RATE_ALONG
 from tikernels.phase.phase_vector import PI
-from tikernels.phase.smoothing import MAX_DEPARTURE, MEAN_QUALITY, RATE_ACROSS, RATE_ALONG
+from tikernels.phase.smoothing import MAX_DEPARTURE
 
 # Inside a patch neighbours depart by less than this (rad) and differ in modulation by less than this factor, along and
 # across the stripes. A step that hides behind whole cycles seldom does both, and only patches are never cut again.

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from tikernels import runtime
 from tikernels.arrays import F32, I32
 from tikernels.errors import ShapeError
-from tikernels.phase.smoothing import MEAN_QUALITY
+from tikernels.phase.phase_change import MEAN_QUALITY
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, LEAST_STEP_PHASE
 from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.tables import (

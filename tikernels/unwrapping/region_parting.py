@@ -31,7 +31,7 @@ _MIN_SHARE, _MIN_SLIVER_SHARE = 0.6, 0.5
 _MIN_PART_PX = 400
 # A patch from which the surface goes on to other parts over this many pixels may hold their border, where it cannot be
 # seen. It is left out: of a bust before a wall, 320x240 pixels, 163 pixels were whole cycles off, now 51.
-_MIN_TORN_PX = 12.0
+_MIN_HIDDEN_BORDER_PX = 12.0
 # Loop rounds that a contact and an end of a list cost, with what it takes to find their parts.
 _ROUNDS_A_CONTACT, _ROUNDS_AN_END = 6, 3
 
@@ -193,10 +193,10 @@ def part_regions(
     parents = grow_parts(contacts, against, stepping[steps_here].astype(np.float32), graph.pixels)
     borders = Borders(parents[ends].astype(np.int64), going_on, stepping)
     joined, partners = _join_parts(parents, parents[contacts], borders, graph.pixels)
-    torn = steps & _touch_another_part(joined, ends, going_on)
+    doubtful = steps & _go_on_to_others(joined, ends, going_on)
     partner = partners[joined]
-    joined = _without(joined, torn)
-    beside = np.where(steps & ~torn, joined[partner], graph.root)
+    joined = _set_apart(joined, doubtful)
+    beside = np.where(steps & ~doubtful, joined[partner], graph.root)
     sliver = steps & (np.bincount(joined, graph.pixels, len(joined))[joined] < _MIN_PART_PX)
     return np.where(steps, joined, graph.root).astype(np.int32), sliver, beside.astype(np.int32)
 
@@ -244,14 +244,14 @@ def _join_parts(
         )
 
 
-def _touch_another_part(parts: Integers, ends: Integers, going_on: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+def _go_on_to_others(parts: Integers, ends: Integers, going_on: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
     """Return of every patch whether the surface goes on from it to other parts over a whole side."""
     apart = parts[ends[0]] != parts[ends[1]]
     px = np.bincount(ends[:, apart].ravel(), np.tile(going_on[apart], 2), len(parts))
-    return np.asarray(px >= _MIN_TORN_PX)
+    return np.asarray(px >= _MIN_HIDDEN_BORDER_PX)
 
 
-def _without(parts: Integers, alone: npt.NDArray[np.bool_]) -> Integers:
+def _set_apart(parts: Integers, alone: npt.NDArray[np.bool_]) -> Integers:
     """Make patches parts of their own; what is left of the others needs a patch that stands for it."""
     rest = np.flatnonzero(~alone)
     standing = np.arange(len(parts))

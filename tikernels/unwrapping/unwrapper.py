@@ -12,7 +12,7 @@ import numpy as np
 from tikernels import checks, runtime
 from tikernels.arrays import F32, I32, Mask
 from tikernels.errors import ShapeError
-from tikernels.phase.smoothing import measure_rates
+from tikernels.phase.phase_change import measure_rates
 from tikernels.phase.wrapped_phase import mark_no_phase_kernel
 from tikernels.transposing import transpose
 from tikernels.unwrapping.drafts import Drafts

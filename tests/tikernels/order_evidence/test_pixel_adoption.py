@@ -6,7 +6,7 @@ import reference
 
 import tikernels
 from tikernels.order_evidence import adopt_pixels
-from tikernels.phase.smoothing import RATE_ACROSS
+from tikernels.phase.phase_change import RATE_ACROSS
 from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE
 from tikernels.unwrapping.tables import HAS_STEPS, HIDES_STEP, Final
 

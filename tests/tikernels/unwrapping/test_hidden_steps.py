@@ -5,7 +5,8 @@ import reference
 from support.wrapped_surfaces import drafts_and_orders, join, written
 
 from tikernels import runtime
-from tikernels.phase.smoothing import MAX_DEPARTURE, RATE_ACROSS, RATE_ALONG
+from tikernels.phase.phase_change import RATE_ACROSS, RATE_ALONG
+from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.hidden_steps import MIN_SEAM_PX, mark_hidden_steps_kernel
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, HIDES_STEP, ORDER_ZERO, Final, cells_of

@@ -73,13 +73,13 @@ def test_parts_grow_as_the_twin(arch, seed):
     assert 2 < len(np.unique(expected)) < 500
 
 
-def test_nothing_steps():
+def test_nothing_steps(arch):
     contacts = np.array([[0, 1], [1, 2]], np.int32)
     none = np.empty((0, 2), np.int32), np.empty(0, np.float32)
     np.testing.assert_array_equal(grow_parts(contacts, *none, np.full(4, 128, np.int32)), [0, 0, 0, 3])
 
 
-def test_parts_join_over_most_of_their_border():
+def test_parts_join_over_most_of_their_border(arch):
     """Three rows of patches: the second goes on over most of its border with the first, the third does not."""
     number = np.arange(30).reshape(3, 10)
     along = np.stack([number[:, :-1].ravel(), number[:, 1:].ravel()])

@@ -5,7 +5,7 @@ import reference
 from support.wrapped_surfaces import drafts_and_orders, flat_rates, join
 
 from tikernels import runtime
-from tikernels.phase.smoothing import RATE_ACROSS, RATE_ALONG
+from tikernels.phase.phase_change import RATE_ACROSS, RATE_ALONG
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.surface_borders import measure_borders, sample_departures_kernel
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, Cell, cells_of, numbers_of
