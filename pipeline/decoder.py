@@ -216,7 +216,8 @@ class Decoder:
         regions = patches.write(work.phase, rates, rows.unwrapped, rows.mask, rows.region)
         orders = placement.region_orders(patches, regions, memory)
         lost = self._orders.refine(seen, patches, regions, orders, out=rows)
-        leave_out_strangers(phases.modulation, out=(rows.unwrapped, rows.mask, rows.region))
+        light_and_phase = (work.brightness, phases.modulation, work.phase)
+        leave_out_strangers(*light_and_phase, out=(rows.unwrapped, rows.mask, rows.region))
         work.smoother.across(rows.unwrapped, rows.mask, rates, out=(surface.unwrapped, phases.variance))
         # Its place.
         if rays is not None:

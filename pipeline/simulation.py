@@ -9,7 +9,7 @@ import numpy.typing as npt
 from pydantic import Field
 
 from pipeline.calibration import Calibration, Lens, Pattern
-from pipeline.calibration.model import DEFAULT_PERIOD_PX, DEFAULT_PROJECTOR_PX, Shift
+from pipeline.calibration.model import DEFAULT_PERIOD_PX, DEFAULT_PROJECTOR_PX, Geometry, Shift
 from pipeline.models import Matrix3, Model, NonNegative, Positive
 from pipeline.pattern.fringes import make_pattern
 from tikernels import runtime
@@ -47,6 +47,7 @@ class SimulationSettings(Model):
     camera_blur_px: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
     projector_shift_px: Shift = np.zeros((3, 2))  # lateral colour: x, y of R, G, B
     camera_shift_px: Shift = np.zeros((3, 2))
+    pixel_rays: Literal[1, 3, 5] = 1  # along either side of a pixel: with one it sees a point, with more an area
     object_motion_mm: Triple = (0.0, 0.0, 0.0)  # where the objects, but not the wall behind them, have moved to
     object_turn_deg: float = 0.0  # and turned, about an upright axis through them
     field_motion_mm: Triple = (0.0, 0.0, 0.0)  # objects' motion between sequential colour fields
@@ -162,9 +163,34 @@ def simulate_frame(
     if codes is None:
         codes = make_pattern(geometry.projector.size_px, geometry.pattern)
     light = _blur(cv2.pow(codes, settings.gamma), settings.projector_blur_px)
-    rendered = projection.render_scene(
+    middle = _rendered(geometry, settings, light, np.zeros(2))
+    arrives = middle.light
+    if settings.pixel_rays > 1:
+        places = (np.arange(settings.pixel_rays) + 0.5) / settings.pixel_rays - 0.5
+        for place in np.stack(np.meshgrid(places, places), axis=-1).reshape(-1, 2):
+            if place.any():
+                arrives = arrives + _rendered(geometry, settings, light, place).light
+        arrives /= settings.pixel_rays**2
+    image, white_level = _expose(_blur(arrives, settings.camera_blur_px), settings)
+    across = middle.projector_px[..., geometry.phase_axis].astype(np.float64)
+    return SimulatedFrame(
+        rig=rig,
+        image=image,
+        white_level=white_level,
+        phase=2 * np.pi / geometry.pattern.period_px * across,
+        mask=middle.lit != 0,
+        points=middle.points,
+        reflectance=middle.reflectance,
+    )
+
+
+def _rendered(
+    geometry: Geometry, settings: SimulationSettings, light: npt.NDArray[np.float32], place: npt.NDArray[np.float64]
+) -> projection.SceneTruth:
+    """Render what is seen along one ray a pixel, this far (px) from its middle."""
+    return projection.render_scene(
         settings.scene,
-        np.stack([geometry.camera.rays(shift) for shift in _distinct(settings.camera_shift_px)]),
+        np.stack([geometry.camera.rays(shift - place) for shift in _distinct(settings.camera_shift_px)]),
         light,
         crosstalk_matrix=settings.crosstalk_matrix,
         rotation=geometry.rotation,
@@ -180,17 +206,6 @@ def simulate_frame(
         object_turn_deg=settings.object_turn_deg,
         field_motion_mm=settings.field_motion_mm,
         narrow_band=settings.reflectance_bands == "narrow",
-    )
-    image, white_level = _expose(_blur(rendered.light, settings.camera_blur_px), settings)
-    across = rendered.projector_px[..., geometry.phase_axis].astype(np.float64)
-    return SimulatedFrame(
-        rig=rig,
-        image=image,
-        white_level=white_level,
-        phase=2 * np.pi / geometry.pattern.period_px * across,
-        mask=rendered.lit != 0,
-        points=rendered.points,
-        reflectance=rendered.reflectance,
     )
 
 

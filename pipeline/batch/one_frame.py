@@ -111,7 +111,8 @@ def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str],
     with output_folder(out, force=force) as folder:
         tell("simulating one colour frame")
         runtime.init(arch)
-        simulation = SimulationSettings()
+        # As a camera and a projector see it: pixels with an area, and a lens that blurs.
+        simulation = SimulationSettings(pixel_rays=3, projector_blur_px=(0.6, 0.6, 0.6))
         rig = simulated_rig(code="contrast")
         truth = simulate_frame(rig, simulation)
         calibration = rig.model_copy(update={"crosstalk_matrix": simulation.crosstalk_matrix})

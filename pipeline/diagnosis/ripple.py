@@ -92,7 +92,9 @@ def diagnose(
     matrix = np.eye(3) if crosstalk_matrix is None else np.asarray(crosstalk_matrix, np.float64)
     matrix = matrix / matrix.sum(axis=1, keepdims=True)  # balanced channels are grey whatever the rows' sums
     clipped = (image >= white_level) | (image <= 0)
-    spoilt = mask.any() and clipped[mask].mean(axis=0).max() > _MAX_CLIPPED
+    # What is clipped is mostly not decoded.
+    cut = image >= white_level
+    spoilt = cut.any() and cut[mask | cut.any(axis=-1)].mean(axis=0).max() > _MAX_CLIPPED
     why = "too much is clipped to say anything: expose less" if spoilt else "too little smooth surface to say anything"
     nothing = Diagnosis((), {}, {}, np.nan, (why,))
     if np.count_nonzero(mask) < _MIN_PIXELS:

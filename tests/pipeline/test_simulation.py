@@ -57,6 +57,16 @@ def test_an_encoded_frame_holds_the_same_light(rig):
     np.testing.assert_allclose(((encoded[bright] + 0.055) / 1.055) ** 2.4, linear[bright], atol=2e-4)
 
 
+def test_a_pixel_with_an_area_is_the_mean_of_finer_ones(rig):
+    """A camera of three times as many pixels sees along the same rays."""
+    settings = {**PLAIN, "scene": "ball", "exposure": 0.9}
+    finer = simulate_frame(simulated_rig((480, 360), period_px=4 * 768 / 44), SimulationSettings(**settings))
+    frame = simulate_frame(rig, SimulationSettings(**settings, pixel_rays=3))
+    mean = finer.image.reshape(120, 3, 160, 3, 3).mean(axis=(1, 3))
+    np.testing.assert_allclose(frame.image, mean, atol=2)
+    np.testing.assert_array_equal(frame.points, simulate_frame(rig, SimulationSettings(**settings)).points)
+
+
 def test_lateral_colour_moves_one_channel(rig):
     shift = np.array([[0.0, 2.0], [0.0, 0.0], [0.0, 0.0]])
     still = simulate_frame(rig, SimulationSettings(**PLAIN, exposure=0.8)).image.astype(float)

@@ -1,69 +1,126 @@
-"""Pixels at a rim whose light is another surface's are left out, and no others."""
+"""Pixels at a rim that are another surface's are left out, and spikes, and no others."""
 
 import numpy as np
 import pytest
 
 import tikernels
 from tikernels import runtime
+from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
 
-SHAPE = (60, 80)
+SHAPE = (60, 96)
+RAYS = [(dy, dx) for dy in (-1, 0, 1) for dx in (-1, 0, 1) if dy or dx]
 
 
 def surfaces() -> tuple[np.ndarray, np.ndarray]:
-    """Return modulation and surfaces: a bright wall, a dim body before it, and nothing between them further down."""
-    noise = 1 + 0.1 * np.random.default_rng(2).standard_normal(SHAPE)
+    """Return brightness and surfaces: a bright wall, a dim body before it, and nothing between them further down."""
+    noise = 1 + 0.02 * np.random.default_rng(2).standard_normal(SHAPE)
     region = np.ones(SHAPE, np.int32)
-    region[:, 40:] = 2
-    region[40:, 36:44] = 0
-    return (np.where(region == 2, 20, 80) * noise).astype(np.float32), region
+    region[:, 48:] = 2
+    region[40:, 44:52] = 0
+    return (np.where(region == 2, 50, 80) * noise).astype(np.float32), region
 
 
-def left(modulation: np.ndarray, region: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def left(brightness: np.ndarray, region: np.ndarray, phase: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
     """Return the unwrapped phase, the mask and the surfaces that are left."""
     unwrapped = np.where(region > 0, np.float32(1), np.float32(np.nan))
     out = (unwrapped, (region > 0).astype(np.uint8), region.copy())
-    leave_out_strangers(modulation, out)
+    phase = np.zeros(SHAPE, np.float32) if phase is None else phase
+    leave_out_strangers(brightness, brightness, phase, out)
     return tuple(runtime.to_host(part) for part in out)
 
 
+def cut_off(brightness: np.ndarray, region: np.ndarray, y: int, x: int) -> bool:
+    """Return what the rule says of one pixel, with light everywhere."""
+    met = []
+    for dy, dx in RAYS:
+        at = [(y + far * dy, x + far * dx) for far in range(0, 25, 2)]
+        inside = [0 <= row < SHAPE[0] and 0 <= column < SHAPE[1] for row, column in at]
+        meets = "nothing"
+        for k in range(1, len(at)):
+            if not inside[k]:
+                meets = "end"
+            elif region[at[k]] != region[y, x]:
+                places = [(at[k][0] + gap * dy, at[k][1] + gap * dx) for gap in range(-1, 3)]
+                places = [p for p in places if 0 <= p[0] < SHAPE[0] and 0 <= p[1] < SHAPE[1]]
+                light = any(region[p] != region[y, x] and brightness[p] > 0.5 * brightness[y, x] for p in places)
+                meets = "other" if 2 * k <= 12 and light else "end"
+            elif k > 1:
+                ends = brightness[at[k - 2]], brightness[at[k]]
+                meets = "edge" if max(ends) > 1.4 * min(ends) else meets
+            if meets != "nothing":
+                break
+        met.append(meets)
+    return "nothing" not in met and "edge" in met and "other" in met
+
+
 def test_a_surface_keeps_its_own(arch):
-    modulation, region = surfaces()
-    unwrapped, mask, kept = left(modulation, region)
+    brightness, region = surfaces()
+    unwrapped, mask, kept = left(brightness, region)
     np.testing.assert_array_equal(kept, region)
     np.testing.assert_array_equal(mask, region > 0)
     np.testing.assert_array_equal(np.isfinite(unwrapped), region > 0)
 
 
-def test_what_was_claimed_by_the_wrong_side_is_left_out(arch):
-    """Two columns of the body that the wall has claimed, and two px of the wall that the body has."""
-    modulation, region = surfaces()
+def test_a_corner_that_the_wrong_side_has_claimed_is_left_out(arch):
+    """A corner of the body in the wall's surface, but for the two px that lie on the edge of brightness themselves."""
+    brightness, region = surfaces()
     claimed = region.copy()
-    claimed[10:20, 40:42] = 1
-    claimed[25:27, 39] = 2
-    strange = claimed != region
-    unwrapped, mask, kept = left(modulation, claimed)
-    assert (mask[strange] == 0).all()
-    assert (kept == np.where(strange, 0, region)).all()
-    assert np.isnan(unwrapped[strange]).all()
-    assert np.isfinite(unwrapped[(region > 0) & ~strange]).all()
+    claimed[10:22, 48:60] = 1
+    unwrapped, mask, kept = left(brightness, claimed)
+    assert (kept[10:22, 50:60] == 0).all() and (mask[10:22, 50:60] == 0).all()
+    assert np.isnan(unwrapped[10:22, 50:60]).all()
+    others = claimed == region
+    np.testing.assert_array_equal(kept[others], region[others])
 
 
-def test_a_shadow_within_a_surface_is_no_stranger(arch):
-    """Dim, but far from any other surface; and beside one that is brighter still."""
-    modulation, region = surfaces()
-    modulation[20:30, 10:20] *= 0.3
-    modulation[:, 38:40] *= 0.3
-    region[:, 40:] = 0
-    region[:, 44:] = 2
-    modulation[:, 40:] = 200
-    np.testing.assert_array_equal(left(modulation, region)[2], region)
+def test_the_rule_is_that_of_eight_rays(arch):
+    brightness, region = surfaces()
+    claimed = region.copy()
+    claimed[10:22, 48:60] = 1
+    claimed[30:36, 40:48] = 2
+    expected = claimed.copy()
+    for y, x in np.argwhere(claimed > 0):
+        if cut_off(brightness, claimed, y, x):
+            expected[y, x] = 0
+    assert (expected != claimed).sum() > 100
+    kept = left(brightness, claimed)[2]
+    # The rest is what no block of 3x3 pixels fits into.
+    assert not ((kept > 0) & (expected == 0)).any()
+    assert ((kept == 0) & (expected > 0)).sum() < 30
+
+
+def test_a_shadow_is_no_stranger_where_its_surface_goes_on(arch):
+    """Dim, and far from any other surface; along its border with one; and where nothing but darkness is beside it."""
+    brightness, region = (np.repeat(part[:1], SHAPE[0], axis=0) for part in surfaces())
+    brightness[20:30, 10:20] *= 0.3
+    brightness[:, 44:48] *= 0.5
+    np.testing.assert_array_equal(left(brightness, region)[2], region)
+    alone = np.where(region == 2, 0, region)
+    brightness[10:22, 36:48] *= 0.6
+    dark = np.where(alone > 0, np.float32(0), np.float32(NO_PHASE))
+    np.testing.assert_array_equal(left(brightness, alone, dark)[2], alone)
+    assert (left(brightness, alone)[2] != alone).sum() > 50
+
+
+def test_spikes_go_and_blocks_stay(arch):
+    region = np.zeros(SHAPE, np.int32)
+    region[10:40, 10:60] = 1
+    region[20:22, 60:70] = 1
+    region[9, 30] = 1
+    region[50:53, 20:23] = 2
+    expected = region.copy()
+    expected[20:22, 60:70] = 0
+    expected[9, 30] = 0
+    np.testing.assert_array_equal(left(np.full(SHAPE, 50, np.float32), region)[2], expected)
 
 
 def test_other_shapes_are_refused(cpu):
-    modulation, region = surfaces()
+    brightness, region = surfaces()
     out = (np.zeros(SHAPE, np.float32), np.ones(SHAPE, np.uint8), region)
     with pytest.raises(tikernels.ShapeError, match="mask has shape"):
-        leave_out_strangers(modulation, (out[0], out[1][1:], out[2]))
+        leave_out_strangers(brightness, brightness, brightness, (out[0], out[1][1:], out[2]))
     with pytest.raises(tikernels.ShapeError, match="region"):
-        leave_out_strangers(modulation, (out[0], out[1], region.astype(np.int64)))
+        leave_out_strangers(brightness, brightness, brightness, (out[0], out[1], region.astype(np.int64)))
+    with pytest.raises(tikernels.ShapeError, match="phase"):
+        leave_out_strangers(brightness, brightness, brightness[1:], out)
