@@ -63,11 +63,12 @@ class RegionOrders:
 
     known: npt.NDArray[np.bool_]  # (regions + 1,) whether they are absolute
     error_probability: Floats  # (regions + 1,) that they are not the absolute ones; NaN for 0
+    change: Floats  # (regions + 1, 3) rad by which the phase has changed since the frame before; see `vote_orders`
 
     @classmethod
     def of_no_region(cls) -> "RegionOrders":
         """Return those of a frame without regions."""
-        return cls(np.zeros(1, np.bool_), np.full(1, np.nan, np.float32))
+        return cls(np.zeros(1, np.bool_), np.full(1, np.nan, np.float32), np.zeros((1, 3), np.float32))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.models import FloatArray
 from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, RESTS_A_CYCLE, SOUND
 from tikernels.order_evidence.part_joining import CANDIDATES, join_parts
 from tikernels.unwrapping.patches import PatchGraph
@@ -15,8 +16,8 @@ from tikernels.unwrapping.patches import PatchGraph
 _MIN_VOTES, _MIN_SHARE = 6, 0.6
 # Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close: such a vote is void.
 _MAX_CHANGE = 0.35
-# A surface's phase usually changes by this many cycles from frame to frame; a change larger by as many again is e-fold
-# rarer.
+# A surface's phase usually changes by this many cycles a frame, or by as many more than is expected; what is larger by as
+# many again is e-fold rarer.
 _USUAL_CHANGE = 0.06
 # What goes on moves alike: of a region where all changes, in fractions of a cycle, are as frequent the coherence is 0,
 # where they spread over a half it is 0.64.
@@ -28,6 +29,10 @@ _SAME_SCENE = 0.75
 _HALVING_LEAD = 4.0
 # How probably votes are for another surface that was there before, where only edges vote.
 _EDGE_DOUBT = 0.5
+# The change of a region's phase is a plane, whose slopes are known beforehand as by twenty votes 15 px from its middle
+# that see none. If fewer votes than this, or a smaller share of them, lie within this of it (rad), none is expected.
+_PLANE_PRIOR = np.diag([1e-6, 20 * 15.0**2, 20 * 15.0**2])
+_MIN_MOVING, _MIN_ALIKE, _SAME_CHANGE = 100, 0.95, 0.6
 # A region is split where the second most voted offset has this many votes. Each part must prefer its own offset by
 # this many votes, and by this share of the part's votes.
 _MIN_SPLIT_VOTES, _MIN_MARGIN, _MIN_MARGIN_SHARE = 12, 4.0, 0.4
@@ -44,6 +49,44 @@ class CarriedOrders:
     offsets: npt.NDArray[np.int64]  # (n,) to be added to their orders
     before: npt.NDArray[np.int64]  # (n,) the region of the frame before that they come from
     error_probability: npt.NDArray[np.float64]  # (n,) that they do not go on from there with these orders
+    change: FloatArray  # (n, 3) rad by which their phase has changed since, and its slopes, rad a px; see `vote_orders`
+
+    def with_change(
+        self,
+        votes: npt.NDArray[np.int32],
+        roots: npt.NDArray[np.int32],
+        expected: FloatArray,
+        places: tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]],
+    ) -> Self:
+        """Measure by how much the phase of each region has changed since the frame before.
+
+        Parameters
+        ----------
+        votes : (N, 5) int32
+            All of `vote_orders`'s.
+        roots : (P,) int32
+            The patch that stands for the region of each patch.
+        expected : (N,) float
+            The change that they were taken with, cycles.
+        places : two (N,) int
+            Their rows and columns.
+        """
+        if len(self.roots) == 0:
+            return self
+        vote = np.flatnonzero((votes[:, PATCH] >= 0) & (votes[:, SOUND] == 1))
+        region = np.minimum(np.searchsorted(self.roots, roots[votes[vote, PATCH]]), len(self.roots) - 1)
+        agrees = self.roots[region] == roots[votes[vote, PATCH]]
+        agrees &= votes[vote, LACKING] == self.offsets[region]
+        vote, region = vote[agrees], region[agrees]
+        here = np.stack([np.ones(len(vote)), places[1][vote], places[0][vote]])
+        change = 2 * np.pi * (expected[vote] - votes[vote, REST] / RESTS_A_CYCLE)
+        count = len(self.roots)
+        fit = _fitted_planes(region, here, change, count)
+        near = np.abs(change - (fit[region].T * here).sum(axis=0)) < _SAME_CHANGE
+        voters, alike = np.bincount(region, minlength=count), np.bincount(region[near], minlength=count)
+        fit = _fitted_planes(region[near], here[:, near], change[near], count)
+        moves = (alike >= _MIN_ALIKE * voters) & (alike >= _MIN_MOVING)
+        return replace(self, change=np.where(moves[:, None], fit, 0))
 
     def with_neighbours(self, parts: npt.NDArray[np.int32], beside: npt.NDArray[np.int32]) -> Self:
         """Let parts that nothing carries keep their orders relative to the part that they go on with most; unsure.
@@ -68,10 +111,20 @@ class CarriedOrders:
             offsets=np.concatenate([self.offsets, self.offsets[places]])[order],
             before=np.concatenate([self.before, self.before[places]])[order],
             error_probability=np.concatenate([self.error_probability, np.ones(len(alone))])[order],
+            change=np.concatenate([self.change, self.change[places]])[order],
         )
 
 
-def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> CarriedOrders:
+def _fitted_planes(group: npt.NDArray[np.int64], here: FloatArray, values: FloatArray, count: int) -> FloatArray:
+    """Return (count, 3): constant and slopes of the plane that fits each group's (n,) values at (3, n) places best."""
+    normal = np.stack([[np.bincount(group, a * b, count) for b in here] for a in here]) + _PLANE_PRIOR[..., None]
+    right = np.stack([np.bincount(group, a * values, count) for a in here])
+    return np.asarray(np.linalg.solve(normal.transpose(2, 0, 1), right.T[..., None])[..., 0])
+
+
+def count_votes(
+    votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], expected: FloatArray | None = None
+) -> CarriedOrders:
     """Count `vote_orders`'s votes: the sound ones, and the others of regions that have too few.
 
     Parameters
@@ -80,8 +133,11 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
         Patch, cycles, rest, region before, soundness.
     roots : (P,) int32
         The patch that stands for the region of each patch.
+    expected : (N,) float, optional
+        The change that the votes were taken with, cycles; None: none.
     """
-    votes = votes[votes[:, PATCH] >= 0]
+    expected = np.zeros(len(votes)) if expected is None else expected
+    votes, expected = votes[votes[:, PATCH] >= 0], expected[votes[:, PATCH] >= 0]
     root = roots[votes[:, PATCH]].astype(np.int64)
     sound = np.bincount(root, votes[:, SOUND], len(roots)) >= _MIN_VOTES
     counting = (votes[:, SOUND] == 1) | ~sound[root]
@@ -89,18 +145,21 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     void = np.bincount(root[counting & ~clear], minlength=len(roots))
     coherence = _coherence(root[counting], votes[counting, REST], len(roots))
     everyone = int(counting.sum())
-    votes, root = votes[counting & clear], root[counting & clear]
+    counting &= clear
+    votes, root, expected = votes[counting], root[counting], expected[counting]
     if len(votes) == 0:
         none = np.zeros(0, np.int64)
-        return CarriedOrders(False, none, none, none, none.astype(float))
+        return CarriedOrders(False, none, none, none, none.astype(float), np.zeros((0, 3)))
     # A ballot is a region and an offset; those who cast it may come from several regions of the frame before.
     low, before_span = int(votes[:, LACKING].min()), int(votes[:, BEFORE].max()) + 1
     cycles_span = int(votes[:, LACKING].max()) - low + 1
     keys = (root * cycles_span + votes[:, LACKING] - low) * before_span + votes[:, BEFORE]
     origins, member, voters = np.unique(keys, return_inverse=True, return_counts=True)
-    rest = np.bincount(member, np.abs(votes[:, REST]) / RESTS_A_CYCLE)
+    rest = votes[:, REST] / RESTS_A_CYCLE
+    # How far the change is from what was expected, and the change itself; votes lack what the phase has gained.
+    sums = [np.bincount(member, values) for values in (np.abs(rest), expected - rest)]
     ballots, starts = np.unique(origins // before_span, return_index=True)
-    counts, change = np.add.reduceat(voters, starts), np.add.reduceat(rest, starts)
+    counts, surprise, change = (np.add.reduceat(values, starts) for values in (voters, *sums))
     commonest = np.lexsort((-voters, origins // before_span))[starts]
     # The two ballots with the most votes of every region; ties go to the smaller offset.
     ranking = np.lexsort((ballots, -counts, ballots // cycles_span))
@@ -108,15 +167,23 @@ def count_votes(votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32]) -> C
     best, total = ranking[starts], np.add.reduceat(counts[ranking], starts) + void[regions]
     second = np.where(several > 1, counts[ranking[np.minimum(starts + 1, len(ranking) - 1)]], 0)
     lead = counts[best] - np.maximum(second, void[regions])
-    usual = change[best] / counts[best]
+    surprise, change = surprise[best] / counts[best], change[best] / counts[best]
     kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (coherence[regions] >= _MIN_COHERENCE)
     if (coherence[regions] * total)[kept].sum() < _SAME_SCENE * everyone:
         return count_votes(votes[:0], roots)
-    doubt = 0.5 ** (lead / _HALVING_LEAD) + np.exp((2 * usual - 1) / _USUAL_CHANGE)
+    # What has moved goes on moving, or it stops: the next order may be the likelier one.
+    turn = np.where(change < 0, 1, -1)
+    here, there = (
+        np.exp(-far / _USUAL_CHANGE) + np.exp(-np.abs(moved) / _USUAL_CHANGE)
+        for far, moved in ((surprise, change), (1 - surprise, change + turn))
+    )
+    turn[here >= there] = 0
+    doubt = 0.5 ** (lead / _HALVING_LEAD) + np.minimum(here, there) / np.maximum(here, there)
     doubt = np.where(sound[regions], np.minimum(doubt, 1), _EDGE_DOUBT)
     best = best[kept]
-    offsets, before = ballots[best] % cycles_span + low, origins[commonest[best]] % before_span
-    return CarriedOrders(True, regions[kept], offsets, before, doubt[kept])
+    offsets = ballots[best] % cycles_span + low + turn[kept]
+    before = origins[commonest[best]] % before_span
+    return CarriedOrders(True, regions[kept], offsets, before, doubt[kept], np.zeros((len(offsets), 3)))
 
 
 def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:

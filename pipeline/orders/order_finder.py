@@ -23,6 +23,7 @@ from pipeline.pattern.contrast_code import cycle_modulations
 from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
 from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measure_contrast, vote_orders
+from tikernels.order_evidence.order_votes import BEFORE, vote_places
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import modulation_tables
@@ -112,12 +113,14 @@ class Placement:
         """
         roots = regions.roots
         known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
+        change = np.zeros((len(roots) + 1, 3), np.float32)
         if memory is not None and self.carried is not None:
             goes_on = np.isin(roots, self.carried.roots)
             found = np.searchsorted(self.carried.roots, roots[goes_on])
             before, number = self.carried.before[found], 1 + np.flatnonzero(goes_on)
             stays = (1 - memory.orders.error_probability[before]) * (1 - self.carried.error_probability[found])
             errors[number] = 1 - stays
+            change[number] = self.carried.change[found]
             known[number] = memory.orders.known[before] & (errors[number] < MAX_CARRIED_ERROR)
         if self.absolute is not None and len(self.absolute.parts):
             part = np.searchsorted(self.absolute.parts, roots)
@@ -127,7 +130,7 @@ class Placement:
             known[1:] |= absolute
             errors[1:] = np.where(absolute | ~known[1:], by_itself, errors[1:])
         errors[0] = np.nan
-        return RegionOrders(known, errors.astype(np.float32))
+        return RegionOrders(known, errors.astype(np.float32), change)
 
 
 class OrderFinder:
@@ -186,16 +189,18 @@ class OrderFinder:
             absolute, readable = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
             roots, warning = absolute.roots, None if readable else _CODE_NOT_SEEN
         if memory is not None:
-            votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region)
-            if roots is not None:  # the code has split them, and knows better
-                carried = count_votes(votes, roots)
-            else:
-                graph = patches.graph()
-                parts = split_by_votes(votes, graph, memory.orders.known)
-                carried = count_votes(votes, parts)
-                if patches.beside is not None and carried.same_scene:
+            change = memory.orders.change
+            votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region, change)
+            places = vote_places(patches.shape)
+            constant, along, across = change[votes[:, BEFORE]].T / (2 * np.pi)
+            expected = constant + along * places[1] + across * places[0]
+            # What a code has split it knows better.
+            parts = split_by_votes(votes, patches.graph(), memory.orders.known) if roots is None else roots
+            carried = count_votes(votes, parts, expected).with_change(votes, parts, expected, places)
+            if roots is None and carried.same_scene:
+                if patches.beside is not None:
                     carried = carried.with_neighbours(parts, patches.beside)
-                roots = parts if carried.same_scene else None
+                roots = parts
             warning = warning if carried.same_scene else _OTHER_SCENE
         if absolute is not None and readable:
             unknown = absolute.parts[absolute.error_probability(absolute.offsets) > _MAX_GUESS]

@@ -1,6 +1,6 @@
 """The study of video: objects that swing and turn, frame after frame, their orders measured against the truth.
 
-python tests/benchmarks/moving_scenes.py [--frames 300] [--seed 0] [--scenes bust ball objects] [--arch cpu]
+python tests/benchmarks/moving_scenes.py [--frames 300] [--seed 0] [--speed 1] [--scenes bust ball objects] [--arch cpu]
 
 The order error of a pixel is its unwrapped phase less the true one, in whole cycles. A surface of the truth is a
 connected set of lit pixels whose neighbours lie less than 4 mm apart; it goes on in the frame after as the surface
@@ -34,6 +34,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0, help="another one: another path and noise")
+    parser.add_argument("--speed", type=float, default=1.0, help="how many times as fast everything moves")
     parser.add_argument("--scenes", nargs="+", default=["bust", "ball", "objects"])
     parser.add_argument("--patterns", nargs="+", default=list(PATTERNS), choices=PATTERNS)
     parser.add_argument("--unwrap-method", default="directional", choices=["directional", "reliability"])
@@ -49,14 +50,14 @@ def main() -> None:
     for scene in arguments.scenes:
         for pattern in arguments.patterns:
             settings = DecodeSettings(unwrap_method=arguments.unwrap_method)
-            print(row(scene, pattern, arguments.frames, arguments.seed, settings), flush=True)
+            print(row(scene, pattern, arguments.frames, arguments.seed, settings, arguments.speed), flush=True)
 
 
-def row(scene: str, pattern: str, frames: int, seed: int, settings: DecodeSettings) -> str:
+def row(scene: str, pattern: str, frames: int, seed: int, settings: DecodeSettings, speed: float) -> str:
     """Return what one scene under one pattern comes to."""
     flips = Flips(known=pattern != "plain")
     coverage, absolute, wrong = [], [], 0
-    for frame, truth in decoded(scene, pattern, frames, seed, settings):
+    for frame, truth in decoded(scene, pattern, frames, seed, settings, speed):
         lit = flips.add(frame, truth)
         coverage.append(frame.mask[lit].mean())
         absolute.append(frame.absolute[frame.mask].mean())
@@ -67,10 +68,10 @@ def row(scene: str, pattern: str, frames: int, seed: int, settings: DecodeSettin
     return "| " + " | ".join(cells) + " |"
 
 
-def moved(scene: str, number: int, seed: int) -> SimulationSettings:
+def moved(scene: str, number: int, seed: int, speed: float) -> SimulationSettings:
     """Return the settings of one frame of objects that swing along three axes and turn, each at its own pace."""
     random = np.random.default_rng(seed)
-    pace, start = random.uniform(40, 80, 4), random.uniform(0, 2 * np.pi, 4)
+    pace, start = random.uniform(40, 80, 4) / speed, random.uniform(0, 2 * np.pi, 4)
     swing = np.sin(2 * np.pi * number / pace + start)
     return SimulationSettings(
         scene=scene,
@@ -81,7 +82,7 @@ def moved(scene: str, number: int, seed: int) -> SimulationSettings:
 
 
 def decoded(
-    scene: str, pattern: str, frames: int, seed: int, settings: DecodeSettings
+    scene: str, pattern: str, frames: int, seed: int, settings: DecodeSettings, speed: float = 1.0
 ) -> Iterator[tuple[DecodedFrame, SimulatedFrame]]:
     """Decode a video, every frame with the one before."""
     code = None if pattern == "plain" else "contrast"
@@ -91,7 +92,7 @@ def decoded(
             rig = simulated_rig(code=code if number == 0 else None)
             light = SimulationSettings().crosstalk_matrix
             decoder = Decoder(settings, rig.model_copy(update={"crosstalk_matrix": light}))
-        truth = simulate_frame(rig, moved(scene, number, seed))
+        truth = simulate_frame(rig, moved(scene, number, seed, speed))
         frame = decoder.decode(truth.image, previous=frame)
         yield frame, truth
 

@@ -3,7 +3,8 @@
 Between two frames of a video a surface moves by less than half a cycle of phase, so the whole cycles that a pixel's
 phase lacks to that of the frame before are those that its region lacks to be absolute, wherever the pixel still sees
 the same surface. Where it does not, it votes for anything: at the edges of what moves. A vote is sound where the frame
-before shows no edge within reach.
+before shows no edge within reach. What has moved goes on moving: the frame before is taken with the change of phase
+that each of its regions had last, so that half a cycle is what the motion may change by, and not the motion.
 """
 
 import numpy as np
@@ -21,6 +22,7 @@ from tikernels.unwrapping.tables import (
     ORDER_MASK,
     ORDER_ZERO,
     Patch,
+    cells_of,
     patch_number,
 )
 
@@ -63,6 +65,8 @@ def vote_orders_kernel(
     patches: I32Array2,  # (12, capacity) see `Patch`; offsets are read
     before: F32Array2,  # (H, W) rad, unwrapped phase of the frame before; NaN outside its mask
     region_before: I32Array2,  # (H, W)
+    change: F32Array2,  # (regions + 1, 3) rad by which the phase of each region before is expected to change, and its
+    # slopes, rad a px, along rows and columns
     out_votes: I32Array2,  # (cells * VOTES_A_CELL, 5)
 ):
     """Ask every fourth pixel both ways what its patch lacks to agree with the frame before."""
@@ -79,7 +83,8 @@ def vote_orders_kernel(
             if label >= 0 and region > 0:
                 patch = patch_number(label >> ORDER_BITS, cells, draft_bits)
                 order = (label & ORDER_MASK) - ORDER_ZERO + patches[Patch.OFFSET, patch]
-                lacking = (before[y, x] - phase[y, x]) / (2.0 * PI) - ti.cast(order, ti.f32)
+                expected = before[y, x] + change[region, 0] + change[region, 1] * x + change[region, 2] * y
+                lacking = (expected - phase[y, x]) / (2.0 * PI) - ti.cast(order, ti.f32)
                 cycles = ti.cast(ti.round(lacking), i32)
                 rest = ti.cast(ti.round(ti.cast(RESTS_A_CYCLE, ti.f32) * (lacking - ti.cast(cycles, ti.f32))), i32)
                 sound = smooth_around(before, y, x)
@@ -90,7 +95,17 @@ def vote_orders_kernel(
         out_votes[vote, SOUND] = sound
 
 
-def vote_orders(phase: F32, patches: Patches, unwrapped_before: F32, region_before: I32) -> npt.NDArray[np.int32]:
+def vote_places(shape: tuple[int, int]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return the row and the column of every vote in an image of this shape."""
+    vote = np.arange(cells_of(*shape)[0] * cells_of(*shape)[1] * VOTES_A_CELL)
+    (row, column), place = np.divmod(vote // VOTES_A_CELL, cells_of(*shape)[1]), vote % VOTES_A_CELL
+    across = CELL_WIDTH // 4
+    return row * CELL_HEIGHT + 4 * (place // across) + 1, column * CELL_WIDTH + 4 * (place % across) + 1
+
+
+def vote_orders(
+    phase: F32, patches: Patches, unwrapped_before: F32, region_before: I32, change: npt.NDArray[np.float32]
+) -> npt.NDArray[np.int32]:
     """Let pixels vote for the whole cycles that their patches lack to agree with the frame before.
 
     Parameters
@@ -103,6 +118,9 @@ def vote_orders(phase: F32, patches: Patches, unwrapped_before: F32, region_befo
         Unwrapped phase of the frame before, rad; NaN outside its mask.
     region_before : (H, W) int32
         Its regions.
+    change : (regions + 1, 3) float32
+        By how much the phase of each is expected to change since, rad, and the slopes of that along rows and columns,
+        rad a px, the first pixel at 0.
 
     Returns
     -------
@@ -118,7 +136,8 @@ def vote_orders(phase: F32, patches: Patches, unwrapped_before: F32, region_befo
     phase = checks.read_array("phase", phase, patches.shape, np.float32)
     before = checks.read_array("unwrapped_before", unwrapped_before, patches.shape, np.float32)
     region_before = checks.read_array("region_before", region_before, patches.shape, np.int32)
+    change = checks.read_array("change", change, (None, 3), np.float32)
     votes = runtime.empty((patches.cells * VOTES_A_CELL, 5), np.int32)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits, patches.table)
-    vote_orders_kernel(phase, *of_patches, before, region_before, votes)
+    vote_orders_kernel(phase, *of_patches, before, region_before, change, votes)
     return runtime.to_host(votes)  # synchronises

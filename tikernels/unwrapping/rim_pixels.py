@@ -105,7 +105,7 @@ def is_cut_off(
 ):
     """Return whether a pixel is cut off from its surface, and a ray that goes on if it is not.
 
-    It is cut off if all rays are stopped, some by an edge and some by another's light. The ray on which the pixel before
+    It is cut off if all rays are stopped, some by an edge and some by another's light. The ray on which the one before
     was not stopped is tried first.
     """
     tried, open_ray, edges, others = 0, -1, False, False

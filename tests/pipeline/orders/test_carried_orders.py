@@ -8,9 +8,10 @@ import pytest
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.decoding.frame import RegionOrders
 from pipeline.errors import SettingsError
-from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, count_votes, split_by_votes
+from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, count_votes, split_by_votes
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import ShapeError
+from tikernels.order_evidence.order_votes import RESTS_A_CYCLE
 from tikernels.unwrapping import PatchGraph
 
 pytestmark = pytest.mark.usefixtures("cpu")
@@ -61,6 +62,39 @@ def test_what_nothing_carries_follows_what_it_goes_on_with():
 def test_a_doubtful_vote_carries_nothing(rows):
     carried = count_votes(votes_of(*rows), np.zeros(1, np.int32))
     assert len(carried.roots) == 0
+
+
+def test_the_change_of_a_region_is_a_plane():
+    """Votes whose phase has risen by 0.2 cycles, and by more to the right; and some that agree on nothing."""
+    random = np.random.default_rng(4)
+    places = random.integers(0, 200, (2, 600))
+    expected = np.full(600, 0.125)
+    change = 0.2 + 0.001 * (places[1] - 100)
+    rest = np.rint(RESTS_A_CYCLE * (expected - change)).astype(np.int32)
+    rest[400:] = random.integers(-20, 21, 200)
+    votes = np.stack([np.repeat([0, 1], [400, 200]), np.full(600, 3), rest, np.ones(600), np.ones(600)], axis=1)
+    votes = votes.astype(np.int32)
+    roots = np.arange(2, dtype=np.int32)
+    none = np.zeros(2, np.int64)
+    carried = CarriedOrders(True, np.arange(2), none + 3, none, np.zeros(2), np.zeros((2, 3)))
+    found = carried.with_change(votes, roots, expected, places).change
+    np.testing.assert_allclose(found[0] / (2 * np.pi), [0.1, 0.001, 0], atol=2e-3)
+    np.testing.assert_array_equal(found[1], 0)
+
+
+@pytest.mark.parametrize(
+    ("expected", "rest", "offset", "doubtful"),
+    [
+        (0.45, 0.02, 3, False),  # it goes on as it did
+        (0.33, 0.30, 3, False),  # it stops
+        (0.34, -0.34, 2, True),  # it turns round, or goes on twice as fast: turning is the smaller change
+    ],
+)
+def test_what_moves_goes_on_or_stops(expected, rest, offset, doubtful):
+    votes = votes_of((300, 0, 3, round(RESTS_A_CYCLE * rest), 1))
+    carried = count_votes(votes, np.zeros(1, np.int32), np.full(300, expected))
+    assert carried.offsets[0] == offset
+    assert (carried.error_probability[0] > 0.1) == doubtful
 
 
 def test_only_sound_votes_count_where_there_are_enough():
@@ -191,7 +225,7 @@ def test_a_cut_starts_afresh(scenes):
     before, after = scenes.split()
     previous = decoder.decode(simulate_frame(rig, SimulationSettings(scene=before)).image)
     regions = len(previous.order_is_known)
-    sure = RegionOrders(np.ones(regions, bool), np.zeros(regions, np.float32))
+    sure = RegionOrders(np.ones(regions, bool), np.zeros(regions, np.float32), np.zeros((regions, 3), np.float32))
     previous = replace(previous, _measured=replace(previous._measured, orders=sure))
     image = simulate_frame(rig, SimulationSettings(scene=after, gamma=1.0)).image
     with pytest.warns(DecodeWarning, match="nothing of the frame before is seen again"):

@@ -17,7 +17,11 @@ REGIONS = SimpleNamespace(roots=np.array([4, 9, 2]))  # regions 1, 2 and 3
 
 
 def memory(known, errors):
-    orders = RegionOrders(np.array([False, *known]), np.array([np.nan, *errors], np.float32))
+    orders = RegionOrders(
+        np.array([False, *known]),
+        np.array([np.nan, *errors], np.float32),
+        np.zeros((1 + len(known), 3), np.float32),
+    )
     return FrameMemory("horizontal", None, None, orders, None)
 
 
@@ -33,7 +37,8 @@ def placement(**found):
 
 
 def carried(**values):
-    return CarriedOrders(**{"same_scene": True, **{name: np.array(value) for name, value in values.items()}})
+    still = np.zeros((len(values["roots"]), 3))
+    return CarriedOrders(same_scene=True, change=still, **{name: np.array(value) for name, value in values.items()})
 
 
 def test_nothing_told_is_nothing_known():

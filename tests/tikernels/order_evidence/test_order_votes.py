@@ -8,9 +8,11 @@ from support.wrapped_surfaces import drafts_and_orders, join, surface
 import tikernels
 from tikernels import runtime
 from tikernels.order_evidence import vote_orders
-from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, SOUND, VOTES_A_CELL
+from tikernels.order_evidence.order_votes import BEFORE, LACKING, PATCH, REST, SOUND, VOTES_A_CELL, vote_places
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.tables import cells_of, numbers_of
+
+NO_CHANGE = np.zeros((4, 3), np.float32)
 
 
 def voters(shape: tuple[int, int]) -> np.ndarray:
@@ -65,7 +67,7 @@ def test_as_the_twin(arch, shape, method):
     before[rng.random(shape) < 0.01] = np.nan
     region = np.where(np.isnan(before), 0, rng.integers(1, 4, shape)).astype(np.int32)
     patches, _ = join(phase, method=method)
-    votes = vote_orders(phase, patches, before, region)
+    votes = vote_orders(phase, patches, before, region, NO_CHANGE)
     expected = twin(phase.astype(np.float64), patches, before.astype(np.float64), region)
     assert votes.shape == (patches.cells * VOTES_A_CELL, 5)
     np.testing.assert_array_equal(votes[:, [PATCH, LACKING, BEFORE, SOUND]], expected[:, [0, 1, 3, 4]])
@@ -84,16 +86,37 @@ def test_a_surface_that_has_moved_lacks_its_cycles(arch):
     constant = np.rint((true[y, x] - now) / (2 * np.pi))
     assert np.ptp(constant) == 0
     before = (true + 2 * np.pi * 7.25).astype(np.float32)
-    votes = vote_orders(phase, patches, before, np.ones(true.shape, np.int32))
+    votes = vote_orders(phase, patches, before, np.ones(true.shape, np.int32), NO_CHANGE)
     sound = votes[votes[:, SOUND] == 1]
     assert len(sound) > 0.5 * len(votes)
     assert (sound[:, LACKING] == 7 + constant[0]).all() and (np.abs(sound[:, REST] - 16) <= 1).all()
+
+
+def test_votes_are_taken_with_the_change_that_is_expected(arch):
+    """A plane that has moved by 0.6 cycles, and by more to the right and below, as it did before."""
+    true = reference.ramp(96, 120, tilt=0.02)
+    patches, _ = join(reference.wrapped(true))
+    change = np.array([[0, 0, 0], [1.2 * np.pi, 0.02, -0.01]], np.float32)
+    y, x = np.indices(true.shape)
+    before = true - (change[1, 0] + change[1, 1] * x + change[1, 2] * y)
+    votes = vote_orders(
+        reference.wrapped(true), patches, before.astype(np.float32), np.ones(true.shape, np.int32), change
+    )
+    sound = votes[votes[:, SOUND] == 1]
+    assert np.ptp(sound[:, LACKING]) == 0 and np.abs(sound[:, REST]).max() <= 1
+
+
+@pytest.mark.parametrize("shape", [(97, 131), (33, 41)])
+def test_votes_have_their_places(shape):
+    np.testing.assert_array_equal(np.stack(vote_places(shape), axis=1), voters(shape))
 
 
 def test_what_is_refused(arch):
     phase = reference.wrapped(reference.ramp(32, 40))
     patches, _ = join(phase)
     with pytest.raises(tikernels.ShapeError, match="unwrapped_before has shape"):
-        vote_orders(phase, patches, phase[1:], np.ones((32, 40), np.int32))
+        vote_orders(phase, patches, phase[1:], np.ones((32, 40), np.int32), NO_CHANGE)
     with pytest.raises(tikernels.ShapeError, match="region_before is uint8"):
-        vote_orders(phase, patches, phase, np.ones((32, 40), np.uint8))
+        vote_orders(phase, patches, phase, np.ones((32, 40), np.uint8), NO_CHANGE)
+    with pytest.raises(tikernels.ShapeError, match="change has shape"):
+        vote_orders(phase, patches, phase, np.ones((32, 40), np.int32), NO_CHANGE[0])
