@@ -16,8 +16,8 @@ from tikernels.unwrapping.patches import PatchGraph
 _MIN_VOTES, _MIN_SHARE = 6, 0.6
 # Beyond this change of phase from frame to frame, in cycles, the next order is nearly as close: such a vote is void.
 _MAX_CHANGE = 0.35
-# A surface's phase usually changes by this many cycles a frame, or by as many more than is expected; what is larger by as
-# many again is e-fold rarer.
+# A surface's phase usually changes by this many cycles a frame, or by as many more than is expected; what is larger by
+# as many again is e-fold rarer.
 _USUAL_CHANGE = 0.06
 # What goes on moves alike: of a region where all changes, in fractions of a cycle, are as frequent the coherence is 0,
 # where they spread over a half it is 0.64.
