@@ -380,16 +380,18 @@ def _posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> 
     the logarithm by how much likelier than it seems each part shows no code at all.
     """
     alone = np.log(_STRENGTH_PRIOR / len(_SPREADS))[:, None] + np.zeros(len(_SPREADS))
-    shown = alone + sum(_evidence(part) for _, part in likelihoods if part.shape[-1])
-    for (_, likelihood), more in zip(likelihoods, luck, strict=True):
-        likelihood[_STRENGTHS == 0] += more
-    together = alone + sum(_evidence(part) for _, part in likelihoods if part.shape[-1])
+    evidence = np.array([_evidence(part) for _, part in likelihoods]).reshape(-1, *alone.shape)
+    shown = alone + evidence.sum(axis=0)
+    read = np.array([part.shape[-1] > 0 for _, part in likelihoods], np.bool_)
+    evidence[np.ix_(read, _STRENGTHS == 0)] += luck[read, None, None]
+    together = alone + evidence.sum(axis=0)
     posteriors = []
-    for first, likelihood in likelihoods:
+    for (first, likelihood), own, more in zip(likelihoods, evidence, luck, strict=True):
         if likelihood.shape[-1] == 0:
             posteriors.append(NOTHING_KNOWN)
             continue
-        others = together - _evidence(likelihood)
+        likelihood[_STRENGTHS == 0] += more
+        others = together - own
         others -= np.logaddexp.reduce(others, axis=None)
         prior = np.logaddexp(np.log(1 - _UNALIKE) + others, np.log(_UNALIKE) + alone)
         logarithm = np.logaddexp.reduce(prior[..., None] + likelihood, axis=(0, 1))
@@ -400,5 +402,7 @@ def _posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> 
 
 
 def _evidence(likelihood: FloatArray) -> FloatArray:
-    """Return how probable each strength and spread is by a part whose offset may be any."""
+    """Return how probable each strength and spread is by a part of any offset; without steps it says nothing."""
+    if likelihood.shape[-1] == 0:
+        return np.zeros(likelihood.shape[:-1])
     return np.asarray(np.logaddexp.reduce(likelihood, axis=-1) - np.log(likelihood.shape[-1]))

@@ -42,20 +42,28 @@ def weigh_offsets_kernel(
 
 @ti.kernel
 def pool_evidence_kernel(
+    rounds: i32,
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
     weights: F32Array1,  # (2 C,) of their evidence
     evidence: F32Array2,  # (offsets, P)
-    pooled: F32Array2,  # (offsets, P) of the neighbours' own last round
-    out_pooled: F32Array2,  # (offsets, P)
+    out_even: F32Array2,  # (offsets, P) after an even number of rounds; the evidence, to begin with
+    out_odd: F32Array2,  # (offsets, P) after an odd one
 ):
-    """Add to each patch's evidence what its neighbours have pooled."""
+    """Add to each patch's evidence what its neighbours have pooled in the round before; offset by offset."""
     for k in range(evidence.shape[0]):
-        for patch in range(evidence.shape[1]):
-            total = evidence[k, patch]
-            for n in range(starts[patch], starts[patch + 1]):
-                total += weights[n] * pooled[k, neighbours[n]]
-            out_pooled[k, patch] = total
+        for turn in range(rounds):
+            for patch in range(evidence.shape[1]):
+                total = evidence[k, patch]
+                for n in range(starts[patch], starts[patch + 1]):
+                    pooled = out_even[k, neighbours[n]]
+                    if turn % 2 == 1:
+                        pooled = out_odd[k, neighbours[n]]
+                    total += weights[n] * pooled
+                if turn % 2 == 0:
+                    out_odd[k, patch] = total
+                else:
+                    out_even[k, patch] = total
 
 
 @ti.kernel
@@ -163,11 +171,10 @@ def pool_evidence(
     -------
     (offsets, P) float32
     """
-    pooled, weight = evidence, weights[links.contact].astype(np.float32)
-    for _ in range(rounds):
-        before, pooled = pooled, np.empty_like(evidence)
-        pool_evidence_kernel(links.starts, links.neighbours, weight, evidence, before, pooled)
-    return pooled
+    pooled = evidence.copy(), np.empty_like(evidence)
+    weight = weights[links.contact].astype(np.float32)
+    pool_evidence_kernel(rounds, links.starts, links.neighbours, weight, evidence, *pooled)
+    return pooled[rounds % 2]
 
 
 def settle_labels(
