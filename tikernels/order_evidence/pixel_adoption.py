@@ -22,7 +22,7 @@ _MAX_ADOPTED, _ALIKE, _MIN_RIVAL = 0.25, 0.85, 0.5
 _MAX_ALONE, _ALIKE_ALONE = 1.2, 0.5
 # Other surfaces are looked for at up to this distance, px, in eight directions; steps are closed by this many pixels
 # from either side, one a pass.
-_REACH, _PASSES = 3, 3
+_REACH, _PASSES = 3, 4
 
 
 @ti.func
