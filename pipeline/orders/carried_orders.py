@@ -122,8 +122,47 @@ def _fitted_planes(group: npt.NDArray[np.int64], here: FloatArray, values: Float
     return np.asarray(np.linalg.solve(normal.transpose(2, 0, 1), right.T[..., None])[..., 0])
 
 
+def choose_motion(
+    votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], expected: FloatArray
+) -> tuple[npt.NDArray[np.int32], FloatArray]:
+    """Let the votes of regions that have not gone on as expected be those of regions that were at rest.
+
+    Parameters
+    ----------
+    votes : (N, 5) int32
+        `vote_orders`'s.
+    roots : (P,) int32
+        The patch that stands for the region of each patch.
+    expected : (N,) float
+        The change that they were taken with, cycles.
+
+    Returns
+    -------
+    votes : (N, 5) int32
+        Of regions of which fewer votes are void if no change is expected, taken without.
+    taken_with : (N,) float
+        The change that each is taken with now, cycles.
+    """
+    voting = votes[:, PATCH] >= 0
+    root = roots[np.maximum(votes[:, PATCH], 0)]
+    lacking = votes[:, LACKING] + votes[:, REST] / RESTS_A_CYCLE - expected
+    cycles = np.rint(lacking)
+    rest = np.rint(RESTS_A_CYCLE * (lacking - cycles))
+    void, void_at_rest = (
+        np.bincount(root[voting], np.abs(left[voting]) >= RESTS_A_CYCLE * _MAX_CHANGE, len(roots))
+        for left in (votes[:, REST], rest)
+    )
+    at_rest = voting & (void_at_rest < void)[root]
+    chosen = votes.copy()
+    chosen[at_rest, LACKING], chosen[at_rest, REST] = cycles[at_rest], rest[at_rest]
+    return chosen, np.where(at_rest, 0.0, expected)
+
+
 def count_votes(
-    votes: npt.NDArray[np.int32], roots: npt.NDArray[np.int32], expected: FloatArray | None = None
+    votes: npt.NDArray[np.int32],
+    roots: npt.NDArray[np.int32],
+    taken_with: FloatArray | None = None,
+    expected: FloatArray | None = None,
 ) -> CarriedOrders:
     """Count `vote_orders`'s votes: the sound ones, and the others of regions that have too few.
 
@@ -133,11 +172,14 @@ def count_votes(
         Patch, cycles, rest, region before, soundness.
     roots : (P,) int32
         The patch that stands for the region of each patch.
-    expected : (N,) float, optional
-        The change that the votes were taken with, cycles; None: none.
+    taken_with, expected : (N,) float, optional
+        The change that the votes are taken with, and the one that was expected, cycles; None: none.
     """
-    expected = np.zeros(len(votes)) if expected is None else expected
-    votes, expected = votes[votes[:, PATCH] >= 0], expected[votes[:, PATCH] >= 0]
+    taken_with = np.zeros(len(votes)) if taken_with is None else taken_with
+    change = taken_with - votes[:, REST] / RESTS_A_CYCLE  # votes lack what the phase has gained
+    surprise = change - (taken_with if expected is None else expected)
+    voting = votes[:, PATCH] >= 0
+    votes, change, surprise = votes[voting], change[voting], surprise[voting]
     root = roots[votes[:, PATCH]].astype(np.int64)
     sound = np.bincount(root, votes[:, SOUND], len(roots)) >= _MIN_VOTES
     counting = (votes[:, SOUND] == 1) | ~sound[root]
@@ -146,7 +188,7 @@ def count_votes(
     coherence = _coherence(root[counting], votes[counting, REST], len(roots))
     everyone = int(counting.sum())
     counting &= clear
-    votes, root, expected = votes[counting], root[counting], expected[counting]
+    votes, root, change, surprise = votes[counting], root[counting], change[counting], surprise[counting]
     if len(votes) == 0:
         none = np.zeros(0, np.int64)
         return CarriedOrders(False, none, none, none, none.astype(float), np.zeros((0, 3)))
@@ -155,11 +197,9 @@ def count_votes(
     cycles_span = int(votes[:, LACKING].max()) - low + 1
     keys = (root * cycles_span + votes[:, LACKING] - low) * before_span + votes[:, BEFORE]
     origins, member, voters = np.unique(keys, return_inverse=True, return_counts=True)
-    rest = votes[:, REST] / RESTS_A_CYCLE
-    # How far the change is from what was expected, and the change itself; votes lack what the phase has gained.
-    sums = [np.bincount(member, values) for values in (np.abs(rest), expected - rest)]
+    sums = [np.bincount(member, values) for values in (np.abs(surprise), surprise, change)]
     ballots, starts = np.unique(origins // before_span, return_index=True)
-    counts, surprise, change = (np.add.reduceat(values, starts) for values in (voters, *sums))
+    counts, far, surprise, change = (np.add.reduceat(values, starts) for values in (voters, *sums))
     commonest = np.lexsort((-voters, origins // before_span))[starts]
     # The two ballots with the most votes of every region; ties go to the smaller offset.
     ranking = np.lexsort((ballots, -counts, ballots // cycles_span))
@@ -167,18 +207,20 @@ def count_votes(
     best, total = ranking[starts], np.add.reduceat(counts[ranking], starts) + void[regions]
     second = np.where(several > 1, counts[ranking[np.minimum(starts + 1, len(ranking) - 1)]], 0)
     lead = counts[best] - np.maximum(second, void[regions])
-    surprise, change = surprise[best] / counts[best], change[best] / counts[best]
+    far, surprise, change = (values[best] / counts[best] for values in (far, surprise, change))
     kept = (counts[best] >= _MIN_VOTES) & (counts[best] >= _MIN_SHARE * total) & (coherence[regions] >= _MIN_COHERENCE)
     if (coherence[regions] * total)[kept].sum() < _SAME_SCENE * everyone:
         return count_votes(votes[:0], roots)
-    # What has moved goes on moving, or it stops: the next order may be the likelier one.
-    turn = np.where(change < 0, 1, -1)
-    here, there = (
-        np.exp(-far / _USUAL_CHANGE) + np.exp(-np.abs(moved) / _USUAL_CHANGE)
-        for far, moved in ((surprise, change), (1 - surprise, change + turn))
+    # What has moved goes on moving, or it stops: by either, one of the next orders may be the likelier one.
+    likelihood = np.stack(
+        [
+            np.exp(-away / _USUAL_CHANGE) + np.exp(-np.abs(change + turn) / _USUAL_CHANGE)
+            for turn, away in ((-1, np.abs(surprise - 1)), (0, far), (1, np.abs(surprise + 1)))
+        ]
     )
-    turn[here >= there] = 0
-    doubt = 0.5 ** (lead / _HALVING_LEAD) + np.minimum(here, there) / np.maximum(here, there)
+    turn = likelihood.argmax(axis=0) - 1
+    first, second = np.sort(likelihood, axis=0)[:0:-1]
+    doubt = 0.5 ** (lead / _HALVING_LEAD) + second / first
     doubt = np.where(sound[regions], np.minimum(doubt, 1), _EDGE_DOUBT)
     best = best[kept]
     offsets = ballots[best] % cycles_span + low + turn[kept]

@@ -15,7 +15,7 @@ from pipeline.calibration import Geometry
 from pipeline.decoding.buffers import SurfaceBuffers
 from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
-from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, count_votes, split_by_votes
+from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, choose_motion, count_votes, split_by_votes
 from pipeline.orders.coded_orders import find_absolute_orders
 from pipeline.orders.modulation import blur_shift, code_deviations, modulation_corrections
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, AbsoluteOrders, OrderRange
@@ -196,7 +196,8 @@ class OrderFinder:
             expected = constant + along * places[1] + across * places[0]
             # What a code has split it knows better.
             parts = split_by_votes(votes, patches.graph(), memory.orders.known) if roots is None else roots
-            carried = count_votes(votes, parts, expected).with_change(votes, parts, expected, places)
+            votes, taken_with = choose_motion(votes, parts, expected)
+            carried = count_votes(votes, parts, taken_with, expected).with_change(votes, parts, taken_with, places)
             if roots is None and carried.same_scene:
                 if patches.beside is not None:
                     carried = carried.with_neighbours(parts, patches.beside)

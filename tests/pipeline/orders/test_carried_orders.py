@@ -8,10 +8,10 @@ import pytest
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.decoding.frame import RegionOrders
 from pipeline.errors import SettingsError
-from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, count_votes, split_by_votes
+from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, choose_motion, count_votes, split_by_votes
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import ShapeError
-from tikernels.order_evidence.order_votes import RESTS_A_CYCLE
+from tikernels.order_evidence.order_votes import LACKING, REST, RESTS_A_CYCLE
 from tikernels.unwrapping import PatchGraph
 
 pytestmark = pytest.mark.usefixtures("cpu")
@@ -95,6 +95,22 @@ def test_what_moves_goes_on_or_stops(expected, rest, offset, doubtful):
     carried = count_votes(votes, np.zeros(1, np.int32), np.full(300, expected))
     assert carried.offsets[0] == offset
     assert (carried.error_probability[0] > 0.1) == doubtful
+
+
+def test_what_did_not_go_on_as_expected_is_taken_at_rest():
+    """Two regions that were expected to rise by 0.3 cycles: one does, and the other falls by as much."""
+    roots = np.arange(2, dtype=np.int32)
+    expected = np.full(80, 0.3)
+    rest = round(RESTS_A_CYCLE * 0.4)
+    votes = np.concatenate([votes_of((40, 0, 3, 0, 1)), votes_of((40, 1, 4, -rest, 1))])
+    chosen, taken_with = choose_motion(votes, roots, expected)
+    np.testing.assert_array_equal(chosen[:40], votes[:40])
+    np.testing.assert_array_equal(taken_with, np.repeat([0.3, 0.0], 40))
+    assert (chosen[40:, LACKING] == 3).all() and np.ptp(chosen[40:, REST]) == 0
+    assert chosen[40, REST] / RESTS_A_CYCLE == pytest.approx(0.3, abs=0.02)
+    carried = count_votes(chosen, roots, taken_with, expected)
+    np.testing.assert_array_equal(carried.offsets, [3, 3])
+    assert carried.error_probability[0] < 0.01 < carried.error_probability[1] < 0.5
 
 
 def test_only_sound_votes_count_where_there_are_enough():
