@@ -89,7 +89,7 @@ def follow_ray(
                     meets = _OTHER
         else:
             after = brightness[y2, x2]
-            # Four pixels lie between; the first two are the pixel's own.
+            # Across four pixels; an edge within the first two is the own one of the pixel that the ray comes from.
             if far > 2 and ti.max(before, after) > _EDGE * ti.min(before, after):
                 meets = _BRIGHTNESS
             before, here = here, after
@@ -138,7 +138,7 @@ def is_spike(region: I32Array2, y: i32, x: i32) -> u1:
 
 @ti.func
 def lies_beside_others(phase: F32Array2, region: I32Array2, y: i32, first: i32) -> u1:
-    """Whether two surfaces' light is seen around a strip, by a look at every sixth pixel: at most strips it is not."""
+    """Whether two surfaces' light is seen around a strip, by a look at every tenth pixel: at most strips it is not."""
     lowest, highest = 1 << 30, -1
     for row, column in ti.static(ti.ndrange(3, 5)):
         there = ti.min(ti.max(y + (row - 1) * _NEAR, 0), region.shape[0] - 1)
