@@ -12,6 +12,7 @@ from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, 
 from pipeline.decoding.doubts import fringe_doubt, light_doubts
 from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, FrameSetup, Measured
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
+from pipeline.decoding.front_side import RimVotes, ask_rims
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
 from pipeline.decoding.surface_search import FoundSurfaces, NoModelFits
@@ -28,7 +29,7 @@ from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
 from tikernels.phase.frame_statistics import FrameLevels, measure_frame
-from tikernels.phase.phase_change import measure_rates
+from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
@@ -56,6 +57,9 @@ class Decoder:
     light : LightEstimate or None
         What the first frame with fringes told of crosstalk and response, where neither settings nor calibration say
         anything of the crosstalk. It is used for that frame and all after it if it is `reliable`.
+    rims : RimVotes
+        What the first frame that shows it clearly, or the last one, tells of which side is in front, where neither
+        settings nor calibration do.
 
     Raises
     ------
@@ -79,6 +83,8 @@ class Decoder:
         self.calibration = calibration
         self._path = LightPath(self.settings, calibration)
         geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
+        self.rims = RimVotes()
+        self._asks_rims = geometry is None and self.settings.projector_side is None
         plane = None if reference is None else reference.unwrapped_phase.copy()  # its frame may become `out`
         self._reader = FrameReader(self.settings, self._path, geometry, plane)
         depth_range_mm = None if calibration is None else calibration.depth_range_mm
@@ -149,6 +155,9 @@ class Decoder:
                         memory = None if out is previous else memory  # its buffers have just been written
                         measured = self._measure(frame, levels, period_px, memory, *buffers)
                         measured = replace(measured, order_doubt=measured.order_doubt or first.order_doubt)
+                    if self._setup.rays is None:
+                        sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
+                        measured = replace(measured, range_sign=sign, front_is_clear=clear)
             for doubt in measured.doubts:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
             result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)
@@ -167,6 +176,15 @@ class Decoder:
         self.light = light
         self._path.learn(light)
         self._orders.ask_for_no_code()
+
+    @property
+    def asks_rims(self) -> bool:
+        """Whether the next frame with fringes is to tell which side is in front, which nothing has made clear."""
+        return self._asks_rims and not self.rims.clear
+
+    def use_rims(self, rims: RimVotes) -> None:
+        """Take what another decoder's frames told of which side is in front, instead of asking those to come."""
+        self.rims, self._asks_rims = rims, False
 
     def _measure(
         self,
@@ -239,6 +257,17 @@ class Decoder:
             order_doubt=placement.warning or lost,
             light_doubts=light_doubts(*light, constant_known=path.constant_known),
         )
+
+    def _find_front(self, surface: SurfaceBuffers, work: Workspace) -> tuple[int, bool]:
+        """Return -1 if the phase grows towards the camera, else 1, and whether settings or frames make that clear."""
+        side = self.settings.projector_side
+        if self.asks_rims:
+            self.rims = ask_rims(runtime.to_host(surface.unwrapped), runtime.to_host(surface.region))
+        if side is not None:
+            # A projector above lights lower places of what is nearer.
+            rising = float(runtime.to_host(work.rates)[-1, RATE_ACROSS]) > 0  # synchronises
+            return (-1 if rising == (side in ("above", "left")) else 1), True
+        return (-1 if self.rims.clear and self.rims.falls > self.rims.grows else 1), self.rims.clear
 
     def _mm_per_rad(self, surface: SurfaceBuffers) -> float | None:
         """Return by how much a radian moves the points of a frame, mm; None without any."""

@@ -54,6 +54,10 @@ class DecodeSettings(Model):
     """How neighbours' orders are joined: row runs by votes, or pixels along the most reliable edges (slower)."""
     smoothing_px: Annotated[int, Field(ge=0, le=MAX_SMOOTHING_PX), AfterValidator(_odd_or_zero)] = 7
     """Side of the window that the phase is smoothed over, along the stripes and across them; 0: none."""
+    projector_side: Literal["above", "below", "left", "right"] | None = None
+    """Where the projector stands, as the camera's picture shows it: "above" or "below" with horizontal stripes, "left"
+    or "right" with vertical ones. It tells which side of a surface is in front where no calibration does; None: the
+    frame tells, in which surfaces turn away from the camera at their rims."""
     code: Literal["contrast"] | None = None
     """The pattern's code, by which orders become absolute; a calibration's pattern wins. "contrast": the modulation of
     each cycle tells which one it is, as in what `colorphase pattern` makes."""
@@ -77,6 +81,12 @@ class DecodeSettings(Model):
                 invert_crosstalk(self.crosstalk_matrix, normalize_rows=True)
             except ShapeError as error:
                 raise ValueError(str(error)) from None
+        sides = ("above", "below") if self.stripes == "horizontal" else ("left", "right")
+        if self.projector_side not in (None, *sides):
+            raise ValueError(
+                f"projector_side is {self.projector_side!r} and stripes are {self.stripes}: these tell depth only with "
+                f"a projector {' or '.join(sides)}"
+            )
         return self
 
     @classmethod

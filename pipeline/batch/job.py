@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
+from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
 from pipeline.footage.opening import open_source
@@ -25,7 +26,7 @@ from tikernels.raw.pixel_format import PixelFormat
 #: Frames a chain. In a chain each frame is decoded with the one before, the first one without: so a missing frame is
 #: decoded anew from the beginning of its chain.
 CHAIN_FRAMES = 64
-# Frames, evenly spaced, that are asked for the light before it counts as unknown.
+# Frames, evenly spaced, that are asked for the light, and for which side is in front, before these count as unknown.
 _MOST_ASKED = 64
 
 
@@ -134,15 +135,17 @@ class Job:
             "chain_frames": CHAIN_FRAMES,
         }
 
-    def open_store(self, source: Source, light: LightEstimate | None) -> ResultStore:
-        """Open the store, or make it, with what has been learnt of the light.
+    def open_store(
+        self, source: Source, light: LightEstimate | None = None, rims: RimVotes | None = None
+    ) -> ResultStore:
+        """Open the store, or make it, with what has been learnt of the light and of which side is in front.
 
         Raises
         ------
         OutputError
             It holds something else, or cannot be written.
         """
-        also = {"light": None if light is None else light.as_json()}
+        also = {"light": None if light is None else light.as_json(), "rims": asdict(rims or RimVotes())}
         return ResultStore(self.store, self.identity(source), len(source), self.size_px(source), self.fields, also)
 
     def decoder(self) -> Decoder:
@@ -159,24 +162,31 @@ class Job:
         image: LevelsImage = develop(planes, stored.format, stripes=self.settings.stripes, out=out)
         return image
 
-    def learn_light(self, source: Source) -> tuple[LightEstimate | None, tuple[str, ...]]:
-        """Ask the footage for its light, where neither settings nor calibration say anything of it.
+    def learn(self, source: Source) -> tuple[LightEstimate | None, RimVotes, tuple[str, ...]]:
+        """Ask the footage for its light and which side is in front, where neither settings nor calibration say it.
 
-        The first frame that tells it does, of 64 evenly spaced ones.
+        Of 64 evenly spaced frames, the first that tells the light does, and the first that shows the side clearly.
 
         Returns
         -------
         LightEstimate or None
-            What it told.
+            The light.
+        RimVotes
+            Which side is in front.
         tuple of str
-            What the user should know.
+            What the user should know of the light.
         """
+        light: LightEstimate | None = None
+        rims, light_told = RimVotes(), False
+        notes: tuple[str, ...] = ()
         every = -(-len(source) // _MOST_ASKED)
         for number in range(0, len(source), every):
             stored = next(iter(source.frames(number, number + 1)))
             if not isinstance(stored, StoredFrame):
                 continue
             decoder = self.decoder()
+            if light_told:
+                decoder.use_light(light)
             known = not decoder.asks_for_light
             try:
                 with warnings.catch_warnings():
@@ -184,9 +194,13 @@ class Job:
                     frame = decoder.decode(self.develop(stored, None))
             except FootageError:
                 continue
-            if frame.period_px is not None and (known or (decoder.light is not None and decoder.light.reliable)):
-                return decoder.light, frame.warnings
-        return None, ()
+            rims = decoder.rims
+            tells_light = known or (decoder.light is not None and decoder.light.reliable)
+            if frame.period_px is not None and tells_light and not light_told:
+                light, notes, light_told = decoder.light, frame.warnings, True
+            if light_told and not decoder.asks_rims:
+                break
+        return light, rims, notes
 
 
 def chains(wanted: range, missing: set[int]) -> Iterator[tuple[range, frozenset[int]]]:

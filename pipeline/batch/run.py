@@ -116,13 +116,13 @@ def _wanted(source: Source, start: int, stop: int | None, step: int) -> range:
 
 
 def _ready_store(job: Job, source: Source) -> tuple[ResultStore, tuple[str, ...]]:
-    """Open the store, a new one with the light that the footage tells; and return what the user should know."""
-    notes, light = source.notes, None
+    """Open the store, a new one with what the footage tells of itself; and return what the user should know."""
+    notes, light, rims = source.notes, None, None
     if read_attributes(job.store) is None:
         runtime.init(job.arch)
-        light, doubts = job.learn_light(source)
+        light, rims, doubts = job.learn(source)
         notes += doubts
-    store = job.open_store(source, light)
+    store = job.open_store(source, light, rims)
     store.remove_leftovers()
     return store, notes
 

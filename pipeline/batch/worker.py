@@ -11,6 +11,7 @@ from typing import Any
 
 from pipeline.batch.job import Job, join_ranges
 from pipeline.decoding.frame import DecodedFrame
+from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, FootageError, OutputError
 from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
@@ -57,10 +58,11 @@ class Worker:
             raise OutputError(f"{job.store} is not there: every worker must see it under this name")
         self._job = job
         self._source = job.open()
-        self._store = job.open_store(self._source, None)
+        self._store = job.open_store(self._source)
         self._decoder = job.decoder()
         light = self._store.attributes["light"]
         self._decoder.use_light(None if light is None else LightEstimate.from_json(light))
+        self._decoder.use_rims(RimVotes(**self._store.attributes["rims"]))
         width, height = job.size_px(self._source)
         self._image = runtime.empty((height, width, 3), self._source.format.rgb_dtype)
         self._results = [_Result() for _ in range(_RESULTS)]

@@ -126,7 +126,8 @@ def decode(
     with steps() as step:
         frame = decode_picture(input, out, chosen, rig, stored_as, arch, force=force, tell=step)
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
-    if (relative := depth_in_words(partial(getattr, frame), in_mm=frame.calibrated)) is not None:
+    relative = depth_in_words(partial(getattr, frame), in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
+    if relative is not None:
         say(relative)
     if not frame.mask.any():  # the warning has said why
         sys.exit(1)
@@ -212,7 +213,7 @@ def _say_whether_relative(location: str) -> None:
     def read(name: str) -> npt.NDArray[Any] | None:
         return stored.read(name, number) if name in stored.fields else None
 
-    relative = depth_in_words(read, in_mm=stored.in_mm)
+    relative = depth_in_words(read, in_mm=stored.in_mm, front_is_clear=stored.front_is_clear)
     if relative is not None:
         say(f"frame {number}: {relative}")
 

@@ -124,6 +124,8 @@ class Measured:
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
     surfaces: FoundSurfaces | None = None
+    range_sign: int = 1  # without a calibration: -1 where the phase grows towards the camera
+    front_is_clear: bool = False  # whether that is more than a guess
     at_rest: bool = True  # whether the surfaces are those of one moment: no motion between the colours, or undone
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
@@ -160,6 +162,11 @@ class DecodedFrame:
     def calibrated(self) -> bool:
         """Whether `range_image` is a depth in mm."""
         return self._setup.rays is not None
+
+    @property
+    def front_is_clear(self) -> bool:
+        """Whether it is clear which side of `range_image` faces the camera: by a calibration, the settings or rims."""
+        return self.calibrated or self._measured.front_is_clear
 
     @property
     def order_is_known(self) -> npt.NDArray[np.bool_]:
@@ -252,15 +259,18 @@ class DecodedFrame:
 
     @field("float32", "range", needs=("points", "mask", "unwrapped_phase"), rounding=RELATIVE_RANGE_DIGITS)
     def range_image(self) -> Floats:
-        """Depth in mm with a calibration, else relative, in rad; NaN outside the mask.
+        """Depth in mm with a calibration, else relative, in rad; larger is farther; NaN outside the mask.
 
-        Relative is the unwrapped phase minus that of the reference, or minus the linear ramp that fits it best.
+        Relative is not metric: the unwrapped phase minus that of the reference, or minus the linear ramp that fits it
+        best; times -1 where phase grows towards the camera, as `DecodeSettings.projector_side` or the rims of surfaces
+        tell (see `front_is_clear`).
         """
         if self.points is not None:
             return np.ascontiguousarray(self.points[..., 2])
-        if self._setup.reference is not None:
-            return self.unwrapped_phase - self._setup.reference
-        return self.unwrapped_phase - _best_ramp(self.unwrapped_phase, self.mask)
+        plane = self._setup.reference
+        if plane is None:
+            plane = _best_ramp(self.unwrapped_phase, self.mask)
+        return np.float32(self._measured.range_sign) * (self.unwrapped_phase - plane)
 
     @property
     def row_sigma(self) -> Floats:

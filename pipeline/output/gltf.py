@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import OutputError
-from pipeline.output.mesh import Mesh, metres_a_unit, vertex_normals
+from pipeline.output.mesh import NOT_METRIC, Mesh, metres_a_unit, vertex_normals
 
 _SRGB = np.arange(256) / 255
 _SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)
@@ -46,7 +46,7 @@ def _gltf_parts(mesh: Mesh) -> tuple[dict[str, Any], bytes]:
     accessors[0] |= {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
     attributes = {name: index for index, name in enumerate(columns)}
     material = {"doubleSided": True, "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 0.8}}
-    extras = {"unit": "m" if mesh.unit == "mm" else "x and y in px, z in rad"}
+    extras = {"unit": "m" if mesh.unit == "mm" else f"rad, {NOT_METRIC}"}
     return {
         "asset": {"version": "2.0", "generator": "colorphase", "extras": extras},
         "scene": 0,

@@ -8,6 +8,8 @@ import numpy.typing as npt
 
 Unit = Literal["mm", "rad"]
 
+#: What files say of a mesh in rad.
+NOT_METRIC = "not metric: z is relative phase, x and y are px"
 #: Names of a vertex's coordinates and of its colour's channels, which no other property of it may have.
 POSITION = ("x", "y", "z")
 COLOR = ("red", "green", "blue")

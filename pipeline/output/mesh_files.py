@@ -15,7 +15,7 @@ import numpy.typing as npt
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
 from pipeline.output.gltf import encode_glb, encode_gltf
-from pipeline.output.mesh import Mesh, face_normals, metres_a_unit
+from pipeline.output.mesh import NOT_METRIC, Mesh, face_normals, metres_a_unit
 from pipeline.output.ply import decode_ply, encode_ply
 
 
@@ -77,7 +77,8 @@ def _encode_stl(mesh: Mesh) -> bytes:
     triangles = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
     triangles["normal"] = normals / np.where(lengths > 0, lengths, 1)
     triangles["corners"] = mesh.vertices[mesh.faces]
-    return struct.pack("<80sI", f"binary STL, unit {mesh.unit}".encode(), len(triangles)) + triangles.tobytes()
+    unit = "unit mm" if mesh.unit == "mm" else f"unit rad, {NOT_METRIC}"
+    return struct.pack("<80sI", f"binary STL, {unit}".encode(), len(triangles)) + triangles.tobytes()
 
 
 def _encode_obj(mesh: Mesh) -> bytes:
@@ -85,7 +86,11 @@ def _encode_obj(mesh: Mesh) -> bytes:
     if mesh.colors is not None:
         vertices = _rows("v %.7g %.7g %.7g %.4f %.4f %.4f\n", np.hstack([mesh.vertices, mesh.colors / np.float32(255)]))
     faces = _rows("f %d %d %d\n", mesh.faces + 1)
-    return f"# unit {mesh.unit}\n{vertices}{faces}".encode()
+    return f"{_unit_comment(mesh)}{vertices}{faces}".encode()
+
+
+def _unit_comment(mesh: Mesh) -> str:
+    return "# unit mm\n" if mesh.unit == "mm" else f"# unit rad\n# {NOT_METRIC}\n"
 
 
 def _encode_vrml(mesh: Mesh) -> bytes:
@@ -96,8 +101,7 @@ def _encode_vrml(mesh: Mesh) -> bytes:
     if mesh.colors is not None:
         colors = "color Color { color [\n" + _rows("%.4f %.4f %.4f,\n", mesh.colors / np.float32(255)) + "] }\n"
     return f"""#VRML V2.0 utf8
-# unit {mesh.unit}
-Transform {{
+{_unit_comment(mesh)}Transform {{
 rotation 1 0 0 3.14159265
 scale {scale} {scale} {scale}
 children Shape {{

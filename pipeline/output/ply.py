@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.output.mesh import COLOR, POSITION, Mesh
+from pipeline.output.mesh import COLOR, NOT_METRIC, POSITION, Mesh
 
 _TYPES = dict(
     zip(
@@ -41,6 +41,7 @@ def encode_ply(mesh: Mesh) -> bytes:
         "ply",
         "format binary_little_endian 1.0",
         f"comment unit {mesh.unit}",
+        *([f"comment {NOT_METRIC}"] if mesh.unit == "rad" else []),
         f"element vertex {len(vertices)}",
         *(f"property {'uchar' if values.dtype == np.uint8 else 'float'} {name}" for name, values in columns.items()),
         f"element face {len(faces)}",

@@ -54,7 +54,7 @@ def write_range_image(
     mask : (H, W) bool
         Pixels that hold a value; NaN pixels are left out too.
     unit : {"mm", "rad"}
-        Printed over the scale.
+        Printed over the scale; of rad, that they are no mm.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def _scale_bar(height: int, limits: tuple[float, float] | None, unit: Unit) -> n
     def write(text: str, x: int, y: int) -> None:
         cv2.putText(bar, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.45 * size, (235, 235, 235), 1, cv2.LINE_AA)
 
-    write(unit, gap, 2 * gap)
+    write(unit if unit == "mm" else "rad, not mm", gap if unit == "mm" else gap // 3, 2 * gap)
     step = _round_step((high - low) / 6)
     decimals = max(0, -int(np.floor(np.log10(step))))
     for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:

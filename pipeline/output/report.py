@@ -41,6 +41,7 @@ def frame_report(
         "regions_px": sizes.tolist(),
         "orders_are_absolute": bool(frame.absolute[frame.mask].all()) if frame.mask.any() else False,
         "range_unit": "mm" if frame.calibrated else "rad",
+        "front_is_clear": frame.front_is_clear,
         "range_percentiles_1_50_99": np.percentile(values, (1, 50, 99)).tolist() if len(values) else None,
         "phase_constant_known": frame.constant_known,
         "phase_constant_sigma_rad": float(frame.constant_sigma) if np.isfinite(frame.constant_sigma) else None,
@@ -48,7 +49,7 @@ def frame_report(
     }
 
 
-def depth_in_words(read: Callable[[str], npt.NDArray[Any] | None], *, in_mm: bool) -> str | None:
+def depth_in_words(read: Callable[[str], npt.NDArray[Any] | None], *, in_mm: bool, front_is_clear: bool) -> str | None:
     """Say between what a frame's depth is only relative, and what would tell; None: every order is absolute.
 
     Parameters
@@ -57,12 +58,17 @@ def depth_in_words(read: Callable[[str], npt.NDArray[Any] | None], *, in_mm: boo
         Returns a field of the frame by its name; None: it was not stored.
     in_mm : bool
         Whether the frame has places in mm.
+    front_is_clear : bool
+        Whether it is clear which side of what is seen faces the camera.
     """
     mask, absolute, region = read("mask"), read("absolute"), read("region")
     if mask is not None and not mask.any():
         return None
     if not in_mm:
-        return "depth is relative, in rad of phase and not in mm: give a --calibration"
+        guess = "; which side is in front is a guess, and projector_side in the settings tells"
+        return (
+            f"depth is relative, in rad of phase and not in mm: give a --calibration{'' if front_is_clear else guess}"
+        )
     if mask is None or absolute is None or not (unknown := mask & ~absolute).any():
         return None
     single = region is not None and len(np.unique(region[unknown])) == 1

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.decoding.frame import FIELDS
+from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import explain
 from pipeline.output.mesh import Mesh
@@ -66,6 +67,12 @@ class StoredResult:
     def in_mm(self) -> bool:
         """Whether ranges are in mm, and a mesh therefore needs points."""
         return bool(self.attributes.get("range_unit") == "mm")
+
+    @property
+    def front_is_clear(self) -> bool:
+        """Whether it is clear which side of the ranges faces the camera: by a calibration, the settings or rims."""
+        rims = RimVotes(**self.attributes.get("rims", {}))
+        return self.in_mm or self.attributes["settings"].get("projector_side") is not None or rims.clear
 
     @property
     def wanted(self) -> range:

@@ -23,6 +23,7 @@ from pipeline import DecodeSettings
 from pipeline.batch.job import Job
 from pipeline.batch.run import decode_footage
 from pipeline.batch.worker import _WRITERS
+from pipeline.decoding.front_side import RimVotes
 from pipeline.footage.source import StoredAs
 from pipeline.output.store import chosen_fields
 from tikernels import runtime
@@ -43,8 +44,9 @@ def stages(job: Job, n_frames: int, rounds: int) -> None:
     warm = replace(job, store=f"{job.store}.warm")
     decode_footage(warm, stop=8)  # compiles the kernels, and makes a store
     source, decoder = job.open(), job.decoder()
-    store = warm.open_store(source, None)
+    store = warm.open_store(source)
     decoder.use_light(None)
+    decoder.use_rims(RimVotes())
     read = list(source.frames(0, min(n_frames, 32)))
     image = runtime.empty((*reversed(source.size_px), 3), source.format.rgb_dtype)
     results = [decoder.decode(job.develop(read[0], image)) for _ in range(4)]

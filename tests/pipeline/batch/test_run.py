@@ -23,9 +23,12 @@ from pipeline.batch import job as jobs
 from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import Stopped, decode_footage
 from pipeline.decoding.frame import FIELDS
+from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.footage.source import StoredAs
+from pipeline.output.range_image import write_png
 from pipeline.output.store import chosen_fields
+from pipeline.output.stored_result import StoredResult
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.raw.pixel_format import PixelFormat
@@ -444,6 +447,32 @@ def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
             for launched in ("estimate_phase_sigma", "point_sigma"):
                 patch.setattr(f"pipeline.decoding.frame.{launched}", None)
             np.testing.assert_array_equal(getattr(frame, name), values[name], err_msg=name)
+
+
+def test_which_side_is_in_front_is_learnt_once_for_all_frames(job, folder, tmp_path):
+    """Whatever process decodes whichever frame; and the store says whether it is a guess."""
+    decode_footage(job, stop=1)
+    stored = StoredResult(job.store)
+    frames = zarr.open_group(folder / "film.zarr", mode="r")["frames"]
+    decoder = Decoder(arch="cpu")
+    expected = decoder.decode(frames[0])
+    assert RimVotes(**stored.attributes["rims"]) == decoder.rims
+    assert stored.front_is_clear == expected.front_is_clear
+    # Walls tell nothing, one frame with something before the wall does; it stands for all.
+    scenes = [SimulationSettings(scene=scene, seed=k) for k, scene in enumerate(("plane", "plane", "objects"))]
+    *walls, objects = (simulate_frame(simulated_rig((320, 240)), scene).image for scene in scenes)
+    signs = []
+    for name, shown in (("walls", walls), ("last", [*walls, objects])):
+        pictures = tmp_path / name
+        pictures.mkdir()
+        for number, image in enumerate(shown):
+            write_png(pictures / f"{number}.png", image)
+        told = replace(job, footage=str(pictures), store=str(tmp_path / f"{name}.zarr"), fields=("mask", "range_image"))
+        decode_footage(told)
+        stored = StoredResult(told.store)
+        assert stored.front_is_clear == (name == "last")
+        signs.append(stored.read("range_image", 0))
+    np.testing.assert_array_equal(signs[0], -signs[1])
 
 
 def test_the_light_survives_being_stored(folder, rig):

@@ -28,7 +28,7 @@ def test_every_worker_must_see_the_store(job):
 def test_only_what_is_missing_is_stored_and_bad_frames_are_told(job, tmp_path):
     """Frame 1 is decoded for frame 2, which leans on it."""
     source = job.open()
-    job.open_store(source, None)
+    job.open_store(source)
     (tmp_path / "film.zarr" / "frames" / "c.4.0.0.0").unlink()
     told = []
     Worker(job).decode([(range(0, 3), frozenset({0, 2})), (range(4, 6), frozenset({4, 5}))], told.append)

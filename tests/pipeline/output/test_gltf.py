@@ -47,7 +47,7 @@ def test_gltf_is_y_up_and_in_metres(tmp_path: Path, mesh: Mesh, suffix: str) -> 
 def test_gltf_never_calls_radians_metres(tmp_path: Path, mesh: Mesh) -> None:
     write_mesh(Mesh(mesh.vertices, mesh.faces, unit="rad"), tmp_path / "mesh.glb")
     scene, _ = load_gltf(tmp_path / "mesh.glb")
-    assert scene["asset"]["extras"]["unit"] == "x and y in px, z in rad"
+    assert scene["asset"]["extras"]["unit"] == "rad, not metric: z is relative phase, x and y are px"
     assert scene["accessors"][0]["max"][0] == mesh.vertices[:, 0].max()
 
 

@@ -68,10 +68,16 @@ def test_depth_that_is_only_relative_is_said(truth):
     rig = truth.rig
 
     def words(frame, lacks=()) -> str | None:
-        return depth_in_words(lambda name: None if name in lacks else getattr(frame, name), in_mm=frame.calibrated)
+        def read(name):
+            return None if name in lacks else getattr(frame, name)
 
-    plain = Decoder(arch="cpu").decode(truth.image)
-    assert words(plain) == "depth is relative, in rad of phase and not in mm: give a --calibration"
+        return depth_in_words(read, in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
+
+    plain = Decoder(DecodeSettings(projector_side="above"), arch="cpu").decode(truth.image)
+    relative = "depth is relative, in rad of phase and not in mm: give a --calibration"
+    assert words(plain) == relative
+    guess = "; which side is in front is a guess, and projector_side in the settings tells"
+    assert words(Decoder(arch="cpu").decode(truth.image)) == relative + guess
     calibrated = Decoder(calibration=rig, arch="cpu").decode(truth.image)
     said = words(calibrated)
     assert "relative on 100% of the pixels: the surface there may be off by whole cycles, some" in said
