@@ -154,7 +154,8 @@ class Decoder:
                         first = measured
                         memory = None if out is previous else memory  # its buffers have just been written
                         measured = self._measure(frame, levels, period_px, memory, *buffers)
-                        measured = replace(measured, order_doubt=measured.order_doubt or first.order_doubt)
+                        if self._path.code is None:  # whether the frame shows a code is asked once
+                            measured = replace(measured, order_doubt=measured.order_doubt or first.order_doubt)
                     if self._setup.rays is None:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
                         measured = replace(measured, range_sign=sign, front_is_clear=clear)

@@ -10,7 +10,7 @@ from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.decoding.surface_finding import SurfaceFinder
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import CameraState, FloatArray
-from pipeline.pattern.contrast_code import cycle_modulations
+from pipeline.pattern.contrast_code import cycle_contrasts
 from pipeline.settings import DecodeSettings
 from tikernels.phase.channel_template import flat_template
 from tikernels.phase.crosstalk import Crosstalk
@@ -83,8 +83,8 @@ class LightPath:
             if calibration.color_shift_px is not None:
                 self.camera_shift_px = calibration.color_shift_px.camera
                 self._lag = calibration.projector_lag_rad()
-        modulation = float(cycle_modulations().mean()) if self.code == "contrast" else 0.5
-        self._priors = [ResponsePrior(response, self._lag, modulation) for response in responses]
+        contrast = float(cycle_contrasts().mean()) if self.code == "contrast" else 1.0
+        self._priors = [ResponsePrior(response, self._lag, contrast) for response in responses]
         if len(self._priors) == 1:
             light = self._priors[0].light
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
@@ -151,7 +151,7 @@ class LightPath:
     def _use(self, matrix: FloatArray) -> None:
         self.surfaces = None
         # Surfaces are fitted to the frame's contrast, not to the neighbourhood's: the code's whole spread is in doubt.
-        contrasts = cycle_modulations()
+        contrasts = cycle_contrasts()
         coded = 0.0 if self.code is None else float(contrasts.std() / contrasts.mean())
         if self._bands is None and self._learned is not None:
             self.surfaces = SurfaceFinder(None, coded, self._wavelengths_nm)

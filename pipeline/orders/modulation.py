@@ -1,4 +1,4 @@
-"""What a coded pattern's changing modulation does to the phase, and what undoes it (`docs/coded_pattern.md`)."""
+"""What a coded pattern's changing contrast does to the phase, and what undoes it (`docs/coded_pattern.md`)."""
 
 from functools import cache
 
@@ -8,19 +8,24 @@ import numpy.typing as npt
 from pipeline.models import FloatArray
 from pipeline.pattern.contrast_code import CYCLES, modulation_at
 from tikernels.order_evidence.modulation_correction import SLOPE_REACH, TABLED
+from tikernels.phase.balance_window import SIGMA_ACROSS
 
 # Where the phase bends by more (rad) within a cycle, the surface does.
 _MAX_BEND = 0.3
+# How much of the ripples is usual, as a standard deviation: rad for blur, and shares of the others.
+_USUAL_SHARES = np.array([0.03, 0.3, 0.3])
+# The balance's window is computed to this many cycles on either side.
+_WINDOWS = 4
 
 
 @cache
 def code_deviations(usual: float) -> tuple[FloatArray, FloatArray]:
-    """Return how the code's modulation deviates from the usual one, and the slope of its logarithm.
+    """Return how the code's contrast deviates from the usual one, and the slope of its modulation's logarithm.
 
     Parameters
     ----------
     usual : float
-        Fraction of full scale.
+        Contrast.
 
     Returns
     -------
@@ -29,18 +34,18 @@ def code_deviations(usual: float) -> tuple[FloatArray, FloatArray]:
     """
     place = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
     low, here, high = (modulation_at(place + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
-    return here / usual - 1, (high - low) / (2 * SLOPE_REACH * here)
+    return here / (1 - here) / usual - 1, (high - low) / (2 * SLOPE_REACH * here)
 
 
 def modulation_corrections(deviations: FloatArray, tables: npt.NDArray[np.floating]) -> FloatArray:
-    """Return what the response's correction lacks where the modulation is not the usual one.
+    """Return what the response's correction lacks where the contrast is not the usual one.
 
     Parameters
     ----------
     deviations : (N,) float64
-        Of the modulation from the usual one, as a fraction of it, TABLED a cycle from the middle of a cycle on.
+        Of the contrast from the usual one, as a fraction of it, TABLED a cycle from the middle of a cycle on.
     tables : (2, bins + 1)
-        rad over a cycle from -pi on: what of the correction goes with the modulation, and with its square.
+        rad over a cycle from -pi on: what of the correction goes with the contrast, and with its square.
 
     Returns
     -------
@@ -53,17 +58,31 @@ def modulation_corrections(deviations: FloatArray, tables: npt.NDArray[np.floati
     return np.asarray(deviations * (linear + (2 + deviations) * square))
 
 
-def blur_shift(
+@cache
+def code_ripples() -> FloatArray:
+    """Return what the code may leave in the phase, in shape: (2, TABLED (CYCLES - 1) + 1), TABLED a cycle.
+
+    Blur weakens the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of
+    the phase: by (2 pi s)^2 / (2 pi) of its logarithm's slope, for a Gaussian of s cycles. And what the balance's
+    window passes of the fringe where the contrast changes within it turns the colours, and the phase with them.
+    """
+    _, slopes = code_deviations(1.0)
+    place = np.arange(-_WINDOWS * TABLED, len(slopes) + _WINDOWS * TABLED) / TABLED
+    modulation = modulation_at(place)
+    window = np.arange(-_WINDOWS * TABLED, _WINDOWS * TABLED + 1) / TABLED
+    weight = np.exp(-0.5 * (window / SIGMA_ACROSS) ** 2)
+    passed = np.convolve(modulation / (1 - modulation), weight / weight.sum() * np.sin(2 * np.pi * window), "valid")
+    return np.stack([slopes, passed])
+
+
+def ripple_left(
     unwrapped: npt.NDArray[np.float32],
     region: npt.NDArray[np.int32],
     absolute: npt.NDArray[np.bool_],
-    slopes: FloatArray,
+    corrections: FloatArray,
     period_px: float,
-) -> float:
-    """Return how far blur shifts the phase where the modulation rises e-fold a cycle, rad.
-
-    Blur weakens the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of
-    the phase: by (2 pi s)^2 / (2 pi) of its logarithm's slope, for a Gaussian of s cycles.
+) -> FloatArray:
+    """Return what is left in a frame's phase of the code's ripples, by how the phase bends within cycles.
 
     Parameters
     ----------
@@ -73,26 +92,34 @@ def blur_shift(
         Number of each pixel's region; 0 outside.
     absolute : (regions + 1,) bool
         Whether a region's orders are absolute.
-    slopes : (N,) float64
-        Of the modulation's logarithm, a cycle; see `code_deviations`.
+    corrections : (N,) float64
+        rad to be added for the response, from `modulation_corrections`; the frame may show more or less of them.
     period_px : float
         Rows a cycle.
 
     Returns
     -------
-    float
+    (N,) float64
         rad; 0 where nothing tells.
     """
+    ripples = np.vstack([code_ripples(), corrections])
     half = max(1, round(period_px / 2))
-    # Every fourth row tells enough.
-    middle, above, below = (region[half:-half:4], region[: -2 * half : 4], region[2 * half :: 4])
+    middle, above, below = region[half:-half], region[: -2 * half], region[2 * half :]
     inside = (middle > 0) & (middle == above) & (middle == below) & absolute[middle]
+    # Every fourth row tells enough: another one from column to column, so that all phases are seen.
+    inside &= np.add.outer(np.arange(inside.shape[0]), np.arange(inside.shape[1])) % 4 == 0
     if not inside.any():
-        return 0.0
+        return np.zeros(ripples.shape[1])
     rows, columns = np.nonzero(inside)
-    phases = [unwrapped[4 * rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
-    places = [np.clip(np.rint(phase * (TABLED / (2 * np.pi))), 0, len(slopes) - 1).astype(int) for phase in phases]
+    phases = [unwrapped[rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
+    last = ripples.shape[1] - 1
+    places = [np.clip(np.rint(phase * (TABLED / (2 * np.pi))), 0, last).astype(int) for phase in phases]
+    phases = [phase + corrections[place] for phase, place in zip(phases, places, strict=True)]
     # A smooth surface hardly bends within a cycle; what it bends has nothing to do with the code.
-    bend, expected = (a[0] - 2 * a[1] + a[2] for a in (phases, [slopes[place] for place in places]))
+    bend = phases[0] - 2 * phases[1] + phases[2]
     smooth = np.abs(bend) < _MAX_BEND
-    return float(bend[smooth] @ expected[smooth] / max(float(expected[smooth] @ expected[smooth]), 1e-9))
+    first, here, second = (ripples[:, place[smooth]] for place in places)
+    expected = first - 2 * here + second
+    doubt = np.mean(bend[smooth] ** 2) / _USUAL_SHARES**2
+    shares = np.linalg.solve(expected @ expected.T + np.diag(doubt + 1e-12), expected @ bend[smooth])
+    return np.asarray(shares @ ripples)

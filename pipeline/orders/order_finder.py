@@ -17,9 +17,9 @@ from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, choose_motion, count_votes, split_by_votes
 from pipeline.orders.coded_orders import find_absolute_orders
-from pipeline.orders.modulation import blur_shift, code_deviations, modulation_corrections
+from pipeline.orders.modulation import code_deviations, modulation_corrections, ripple_left
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, AbsoluteOrders, OrderRange
-from pipeline.pattern.contrast_code import cycle_modulations
+from pipeline.pattern.contrast_code import cycle_contrasts
 from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
 from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measure_contrast, vote_orders
@@ -242,12 +242,12 @@ class OrderFinder:
             surface = (out.unwrapped, out.mask, out.region)
             found = (seen.phase, seen.raw_phase, seen.modulation, seen.rates)
             adopt_pixels(patches.final, *found, known, out=surface)
-        # The response's correction is for the pattern's mean modulation.
-        deviations, slopes = code_deviations(float(cycle_modulations().mean()))
+        # The response's correction is for the pattern's mean contrast.
+        deviations, _ = code_deviations(float(cycle_contrasts().mean()))
         columns = (slice(None), slice(None, None, _EVERY_COLUMN))
         sampled = runtime.to_host(out.unwrapped)[columns], runtime.to_host(out.region)[columns]
         corrections = modulation_corrections(deviations, modulation_tables(seen.correction))
-        corrections -= blur_shift(*sampled, known, slopes, seen.period_px) * slopes
+        corrections -= ripple_left(*sampled, known, corrections, seen.period_px)
         if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
             correct_by_modulation(out.region, known, corrections, out=(seen.phase, out.unwrapped))
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))

@@ -61,7 +61,7 @@ def make_pattern(
                 f"{pattern.period_px:g} px: take a period of {length / CYCLES:.3g} px or more, or no code"
             )
         modulation = modulation_at(np.arange(length) / pattern.period_px)[:, None]
-    codes = brightness * (0.5 + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES)))
+    codes = brightness * (1 - modulation + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES)))
     if response is not None:
         # Every response rises from 0 to 1, so the whole range of light is there to be used.
         codes = np.stack([codes_for_light(codes[:, j], response[j]) for j in range(3)], axis=-1)

@@ -31,7 +31,7 @@ _TELLING = 12
 
 
 def light_spectrum(
-    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, modulation: float = 0.5
+    response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None = None, contrast: float = 1.0
 ) -> npt.NDArray[np.complex128]:
     """Return the harmonics of what the projector sends through a response, (3, 65) complex128, from the zeroth on.
 
@@ -41,10 +41,10 @@ def light_spectrum(
         Light of N evenly spaced codes of R, G, B.
     lag : (3,), optional
         How far the fringe of R, G, B lags behind its place, rad; see `channel_delays`.
-    modulation : float
-        The pattern's, as a fraction of full scale.
+    contrast : float
+        The pattern's, modulation over background; where it is brightest, its code is 1.
     """
-    codes = 0.5 + modulation * np.cos(np.linspace(0, 2 * np.pi, _POINTS, endpoint=False))
+    codes = (1 + contrast * np.cos(np.linspace(0, 2 * np.pi, _POINTS, endpoint=False))) / (1 + contrast)
     light = np.stack([np.interp(codes, np.linspace(0, 1, len(row)), row) for row in response])
     n = np.arange(_HARMONICS + 1)
     return np.asarray(np.fft.rfft(light, axis=1)[:, n].real / _POINTS * np.exp(1j * n * channel_delays(lag)[:, None]))
@@ -106,14 +106,14 @@ class ResponsePrior:
         Light of N evenly spaced codes of R, G, B; of a pattern in which it has been undone, that of a linear one.
     lag : (3,), optional
         See `channel_delays`.
-    modulation : float
-        The pattern's mean one, as a fraction of full scale.
+    contrast : float
+        The pattern's mean one; see `light_spectrum`.
     """
 
     def __init__(
-        self, response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None, modulation: float = 0.5
+        self, response: npt.NDArray[np.float64], lag: npt.NDArray[np.float64] | None, contrast: float = 1.0
     ) -> None:
-        self._light = light_spectrum(response, lag, modulation)
+        self._light = light_spectrum(response, lag, contrast)
         #: (3,) the mean light of R, G and B, as a fraction of full scale.
         self.light = self._light[:, 0].real
         tables = np.stack([response_table(blurred(self._light, blur), lag)[:-1] for blur in _BLURS])

@@ -1,12 +1,14 @@
 """Absolute orders from one frame of a coded pattern, and frames that do not show the code."""
 
+import warnings
+
 import numpy as np
 import pytest
 import reference
 from support.uncertain_frames import judged_regions, uncertain_frame
 
 from pipeline import Decoder, DecodeSettings, DecodeWarning
-from pipeline.pattern.contrast_code import MODULATIONS, cycle_modulations
+from pipeline.pattern.contrast_code import CONTRASTS, cycle_contrasts
 from pipeline.pattern.fringes import CHANNEL_PHASES
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.scene import scene_rendering as projection
@@ -112,12 +114,12 @@ def test_a_frame_without_the_code():
 def test_a_sequence_that_is_not_the_codes(wrong, calibrated):
     """Whatever fits by chance is not believed."""
     truth, calibration = simulated("plane")
-    modulations = {
-        "reversed": cycle_modulations()[::-1],
-        "inverted": MODULATIONS[0] + MODULATIONS[-1] - cycle_modulations(),
-        "permuted": np.random.default_rng(1).permutation(cycle_modulations()),
+    contrasts = {
+        "reversed": cycle_contrasts()[::-1],
+        "inverted": CONTRASTS[0] + CONTRASTS[-1] - cycle_contrasts(),
+        "permuted": np.random.default_rng(1).permutation(cycle_contrasts()),
     }[wrong]
-    image = simulate_frame(truth.rig, SimulationSettings(scene="plane"), coded_by(truth.rig, modulations)).image
+    image = simulate_frame(truth.rig, SimulationSettings(scene="plane"), coded_by(truth.rig, contrasts)).image
     settings = DecodeSettings(code="contrast", crosstalk_matrix=calibration.crosstalk_matrix)
     with pytest.warns(DecodeWarning, match="contrast code|of the code"):
         frame = Decoder(settings, calibration if calibrated else None, arch="cpu").decode(image)
@@ -204,14 +206,16 @@ def test_half_in_shadow():
 
 @pytest.mark.filterwarnings("ignore:no matrix explains")
 def test_a_texture_with_the_fringes_period():
-    """It hides part of the code: what is not certain any more, here the bust's head, is said not to be."""
+    """It hides part of the code: what is not certain any more is said not to be."""
     truth, calibration = simulated("bust")
     rows = np.arange(SIZE[1])[:, None, None]
     image = (truth.image * (0.75 + 0.25 * np.cos(2 * np.pi * rows / 12.3))).astype(np.uint8)
-    with pytest.warns(DecodeWarning, match="show too little of the code"):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DecodeWarning)
         frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
     right, wrong = shares(frame, truth)
-    assert right > 0.85
+    said = any("show too little of the code" in warning for warning in frame.warnings)
+    assert right > (0.85 if said else 0.97)
     assert wrong < 0.0005
 
 
@@ -237,15 +241,15 @@ def test_a_hidden_step_of_whole_cycles_splits_a_region(arch):
 
 def shifted_codes(rig, cycles):
     """Return the rig's pattern with the code moved by whole cycles, the phase staying."""
-    return coded_by(rig, np.roll(cycle_modulations(), -cycles))
+    return coded_by(rig, np.roll(cycle_contrasts(), -cycles))
 
 
-def coded_by(rig, modulations):
-    """Return the rig's pattern with other modulations of its cycles."""
+def coded_by(rig, contrasts):
+    """Return the rig's pattern with other contrasts of its cycles."""
     width, height = rig.projector.size_px
     cycles = np.arange(height) / rig.pattern.period_px
-    modulation = np.interp(cycles, np.arange(len(modulations)), modulations)[:, None]
-    codes = 0.5 + modulation * np.cos(2 * np.pi * cycles[:, None] + np.array(CHANNEL_PHASES))
+    modulation = np.interp(cycles, np.arange(len(contrasts)), contrasts / (1 + contrasts))[:, None]
+    codes = 1 - modulation + modulation * np.cos(2 * np.pi * cycles[:, None] + np.array(CHANNEL_PHASES))
     return np.ascontiguousarray(np.broadcast_to(codes[:, None].astype(np.float32), (height, width, 3)))
 
 

@@ -7,14 +7,14 @@ import pytest
 
 from pipeline.calibration import Pattern
 from pipeline.errors import SettingsError
-from pipeline.pattern.contrast_code import CYCLES, MODULATIONS, cycle_modulations, modulation_at
+from pipeline.pattern.contrast_code import CONTRASTS, CYCLES, cycle_contrasts, modulation_at
 from pipeline.pattern.fringes import make_pattern, write_pattern
 from tikernels.phase.balance_window import SIGMA_ACROSS
 
 
 def distances(length: int) -> np.ndarray:
     """Return the squared distance of every two stretches of `length` cycles by their steps, in distances of symbols."""
-    symbols = np.searchsorted(MODULATIONS, cycle_modulations())
+    symbols = np.searchsorted(CONTRASTS, cycle_contrasts())
     steps = np.lib.stride_tricks.sliding_window_view(np.diff(symbols), length - 1)
     apart = ((steps[:, None] - steps[None]) ** 2).sum(axis=-1)
     return apart[np.triu_indices(len(steps), 1)]
@@ -26,15 +26,18 @@ def test_no_two_stretches_change_alike(length, least):
     assert distances(length).min() >= least
 
 
-def test_a_pattern_holds_a_sinusoid_of_constant_mean():
+def test_a_pattern_holds_a_sinusoid_that_is_as_bright_as_can_be():
     pattern = Pattern(period_px=768 / 44, code="contrast")
     codes = make_pattern((4, 768), pattern)[:, 0].astype(np.float64)
     cycles = np.arange(768) / pattern.period_px
-    np.testing.assert_allclose(codes.mean(axis=1), 0.5, atol=1e-6)
+    np.testing.assert_allclose(codes.mean(axis=1), 1 - modulation_at(cycles), atol=1e-6)
+    middles = np.arange(CYCLES)
+    np.testing.assert_allclose(modulation_at(middles) / (1 - modulation_at(middles)), cycle_contrasts(), atol=1e-12)
     vector = codes @ np.exp(-1j * np.array([-1, 0, 1]) * 2 * np.pi / 3) * 2 / 3
     np.testing.assert_allclose(np.abs(vector), modulation_at(cycles), atol=1e-6)
     np.testing.assert_allclose(np.angle(vector * np.exp(-2j * np.pi * cycles)), 0, atol=1e-5)
     assert codes.min() >= 0 and codes.max() <= 1
+    assert 0.5 / np.sqrt(CONTRASTS[0] / (1 + CONTRASTS[0]) * 0.5) < 1.1, "what the code costs on average"
 
 
 def test_the_code_hardly_leaks_into_the_mean_of_a_channel():

@@ -53,10 +53,10 @@ def test_the_table_undoes_the_map(lag):
 
 
 def test_the_mean_light_of_a_pattern():
-    """The mean of (1 + cos)^2 / 4 is 3/8; at half the modulation, of (1 + cos / 2)^2 / 4, 9/32."""
+    """The mean of (1 + cos)^2 / 4 is 3/8; at half the contrast, of (1 + cos / 2)^2 / (3 / 2)^2, 1/2."""
     np.testing.assert_allclose(light_spectrum(gamma(1.0))[:, 0], 0.5, atol=1e-4)
     np.testing.assert_allclose(ResponsePrior(gamma(2.0), None).light, 3 / 8, atol=1e-4)
-    np.testing.assert_allclose(ResponsePrior(gamma(2.0), None, modulation=0.25).light, 9 / 32, atol=1e-4)
+    np.testing.assert_allclose(ResponsePrior(gamma(2.0), None, contrast=0.5).light, 1 / 2, atol=1e-4)
 
 
 def test_blur_is_a_gaussian():
