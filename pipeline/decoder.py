@@ -34,6 +34,10 @@ from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
 
+# While it is not clear which side is in front, this many frames are asked, and then one of as many: asking takes up to
+# a fourth of the time that decoding does.
+_ASKED = 16
+
 
 class Decoder:
     """Decode frames of one rig, one after another.
@@ -85,6 +89,7 @@ class Decoder:
         geometry = calibration.geometry() if calibration is not None and calibration.has_geometry else None
         self.rims = RimVotes()
         self._asks_rims = geometry is None and self.settings.projector_side is None
+        self._unclear_frames = 0
         plane = None if reference is None else reference.unwrapped_phase.copy()  # its frame may become `out`
         self._reader = FrameReader(self.settings, self._path, geometry, plane)
         depth_range_mm = None if calibration is None else calibration.depth_range_mm
@@ -263,7 +268,9 @@ class Decoder:
         """Return -1 if the phase grows towards the camera, else 1, and whether settings or frames make that clear."""
         side = self.settings.projector_side
         if self.asks_rims:
-            self.rims = ask_rims(runtime.to_host(surface.unwrapped), runtime.to_host(surface.region))
+            if self._unclear_frames < _ASKED or self._unclear_frames % _ASKED == 0:
+                self.rims = ask_rims(runtime.to_host(surface.unwrapped), runtime.to_host(surface.region))
+            self._unclear_frames += 1
         if side is not None:
             # A projector above lights lower places of what is nearer.
             rising = float(runtime.to_host(work.rates)[-1, RATE_ACROSS]) > 0  # synchronises

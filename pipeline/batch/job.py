@@ -26,8 +26,8 @@ from tikernels.raw.pixel_format import PixelFormat
 #: Frames a chain. In a chain each frame is decoded with the one before, the first one without: so a missing frame is
 #: decoded anew from the beginning of its chain.
 CHAIN_FRAMES = 64
-# Frames, evenly spaced, that are asked for the light, and for which side is in front, before these count as unknown.
-_MOST_ASKED = 64
+# Frames, evenly spaced, that are asked for the light before it counts as unknown, and which side is in front.
+_MOST_ASKED, _ASKED_FOR_SIDE = 64, 16
 
 
 @dataclass(frozen=True)
@@ -165,7 +165,7 @@ class Job:
     def learn(self, source: Source) -> tuple[LightEstimate | None, RimVotes, tuple[str, ...]]:
         """Ask the footage for its light and which side is in front, where neither settings nor calibration say it.
 
-        Of 64 evenly spaced frames, the first that tells the light does, and the first that shows the side clearly.
+        Of 64 evenly spaced frames, the first that tells the light does; of 16, the first that shows the side clearly.
 
         Returns
         -------
@@ -179,8 +179,10 @@ class Job:
         light: LightEstimate | None = None
         rims, light_told = RimVotes(), False
         notes: tuple[str, ...] = ()
-        every = -(-len(source) // _MOST_ASKED)
-        for number in range(0, len(source), every):
+        asked = range(0, len(source), -(-len(source) // _MOST_ASKED))
+        for turn, number in enumerate(asked):
+            if light_told and turn % -(-len(asked) // _ASKED_FOR_SIDE):
+                continue
             stored = next(iter(source.frames(number, number + 1)))
             if not isinstance(stored, StoredFrame):
                 continue

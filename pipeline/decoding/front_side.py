@@ -16,6 +16,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+# Frames are looked at with about this many px along the shorter side.
+_SHORTER_PX = 480
 # The bend of the phase is measured at a rim and two places inside it, apart by this share of the frame's shorter side.
 _REACH = 1 / 40
 # How far inside a surface's end its phase is still its own, px.
@@ -51,12 +53,14 @@ def ask_rims(unwrapped: npt.NDArray[np.float32], region: npt.NDArray[np.int32]) 
     region : (H, W) int32
         Surfaces from 1; 0: none.
     """
+    every = max(1, round(min(region.shape) / _SHORTER_PX))
+    unwrapped, region = unwrapped[::every, ::every], region[::every, ::every]
     shorter = min(region.shape)
     reach = max(round(_REACH * shorter), 2)
     rims = _ends(region)
-    distance = cv2.distanceTransform((~rims).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
     if not rims.any():
         return RimVotes()
+    distance = cv2.distanceTransform((~rims).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5)
     down, right = np.gradient(cv2.GaussianBlur(distance, (0, 0), _INSIDE_PX))
     steep = np.hypot(down, right)
     at = (region > 0) & (distance >= _INSIDE_PX) & (distance < _INSIDE_PX + 1) & (steep > 0.3)

@@ -118,6 +118,8 @@ def ripple_left(
     # A smooth surface hardly bends within a cycle; what it bends has nothing to do with the code.
     bend = phases[0] - 2 * phases[1] + phases[2]
     smooth = np.abs(bend) < _MAX_BEND
+    if not smooth.any():
+        return np.zeros(ripples.shape[1])
     first, here, second = (ripples[:, place[smooth]] for place in places)
     expected = first - 2 * here + second
     doubt = np.mean(bend[smooth] ** 2) / _USUAL_SHARES**2

@@ -108,6 +108,15 @@ def test_the_side_stays_as_the_first_clear_frame_shows_it(cpu):
     np.testing.assert_allclose(after.range_image[both], -before.range_image[both], atol=0.1)
 
 
+def test_it_is_asked_less_often_while_it_stays_unclear(cpu, monkeypatch):
+    wall, asked = simulated(scene="plane"), []
+    monkeypatch.setattr("pipeline.decoder.ask_rims", lambda *surface: asked.append(surface) or RimVotes())
+    decoder = Decoder(arch="cpu")
+    for _ in range(40):
+        decoder.decode(wall.image)
+    assert len(asked) == 16 + 2
+
+
 def test_a_calibrated_frame_asks_no_rims(cpu):
     truth = simulated(scene="bust")
     decoder = Decoder(calibration=truth.rig, arch="cpu")
