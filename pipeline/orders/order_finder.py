@@ -40,8 +40,9 @@ _MIN_CORRECTION = 1e-3
 _EVERY_COLUMN = 8
 # Where a code that nobody has told of places more than this share of the pixels, it is one.
 _MIN_CODED = 0.5
-# A speck of fewer pixels whose likeliest order is wrong with a higher probability has any depth, and is left out.
-_MIN_GUESSED_PX, _MAX_GUESS = 800, 0.5
+# A part that is a smaller share of the frame, and whose likeliest order is wrong with a higher probability, may have
+# any depth, and is left out: a nose's tip that its shadow cuts off would stand somewhere before the face.
+_MIN_GUESSED, _MAX_GUESS = 0.01, 0.5
 
 _CODE_NOT_SEEN = (
     "the frame does not show the contrast code: project what colorphase pattern makes, or calibrate the rig with "
@@ -206,8 +207,8 @@ class OrderFinder:
         if absolute is not None and readable:
             unknown = absolute.parts[absolute.error_probability(absolute.offsets) > _MAX_GUESS]
             unknown = unknown[~np.isin(unknown, [] if carried is None else carried.roots)]
-            small = np.bincount(absolute.roots, graph.pixels, len(graph.pixels)) < _MIN_GUESSED_PX
-            left_out = np.isin(absolute.roots, unknown[small[unknown]])
+            share = np.bincount(absolute.roots, graph.pixels, len(graph.pixels)) / np.prod(patches.shape)
+            left_out = np.isin(absolute.roots, unknown[share[unknown] < _MIN_GUESSED])
         if not coded and self._depth_range_mm is not None:
             absolute, out_of_range = self._place_by_depth(seen, patches.graph(), roots, rays)
             warning = warning or out_of_range
