@@ -63,7 +63,7 @@ _MIN_FACTOR, _MAX_FACTOR = 0.5, 2.0
 _EMPTY = 0.006
 # By how much the sharpness seems to differ over the frame, as a part of what is doubted of the contrast: the second
 # harmonic changes with the cube of it, and a code with the cycle, of which a tile shows several.
-_SHARPNESS = 0.25
+_SHARPNESS = 0.36
 # Turns of fitting, at most, while the fringe is found to be sharper here than there.
 _FOCUS_TURNS = 4
 # Numbers of a node that its neighbours may take over: A, B, and the weight that they have.

@@ -211,6 +211,7 @@ def test_two_objects_too_small_for_the_code():
     assert shares(frame, truth)[1] == 0
 
 
+@pytest.mark.filterwarnings("ignore:.* of the pixels show too little of the code")
 def test_half_in_shadow():
     truth, calibration = simulated("bust")
     image = truth.image.copy()
