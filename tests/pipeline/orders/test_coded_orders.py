@@ -164,7 +164,7 @@ def test_motion_during_the_exposure_is_flagged():
 @pytest.mark.long
 def test_the_error_probability_is_what_it_says():
     """Of uncertain regions about as many are wrong as their probabilities promise; more frames are a benchmark's."""
-    regions = np.array([region for seed in range(900, 916) for region in judged_regions(*uncertain_frame(seed))])
+    regions = np.array([region for seed in range(900, 924) for region in judged_regions(*uncertain_frame(seed))])
     uncertain = regions[:, 0] > 0.1
     expected, observed = regions[uncertain].sum(axis=0)
     assert expected > 15
