@@ -19,8 +19,8 @@ _WINDOWS = 4
 
 
 @cache
-def code_deviations(usual: float) -> tuple[FloatArray, FloatArray]:
-    """Return how the code's contrast deviates from the usual one, and the slope of its modulation's logarithm.
+def code_deviations(usual: float) -> FloatArray:
+    """Return how the code's contrast deviates from the usual one.
 
     Parameters
     ----------
@@ -29,12 +29,11 @@ def code_deviations(usual: float) -> tuple[FloatArray, FloatArray]:
 
     Returns
     -------
-    two (TABLED (CYCLES - 1) + 1,) float64
-        Deviations as a fraction of the usual one, and slopes a cycle, TABLED a cycle from the first cycle's middle on.
+    (TABLED (CYCLES - 1) + 1,) float64
+        As a fraction of the usual one, TABLED a cycle from the first cycle's middle on.
     """
-    place = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
-    low, here, high = (modulation_at(place + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
-    return here / (1 - here) / usual - 1, (high - low) / (2 * SLOPE_REACH * here)
+    modulation = modulation_at(np.arange(TABLED * (CYCLES - 1) + 1) / TABLED)
+    return np.asarray(modulation / (1 - modulation) / usual - 1)
 
 
 def modulation_corrections(deviations: FloatArray, tables: npt.NDArray[np.floating]) -> FloatArray:
@@ -60,15 +59,21 @@ def modulation_corrections(deviations: FloatArray, tables: npt.NDArray[np.floati
 
 @cache
 def code_ripples() -> FloatArray:
-    """Return what the code may leave in the phase, in shape: (2, TABLED (CYCLES - 1) + 1), TABLED a cycle.
+    """Return the shapes of what the code may leave in the phase.
 
     Blur weakens the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of
     the phase: by (2 pi s)^2 / (2 pi) of its logarithm's slope, for a Gaussian of s cycles. And what the balance's
     window passes of the fringe where the contrast changes within it turns the colours, and the phase with them.
+
+    Returns
+    -------
+    (2, TABLED (CYCLES - 1) + 1) float64
+        The slope, a cycle, and what the window passes, as a fraction; TABLED a cycle from the first cycle's middle on.
     """
-    _, slopes = code_deviations(1.0)
-    place = np.arange(-_WINDOWS * TABLED, len(slopes) + _WINDOWS * TABLED) / TABLED
-    modulation = modulation_at(place)
+    inside = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
+    low, here, high = (modulation_at(inside + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
+    slopes = (high - low) / (2 * SLOPE_REACH * here)
+    modulation = modulation_at(np.arange(-_WINDOWS * TABLED, len(inside) + _WINDOWS * TABLED) / TABLED)
     window = np.arange(-_WINDOWS * TABLED, _WINDOWS * TABLED + 1) / TABLED
     weight = np.exp(-0.5 * (window / SIGMA_ACROSS) ** 2)
     passed = np.convolve(modulation / (1 - modulation), weight / weight.sum() * np.sin(2 * np.pi * window), "valid")

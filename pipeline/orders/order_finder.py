@@ -244,7 +244,7 @@ class OrderFinder:
             found = (seen.phase, seen.raw_phase, seen.modulation, seen.rates)
             adopt_pixels(patches.final, *found, known, out=surface)
         # The response's correction is for the pattern's mean contrast.
-        deviations, _ = code_deviations(float(cycle_contrasts().mean()))
+        deviations = code_deviations(float(cycle_contrasts().mean()))
         columns = (slice(None), slice(None, None, _EVERY_COLUMN))
         sampled = runtime.to_host(out.unwrapped)[columns], runtime.to_host(out.region)[columns]
         corrections = modulation_corrections(deviations, modulation_tables(seen.correction))

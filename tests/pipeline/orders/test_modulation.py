@@ -9,8 +9,8 @@ from tikernels.order_evidence.modulation_correction import TABLED
 
 
 def test_deviations_are_the_codes():
-    deviations, slopes = code_deviations(0.86)
-    assert len(deviations) == len(slopes) == TABLED * (CYCLES - 1) + 1
+    deviations, (slopes, passed) = code_deviations(0.86), code_ripples()
+    assert len(deviations) == len(slopes) == len(passed) == TABLED * (CYCLES - 1) + 1
     np.testing.assert_allclose(deviations[::TABLED], cycle_contrasts() / 0.86 - 1, atol=1e-12)
     # Between two cycles of one symbol nothing changes.
     alike = np.flatnonzero(np.diff(cycle_contrasts()) == 0)
