@@ -16,7 +16,7 @@ from pipeline.decoding.buffers import SurfaceBuffers
 from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, choose_motion, count_votes, split_by_votes
-from pipeline.orders.coded_orders import find_absolute_orders
+from pipeline.orders.coded_orders import CodedOrders, find_absolute_orders
 from pipeline.orders.modulation import code_deviations, modulation_corrections, ripple_left
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, AbsoluteOrders, OrderRange
 from pipeline.pattern.contrast_code import cycle_contrasts
@@ -79,7 +79,7 @@ class Placement:
     absolute: AbsoluteOrders | None  # by a code, or by the depth range
     carried: CarriedOrders | None  # by the frame before
     coded: bool  # whether `absolute` is by a code
-    left_out: npt.NDArray[np.bool_] | None  # (P,) patches of specks that nothing places
+    left_out: npt.NDArray[np.bool_] | None  # (P,) patches of specks that nothing places, and torn ones
     warning: str | None  # what the user should know
 
     def offsets(self) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]:
@@ -187,8 +187,10 @@ class OrderFinder:
         coded = self._code == "contrast"
         if coded:
             graph = patches.graph()
-            absolute, readable = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
-            roots, warning = absolute.roots, None if readable else _CODE_NOT_SEEN
+            found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
+            absolute, roots = found.absolute, found.absolute.roots
+            patches.shift_orders(found.shifts)
+            warning, left_out = None if found.readable else _CODE_NOT_SEEN, found.torn
         if memory is not None:
             change = memory.orders.change
             votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region, change)
@@ -204,11 +206,11 @@ class OrderFinder:
                     carried = carried.with_neighbours(parts, patches.beside)
                 roots = parts
             warning = warning if carried.same_scene else _OTHER_SCENE
-        if absolute is not None and readable:
+        if absolute is not None and left_out is not None and found.readable:
             unknown = absolute.parts[absolute.error_probability(absolute.offsets) > _MAX_GUESS]
             unknown = unknown[~np.isin(unknown, [] if carried is None else carried.roots)]
             share = np.bincount(absolute.roots, graph.pixels, len(graph.pixels)) / np.prod(patches.shape)
-            left_out = np.isin(absolute.roots, unknown[share[unknown] < _MIN_GUESSED])
+            left_out = left_out | np.isin(absolute.roots, unknown[share[unknown] < _MIN_GUESSED])
         if not coded and self._depth_range_mm is not None:
             absolute, out_of_range = self._place_by_depth(seen, patches.graph(), roots, rays)
             warning = warning or out_of_range
@@ -259,14 +261,15 @@ class OrderFinder:
     def _shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
         """Whether the frame shows the code that nobody has told of."""
         graph = patches.graph()
-        found, readable = self._find_absolute(seen, patches, graph, None)
-        sure = found.error_probability(found.offsets) < MAX_ABSOLUTE_ERROR
-        share = graph.pixels[np.isin(found.roots, found.parts[sure])].sum() / graph.pixels.sum()
-        return readable and bool(share > _MIN_CODED)
+        found = self._find_absolute(seen, patches, graph, None)
+        absolute = found.absolute
+        sure = absolute.error_probability(absolute.offsets) < MAX_ABSOLUTE_ERROR
+        share = graph.pixels[np.isin(absolute.roots, absolute.parts[sure])].sum() / graph.pixels.sum()
+        return found.readable and bool(share > _MIN_CODED)
 
     def _find_absolute(
         self, seen: SeenPhase, patches: Patches, graph: PatchGraph, order_range: OrderRange | None
-    ) -> tuple[AbsoluteOrders, bool]:
+    ) -> CodedOrders:
         sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, seen.phase, seen.modulation, patches)
         rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
         return find_absolute_orders(sums, graph, int(seen.image.shape[1]), rising, order_range)

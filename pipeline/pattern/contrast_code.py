@@ -34,18 +34,24 @@ def modulation_at(cycles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 @cache
-def contrast_steps() -> npt.NDArray[np.float64]:
-    """Return by how much the logarithm of the contrast rises from each cycle to the next.
+def contrast_levels() -> npt.NDArray[np.float64]:
+    """Return the logarithm of each cycle's contrast, as it is read.
 
     A cycle's contrast is `measure_contrast_kernel`'s, to which its neighbours' symbols contribute 8 % each. The light
-    is assumed to be proportional to the codes; a response that is not makes the steps smaller, all alike.
+    is assumed to be proportional to the codes; a response that is not makes the differences smaller, all alike.
 
     Returns
     -------
-    (CYCLES - 1,) float64
+    (CYCLES,) float64
         Natural logarithm.
     """
     within = np.linspace(-0.5, 0.5, 129)
     weight = (1 - (2 * within) ** 2) ** 2
     mean = modulation_at(np.arange(CYCLES)[:, None] + within) @ weight / weight.sum()
-    return np.diff(np.log(mean / (1 - mean)))
+    return np.asarray(np.log(mean / (1 - mean)))
+
+
+@cache
+def contrast_steps() -> npt.NDArray[np.float64]:
+    """Return by how much `contrast_levels` rises from each cycle to the next, (CYCLES - 1,) float64."""
+    return np.diff(contrast_levels())

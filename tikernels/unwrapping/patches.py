@@ -13,6 +13,7 @@ from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.hidden_steps import mark_hidden_steps_kernel
 from tikernels.unwrapping.region_placing import choose_starts_kernel, place_regions_kernel
 from tikernels.unwrapping.region_writing import finish_patches_kernel, write_unwrapped_kernel
+from tikernels.unwrapping.surface_borders import Borders
 from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Patch, Region, cells_of, numbers_of
 from tikernels.unwrapping.unwrap_methods import PatchMethod
 
@@ -42,6 +43,8 @@ class PatchGraph(NamedTuple):
     """(2, C) the two patches of each contact."""
     votes: npt.NDArray[np.int32]
     """(C,) how well each contact is supported."""
+    borders: Borders | None = None
+    """What the borders of all patches show; None: the method measures none."""
 
 
 class RegionTable(NamedTuple):
@@ -88,6 +91,8 @@ class Patches:
         self._method = method
         self._regions = region_table
         self._seams = seams
+        #: What the patches' borders show; None: the method measures none.
+        self.borders: Borders | None = None
         #: (P,) the patch that stands for the region which each patch's region goes on with most, though not enough to
         #: be one with it; its own where there is none. None: nothing was parted.
         self.beside: npt.NDArray[np.int32] | None = None
@@ -115,7 +120,27 @@ class Patches:
         agree = offset[ends[1]] == offset[ends[0]] + noted[Contact.SHIFT]
         agree &= (root[ends[0]] == root[ends[1]]) & (ends[0] != ends[1])
         ends, votes = self._method.complete_graph(table[Patch.HEAD], ends[:, agree], noted[Contact.VOTES, agree])
-        return PatchGraph(root, offset, table[Patch.PIXELS].copy(), table[Patch.FIRST].copy(), ends, votes)
+        pixels, first = table[Patch.PIXELS].copy(), table[Patch.FIRST].copy()
+        return PatchGraph(root, offset, pixels, first, ends, votes, self.borders)
+
+    def shift_orders(self, shifts: npt.NDArray[np.integer]) -> None:
+        """Add whole cycles to the orders of single patches, which other regions are to have; see `split`.
+
+        Parameters
+        ----------
+        shifts : (P,) int
+            For each patch.
+
+        Raises
+        ------
+        ShapeError
+            There is not one for each patch.
+        """
+        if np.shape(shifts) != (self.count,):
+            raise ShapeError(f"shifts has shape {np.shape(shifts)}, expected one for each of {self.count} patches")
+        table = runtime.to_host(self.table)
+        table[Patch.OFFSET, : self.count] += shifts
+        _write_back(self.table, table)
 
     def split(self, roots: npt.NDArray[np.int32], left_out: npt.NDArray[np.bool_] | None = None) -> None:
         """Make regions of the patches that share a root, which is one of them; their orders stay.

@@ -187,13 +187,14 @@ def part_regions(
     contacts = graph.ends[:, ours][:, np.argsort(-graph.votes[ours], kind="stable")]
     a, b = graph.root[borders.ends]
     inside = (a == b) & steps[borders.ends[0]]
-    ends, going_on, stepping = borders.ends[:, inside], borders.going_on[inside], borders.stepping[inside]
-    steps_here = stepping > 0
-    against = np.ascontiguousarray(ends[:, steps_here].T, np.int32)
-    parents = grow_parts(contacts, against, stepping[steps_here].astype(np.float32), graph.pixels)
-    borders = Borders(parents[ends].astype(np.int64), going_on, stepping)
-    joined, partners = _join_parts(parents, parents[contacts], borders, graph.pixels)
-    doubtful = steps & _go_on_to_others(joined, ends, going_on)
+    px = borders.going_on[inside], borders.stepping[inside]
+    borders = Borders(borders.ends[:, inside], borders.shift[inside], *px)
+    steps_here = borders.stepping > 0
+    against = np.ascontiguousarray(borders.ends[:, steps_here].T, np.int32)
+    parents = grow_parts(contacts, against, borders.stepping[steps_here].astype(np.float32), graph.pixels)
+    of_parts = borders._replace(ends=parents[borders.ends].astype(np.int64))
+    joined, partners = _join_parts(parents, parents[contacts], of_parts, graph.pixels)
+    doubtful = steps & _go_on_to_others(joined, borders.ends, borders.going_on)
     partner = partners[joined]
     joined = _set_apart(joined, doubtful)
     beside = np.where(steps & ~doubtful, joined[partner], graph.root)

@@ -11,12 +11,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3, vec4
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec2, vec3, vec4
 from tikernels.arrays import F32, I32
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.unwrapping.continuity import frame_rates
-from tikernels.unwrapping.tables import ORDER_BITS, cell_bounds, cell_count, cells_of, patch_number
+from tikernels.unwrapping.tables import ORDER_BITS, ORDER_MASK, cell_bounds, cell_count, cells_of, patch_number
 
 # The surface is looked at again this many pixels further on; slopes are taken over this many. Steeper ones (rad a px,
 # relative to the usual change) are no slopes, and count as none.
@@ -38,10 +38,12 @@ Integers = npt.NDArray[np.int64]
 
 
 class Borders(NamedTuple):
-    """Pairs of patches with a common border; a pair may be there twice."""
+    """Pairs of patches with a common border; a pair may be there several times."""
 
     ends: Integers
-    """(2, N) the patches."""
+    """(2, N) the patches, the smaller number first."""
+    shift: Integers
+    """(N,) whole cycles by which the zeros of their orders differ where the surface goes on; see `Contact.SHIFT`."""
     going_on: npt.NDArray[np.float64]
     """(N,) pixels over which the surface goes on; a dim one counts less."""
     stepping: npt.NDArray[np.float64]
@@ -49,9 +51,15 @@ class Borders(NamedTuple):
 
 
 @ti.func
+def whole_cycles(angle: f32) -> f32:
+    """Return how many whole cycles bring an angle into [-pi, pi]."""
+    return ti.round(angle * (0.5 / PI))
+
+
+@ti.func
 def without_cycles(angle: f32) -> f32:
     """Return an angle less its whole cycles, in [-pi, pi]."""
-    return angle - 2.0 * PI * ti.round(angle * (0.5 / PI))
+    return angle - 2.0 * PI * whole_cycles(angle)
 
 
 @ti.func
@@ -62,17 +70,21 @@ def slope_beyond(difference: f32, rate: f32) -> f32:
 
 
 @ti.func
-def departure(phase: F32Array2, y: i32, x: i32, down: Static, rate: f32) -> f32:
-    """How far (rad) the phase departs from what the slopes before and after let expect; NO_PHASE if not to be told."""
+def departure(phase: F32Array2, y: i32, x: i32, down: Static, rate: f32) -> vec2:
+    """How far (rad) the phase departs from what the slopes before and after let expect; NO_PHASE if not to be told.
+
+    Then the whole cycles that were taken off.
+    """
     dy, dx = ti.static((down, 1 - down))
-    result = NO_PHASE
+    result = vec2(NO_PHASE, 0.0)
     far = _REACH + _SLOPE_PX
     if y >= _SLOPE_PX * dy and x >= _SLOPE_PX * dx and y + far * dy < phase.shape[0] and x + far * dx < phase.shape[1]:
         one, two = phase[y - _SLOPE_PX * dy, x - _SLOPE_PX * dx], phase[y, x]
         three, four = phase[y + _REACH * dy, x + _REACH * dx], phase[y + far * dy, x + far * dx]
         if has_phase(one) and has_phase(two) and has_phase(three) and has_phase(four):
             slope = rate + 0.5 * (slope_beyond(two - one, rate) + slope_beyond(four - three, rate))
-            result = ti.abs(without_cycles(three - two - _REACH * slope))
+            departs = three - two - _REACH * slope
+            result = vec2(ti.abs(without_cycles(departs)), whole_cycles(departs))
     return result
 
 
@@ -88,22 +100,26 @@ def sample_departures_kernel(
         along, across, _ = frame_rates(rates)
         top, left, bottom, right = cell_bounds(cell, height, width)
         y, x = (top + bottom) // 2, (left + right) // 2
-        out_departures[0, cell] = departure(phase, y, x, 0, along)
-        out_departures[1, cell] = departure(phase, y, x, 1, across)
+        out_departures[0, cell] = departure(phase, y, x, 0, along)[0]
+        out_departures[1, cell] = departure(phase, y, x, 1, across)[0]
 
 
 @ti.func
-def note_border(ends: ivec2, px: f32, steps: i32, cell: i32, count: Static, out_ends: I32Array2, out_px: F32Array2):
+def note_border(
+    ends: ivec2, shift: i32, px: f32, steps: i32, cell: i32, count: Static, out_pairs: I32Array2, out_px: F32Array2
+):
     """Add pixels to those of a pair of patches in a cell's notes."""
     low, high = ti.min(ends[0], ends[1]), ti.max(ends[0], ends[1])
+    upwards = ti.select(ends[0] == low, shift, -shift)
     place, noted = count, ti.min(count, _PLACES)
     for k in range(noted):
-        if out_ends[0, _PLACES * cell + k] == low and out_ends[1, _PLACES * cell + k] == high:
+        at = _PLACES * cell + k
+        if out_pairs[0, at] == low and out_pairs[1, at] == high and out_pairs[2, at] == upwards:
             place = k
     if place < _PLACES:
         at = _PLACES * cell + place
         if place == count:
-            out_ends[0, at], out_ends[1, at] = low, high
+            out_pairs[0, at], out_pairs[1, at], out_pairs[2, at] = low, high, upwards
             out_px[0, at], out_px[1, at] = 0.0, 0.0
             count += 1
         out_px[steps, at] = out_px[steps, at] + px
@@ -115,10 +131,10 @@ def border_at(
 ):
     """Return the label on the far side of a border that begins after a pixel, its pixels, and whether it steps.
 
-    A negative label: there is none, or it says nothing.
+    A negative label: there is none, or it says nothing. Then the whole cycles to add there to count from here.
     """
     dy, dx = ti.static((down, 1 - down))
-    far, px, steps = -1, 0.0, 0
+    far, px, steps, shift = -1, 0.0, 0, 0
     here, beside = labels[y, x], labels[y + dy, x + dx]
     if here >= 0 and (here >> ORDER_BITS) != (beside >> ORDER_BITS):
         there = labels[y + _REACH * dy, x + _REACH * dx]
@@ -126,10 +142,11 @@ def border_at(
             departs = departure(phase, y, x, down, usual[down])
             low = ti.min(quality[y, x], quality[y + _REACH * dy, x + _REACH * dx])
             px = ti.min(4.0 * low / usual[2], 1.0)
-            goes_on = departs < limits[2 * down]
-            steps = ti.cast(departs > limits[2 * down + 1], i32)
-            far = ti.select(goes_on or (steps == 1 and has_phase(departs)), there, -1)
-    return far, px, steps
+            goes_on = departs[0] < limits[2 * down]
+            steps = ti.cast(departs[0] > limits[2 * down + 1], i32)
+            far = ti.select(goes_on or (steps == 1 and has_phase(departs[0])), there, -1)
+            shift = (here & ORDER_MASK) - (there & ORDER_MASK) - ti.cast(departs[1], i32)
+    return far, px, steps, shift
 
 
 @ti.kernel
@@ -141,7 +158,7 @@ def measure_borders_kernel(
     cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
     draft_bits: i32,
     limits: F32Array2,  # (4, cells) rad: up to which a surface goes on and from which it steps, along and across
-    out_ends: I32Array2,  # (2, _PLACES cells) patches
+    out_pairs: I32Array2,  # (3, _PLACES cells) patches, and the shift from the first to the second
     out_px: F32Array2,  # (2, _PLACES cells) pixels over which the surface goes on, and over which it steps
     out_counts: I32Array1,  # (cells,) how many pairs
 ):
@@ -157,11 +174,11 @@ def measure_borders_kernel(
             stop = ivec2(height - down * _REACH, width - (1 - down) * _REACH)
             for y in range(bounds[0], ti.min(bounds[2], stop[0])):
                 for x in range(bounds[1], ti.min(bounds[3], stop[1])):
-                    there, px, steps = border_at(phase, quality, usual, own, labels, down, y, x)
+                    there, px, steps, shift = border_at(phase, quality, usual, own, labels, down, y, x)
                     if there >= 0:
                         here = patch_number(labels[y, x] >> ORDER_BITS, cells, draft_bits)
                         ends = ivec2(here, patch_number(there >> ORDER_BITS, cells, draft_bits))
-                        note_border(ends, px, steps, cell, count, out_ends, out_px)
+                        note_border(ends, shift, px, steps, cell, count, out_pairs, out_px)
         out_counts[cell] = count
 
 
@@ -202,10 +219,11 @@ def measure_borders(phase: F32, quality: F32, rates: F32, labels: I32, cells: I3
     sample = runtime.empty((2, count), np.float32)
     sample_departures_kernel(phase, rates, sample)
     limits = np.concatenate([_limits(seen, rows, columns) for seen in runtime.to_host(sample)])  # synchronises
-    ends = runtime.empty((2, _PLACES * count), np.int32)
+    pairs = runtime.empty((3, _PLACES * count), np.int32)
     px = runtime.empty((2, _PLACES * count), np.float32)
     counts = runtime.empty((count,), np.int32)
-    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, limits, ends, px, counts)
+    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, limits, pairs, px, counts)
     used = np.arange(_PLACES) < runtime.to_host(counts)[:, None]  # synchronises
-    pairs, pixels = runtime.to_host(ends)[:, used.ravel()], runtime.to_host(px)[:, used.ravel()]
-    return Borders(pairs.astype(np.int64), pixels[0].astype(np.float64), pixels[1].astype(np.float64))
+    noted = runtime.to_host(pairs)[:, used.ravel()].astype(np.int64)
+    going_on, stepping = runtime.to_host(px)[:, used.ravel()].astype(np.float64)
+    return Borders(noted[:2], noted[2], going_on, stepping)

@@ -101,9 +101,9 @@ class RegionUnwrapper:
     def _part(self, patches: Patches, phase: F32, quality: F32, rates: F32) -> None:
         """Part regions that hang together by the smaller part of a border."""
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
-        borders = measure_borders(phase, quality, rates, *of_patches)
-        if regions_that_step(patches.roots(), borders).any():
-            roots, slivers, beside = part_regions(patches.graph(), borders)
+        patches.borders = measure_borders(phase, quality, rates, *of_patches)
+        if regions_that_step(patches.roots(), patches.borders).any():
+            roots, slivers, beside = part_regions(patches.graph(), patches.borders)
             patches.split(roots, slivers)
             patches.beside = beside
 

@@ -71,6 +71,24 @@ def test_parts_get_orders_of_their_own(arch, method):
     assert np.ptp(whole - np.rint((true - phase) / (2 * np.pi))) == 0
 
 
+def test_patches_change_their_orders_one_by_one(arch):
+    """The right half of a plane, two cycles higher; and shifts of another number of patches are refused."""
+    true = reference.ramp(80, 96)
+    phase = reference.wrapped(true)
+    patches, rates = join(phase)
+    roots = halves(patches.graph(), 96)
+    right = roots == roots.max()
+    patches.shift_orders(2 * right)
+    patches.split(np.zeros(patches.count, np.int32))  # one region again: its patches' orders stay
+    patches.set_orders(np.array([0]), np.array([0]))
+    unwrapped, mask, _ = written(patches, phase, rates)
+    cycles = np.rint((unwrapped - true) / (2 * np.pi))
+    left, right = (np.unique(cycles[:, side][mask[:, side] != 0]) for side in (np.s_[:32], np.s_[64:]))
+    assert len(left) == len(right) == 1 and right - left == 2
+    with pytest.raises(tikernels.ShapeError, match="shifts has shape"):
+        patches.shift_orders(np.zeros(patches.count + 1, np.int64))
+
+
 def test_regions_that_were_written(arch):
     """Two surfaces beside a gap: roots and pixels of both, the larger first; specks are none."""
     phase = reference.wrapped(reference.ramp(64, 100))

@@ -89,6 +89,7 @@ def test_parts_join_over_most_of_their_border(arch):
     stepping[[10, 11, 12, 13, 14, 15]] = 8.0  # of the second 6
     borders = Borders(
         np.concatenate([along, down], axis=1),
+        np.zeros(47, np.int64),
         np.concatenate([np.full(27, 8.0), 8.0 - stepping]),
         np.concatenate([np.zeros(27), stepping]),
     )
@@ -110,5 +111,5 @@ def test_parts_join_over_most_of_their_border(arch):
     _, slivers, _ = part_regions(graph._replace(pixels=few), borders)
     np.testing.assert_array_equal(slivers, np.arange(30) >= 20)
     # Where nothing steps, nothing is parted.
-    smooth = Borders(borders.ends, borders.going_on, np.zeros(47))
+    smooth = borders._replace(stepping=np.zeros(47))
     assert not regions_that_step(graph.root, smooth).any()

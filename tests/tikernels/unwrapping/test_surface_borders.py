@@ -59,6 +59,18 @@ def test_a_smooth_surface_steps_nowhere(arch):
     assert borders.stepping.sum() < 0.01 * borders.going_on.sum()
 
 
+def test_how_orders_differ_across_borders(arch):
+    """The patches of a smooth surface have the orders that its regions give them."""
+    phase = reference.wrapped(reference.ramp(*SHAPE, 12.0, tilt=0.05)).astype(np.float32)
+    patches, _ = join(phase, np.ones(SHAPE, np.float32))
+    graph = patches.graph()
+    assert len(np.unique(graph.root)) == 1 and len(np.unique(graph.offset)) > 5
+    assert graph.borders.going_on.sum() > 500
+    low, high = graph.borders.ends
+    assert (low < high).all()
+    np.testing.assert_array_equal(graph.offset[high] - graph.offset[low], graph.borders.shift)
+
+
 def test_a_step_is_seen_along_the_whole_border(arch):
     """The right part lies 2 rad in front: each row steps, dim ones count less, some twice at cell borders."""
     true = reference.ramp(*SHAPE, 12.0) + 2.0 * (np.arange(SHAPE[1]) >= 67)

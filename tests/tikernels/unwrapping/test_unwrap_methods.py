@@ -76,7 +76,9 @@ def test_cells_without_room_are_grown_again(arch, method):
     tight = METHODS[method](64, 72)
     tight.draft_bits = 0
     found, _ = join(phase, method=tight)
-    for one, other in zip(found.graph(), expected.graph(), strict=True):
+    *found, found_borders = found.graph()
+    *expected, expected_borders = expected.graph()
+    for one, other in zip([*found, *(found_borders or ())], [*expected, *(expected_borders or ())], strict=True):
         np.testing.assert_array_equal(one, other)
 
 

@@ -1,0 +1,224 @@
+"""Settle which part the patches along a border between two parts belong to.
+
+Where two surfaces touch at a step of a whole cycle the phase goes on from one to the other, and the cut between them
+may lie some patches off. The contrast tells on which side patches lie: not by how it rises from cycle to cycle, of
+which a patch shows one step or none, but by how high it is beside the rest of its part. So do the borders: a clump of
+patches is moved to the part beside it where contrast and borders together favour that. A patch at such a border is
+torn, and left out, if neither part is clearly the better one, or its contrast contradicts its own part's.
+
+On piles of objects this leaves a half to a fifth of what was wrong and not flagged, and costs 0.3 % of what was right.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.models import FloatArray
+from pipeline.orders.contrast_cycles import Cycles
+from pipeline.orders.posterior import Integers
+from pipeline.pattern.contrast_code import contrast_levels
+from pipeline.robust import robust_sigma
+from tikernels.order_evidence.offset_labelling import connected_parts
+from tikernels.unwrapping.patches import PatchGraph
+from tikernels.unwrapping.surface_borders import Borders
+
+# A part's contrast is its code's times a factor, whose logarithm is a plane, less ambient light's share: standard
+# deviations of the slopes (a px) and of that share, and the smallest one of a level. A level may add as many variances.
+_SLOPE_SIGMA, _AMBIENT_SIGMA, _MIN_SIGMA, _MAX_DEVIATION = 5e-4, 0.1, 0.012, 9.0
+_ROUNDS = 5
+# Fewer cycles tell no level. A patch that shows less than this share of a cycle shows none.
+_MIN_CYCLES, _MIN_SHOWN = 3.0, 0.3
+# What a pixel costs, in units of the logarithm of the likelihood: over which the surface goes on to another part, or to
+# another order; and over which it steps inside a part. A clump is moved if that is better by this.
+_GOING_ON_COST, _STEPPING_COST, _MIN_GAIN = 0.15, 0.225, 4.0
+# Two parts go on where they do over more pixels than the first; over a cell's side they surely do. Two orders are as
+# good as each other where their logarithms differ by less than the third; a patch contradicts its part where it shows
+# the fourth share of a cycle, and its levels deviate by this many variances on average.
+_SOME_PX, _SIDE_PX, _UNDECIDED, _WELL_SHOWN, _CONTRADICTS = 3.0, 8.0, 4.0, 0.8, 7.0
+# Orders that differ by more are a border's that has been misread.
+_MOST_CYCLES = 200
+
+
+@dataclass(frozen=True)
+class SettledBorders:
+    """Where the patches belong."""
+
+    roots: npt.NDArray[np.int32]  # (P,) the patch that stands for each patch's part
+    shifts: Integers  # (P,) whole cycles to add to the patches' orders so that they are their part's
+    torn: npt.NDArray[np.bool_]  # (P,) patches that may belong to either of two parts
+
+
+class _LevelCosts:
+    """What the contrast says against the patches' belonging to a part."""
+
+    def __init__(
+        self,
+        cycles: Cycles,
+        graph: PatchGraph,
+        width: int,
+        strength: float,
+        roots: npt.NDArray[np.int32],
+        lacks: Integers,
+    ) -> None:
+        self._cycles, self._strength, self._roots, self._lacks = cycles, strength, roots, lacks
+        y, x = np.divmod(graph.first[cycles.patch], width)
+        self._y, self._x = y.astype(np.float64), x.astype(np.float64)
+        self._code = contrast_levels()
+        self._fits: dict[int, tuple[FloatArray, tuple[float, float, float], float]] = {}
+        self._silent: set[int] = set()
+        #: (P,) how much of whole cycles each patch shows.
+        self.shown = np.bincount(cycles.patch, cycles.share, len(graph.root))
+
+    def known(self, part: int) -> bool:
+        """Whether a part shows how high its contrast is; measured when it is asked for the first time."""
+        if part not in self._fits and part not in self._silent:
+            held = np.flatnonzero(self._roots[self._cycles.patch] == part)
+            if self._cycles.share[held].sum() >= _MIN_CYCLES:
+                self._fits[part] = self._fitted(held)
+            else:
+                self._silent.add(part)
+        return part in self._fits
+
+    def _fitted(self, held: Integers) -> tuple[FloatArray, tuple[float, float, float], float]:
+        """Fit a part's factor to its cycles: a robust plane, and a share of ambient light."""
+        cycles = self._cycles
+        middle = float(self._x[held].mean()), float(self._y[held].mean()), float(np.median(cycles.brightness[held]))
+        terms = self._terms(held, middle)
+        remains = cycles.contrast[held] - self._strength * self._code_at(held, self._lacks)[0]
+        fit = np.array([np.median(remains), 0.0, 0.0, 0.0])
+        prior = np.diag([0.0, _SLOPE_SIGMA**-2, _SLOPE_SIGMA**-2, _AMBIENT_SIGMA**-2])
+        sigma = _MIN_SIGMA
+        for _ in range(_ROUNDS):
+            departs = remains - terms @ fit
+            sigma = max(robust_sigma(np.abs(departs)), 0.5 * _MIN_SIGMA)
+            weights = cycles.share[held] / np.maximum(1, np.abs(departs) / (1.5 * sigma)) / sigma**2
+            weighted = terms * weights[:, None]
+            fit = np.linalg.solve(weighted.T @ terms + prior, weighted.T @ remains)
+        return fit, middle, max(sigma, _MIN_SIGMA)
+
+    def _terms(self, held: Integers, middle: tuple[float, float, float]) -> FloatArray:
+        x, y, brightness = middle
+        darker = np.clip(brightness / np.maximum(self._cycles.brightness[held], 1e-6) - 1, -1, 3)
+        return np.stack([np.ones(len(held)), self._x[held] - x, self._y[held] - y, darker], axis=1)
+
+    def _code_at(self, held: Integers, lacks: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        place = self._cycles.order[held] + lacks[self._cycles.patch[held]]
+        inside = (place >= 0) & (place < len(self._code))
+        return self._code[np.clip(place, 0, len(self._code) - 1)], inside
+
+    def against(self, part: int, patches: npt.NDArray[np.bool_], lacks: Integers) -> FloatArray:
+        """Return (P,) half the squared deviation, in variances, of these patches' levels from a part's."""
+        fit, middle, sigma = self._fits[part]
+        held = np.flatnonzero(patches[self._cycles.patch])
+        code, inside = self._code_at(held, lacks)
+        departs = (self._cycles.contrast[held] - self._strength * code - self._terms(held, middle) @ fit) / sigma
+        cost = np.where(inside, np.minimum(departs**2, _MAX_DEVIATION), _MAX_DEVIATION)
+        weights = 0.5 * self._cycles.share[held] * cost
+        return np.asarray(np.bincount(self._cycles.patch[held], weights, len(patches)), np.float64)
+
+
+def settle_borders(
+    cycles: Cycles,
+    graph: PatchGraph,
+    width: int,
+    strength: float,
+    roots: npt.NDArray[np.int32],
+    lacks: Integers,
+    known: npt.NDArray[np.bool_],
+) -> SettledBorders:
+    """Move clumps of patches to the part beside theirs where contrast and borders favour that, and find torn ones.
+
+    Parameters
+    ----------
+    cycles : Cycles
+        What the patches show.
+    graph : PatchGraph
+        Patches and borders.
+    width : int
+        The image's, px.
+    strength : float
+        Of the code's steps.
+    roots : (P,) int32
+        The patch that stands for each patch's part.
+    lacks : (P,) int
+        Whole cycles that the orders of the patches' parts lack to be absolute.
+    known : (P,) bool
+        Whether that is certain; orders that are not are flagged anyway, and their patches not torn.
+    """
+    torn = np.zeros(len(roots), np.bool_)
+    if graph.borders is None or strength == 0:
+        return SettledBorders(roots, np.zeros(len(roots), np.int64), torn)
+    borders, costs = graph.borders, _LevelCosts(cycles, graph, width, strength, roots, lacks)
+    roots, now = roots.copy(), lacks.astype(np.int64)
+    for part, other, change, seeds in _going_on(borders, graph.offset + now, roots, _SOME_PX):
+        if not (costs.known(part) and costs.known(other)):
+            continue
+        inside = roots == part
+        prefers = costs.against(other, inside, now + change) - costs.against(part, inside, now)
+        members = inside & ((prefers < 0) | (costs.shown < _MIN_SHOWN))
+        for clump in _clumps(graph, members, seeds):
+            then = np.where(clump, other, roots), np.where(clump, now + change, now)
+            gain = _border_cost(borders, clump, graph.offset + now, roots)
+            gain -= _border_cost(borders, clump, graph.offset + then[1], then[0])
+            if gain - prefers[clump].sum() > _MIN_GAIN and 2 * graph.pixels[clump].sum() < graph.pixels[inside].sum():
+                roots, now = then
+                inside = inside & ~clump
+    known = known[roots]
+    for part, other, change, seeds in _going_on(borders, graph.offset + now, roots, _SIDE_PX):
+        if costs.known(part) and costs.known(other):
+            asked = np.zeros(len(roots), np.bool_)
+            asked[seeds] = True
+            prefers = costs.against(other, asked, now + change) - costs.against(part, asked, now)
+            torn |= asked & (prefers < _UNDECIDED)
+    touching = (roots[borders.ends[0]] != roots[borders.ends[1]]) & (borders.going_on > _SOME_PX)
+    beside = np.zeros(len(roots), np.bool_)
+    beside[borders.ends[:, touching]] = True
+    beside &= costs.shown > _WELL_SHOWN
+    for part in np.unique(roots[beside]):
+        if costs.known(part):
+            asked = beside & (roots == part)
+            torn |= asked & (costs.against(part, asked, now) > 0.5 * _CONTRADICTS * costs.shown)
+    return SettledBorders(roots.astype(np.int32), now - lacks[roots], torn & known)
+
+
+def _going_on(
+    borders: Borders, orders: npt.NDArray[np.integer], roots: npt.NDArray[np.int32], least_px: float
+) -> Iterator[tuple[int, int, int, Integers]]:
+    """Find where parts go on to others at orders that are not theirs.
+
+    Yields a part, the other one, by how many cycles the part's orders would change if it went on there, and its patches
+    along such a border.
+    """
+    counts = borders.going_on >= least_px
+    (low, high), shift = borders.ends[:, counts], borders.shift[counts]
+    one, other = np.concatenate([low, high]), np.concatenate([high, low])
+    change = orders[other] - np.concatenate([shift, -shift]) - orders[one]
+    wrong = (roots[one] != roots[other]) & (change != 0) & (np.abs(change) < _MOST_CYCLES)
+    pairs = np.stack([roots[one[wrong]], roots[other[wrong]], change[wrong]])
+    kinds, member = np.unique(pairs, axis=1, return_inverse=True)
+    for kind, (part, beside, cycles) in enumerate(kinds.T.tolist()):
+        yield part, beside, cycles, np.unique(one[wrong][member.ravel() == kind])
+
+
+def _clumps(graph: PatchGraph, members: npt.NDArray[np.bool_], seeds: Integers) -> Iterator[npt.NDArray[np.bool_]]:
+    """Find the clumps of members that hang together and hold a seed, (P,) bool each."""
+    seeds = seeds[members[seeds]]
+    if len(seeds) == 0:
+        return
+    within = members[graph.ends[0]] & members[graph.ends[1]]
+    pieces = connected_parts(graph.ends[:, within], len(members))
+    for piece in np.unique(pieces[seeds]):
+        yield members & (pieces == piece)
+
+
+def _border_cost(
+    borders: Borders, clump: npt.NDArray[np.bool_], orders: npt.NDArray[np.integer], roots: npt.NDArray[np.integer]
+) -> float:
+    """Return what the borders of a clump's patches cost, with these absolute orders and parts."""
+    touching = clump[borders.ends[0]] | clump[borders.ends[1]]
+    low, high = borders.ends[:, touching]
+    whole = (roots[low] == roots[high]) & (orders[high] - orders[low] == borders.shift[touching])
+    px = np.where(whole, _STEPPING_COST * borders.stepping[touching], _GOING_ON_COST * borders.going_on[touching])
+    return float(px.sum())

@@ -1,0 +1,161 @@
+"""Cut regions where the code contradicts them: several surfaces were joined across steps of whole cycles.
+
+Six cycles in a row, a stretch, name their place in the code's sequence. Many stretches tell how strong the code is in
+this frame, and by how much its steps scatter. Then the patches of every region are labelled with the offsets that their
+steps name, all at once (`tikernels.order_evidence.offset_labelling`).
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.models import FloatArray
+from pipeline.orders.contrast_cycles import Steps
+from pipeline.orders.posterior import Integers
+from pipeline.pattern.contrast_code import contrast_steps
+from tikernels.order_evidence.contrast_reading import LEAST, SECOND, WINDOW, match_stretches
+from tikernels.order_evidence.offset_labelling import (
+    Links,
+    connected_parts,
+    pool_evidence,
+    settle_labels,
+    weigh_offsets,
+)
+from tikernels.unwrapping.patches import PatchGraph
+
+# Below this share of the code's steps the frame does not show the code; a response of gamma 2.4 leaves half of them.
+_MIN_STRENGTH = 0.25
+# Steps in a stretch: those of six cycles.
+_STRETCH = 5
+# Standard deviation of the slow change of the contrast's logarithm a cycle: blur takes more where fringes are finer.
+_DRIFT = 0.04
+# Of the stretches that overlap, every second one votes.
+_EVERY = 2
+# Smallest standard deviation of a step's logarithm: what balance, slopes and blur leave of it on clean frames.
+_MIN_SIGMA = 0.015
+# What a single step may add to the squared deviation from the code, in variances, that is three standard deviations:
+# edges and blemishes deviate by more, and must not decide alone.
+_MAX_DEVIATION = 9.0
+# Where the squared deviation of the steps is larger than this on average, in variances, none of the offsets that
+# stretches have named is the right one.
+_NOWHERE = 5.5
+# Regions of fewer pixels or steps are too small to be parted.
+_MIN_PARTED_PX, _MIN_STEPS = 600, 6
+# An offset is a candidate where patches, with what comes over contacts of this support or more undiminished and this
+# many patches far, prefer it to their region's own by this margin, in variances; it takes this many such patches, and
+# the commonest few are looked at.
+_FULL_SUPPORT, _POOLED, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 3, 300.0, 3, 12
+# What a difference of labels costs across a contact of full support, in variances, the least share of it, and how often
+# labels settle.
+_LABEL_COST, _LEAST_SUPPORT, _SWEEPS = 20.0, 0.05, 8
+
+
+def spread_and_strength(steps: Steps) -> tuple[float, float]:
+    """Return the standard deviation of a step, and the strength of the code's; 0: the frame does not show it."""
+    # By medians: the steps at edges are many times too large.
+    strength = float(np.median(np.abs(steps.rise)) / np.median(np.abs(contrast_steps()))) if len(steps.rise) else 0.0
+    if strength < _MIN_STRENGTH:
+        return _MIN_SIGMA, 0.0
+    # More exactly, by the stretches that fit clearly.
+    stretches = _stretches(steps)
+    if len(stretches) == 0:
+        return _MIN_SIGMA, strength
+    # What all five steps have in common may be the contrast's own slow change.
+    common = 1 - 1 / np.sqrt(1 + _STRETCH * (_DRIFT / _MIN_SIGMA) ** 2)
+    without = np.eye(_STRETCH) - common / _STRETCH
+    windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
+    seen = steps.rise[stretches] @ without
+    matches = match_stretches(seen.astype(np.float32), (strength * windows).astype(np.float32))
+    best, clear = matches[:, WINDOW].astype(np.int64), matches[:, LEAST] < 0.25 * matches[:, SECOND]
+    if not clear.any():
+        return _MIN_SIGMA, strength
+    expected = windows[best[clear]]
+    factor = (seen[clear] * expected).sum(axis=1) / np.maximum((expected**2).sum(axis=1), 1e-12)
+    strength = float(np.median(factor))
+    remaining = ((seen[clear] - strength * expected) ** 2).mean(axis=1)
+    return max(_MIN_SIGMA, 1.7 * float(np.sqrt(np.median(remaining)))), strength
+
+
+def cut_regions(
+    steps: Steps, graph: PatchGraph, sigma: float, strength: float
+) -> tuple[npt.NDArray[np.int32], Integers]:
+    """Cut pieces off regions that the code contradicts.
+
+    Parameters
+    ----------
+    steps : Steps
+        Of all columns of patches.
+    graph : PatchGraph
+        The patches, joined to regions.
+    sigma, strength : float
+        Of `spread_and_strength`; with a strength of 0 nothing is cut.
+
+    Returns
+    -------
+    roots : (P,) int32
+        The patch that stands for each patch's part.
+    main : (P,) int64
+        By region, the root of its largest part with the region's own offset; -1 where nothing was cut off.
+    """
+    roots, main = graph.root.copy(), np.full(len(graph.root), -1)
+    if strength == 0:
+        return roots, main
+    owner = graph.root[steps.low]
+    pixels, count = np.bincount(graph.root, graph.pixels), np.bincount(owner, minlength=len(graph.root))
+    regions = np.flatnonzero(pixels >= _MIN_PARTED_PX)
+    number = np.empty(len(graph.root), np.int64)
+    for region in regions[count[regions] >= _MIN_STEPS]:
+        patches, own = np.flatnonzero(graph.root == region), np.flatnonzero(owner == region)
+        number[patches] = np.arange(len(patches))
+        within = graph.root[graph.ends[0]] == region
+        ends, support = number[graph.ends[:, within]], np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
+        seen = (number[steps.low[own]], number[steps.high[own]]), steps.order[own], steps.rise[own]
+        labels = _labels(*seen, ends, support, len(patches), sigma, strength)
+        if labels is None:
+            continue
+        whole = labels[ends[0]] == labels[ends[1]]
+        pieces = connected_parts(ends[:, whole], len(patches))
+        roots[patches] = patches[pieces]
+        own_offset = np.bincount(pieces[labels == 0], graph.pixels[patches][labels == 0], len(patches))
+        main[region] = patches[own_offset.argmax()]
+    return roots, main
+
+
+def _labels(
+    ends_of_steps: tuple[Integers, Integers],
+    order: Integers,
+    rise: FloatArray,
+    ends: Integers,
+    support: FloatArray,
+    patches: int,
+    sigma: float,
+    strength: float,
+) -> npt.NDArray[np.int32] | None:
+    """Label a region's patches with the offsets that their steps name, 0 for the region's own; None: all have that."""
+    code = strength * contrast_steps()
+    offsets = range(-int(order.max()), len(code) - int(order.min()))
+    evidence = weigh_offsets(ends_of_steps, order, rise, code, offsets, patches, sigma, _MAX_DEVIATION)
+    own = int(evidence.sum(axis=1).argmin())
+    links = Links.of(ends, patches)
+    pooled = pool_evidence(evidence, links, support, _POOLED)
+    best = pooled.argmin(axis=0)
+    margin = pooled[own] - pooled[best, np.arange(patches)]
+    named, votes = np.unique(best[(best != own) & (margin > _MIN_MARGIN)], return_counts=True)
+    named, votes = named[votes >= _MIN_PATCHES], votes[votes >= _MIN_PATCHES]
+    if len(named) == 0:
+        return None
+    candidates = np.append(own, named[np.argsort(-votes, kind="stable")][:_CANDIDATES])
+    # None of them is right where the steps deviate by more than this from all.
+    shown = np.bincount(np.concatenate(ends_of_steps), minlength=patches)
+    nowhere = (0.5 * _NOWHERE * shown[None]).astype(np.float32)
+    first = np.concatenate([pooled[candidates], pool_evidence(nowhere, links, support, _POOLED)]).argmin(axis=0)
+    costs = _LABEL_COST * np.maximum(support, _LEAST_SUPPORT)
+    labels = settle_labels(np.concatenate([evidence[candidates], nowhere]), first, links, costs, _SWEEPS)
+    return None if (labels == 0).all() else labels
+
+
+def _stretches(steps: Steps) -> Integers:
+    """Return the (n, 5) steps of every six cycles in a row, from the lowest order."""
+    starts = np.arange(0, max(len(steps.place) - _STRETCH + 1, 0), _EVERY)
+    starts = starts[steps.place[starts + _STRETCH - 1] - steps.place[starts] == _STRETCH - 1]
+    stretches: Integers = starts[:, None] + np.arange(_STRETCH)
+    return stretches if steps.rising else stretches[:, ::-1]

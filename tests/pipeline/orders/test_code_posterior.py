@@ -1,0 +1,51 @@
+"""Posteriors of parts by the steps that they show."""
+
+import numpy as np
+import pytest
+from support.coded_steps import shown
+
+from pipeline.orders.code_posterior import code_posteriors, log_likelihood, part_level, seen_steps
+from pipeline.pattern.contrast_code import contrast_levels
+
+PART = np.array([0])
+
+
+def seen(rows, lack, **surface):
+    """Return the steps of one part of six columns."""
+    _, steps = shown(rows, 6, [lack] * 6, **surface)
+    return seen_steps(steps, np.zeros(6 * rows, np.int32), PART)[0]
+
+
+@pytest.mark.parametrize("lack", [0, 7, 80])
+def test_ten_cycles_name_their_place(lack):
+    (posterior,), readable = code_posteriors([log_likelihood(seen(10, lack))], np.zeros(1))
+    assert readable and posterior.best == lack and posterior.error(lack) < 1e-6
+
+
+def test_few_cycles_do_not():
+    (posterior,), _ = code_posteriors([log_likelihood(seen(4, 20))], np.zeros(1))
+    assert posterior.error(posterior.best) > 1e-3
+
+
+def test_chance_that_looks_like_the_code_is_doubted():
+    likelihood = log_likelihood(seen(7, 20))
+    errors = []
+    for luck in (0.0, 12.0):
+        (posterior,), _ = code_posteriors([likelihood], np.array([luck]))
+        errors.append(posterior.error(20))
+    assert errors[1] > 10 * errors[0]
+
+
+def test_how_high_the_contrast_is():
+    """The level is the code's at the true offset, times the surface's factor."""
+    level = part_level(seen(8, 30, factor=-0.2))
+    assert level.code.shape == (len(contrast_levels()) - 7,)
+    np.testing.assert_allclose(level.factor(np.ones(1), 30), -0.2, atol=0.005)
+    assert level.variance < 0.01**2
+
+
+def test_a_part_without_steps():
+    nothing = seen(1, 0)
+    assert part_level(nothing) is None
+    (posterior,), _ = code_posteriors([log_likelihood(nothing)], np.zeros(1))
+    assert posterior.error(0) == 1
