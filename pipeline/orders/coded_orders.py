@@ -66,7 +66,7 @@ def find_absolute_orders(
     """
     cycles, steps = read_cycles(sums, graph, width, rising)
     sigma, strength = spread_and_strength(steps)
-    roots, main = cut_regions(steps, graph, sigma, strength)
+    roots, main = cut_regions(steps, graph, sigma, strength, order_range)
     parts, posteriors, readable = _placed(steps, graph, width, roots, main)
     if (main >= 0).any():
         roots = _rejoined(roots, main, graph, parts, posteriors)

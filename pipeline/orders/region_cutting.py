@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from pipeline.models import FloatArray
 from pipeline.orders.contrast_cycles import Steps
-from pipeline.orders.posterior import Integers
-from pipeline.pattern.contrast_code import contrast_steps
+from pipeline.orders.posterior import Integers, OrderRange
+from pipeline.pattern.contrast_code import CYCLES, contrast_steps
 from tikernels.order_evidence.contrast_reading import LEAST, SECOND, WINDOW, match_stretches
 from tikernels.order_evidence.offset_labelling import (
     Links,
@@ -76,7 +76,7 @@ def spread_and_strength(steps: Steps) -> tuple[float, float]:
 
 
 def cut_regions(
-    steps: Steps, graph: PatchGraph, sigma: float, strength: float
+    steps: Steps, graph: PatchGraph, sigma: float, strength: float, order_range: OrderRange | None = None
 ) -> tuple[npt.NDArray[np.int32], Integers]:
     """Cut pieces off regions that the code contradicts.
 
@@ -88,6 +88,9 @@ def cut_regions(
         The patches, joined to regions.
     sigma, strength : float
         Of `spread_and_strength`; with a strength of 0 nothing is cut.
+    order_range : OrderRange, optional
+        What is not in the projector's picture need not be looked at. Where surfaces are said to be is left to the
+        posteriors, for it may be wrong.
 
     Returns
     -------
@@ -99,6 +102,9 @@ def cut_regions(
     roots, main = graph.root.copy(), np.full(len(graph.root), -1)
     if strength == 0:
         return roots, main
+    least, most = -CYCLES, CYCLES
+    if order_range is not None and not order_range.of_depth:
+        least, most = int(np.floor(order_range.least.min())), int(np.ceil(order_range.most.max()))
     owner = graph.root[steps.low]
     pixels, count = np.bincount(graph.root, graph.pixels), np.bincount(owner, minlength=len(graph.root))
     regions = np.flatnonzero(pixels >= _MIN_PARTED_PX)
@@ -109,7 +115,11 @@ def cut_regions(
         within = graph.root[graph.ends[0]] == region
         ends, support = number[graph.ends[:, within]], np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
         seen = (number[steps.low[own]], number[steps.high[own]]), steps.order[own], steps.rise[own]
-        labels = _labels(*seen, ends, support, len(patches), sigma, strength)
+        lowest, highest = int(steps.order[own].min()), int(steps.order[own].max())
+        offsets = range(max(-highest, least), min(CYCLES - 2 - lowest, most) + 1)
+        if len(offsets) == 0:
+            continue
+        labels = _labels(*seen, ends, support, len(patches), sigma, strength, offsets)
         if labels is None:
             continue
         whole = labels[ends[0]] == labels[ends[1]]
@@ -129,10 +139,10 @@ def _labels(
     patches: int,
     sigma: float,
     strength: float,
+    offsets: range,
 ) -> npt.NDArray[np.int32] | None:
     """Label a region's patches with the offsets that their steps name, 0 for the region's own; None: all have that."""
     code = strength * contrast_steps()
-    offsets = range(-int(order.max()), len(code) - int(order.min()))
     evidence = weigh_offsets(ends_of_steps, order, rise, code, offsets, patches, sigma, _MAX_DEVIATION)
     own = int(evidence.sum(axis=1).argmin())
     links = Links.of(ends, patches)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from support.coded_steps import grid, shown
 
+from pipeline.orders.posterior import OrderRange
 from pipeline.orders.region_cutting import cut_regions, spread_and_strength
 
 ROWS, COLUMNS = 14, 12
@@ -26,6 +27,16 @@ def test_one_surface_stays_whole():
     _, steps = shown(ROWS, COLUMNS, [30] * COLUMNS)
     roots, main = cut_regions(steps, grid(ROWS, COLUMNS), *spread_and_strength(steps))
     assert not roots.any() and (main == -1).all()
+
+
+@pytest.mark.usefixtures("cpu")
+@pytest.mark.parametrize("of_depth", [False, True])
+def test_what_the_projector_does_not_show_is_not_looked_for(of_depth):
+    """A depth range, which may be wrong, leaves the cut alone."""
+    _, steps = shown(ROWS, COLUMNS, [30] * 7 + [33] * 5)
+    ends = np.full((2, ROWS * COLUMNS), [[25.0], [31.0]])
+    roots, _ = cut_regions(steps, grid(ROWS, COLUMNS), *spread_and_strength(steps), OrderRange(*ends, of_depth))
+    assert (roots[0] != roots[COLUMNS - 1]) == of_depth
 
 
 @pytest.mark.usefixtures("cpu")
