@@ -184,8 +184,8 @@ class OrderFinder:
             Of the frame before.
         """
         roots, absolute, carried, warning, left_out = None, None, None, None, None
-        coded = self._code == "contrast"
-        if coded:
+        found: CodedOrders | None = None
+        if self._code == "contrast":
             graph = patches.graph()
             found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
             absolute, roots = found.absolute, found.absolute.roots
@@ -206,18 +206,18 @@ class OrderFinder:
                     carried = carried.with_neighbours(parts, patches.beside)
                 roots = parts
             warning = warning if carried.same_scene else _OTHER_SCENE
-        if absolute is not None and left_out is not None and found.readable:
-            unknown = absolute.parts[absolute.error_probability(absolute.offsets) > _MAX_GUESS]
+        if found is not None and found.readable:
+            unknown = found.absolute.parts[found.absolute.error_probability(found.absolute.offsets) > _MAX_GUESS]
             unknown = unknown[~np.isin(unknown, [] if carried is None else carried.roots)]
-            share = np.bincount(absolute.roots, graph.pixels, len(graph.pixels)) / np.prod(patches.shape)
-            left_out = left_out | np.isin(absolute.roots, unknown[share[unknown] < _MIN_GUESSED])
-        if not coded and self._depth_range_mm is not None:
+            share = np.bincount(found.absolute.roots, graph.pixels, len(graph.pixels)) / np.prod(patches.shape)
+            left_out = found.torn | np.isin(found.absolute.roots, unknown[share[unknown] < _MIN_GUESSED])
+        if found is None and self._depth_range_mm is not None:
             absolute, out_of_range = self._place_by_depth(seen, patches.graph(), roots, rays)
             warning = warning or out_of_range
         if not self._code_looked_for:
             self._code_looked_for = True
             warning = _CODE_NOT_TOLD if self._shows_a_code(seen, patches) else warning
-        return Placement(roots, absolute, carried, coded, left_out, warning)
+        return Placement(roots, absolute, carried, found is not None, left_out, warning)
 
     def refine(
         self, seen: SeenPhase, patches: Patches, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers
