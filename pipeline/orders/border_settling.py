@@ -93,7 +93,7 @@ class _LevelCosts:
         sigma = _MIN_SIGMA
         for _ in range(_ROUNDS):
             departs = remains - terms @ fit
-            sigma = max(robust_sigma(np.abs(departs)), 0.5 * _MIN_SIGMA)
+            sigma = max(robust_sigma(departs), 0.5 * _MIN_SIGMA)
             weights = cycles.share[held] / np.maximum(1, np.abs(departs) / (1.5 * sigma)) / sigma**2
             weighted = terms * weights[:, None]
             fit = np.linalg.solve(weighted.T @ terms + prior, weighted.T @ remains)
