@@ -2,9 +2,10 @@
 
 Two surfaces may touch where the step between them is a whole cycle: there the phase goes on, and what grows along its
 best contacts makes one region of them. The rest of their border tells that they are two. So patches are first joined
-to parts that step nowhere against each other (`grow_parts_kernel`). The parts' whole borders are known then, and in
-rounds each joins the one with which it goes on over the largest share of their common border, if that is the larger
-part of it. Between parts that stay apart nothing tells the whole cycles: they become regions of their own.
+to parts that step nowhere against each other (`grow_parts_kernel`), those with the same slopes first. The parts' whole
+borders are known then, and in rounds each joins the one with which it goes on over the largest share of their common
+border, if that is the larger part of it. Between parts that stay apart nothing tells the whole cycles: they become
+regions of their own.
 
 On simulated piles of five objects of any tilt, each touching what is behind it at a step of whole cycles, the pixels
 whose order is not that of most of their region fall from 24 to 1.2 %; a bust before a wall from 29 to 0.01 %.
@@ -24,6 +25,9 @@ from tikernels.unwrapping.union_find import part_of, rounds_at_once, settled
 # Parts that step against each other over more pixels than this do not grow together; patches of fewer pixels than the
 # second are slivers beside a step, whose phase is nobody's, and join whom they touch.
 _MAX_STEPPING, _MIN_PATCH_PX = 2.5, 60
+# A contact's votes count e-fold less where the patches' slopes differ by this (rad a px): what touches where the step
+# is a whole cycle seldom has the same slopes, and so both surfaces are whole before they meet.
+_USUAL_BEND = 0.02
 # Of their common border, two parts must go on over more than the first share; one that would be left out alone, more
 # than the second.
 _MIN_SHARE, _MIN_SLIVER_SHARE = 0.6, 0.5
@@ -161,7 +165,7 @@ def regions_that_step(roots: npt.NDArray[np.int32], borders: Borders) -> npt.NDA
 
 
 def part_regions(
-    graph: PatchGraph, borders: Borders
+    graph: PatchGraph, borders: Borders, slopes: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], npt.NDArray[np.int32]]:
     """Part the regions inside which surfaces step.
 
@@ -171,6 +175,8 @@ def part_regions(
         The patches, joined to regions.
     borders : Borders
         What their borders show.
+    slopes : (2, P) float
+        Of the patches' phase along and across the stripes, rad a px.
 
     Returns
     -------
@@ -184,7 +190,9 @@ def part_regions(
     """
     steps = regions_that_step(graph.root, borders)[graph.root]
     ours = steps[graph.ends[0]]
-    contacts = graph.ends[:, ours][:, np.argsort(-graph.votes[ours], kind="stable")]
+    contacts = graph.ends[:, ours]
+    bend = np.hypot(*(slopes[:, contacts[0]] - slopes[:, contacts[1]]))
+    contacts = contacts[:, np.argsort(-graph.votes[ours] * np.exp(-bend / _USUAL_BEND), kind="stable")]
     a, b = graph.root[borders.ends]
     inside = (a == b) & steps[borders.ends[0]]
     px = borders.going_on[inside], borders.stepping[inside]

@@ -17,6 +17,7 @@ from tikernels.phase.wrapped_phase import mark_no_phase_kernel
 from tikernels.transposing import transpose
 from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.patch_numbering import collect_patches_kernel, number_patches_kernel
+from tikernels.unwrapping.patch_slopes import measure_slopes
 from tikernels.unwrapping.patches import Patches, one_thread_is_faster
 from tikernels.unwrapping.region_merging import close_gaps_kernel, merge_patches_kernel, settle_patches_kernel
 from tikernels.unwrapping.region_parting import part_regions, regions_that_step
@@ -103,7 +104,8 @@ class RegionUnwrapper:
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
         patches.borders = measure_borders(phase, quality, rates, *of_patches)
         if regions_that_step(patches.roots(), patches.borders).any():
-            roots, slivers, beside = part_regions(patches.graph(), patches.borders)
+            slopes = measure_slopes(phase, *of_patches)
+            roots, slivers, beside = part_regions(patches.graph(), patches.borders, slopes)
             patches.split(roots, slivers)
             patches.beside = beside
 

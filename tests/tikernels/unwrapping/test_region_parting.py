@@ -99,7 +99,7 @@ def test_parts_join_over_most_of_their_border(arch):
     votes = np.concatenate([np.full(27, 400), np.full(11, 300)]).astype(np.int32)
     graph = PatchGraph(*of_patches, ends, votes)
     assert regions_that_step(graph.root, borders)[0]
-    roots, slivers, beside = part_regions(graph, borders)
+    roots, slivers, beside = part_regions(graph, borders, np.zeros((2, 30)))
     assert not slivers.any()
     assert len(np.unique(roots[:20])) == 1
     assert len(np.unique(roots[20:])) == 1
@@ -108,7 +108,7 @@ def test_parts_join_over_most_of_their_border(arch):
     np.testing.assert_array_equal(beside, np.where(np.arange(30) < 20, roots[20], roots[0]))
     # A row of small patches is a sliver.
     few = np.repeat([128, 128, 30], 10).astype(np.int32)
-    _, slivers, _ = part_regions(graph._replace(pixels=few), borders)
+    _, slivers, _ = part_regions(graph._replace(pixels=few), borders, np.zeros((2, 30)))
     np.testing.assert_array_equal(slivers, np.arange(30) >= 20)
     # Where nothing steps, nothing is parted.
     smooth = borders._replace(stepping=np.zeros(47))
