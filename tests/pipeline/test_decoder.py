@@ -38,7 +38,8 @@ def test_accuracy_on_every_scene(arch, scene, gamma, reflectance):
     measured = measure_against_truth(frame, truth)
     assert measured["phase_rms_rad"] < 0.05  # 0.36 mm on this rig at the usual period
     assert abs(measured["phase_constant_rad"]) < 0.015
-    assert measured["coverage"] > 0.95
+    # The bust touches the wall at a step of a whole cycle here and there: cells that hold one are left out.
+    assert measured["coverage"] > (0.945 if scene == "bust" else 0.95)
     # Where the bust happens to be a whole cycle before the wall, a cell beside it may be in the wrong one's region.
     assert measured["wrong_orders"] <= (0.001 if scene == "bust" else 0) * frame.mask.sum()
     # The period is twice the usual one, so a radian is twice as deep; and a cycle 90 mm.

@@ -83,7 +83,7 @@ def test_good_footage_has_no_fault(tmp_path, seed, settings):
 
 def test_over_exposure(tmp_path):
     for seed, surface, grade in ((8, {}, "costs"), (9, WHITE_SURFACE, "spoils")):
-        path = record(tmp_path / f"{seed}.mkv", shoot(3, seed=seed, exposure=2.0, **surface))
+        path = record(tmp_path / f"{seed}.mkv", shoot(3, seed=seed, exposure=1.9, **surface))
         assert faults(path) == {"saturation": grade}
 
 
