@@ -20,8 +20,10 @@ from tikernels.unwrapping.tables import (
 
 # What is summed of a patch, x and y from its cell's corner, u its phase: 1, x, y, u, x x, x y, y y, x u, y u.
 _SUMS = 9
+# Of each block of this many pixels squared one is looked at: slopes are good to 0.003 rad a px at a noise of 0.03 rad.
+_EVERY = 2
 # A patch of a few pixels tells hardly any slope (px^2).
-_PRIOR = 20.0
+_PRIOR = 5.0
 
 
 @ti.func
@@ -47,8 +49,9 @@ def sum_patches_kernel(
         for patch in range(cells[Cell.PATCHES, cell], cells[Cell.PATCHES, cell + 1]):
             for k in ti.static(range(_SUMS)):
                 out_sums[patch, k] = 0.0
-        for y in range(top, bottom):
-            for x in range(left, right):
+        for row in range((bottom - top) // _EVERY):
+            for column in range((right - left) // _EVERY):
+                y, x = top + _EVERY * row, left + _EVERY * column
                 label = labels[y, x]
                 if label >= 0:
                     u = phase[y, x] + 2.0 * PI * ti.cast((label & ORDER_MASK) - ORDER_ZERO, ti.f32)

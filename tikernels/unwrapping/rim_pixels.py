@@ -16,11 +16,11 @@ cycles off; 2 are left, for 0.3 % of the lit pixels. On rendered objects of all 
 
 import numpy as np
 
-from tikernels import checks
-from tikernels._taichi import F32Array2, I32Array2, U8Array2, f32, i32, ti, u1
+from tikernels import checks, runtime
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, f32, i32, ti, u1
 from tikernels.arrays import F32, I32, U8
 from tikernels.phase.wrapped_phase import has_phase
-from tikernels.strips import strip_at, strip_count
+from tikernels.unwrapping.tables import cell_bounds, cells_of
 
 # How far rays go; within how many px they must reach another surface's light, and how far beyond the own one's end that
 # is looked for.
@@ -30,8 +30,8 @@ _FAR, _NEAR, _GAP = 24, 12, 3
 _EDGE, _LIGHT = 1.4, 0.5
 # What a ray may meet: nothing, its surface's end, that and another surface's light behind it, an edge of brightness.
 _NOTHING, _END, _OTHER, _BRIGHTNESS = range(4)
-# Pixels of a strip.
-_PIXELS_AT_ONCE = 16
+# Rows and columns of looks around a cell, ten pixels apart.
+_LOOKS = 5, 4
 
 
 @ti.func
@@ -137,37 +137,39 @@ def is_spike(region: I32Array2, y: i32, x: i32) -> u1:
 
 
 @ti.func
-def lies_beside_others(phase: F32Array2, region: I32Array2, y: i32, first: i32) -> u1:
-    """Whether two surfaces' light is seen around a strip, by a look at every tenth pixel: at most strips it is not."""
+def lies_beside_others(phase: F32Array2, region: I32Array2, top: i32, left: i32, bottom: i32, right: i32) -> u1:
+    """Whether two surfaces' light is seen around a cell, by a look at every tenth pixel: at most cells it is not."""
     lowest, highest = 1 << 30, -1
-    for row, column in ti.static(ti.ndrange(3, 5)):
-        there = ti.min(ti.max(y + (row - 1) * _NEAR, 0), region.shape[0] - 1)
-        x = ti.min(ti.max(first - _NEAR + column * (_PIXELS_AT_ONCE + 2 * _NEAR) // 4, 0), region.shape[1] - 1)
-        if has_phase(phase[there, x]):
-            lowest, highest = ti.min(lowest, region[there, x]), ti.max(highest, region[there, x])
+    for row, column in ti.static(ti.ndrange(_LOOKS[0], _LOOKS[1])):
+        y = top - _NEAR + row * (bottom - top + 2 * _NEAR) // (_LOOKS[0] - 1)
+        x = left - _NEAR + column * (right - left + 2 * _NEAR) // (_LOOKS[1] - 1)
+        y, x = ti.min(ti.max(y, 0), region.shape[0] - 1), ti.min(ti.max(x, 0), region.shape[1] - 1)
+        if has_phase(phase[y, x]):
+            lowest, highest = ti.min(lowest, region[y, x]), ti.max(highest, region[y, x])
     return highest > lowest
 
 
 @ti.func
-def lies_at_rim(region: I32Array2, y: i32, first: i32, count: i32) -> u1:
-    """Whether a surface, or the image, ends beside a pixel of a strip: else all of them have a block around them."""
-    height, width = region.shape[0], region.shape[1]
-    number, ends = region[y, first], y == 0 or y == height - 1 or first == 0 or first + count == width
+def lies_at_rim(region: I32Array2, top: i32, left: i32, bottom: i32, right: i32) -> u1:
+    """Whether a surface, or the image, ends in a cell or beside it: else all its pixels have a block around them."""
+    number = region[top, left]
+    ends = top == 0 or left == 0 or bottom == region.shape[0] or right == region.shape[1]
     if not ends:
-        for row in ti.static(range(3)):
-            for x in range(first - 1, first + count + 1):
-                ends |= region[y + row - 1, x] != number
+        for y in range(top - 1, bottom + 1):
+            for x in range(left - 1, right + 1):
+                ends |= region[y, x] != number
     return ends
 
 
 @ti.func
-def take_off(region: I32Array2, unwrapped: F32Array2, mask: U8Array2, t: i32):
-    """Take the pixels of a strip that were marked on the mask out of their surfaces."""
-    y, first, count = strip_at(t, region.shape[1], _PIXELS_AT_ONCE)
-    for x in range(first, first + count):
-        if mask[y, x] == 0 and region[y, x] > 0:
-            region[y, x] = 0
-            unwrapped[y, x] += ti.math.nan
+def take_off(region: I32Array2, unwrapped: F32Array2, mask: U8Array2, cell: i32):
+    """Take the pixels of a cell that were marked on the mask out of their surfaces."""
+    top, left, bottom, right = cell_bounds(cell, region.shape[0], region.shape[1])
+    for y in range(top, bottom):
+        for x in range(left, right):
+            if mask[y, x] == 0 and region[y, x] > 0:
+                region[y, x] = 0
+                unwrapped[y, x] += ti.math.nan
 
 
 @ti.kernel
@@ -178,29 +180,39 @@ def leave_out_strangers_kernel(
     region: I32Array2,  # (H, W) from 1; 0: none
     unwrapped: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
+    marked: I32Array1,  # (cells,) scratch: which cells hold pixels to take off
 ):
     """Mark, and only then take off: neighbours look at what is left out as it was."""
     height, width = region.shape[0], region.shape[1]
-    for t in range(height * strip_count(width, _PIXELS_AT_ONCE)):
-        y, first, count = strip_at(t, width, _PIXELS_AT_ONCE)
-        if lies_beside_others(phase, region, y, first):
-            ray = 0
-            for x in range(first, first + count):
-                if region[y, x] > 0:
-                    cut_off, ray = is_cut_off(brightness, modulation, phase, region, y, x, ray)
-                    if cut_off:
-                        mask[y, x] = ti.cast(0, ti.u8)
-    for t in range(height * strip_count(width, _PIXELS_AT_ONCE)):
-        take_off(region, unwrapped, mask, t)
-    for t in range(height * strip_count(width, _PIXELS_AT_ONCE)):
-        y, first, count = strip_at(t, width, _PIXELS_AT_ONCE)
-        if lies_at_rim(region, y, first, count):
-            for x in range(first, first + count):
-                if region[y, x] > 0:
-                    if is_spike(region, y, x):
-                        mask[y, x] = ti.cast(0, ti.u8)
-    for t in range(height * strip_count(width, _PIXELS_AT_ONCE)):
-        take_off(region, unwrapped, mask, t)
+    for cell in range(marked.shape[0]):
+        marks, ray = 0, 0
+        top, left, bottom, right = cell_bounds(cell, height, width)
+        if lies_beside_others(phase, region, top, left, bottom, right):
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    if region[y, x] > 0:
+                        cut_off, ray = is_cut_off(brightness, modulation, phase, region, y, x, ray)
+                        if cut_off:
+                            mask[y, x] = ti.cast(0, ti.u8)
+                            marks = 1
+        marked[cell] = marks
+    for cell in range(marked.shape[0]):
+        if marked[cell] == 1:
+            take_off(region, unwrapped, mask, cell)
+    for cell in range(marked.shape[0]):
+        marks = 0
+        top, left, bottom, right = cell_bounds(cell, height, width)
+        if lies_at_rim(region, top, left, bottom, right):
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    if region[y, x] > 0:
+                        if is_spike(region, y, x):
+                            mask[y, x] = ti.cast(0, ti.u8)
+                            marks = 1
+        marked[cell] = marks
+    for cell in range(marked.shape[0]):
+        if marked[cell] == 1:
+            take_off(region, unwrapped, mask, cell)
 
 
 def leave_out_strangers(brightness: F32, modulation: F32, phase: F32, out: tuple[F32, U8, I32]) -> None:
@@ -230,4 +242,6 @@ def leave_out_strangers(brightness: F32, modulation: F32, phase: F32, out: tuple
     unwrapped = checks.out_buffer("unwrapped", out[0], shape, np.float32)
     mask = checks.out_buffer("mask", out[1], shape, np.uint8)
     region = checks.out_buffer("region", out[2], shape, np.int32)
-    leave_out_strangers_kernel(brightness, modulation, phase, region, unwrapped, mask)
+    rows, columns = cells_of(*shape)
+    marked = runtime.empty((rows * columns,), np.int32)
+    leave_out_strangers_kernel(brightness, modulation, phase, region, unwrapped, mask, marked)

@@ -7,6 +7,7 @@ do not. The pixels between are passed over: some see both surfaces, and their ph
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -16,7 +17,16 @@ from tikernels.arrays import F32, I32
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.unwrapping.continuity import frame_rates
-from tikernels.unwrapping.tables import ORDER_BITS, ORDER_MASK, cell_bounds, cell_count, cells_of, patch_number
+from tikernels.unwrapping.tables import (
+    ORDER_BITS,
+    ORDER_MASK,
+    Cell,
+    Patch,
+    cell_bounds,
+    cell_count,
+    cells_of,
+    patch_number,
+)
 
 # The surface is looked at again this many pixels further on; slopes are taken over this many. Steeper ones (rad a px,
 # relative to the usual change) are no slopes, and count as none.
@@ -53,7 +63,7 @@ class Borders(NamedTuple):
 @ti.func
 def whole_cycles(angle: f32) -> f32:
     """Return how many whole cycles bring an angle into [-pi, pi]."""
-    return ti.round(angle * (0.5 / PI))
+    return ti.floor(angle * (0.5 / PI) + 0.5)  # ti.round is a call of the C library
 
 
 @ti.func
@@ -157,6 +167,7 @@ def measure_borders_kernel(
     labels: I32Array2,  # (H, W) patch and order in it
     cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
     draft_bits: i32,
+    patches: I32Array2,  # (12, capacity) see `Patch`
     limits: F32Array2,  # (4, cells) rad: up to which a surface goes on and from which it steps, along and across
     out_pairs: I32Array2,  # (3, _PLACES cells) patches, and the shift from the first to the second
     out_px: F32Array2,  # (2, _PLACES cells) pixels over which the surface goes on, and over which it steps
@@ -170,10 +181,15 @@ def measure_borders_kernel(
         top, left, bottom, right = cell_bounds(cell, height, width)
         bounds, count = ivec4(top, left, bottom, right), 0
         own = vec4(limits[0, cell], limits[1, cell], limits[2, cell], limits[3, cell])
+        # In a cell that a single patch fills another one begins only after the last column and row.
+        filled = patches[Patch.PIXELS, cells[Cell.PATCHES, cell]] == (bottom - top) * (right - left)
         for down in ti.static(range(2)):
+            start = ivec2(top, left)
+            if filled:
+                start[1 - down] = bounds[3 - down] - 1
             stop = ivec2(height - down * _REACH, width - (1 - down) * _REACH)
-            for y in range(bounds[0], ti.min(bounds[2], stop[0])):
-                for x in range(bounds[1], ti.min(bounds[3], stop[1])):
+            for y in range(start[0], ti.min(bounds[2], stop[0])):
+                for x in range(start[1], ti.min(bounds[3], stop[1])):
                     there, px, steps, shift = border_at(phase, quality, usual, own, labels, down, y, x)
                     if there >= 0:
                         here = patch_number(labels[y, x] >> ORDER_BITS, cells, draft_bits)
@@ -184,19 +200,27 @@ def measure_borders_kernel(
 
 def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt.NDArray[np.float32]:
     """Return (2, cells): the departures (rad) up to which a surface goes on, and from which it steps."""
-    told = np.where(departures < NO_PHASE, departures, np.nan).reshape(rows, columns)
-    framed = np.pad(told, _AROUND, constant_values=np.nan)
-    around = np.lib.stride_tricks.sliding_window_view(framed, (2 * _AROUND + 1,) * 2).reshape(rows * columns, -1)
-    # What is missing sorts to the end.
-    found = np.count_nonzero(~np.isnan(around), axis=1)
-    median = np.sort(around, axis=1)[np.arange(len(around)), np.maximum(found - 1, 0) // 2]
-    sigma = _SIGMA_OF_MEDIAN * np.where(found > 0, median, 0)
+    told = departures.reshape(rows, columns)
+    median = cv2.medianBlur(told, 2 * _AROUND + 1).ravel()
+    # Where some of those around are missing, for they cannot be told or lie outside, the median is of the others.
+    framed = np.pad(told, _AROUND, constant_values=NO_PHASE)
+    reach = np.ones((2 * _AROUND + 1,) * 2, np.uint8)
+    missing = cv2.dilate((framed >= NO_PHASE).astype(np.uint8), reach)[_AROUND:-_AROUND, _AROUND:-_AROUND]
+    some = np.flatnonzero(missing)
+    around = np.lib.stride_tricks.sliding_window_view(framed, reach.shape)[some // columns, some % columns]
+    around = np.sort(around.reshape(len(some), -1), axis=1)
+    found = np.count_nonzero(around < NO_PHASE, axis=1)
+    lower = around[np.arange(len(some)), np.maximum(found - 1, 0) // 2]
+    median[some] = np.where(found > 0, lower, 0)
+    sigma = _SIGMA_OF_MEDIAN * median
     steps = np.maximum(_STEPS, _STEPS_SIGMAS * sigma)
     steps[steps > _MOST] = NO_PHASE
     return np.stack([np.maximum(_GOES_ON, _GOES_ON_SIGMAS * sigma), steps]).astype(np.float32)
 
 
-def measure_borders(phase: F32, quality: F32, rates: F32, labels: I32, cells: I32, draft_bits: int) -> Borders:
+def measure_borders(
+    phase: F32, quality: F32, rates: F32, labels: I32, cells: I32, draft_bits: int, patches: I32
+) -> Borders:
     """Measure over how many pixels the surface goes on from each patch to those beside it, and over how many it steps.
 
     Parameters
@@ -213,6 +237,8 @@ def measure_borders(phase: F32, quality: F32, rates: F32, labels: I32, cells: I3
         See `Cell`; numbered.
     draft_bits : int
         A cell has places for 2^bits patches.
+    patches : (12, capacity) int32
+        See `Patch`.
     """
     rows, columns = cells_of(int(phase.shape[0]), int(phase.shape[1]))
     count = rows * columns
@@ -222,7 +248,7 @@ def measure_borders(phase: F32, quality: F32, rates: F32, labels: I32, cells: I3
     pairs = runtime.empty((3, _PLACES * count), np.int32)
     px = runtime.empty((2, _PLACES * count), np.float32)
     counts = runtime.empty((count,), np.int32)
-    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, limits, pairs, px, counts)
+    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, patches, limits, pairs, px, counts)
     used = np.arange(_PLACES) < runtime.to_host(counts)[:, None]  # synchronises
     noted = runtime.to_host(pairs)[:, used.ravel()].astype(np.int64)
     going_on, stepping = runtime.to_host(px)[:, used.ravel()].astype(np.float64)

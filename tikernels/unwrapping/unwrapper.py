@@ -102,7 +102,7 @@ class RegionUnwrapper:
     def _part(self, patches: Patches, phase: F32, quality: F32, rates: F32) -> None:
         """Part regions that hang together by the smaller part of a border."""
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
-        patches.borders = measure_borders(phase, quality, rates, *of_patches)
+        patches.borders = measure_borders(phase, quality, rates, *of_patches, patches.table)
         if regions_that_step(patches.roots(), patches.borders).any():
             slopes = measure_slopes(phase, *of_patches)
             roots, slivers, beside = part_regions(patches.graph(), patches.borders, slopes)

@@ -17,7 +17,9 @@ def measured(phase, quality=None):
     """Return the borders of a wrapped phase's patches, and the patch of every pixel (-1: none)."""
     quality = np.ones(phase.shape, np.float32) if quality is None else quality
     patches, rates = join(phase, quality)
-    borders = measure_borders(phase, quality, rates, patches.labels, patches.cell_table, patches.draft_bits)
+    borders = measure_borders(
+        phase, quality, rates, patches.labels, patches.cell_table, patches.draft_bits, patches.table
+    )
     drafts, _ = drafts_and_orders(np.array(runtime.to_host(patches.labels)))
     cells = runtime.to_host(patches.cell_table)
     patch = np.where(drafts >= 0, numbers_of(np.maximum(drafts, 0), cells, patches.draft_bits), -1)
