@@ -114,12 +114,13 @@ class Patches:
         counts = np.diff(cells[Cell.CONTACTS])
         within = np.arange(cells[Cell.CONTACTS, -1]) - np.repeat(cells[Cell.CONTACTS, :-1], counts)
         cell = np.repeat(np.arange(self.cells), counts)
-        noted = contacts[:, (cell << (self.draft_bits + CONTACT_BITS)) + within]
+        noted = contacts.take((cell << (self.draft_bits + CONTACT_BITS)) + within, axis=1)
         ends = numbers_of(noted[[Contact.FROM, Contact.TO]], cells, self.draft_bits)
         offset, root = table[Patch.OFFSET].copy(), table[Patch.ROOT].copy()
         agree = offset[ends[1]] == offset[ends[0]] + noted[Contact.SHIFT]
         agree &= (root[ends[0]] == root[ends[1]]) & (ends[0] != ends[1])
-        ends, votes = self._method.complete_graph(table[Patch.HEAD], ends[:, agree], noted[Contact.VOTES, agree])
+        ends, votes = ends.compress(agree, axis=1), noted[Contact.VOTES].compress(agree)
+        ends, votes = self._method.complete_graph(table[Patch.HEAD], ends, votes)
         pixels, first = table[Patch.PIXELS].copy(), table[Patch.FIRST].copy()
         return PatchGraph(root, offset, pixels, first, ends, votes, self.borders)
 

@@ -28,6 +28,8 @@ _MAX_STEPPING, _MIN_PATCH_PX = 2.5, 60
 # A contact's votes count e-fold less where the patches' slopes differ by this (rad a px): what touches where the step
 # is a whole cycle seldom has the same slopes, and so both surfaces are whole before they meet.
 _USUAL_BEND = 0.04
+# The most support that a contact has, and the least difference between two that counts; logarithms.
+_MOST_SUPPORT, _LEAST_DIFFERENCE = 16.0, 0.0005
 # Of their common border, two parts must go on over more than the first share; one that would be left out alone, more
 # than the second.
 _MIN_SHARE, _MIN_SLIVER_SHARE = 0.6, 0.5
@@ -189,14 +191,16 @@ def part_regions(
         it; its own where there is none.
     """
     steps = regions_that_step(graph.root, borders)[graph.root]
-    ours = steps[graph.ends[0]]
-    contacts = graph.ends[:, ours]
+    ours = np.flatnonzero(steps[graph.ends[0]])
+    contacts = graph.ends.take(ours, axis=1)
     bend = np.hypot(*(slopes[:, contacts[0]] - slopes[:, contacts[1]]))
-    contacts = contacts[:, np.argsort(-graph.votes[ours] * np.exp(-bend / _USUAL_BEND), kind="stable")]
+    support = np.log(graph.votes[ours]) - bend / _USUAL_BEND
+    # Numbers of sixteen bits are sorted ten times as fast.
+    rank = np.clip((_MOST_SUPPORT - support) / _LEAST_DIFFERENCE, 0, 65535).astype(np.uint16)
+    contacts = contacts.take(np.argsort(rank, kind="stable"), axis=1)
     a, b = graph.root[borders.ends]
-    inside = (a == b) & steps[borders.ends[0]]
-    px = borders.going_on[inside], borders.stepping[inside]
-    borders = Borders(borders.ends[:, inside], borders.shift[inside], *px)
+    inside = np.flatnonzero((a == b) & steps[borders.ends[0]])
+    borders = Borders(*(values.take(inside, axis=-1) for values in borders))
     steps_here = borders.stepping > 0
     against = np.ascontiguousarray(borders.ends[:, steps_here].T, np.int32)
     parents = grow_parts(contacts, against, borders.stepping[steps_here].astype(np.float32), graph.pixels)
@@ -219,7 +223,7 @@ def _join_parts(
     """
     count = len(parts)
     whole = parts.astype(np.int64)
-    touching = np.unique(_pairs(contacts.astype(np.int64), count))
+    touching = np.unique(_pairs(contacts[:, contacts[0] != contacts[1]].astype(np.int64), count))
     between = borders.ends[0] != borders.ends[1]
     pairs = _pairs(borders.ends[:, between], count)
     going_on, stepping = borders.going_on[between], borders.stepping[between]

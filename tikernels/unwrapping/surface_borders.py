@@ -122,12 +122,13 @@ def note_border(
     low, high = ti.min(ends[0], ends[1]), ti.max(ends[0], ends[1])
     upwards = ti.select(ends[0] == low, shift, -shift)
     place, noted = count, ti.min(count, _PLACES)
+    cells = out_pairs.shape[1] // _PLACES
     for k in range(noted):
-        at = _PLACES * cell + k
+        at = k * cells + cell
         if out_pairs[0, at] == low and out_pairs[1, at] == high and out_pairs[2, at] == upwards:
             place = k
     if place < _PLACES:
-        at = _PLACES * cell + place
+        at = place * cells + cell
         if place == count:
             out_pairs[0, at], out_pairs[1, at], out_pairs[2, at] = low, high, upwards
             out_px[0, at], out_px[1, at] = 0.0, 0.0
@@ -169,7 +170,7 @@ def measure_borders_kernel(
     draft_bits: i32,
     patches: I32Array2,  # (12, capacity) see `Patch`
     limits: F32Array2,  # (4, cells) rad: up to which a surface goes on and from which it steps, along and across
-    out_pairs: I32Array2,  # (3, _PLACES cells) patches, and the shift from the first to the second
+    out_pairs: I32Array2,  # (3, _PLACES cells) first places of all cells come first; patches, and the shift from the first to the second
     out_px: F32Array2,  # (2, _PLACES cells) pixels over which the surface goes on, and over which it steps
     out_counts: I32Array1,  # (cells,) how many pairs
 ):
@@ -249,7 +250,9 @@ def measure_borders(
     px = runtime.empty((2, _PLACES * count), np.float32)
     counts = runtime.empty((count,), np.int32)
     measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, patches, limits, pairs, px, counts)
-    used = np.arange(_PLACES) < runtime.to_host(counts)[:, None]  # synchronises
-    noted = runtime.to_host(pairs)[:, used.ravel()].astype(np.int64)
-    going_on, stepping = runtime.to_host(px)[:, used.ravel()].astype(np.float64)
+    number = runtime.to_host(counts)  # synchronises
+    place = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
+    used = place * count + np.repeat(np.arange(count), number)
+    noted = runtime.to_host(pairs)[:, used].astype(np.int64)
+    going_on, stepping = runtime.to_host(px)[:, used].astype(np.float64)
     return Borders(noted[:2], noted[2], going_on, stepping)
