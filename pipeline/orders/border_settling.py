@@ -63,10 +63,10 @@ class _LevelCosts:
         roots: npt.NDArray[np.int32],
         lacks: Integers,
     ) -> None:
-        self._cycles, self._strength, self._roots, self._lacks = cycles, strength, roots, lacks
+        self._cycles, self._roots, self._lacks = cycles, roots, lacks
         y, x = np.divmod(graph.first[cycles.patch], width)
         self._y, self._x = y.astype(np.float64), x.astype(np.float64)
-        self._code = contrast_levels()
+        self._code = contrast_levels(strength)
         self._fits: dict[int, tuple[FloatArray, tuple[float, float, float], float]] = {}
         self._silent: set[int] = set()
         #: (P,) how much of whole cycles each patch shows.
@@ -87,7 +87,7 @@ class _LevelCosts:
         cycles = self._cycles
         middle = float(self._x[held].mean()), float(self._y[held].mean()), float(np.median(cycles.brightness[held]))
         terms = self._terms(held, middle)
-        remains = cycles.contrast[held] - self._strength * self._code_at(held, self._lacks)[0]
+        remains = cycles.contrast[held] - self._code_at(held, self._lacks)[0]
         fit = np.array([np.median(remains), 0.0, 0.0, 0.0])
         prior = np.diag([0.0, _SLOPE_SIGMA**-2, _SLOPE_SIGMA**-2, _AMBIENT_SIGMA**-2])
         sigma = _MIN_SIGMA
@@ -114,7 +114,7 @@ class _LevelCosts:
         fit, middle, sigma = self._fits[part]
         held = np.flatnonzero(patches[self._cycles.patch])
         code, inside = self._code_at(held, lacks)
-        departs = (self._cycles.contrast[held] - self._strength * code - self._terms(held, middle) @ fit) / sigma
+        departs = (self._cycles.contrast[held] - code - self._terms(held, middle) @ fit) / sigma
         cost = np.where(inside, np.minimum(departs**2, _MAX_DEVIATION), _MAX_DEVIATION)
         weights = 0.5 * self._cycles.share[held] * cost
         return np.asarray(np.bincount(self._cycles.patch[held], weights, len(patches)), np.float64)

@@ -6,6 +6,7 @@ scatter is not known; both are integrated over, and what the other parts say of 
 """
 
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -15,13 +16,14 @@ from pipeline.models import FloatArray
 from pipeline.orders.contrast_cycles import Steps
 from pipeline.orders.frame_context import PartLevel
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
-from pipeline.pattern.contrast_code import contrast_levels, contrast_steps
+from pipeline.pattern.contrast_code import CYCLES, contrast_levels
 from pipeline.robust import robust_sigma
 
 # What a frame's code may look like: the strength of its steps (0: it shows none; a response of gamma 2.4 and ambient
 # light leave a third), and by how much steps deviate from it, blemishes, slopes and blur included (natural logarithm).
-STRENGTHS = np.array([0.0, 0.35, 0.5, 0.71, 1.0])
-_STRENGTH_PRIOR = np.array([0.1, 0.225, 0.225, 0.225, 0.225])
+# A step is a tenth or two, so strengths that are a sixth apart lie within what steps deviate by.
+STRENGTHS = np.append(0.0, np.geomspace(0.3, 1.0, 9))
+_STRENGTH_PRIOR = np.append(0.1, np.full(9, 0.1))
 _SPREADS = np.array([0.006, 0.015, 0.04, 0.1])
 # Parts are mostly alike, but this share of them is as if nothing else were known of the frame.
 _UNALIKE = 0.1
@@ -107,9 +109,9 @@ def log_likelihood(part: PartSteps) -> tuple[int, FloatArray]:
     normal = weighted @ line.T + np.eye(2) / _SPREADS[:, None, None] ** 2
     remains = np.eye(len(lower_orders)) - line.T @ np.linalg.solve(normal, weighted)  # (spreads, steps, steps)
     remains /= np.sqrt(_FREEDOM * variance)[..., None]
-    expected = contrast_steps()[lower_orders + offsets[:, None]]
+    expected = np.diff(_levels())[:, None, lower_orders + offsets[:, None]]
     seen, due = remains @ part.middle, expected @ remains.transpose(0, 2, 1)
-    deviations = (seen[:, None] - STRENGTHS[:, None, None, None] * due).astype(np.float32)
+    deviations = (seen[:, None] - due).astype(np.float32)
     fit = np.log(1 + deviations**2).sum(axis=-1, dtype=np.float64)
     constant = np.log(variance).sum(axis=-1) + np.linalg.slogdet(normal)[1] + 4 * np.log(_SPREADS)
     return int(-lower_orders[0]), -0.5 * (_FREEDOM + 1) * fit - 0.5 * constant[:, None]
@@ -121,15 +123,20 @@ def part_level(part: PartSteps) -> PartLevel | None:
         return None
     weights = 1 / (part.noise + _LEVEL_SIGMA**2)
     total = float(weights.sum())
-    levels = contrast_levels()
     places = part.lower_orders + _offsets(part)[:, None]
-    code = 0.5 * (levels[places] + levels[places + 1]) @ weights / total
+    code = 0.5 * (_levels()[:, places] + _levels()[:, places + 1]) @ weights / total
     return PartLevel(float(part.level @ weights) / total, code, 1 / total)
 
 
 def _offsets(part: PartSteps) -> Integers:
     """Return the offsets that a part may have: all of it lies in the code."""
-    return np.arange(-part.lower_orders[0], len(contrast_steps()) - part.lower_orders[-1])
+    return np.arange(-part.lower_orders[0], CYCLES - 1 - part.lower_orders[-1])
+
+
+@cache
+def _levels() -> FloatArray:
+    """Return the (strengths, cycles) levels of the code's contrast."""
+    return np.array([contrast_levels(strength) for strength in STRENGTHS])
 
 
 def code_posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> tuple[list[Posterior], bool]:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.orders.border_settling import settle_borders
-from pipeline.orders.code_posterior import STRENGTHS, code_posteriors, log_likelihood, part_level, seen_steps
+from pipeline.orders.code_posterior import code_posteriors, log_likelihood, part_level, seen_steps
 from pipeline.orders.contrast_cycles import Steps, read_cycles
 from pipeline.orders.frame_context import level_evidence, log_nearness, nearness
 from pipeline.orders.posterior import (
@@ -116,7 +116,7 @@ def _placed(
         levels = [part_level(part) for part in seen]
         where = {k: posteriors[k].best - posteriors[k].first for k in sure}
         lacking = nearness(graph, roots, width, {int(parts[k]): posteriors[k].best for k in sure})
-        for k, more in enumerate(level_evidence(levels, where, pixels[parts], STRENGTHS)):
+        for k, more in enumerate(level_evidence(levels, where, pixels[parts])):
             first, likelihood = likelihoods[k]
             likelihood += np.asarray(more)[..., None, :] if np.ndim(more) else 0.0
             if origin[k] in (-1, parts[k]):

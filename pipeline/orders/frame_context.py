@@ -33,17 +33,15 @@ class PartLevel:
     """How high a part's contrast is: the mean logarithm over its cycles."""
 
     seen: float
-    code: FloatArray  # (offsets,) what the code has there, if it has this offset; to be multiplied by its strength
+    code: FloatArray  # (strengths, offsets) what the code has there, if it has this strength and offset
     variance: float
 
-    def factor(self, strengths: FloatArray, place: int) -> FloatArray:
+    def factor(self, place: int) -> FloatArray:
         """(strengths,) logarithm of what is seen over what the code has at an offset."""
-        return np.asarray(self.seen - strengths * self.code[place])
+        return np.asarray(self.seen - self.code[:, place])
 
 
-def level_evidence(
-    levels: list[PartLevel | None], sure: dict[int, int], pixels: Integers, strengths: FloatArray
-) -> list[FloatArray | float]:
+def level_evidence(levels: list[PartLevel | None], sure: dict[int, int], pixels: Integers) -> list[FloatArray | float]:
     """Return how probable each offset makes the level of each part, beside those of the parts that are placed.
 
     Parameters
@@ -54,16 +52,14 @@ def level_evidence(
         Of the placed parts, which of the offsets they have.
     pixels : (n,) int
         How many each part has.
-    strengths : (S,) float
-        Of the code's steps.
 
     Returns
     -------
-    n (S, offsets) float or 0.0
-        Logarithm, for every strength; 0 where nothing is known.
+    n (strengths, offsets) float or 0.0
+        Logarithm; 0 where nothing is known.
     """
     placed = np.array([part for part in sure if levels[part] is not None], np.int64)
-    factors = np.array([level.factor(strengths, sure[k]) for k in placed if (level := levels[k]) is not None])
+    factors = np.array([level.factor(sure[k]) for k in placed if (level := levels[k]) is not None])
     weights = np.sqrt(np.minimum(pixels[placed], _MANY_PX))
     evidence: list[FloatArray | float] = []
     for part, level in enumerate(levels):
@@ -72,7 +68,7 @@ def level_evidence(
             evidence.append(0.0)
             continue
         usual, spread = _usual_factor(factors[others], weights[others])
-        away = level.seen - strengths[:, None] * level.code - usual[:, None]
+        away = level.seen - level.code - usual[:, None]
         variance = (spread**2 + _MIN_SIGMA**2 + level.variance)[:, None]
         alike = np.log((1 - _ANY_SHARE) * _STUDENT) - 0.5 * np.log(variance)
         alike = alike - 0.5 * (_FREEDOM + 1) * np.log1p(away**2 / (_FREEDOM * variance))

@@ -62,16 +62,17 @@ def spread_and_strength(steps: Steps) -> tuple[float, float]:
     # What all five steps have in common may be the contrast's own slow change.
     common = 1 - 1 / np.sqrt(1 + _STRETCH * (_DRIFT / _MIN_SIGMA) ** 2)
     without = np.eye(_STRETCH) - common / _STRETCH
-    windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(), _STRETCH) @ without
+    windows = np.lib.stride_tricks.sliding_window_view(contrast_steps(strength), _STRETCH) @ without
     seen = steps.rise[stretches] @ without
-    matches = match_stretches(seen.astype(np.float32), (strength * windows).astype(np.float32))
+    matches = match_stretches(seen.astype(np.float32), windows.astype(np.float32))
     best, clear = matches[:, WINDOW].astype(np.int64), matches[:, LEAST] < 0.25 * matches[:, SECOND]
     if not clear.any():
         return _MIN_SIGMA, strength
     expected = windows[best[clear]]
     factor = (seen[clear] * expected).sum(axis=1) / np.maximum((expected**2).sum(axis=1), 1e-12)
-    strength = float(np.median(factor))
-    remaining = ((seen[clear] - strength * expected) ** 2).mean(axis=1)
+    factor = np.median(factor)
+    remaining = ((seen[clear] - factor * expected) ** 2).mean(axis=1)
+    strength *= float(factor)
     return max(_MIN_SIGMA, 1.7 * float(np.sqrt(np.median(remaining)))), strength
 
 
@@ -142,7 +143,7 @@ def _labels(
     offsets: range,
 ) -> npt.NDArray[np.int32] | None:
     """Label a region's patches with the offsets that their steps name, 0 for the region's own; None: all have that."""
-    code = strength * contrast_steps()
+    code = contrast_steps(strength)
     evidence = weigh_offsets(ends_of_steps, order, rise, code, offsets, patches, sigma, _MAX_DEVIATION)
     own = int(evidence.sum(axis=1).argmin())
     links = Links.of(ends, patches)

@@ -20,6 +20,8 @@ SYMBOLS = (
     "00021022001002222020211201022210"
 )
 CYCLES = len(SYMBOLS)
+# Responses of which the code's levels are known, the weakest one first.
+_GAMMAS = (3.0, 2.6, 2.3, 2.0, 1.8, 1.6, 1.4, 1.2, 1.0, 0.8)
 
 
 def cycle_contrasts() -> npt.NDArray[np.float64]:
@@ -34,24 +36,47 @@ def modulation_at(cycles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 
 
 @cache
-def contrast_levels() -> npt.NDArray[np.float64]:
+def _levels_by_response() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the (R,) strengths of the code by responses of different gamma, rising, and the (R, CYCLES) levels."""
+    phase = 2 * np.pi * np.arange(64) / 64
+    within = np.linspace(-0.5, 0.5, 129)
+    weight = (1 - (2 * within) ** 2) ** 2
+    seen = np.linspace(CONTRASTS[0], CONTRASTS[-1], 65) / (1 + np.linspace(CONTRASTS[0], CONTRASTS[-1], 65))
+    cycles = modulation_at(np.arange(CYCLES)[:, None] + within)
+    levels = []
+    for gamma in _GAMMAS:
+        light = np.maximum(1 - seen[:, None] * (1 - np.cos(phase)), 0) ** gamma
+        background, modulation = light.mean(axis=1), 2 * (light * np.cos(phase)).mean(axis=1)
+        mean = [np.interp(cycles, seen, values) @ weight for values in (modulation, background)]
+        levels.append(np.log(mean[0] / mean[1]))
+    spans = np.ptp(levels, axis=1)
+    return spans / np.ptp(levels[_GAMMAS.index(1.0)]), np.array(levels)
+
+
+def contrast_levels(strength: float = 1.0) -> npt.NDArray[np.float64]:
     """Return the logarithm of each cycle's contrast, as it is read.
 
-    A cycle's contrast is `measure_contrast_kernel`'s, to which its neighbours' symbols contribute 8 % each. The light
-    is assumed to be proportional to the codes; a response that is not makes the differences smaller, all alike.
+    A cycle's contrast is `measure_contrast_kernel`'s, to which its neighbours' symbols contribute 8 % each. In linear
+    light the strength is 1. A response that is not linear makes the differences smaller, and more so between the
+    symbols of high contrast: the levels are those of the gamma that leaves this strength.
+
+    Parameters
+    ----------
+    strength : float
+        By how much the levels differ beside those in linear light; 0: there is no code.
 
     Returns
     -------
     (CYCLES,) float64
         Natural logarithm.
     """
-    within = np.linspace(-0.5, 0.5, 129)
-    weight = (1 - (2 * within) ** 2) ** 2
-    mean = modulation_at(np.arange(CYCLES)[:, None] + within) @ weight / weight.sum()
-    return np.asarray(np.log(mean / (1 - mean)))
+    strengths, levels = _levels_by_response()
+    within = min(max(strength, strengths[0]), strengths[-1])
+    row = min(int(np.searchsorted(strengths, within, side="right")) - 1, len(strengths) - 2)
+    share = (within - strengths[row]) / (strengths[row + 1] - strengths[row])
+    return np.asarray((strength / within) * ((1 - share) * levels[row] + share * levels[row + 1]))
 
 
-@cache
-def contrast_steps() -> npt.NDArray[np.float64]:
+def contrast_steps(strength: float = 1.0) -> npt.NDArray[np.float64]:
     """Return by how much `contrast_levels` rises from each cycle to the next, (CYCLES - 1,) float64."""
-    return np.diff(contrast_levels())
+    return np.diff(contrast_levels(strength))

@@ -200,7 +200,8 @@ def part_regions(
     contacts = contacts.take(np.argsort(rank, kind="stable"), axis=1)
     a, b = graph.root[borders.ends]
     inside = np.flatnonzero((a == b) & steps[borders.ends[0]])
-    borders = Borders(*(values.take(inside, axis=-1) for values in borders))
+    px = borders.going_on[inside], borders.stepping[inside]
+    borders = Borders(borders.ends.take(inside, axis=1), borders.shift[inside], *px)
     steps_here = borders.stepping > 0
     against = np.ascontiguousarray(borders.ends[:, steps_here].T, np.int32)
     parents = grow_parts(contacts, against, borders.stepping[steps_here].astype(np.float32), graph.pixels)

@@ -170,7 +170,7 @@ def measure_borders_kernel(
     draft_bits: i32,
     patches: I32Array2,  # (12, capacity) see `Patch`
     limits: F32Array2,  # (4, cells) rad: up to which a surface goes on and from which it steps, along and across
-    out_pairs: I32Array2,  # (3, _PLACES cells) first places of all cells come first; patches, and the shift from the first to the second
+    out_pairs: I32Array2,  # (3, _PLACES cells), by place: patches, and the shift from the first to the second
     out_px: F32Array2,  # (2, _PLACES cells) pixels over which the surface goes on, and over which it steps
     out_counts: I32Array1,  # (cells,) how many pairs
 ):

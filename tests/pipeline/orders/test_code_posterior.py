@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.coded_steps import shown
 
-from pipeline.orders.code_posterior import code_posteriors, log_likelihood, part_level, seen_steps
+from pipeline.orders.code_posterior import STRENGTHS, code_posteriors, log_likelihood, part_level, seen_steps
 from pipeline.pattern.contrast_code import contrast_levels
 
 PART = np.array([0])
@@ -39,8 +39,8 @@ def test_chance_that_looks_like_the_code_is_doubted():
 def test_how_high_the_contrast_is():
     """The level is the code's at the true offset, times the surface's factor."""
     level = part_level(seen(8, 30, factor=-0.2))
-    assert level.code.shape == (len(contrast_levels()) - 7,)
-    np.testing.assert_allclose(level.factor(np.ones(1), 30), -0.2, atol=0.005)
+    assert level.code.shape == (len(STRENGTHS), len(contrast_levels()) - 7)
+    np.testing.assert_allclose(level.factor(30)[STRENGTHS == 1], -0.2, atol=0.005)
     assert level.variance < 0.01**2
 
 

@@ -7,7 +7,14 @@ import pytest
 
 from pipeline.calibration import Pattern
 from pipeline.errors import SettingsError
-from pipeline.pattern.contrast_code import CONTRASTS, CYCLES, cycle_contrasts, modulation_at
+from pipeline.pattern.contrast_code import (
+    CONTRASTS,
+    CYCLES,
+    contrast_levels,
+    contrast_steps,
+    cycle_contrasts,
+    modulation_at,
+)
 from pipeline.pattern.fringes import make_pattern, write_pattern
 from tikernels.phase.balance_window import SIGMA_ACROSS
 
@@ -55,6 +62,23 @@ def test_more_cycles_than_the_code_tells_apart():
     assert make_pattern((1, CYCLES * 4), Pattern(period_px=4, code="contrast")).shape == (CYCLES * 4, 1, 3)
     with pytest.raises(SettingsError, match=r"tells 136 cycles apart.*take a period of 8 px or more"):
         make_pattern((4, 8 * CYCLES), Pattern(period_px=4, code="contrast"))
+
+
+def test_levels_of_a_strength():
+    """In linear light the middles of cycles show the code, softened by their neighbours; less strength bends it."""
+    levels, symbols = contrast_levels(), np.searchsorted(CONTRASTS, cycle_contrasts())
+    softened = np.convolve(np.pad(np.log(cycle_contrasts()), 1, "edge"), [0.08, 0.84, 0.08], "valid")
+    np.testing.assert_allclose(levels, softened, atol=0.01)
+    for strength in (0.2, 0.35, 0.6, 1.1):
+        assert np.ptp(contrast_levels(strength)) == pytest.approx(strength * np.ptp(levels))
+    # Three cycles alike show their symbol: at gamma 2 the logarithms of 1.144, 1.256 and 1.333, the response's means.
+    alike = np.flatnonzero((np.diff(symbols)[:-1] == 0) & (np.diff(symbols)[1:] == 0)) + 1
+    shown = [contrast_levels(0.4665)[alike[symbols[alike] == symbol]].mean() for symbol in (0, 2)]
+    assert shown[1] - shown[0] == pytest.approx(np.log(1.3333 / 1.1438), rel=0.02)
+
+
+def test_no_strength_no_levels():
+    assert not np.any(contrast_levels(0.0)) and not np.any(contrast_steps(0.0))
 
 
 def test_a_written_pattern_names_its_code(tmp_path):
