@@ -103,6 +103,20 @@ def test_a_shadow_is_no_stranger_where_its_surface_goes_on(arch):
     assert (left(brightness, alone)[2] != alone).sum() > 50
 
 
+def test_a_pixel_with_the_light_of_what_lies_beyond(arch):
+    """A body's edge runs diagonally; one of its pixels is in the wall's surface. A dark spot of the wall stays."""
+    noise = 1 + 0.02 * np.random.default_rng(3).standard_normal(SHAPE)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    region = np.where(x + y > 67, 2, 1).astype(np.int32)
+    for beyond, goes in ((45, True), (150, False)):
+        brightness = (np.where(region == 2, beyond, 80) * noise).astype(np.float32)
+        brightness[20, 47] = 45
+        expected = region.copy()
+        expected[20, 47] = 0 if goes else 1
+        # At the image's border the edge ends in spikes.
+        np.testing.assert_array_equal(left(brightness, region)[2][4:-4], expected[4:-4])
+
+
 def test_spikes_go_and_blocks_stay(arch):
     region = np.zeros(SHAPE, np.int32)
     region[10:40, 10:60] = 1
