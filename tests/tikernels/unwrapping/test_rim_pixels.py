@@ -113,8 +113,8 @@ def test_a_pixel_with_the_light_of_what_lies_beyond(arch):
         brightness[20, 47] = 45
         expected = region.copy()
         expected[20, 47] = 0 if goes else 1
-        # At the image's border the edge ends in spikes.
-        np.testing.assert_array_equal(left(brightness, region)[2][4:-4], expected[4:-4])
+        around = slice(18, 23), slice(45, 50)
+        np.testing.assert_array_equal(left(brightness, region)[2][around], expected[around])
 
 
 def test_spikes_go_and_blocks_stay(arch):
