@@ -43,10 +43,10 @@ _MIN_PARTED_PX, _MIN_STEPS = 600, 6
 # An offset is a candidate where patches, with what comes over contacts of this support or more undiminished and this
 # many patches far, prefer it to their region's own by this margin, in variances; it takes this many such patches, and
 # the commonest few are looked at.
-_FULL_SUPPORT, _POOLED, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 3, 300.0, 3, 12
+_FULL_SUPPORT, _POOLED, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 3, 250.0, 3, 12
 # What a difference of labels costs across a contact of full support, in variances, the least share of it, and how often
 # labels settle.
-_LABEL_COST, _LEAST_SUPPORT, _SWEEPS = 20.0, 0.05, 8
+_LABEL_COST, _LEAST_SUPPORT, _SWEEPS = 12.0, 0.05, 8
 
 
 def spread_and_strength(steps: Steps) -> tuple[float, float]:
