@@ -36,7 +36,8 @@ _SAME_SURFACE, _REJOINS = 0.9, 0.93
 class CodedOrders:
     """What a frame's code tells."""
 
-    absolute: AbsoluteOrders  # parts and their posteriors
+    roots: npt.NDArray[np.int32]  # (P,) the patch that stands for each patch's part
+    absolute: AbsoluteOrders  # the parts that are large enough, and their posteriors
     shifts: Integers  # (P,) whole cycles to add to the patches' orders so that they are their part's
     torn: npt.NDArray[np.bool_]  # (P,) patches that may belong to either of two parts
     readable: bool  # whether the frame shows the code at all
@@ -90,7 +91,7 @@ def find_absolute_orders(
             within.narrow(posterior) if posterior is not NOTHING_KNOWN else within.alone()
             for within, posterior in zip(ranges, posteriors, strict=True)
         ]
-    return CodedOrders(AbsoluteOrders(roots, parts, tuple(posteriors)), settled.shifts, settled.torn, readable)
+    return CodedOrders(roots, AbsoluteOrders(parts, tuple(posteriors)), settled.shifts, settled.torn, readable)
 
 
 def _placed(

@@ -43,6 +43,8 @@ _MIN_CODED = 0.5
 # A part that is a smaller share of the frame, and whose likeliest order is wrong with a higher probability, may have
 # any depth, and is left out: a nose's tip that its shadow cuts off would stand somewhere before the face.
 _MIN_GUESSED, _MAX_GUESS = 0.01, 0.5
+# At least one part in as many is not the surface that the frame before saw there, whatever the votes say.
+_LEAST_CARRIED_ERROR = 1e-3
 
 _CODE_NOT_SEEN = (
     "the frame does not show the contrast code: project what colorphase pattern makes, or calibrate the rig with "
@@ -73,12 +75,12 @@ class SeenPhase:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The evidence of a frame's orders, and what it gives reason to doubt."""
+    """What a frame's evidence says of its orders, and what it gives reason to doubt."""
 
     roots: npt.NDArray[np.int32] | None  # (P,) where regions are split: the patch that stands for each patch's part
-    absolute: AbsoluteOrders | None  # by a code, or by the depth range
-    carried: CarriedOrders | None  # by the frame before
-    coded: bool  # whether `absolute` is by a code
+    orders: AbsoluteOrders | None  # by all that tells: a code, the depth range and the frame before
+    carried: CarriedOrders | None  # by the frame before, absolute or not
+    coded: bool  # whether a code tells
     left_out: npt.NDArray[np.bool_] | None  # (P,) patches of specks that nothing places, and torn ones
     warning: str | None  # what the user should know
 
@@ -89,11 +91,11 @@ class Placement:
         what the depth range alone leaves possible, the order nearest its middle stays.
         """
         named = []
-        if self.absolute is not None:
-            likeliest = self.absolute.offsets
-            errors = self.absolute.error_probability(likeliest)
+        if self.orders is not None:
+            likeliest = self.orders.offsets
+            errors = self.orders.error_probability(likeliest)
             told, sure = errors < (1 if self.coded else 0), errors < MAX_ABSOLUTE_ERROR
-            named = [(self.absolute.parts[which], likeliest[which]) for which in (told, sure)]
+            named = [(self.orders.parts[which], likeliest[which]) for which in (told, sure)]
         if self.carried is not None:
             named.insert(1, (self.carried.roots, self.carried.offsets))
         none = np.zeros((2, 0), np.int64)
@@ -113,25 +115,47 @@ class Placement:
             Of the frame that `carried` comes from.
         """
         roots = regions.roots
-        known, errors = np.zeros(len(roots) + 1, np.bool_), np.ones(len(roots) + 1)
+        errors = np.append(np.nan, np.ones(len(roots)))
+        most = np.full(len(roots) + 1, MAX_ABSOLUTE_ERROR)
         change = np.zeros((len(roots) + 1, 3), np.float32)
+        if self.orders is not None and len(self.orders.parts):
+            by_part = self.orders.error_probability(patches.orders(self.orders.parts).astype(np.int64))
+            part = np.minimum(np.searchsorted(self.orders.parts, roots), len(by_part) - 1)
+            errors[1:] = np.where(self.orders.parts[part] == roots, by_part[part], 1.0)
         if memory is not None and self.carried is not None:
             goes_on = np.isin(roots, self.carried.roots)
-            found = np.searchsorted(self.carried.roots, roots[goes_on])
-            before, number = self.carried.before[found], 1 + np.flatnonzero(goes_on)
-            stays = (1 - memory.orders.error_probability[before]) * (1 - self.carried.error_probability[found])
-            errors[number] = 1 - stays
+            found, number = np.searchsorted(self.carried.roots, roots[goes_on]), 1 + np.flatnonzero(goes_on)
             change[number] = self.carried.change[found]
-            known[number] = memory.orders.known[before] & (errors[number] < MAX_CARRIED_ERROR)
-        if self.absolute is not None and len(self.absolute.parts):
-            part = np.searchsorted(self.absolute.parts, roots)
-            offsets = patches.orders(self.absolute.parts).astype(np.int64)
-            by_itself = self.absolute.error_probability(offsets)[part]
-            absolute = by_itself < MAX_ABSOLUTE_ERROR
-            known[1:] |= absolute
-            errors[1:] = np.where(absolute | ~known[1:], by_itself, errors[1:])
-        errors[0] = np.nan
-        return RegionOrders(known, errors.astype(np.float32), change)
+            most[number[memory.orders.known[self.carried.before[found]]]] = MAX_CARRIED_ERROR
+        return RegionOrders(np.nan_to_num(errors, nan=1.0) < most, errors.astype(np.float32), change)
+
+
+def with_frame_before(
+    absolute: AbsoluteOrders | None, carried: CarriedOrders | None, before: RegionOrders | None
+) -> AbsoluteOrders | None:
+    """Let the orders that were absolute in the frame before count as evidence of where their parts are now.
+
+    Parameters
+    ----------
+    absolute : AbsoluteOrders, optional
+        What this frame tells by itself.
+    carried : CarriedOrders, optional
+        How its parts go on from the frame before.
+    before : RegionOrders, optional
+        What was known there.
+    """
+    if carried is None or before is None:
+        return absolute
+    went_on = before.known[carried.before] & (carried.error_probability < 1)
+    if not went_on.any():
+        return absolute
+    stays = (1 - before.error_probability[carried.before].astype(np.float64)) * (1 - carried.error_probability)
+    errors = np.maximum(1 - stays, _LEAST_CARRIED_ERROR)
+    posteriors = {} if absolute is None else dict(zip(absolute.parts.tolist(), absolute.posteriors, strict=True))
+    for root, offset, error in zip(carried.roots[went_on], carried.offsets[went_on], errors[went_on], strict=True):
+        posteriors[int(root)] = posteriors.get(int(root), NOTHING_KNOWN).after(int(offset), float(error))
+    parts = np.array(sorted(posteriors), np.int64)
+    return AbsoluteOrders(parts, tuple(posteriors[part] for part in parts.tolist()))
 
 
 class OrderFinder:
@@ -188,7 +212,7 @@ class OrderFinder:
         if self._code == "contrast":
             graph = patches.graph()
             found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
-            absolute, roots = found.absolute, found.absolute.roots
+            absolute, roots = found.absolute, found.roots
             patches.shift_orders(found.shifts)
             warning, left_out = None if found.readable else _CODE_NOT_SEEN, found.torn
         if memory is not None:
@@ -209,15 +233,16 @@ class OrderFinder:
         if found is not None and found.readable:
             unknown = found.absolute.parts[found.absolute.error_probability(found.absolute.offsets) > _MAX_GUESS]
             unknown = unknown[~np.isin(unknown, [] if carried is None else carried.roots)]
-            share = np.bincount(found.absolute.roots, graph.pixels, len(graph.pixels)) / np.prod(patches.shape)
-            left_out = found.torn | np.isin(found.absolute.roots, unknown[share[unknown] < _MIN_GUESSED])
+            share = np.bincount(found.roots, graph.pixels, len(graph.pixels)) / np.prod(patches.shape)
+            left_out = found.torn | np.isin(found.roots, unknown[share[unknown] < _MIN_GUESSED])
         if found is None and self._depth_range_mm is not None:
             absolute, out_of_range = self._place_by_depth(seen, patches.graph(), roots, rays)
             warning = warning or out_of_range
         if not self._code_looked_for:
             self._code_looked_for = True
             warning = _CODE_NOT_TOLD if self._shows_a_code(seen, patches) else warning
-        return Placement(roots, absolute, carried, found is not None, left_out, warning)
+        orders = with_frame_before(absolute, carried, None if memory is None else memory.orders)
+        return Placement(roots, orders, carried, found is not None, left_out, warning)
 
     def refine(
         self, seen: SeenPhase, patches: Patches, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers
@@ -264,7 +289,7 @@ class OrderFinder:
         found = self._find_absolute(seen, patches, graph, None)
         absolute = found.absolute
         sure = absolute.error_probability(absolute.offsets) < MAX_ABSOLUTE_ERROR
-        share = graph.pixels[np.isin(absolute.roots, absolute.parts[sure])].sum() / graph.pixels.sum()
+        share = graph.pixels[np.isin(found.roots, absolute.parts[sure])].sum() / graph.pixels.sum()
         return found.readable and bool(share > _MIN_CODED)
 
     def _find_absolute(
@@ -288,9 +313,9 @@ class OrderFinder:
         outside = pixels[parts[[not within.holds for within in ranges]]].sum() / max(pixels[parts].sum(), 1)
         if outside > _MAX_OUT_OF_RANGE:
             # What of the rest fits, fits by chance.
-            unknown = AbsoluteOrders(roots, parts, (NOTHING_KNOWN,) * len(parts))
+            unknown = AbsoluteOrders(parts, (NOTHING_KNOWN,) * len(parts))
             return unknown, _OUT_OF_RANGE.format(outside, *self._depth_range_mm)
-        return AbsoluteOrders(roots, parts, tuple(within.alone() for within in ranges)), None
+        return AbsoluteOrders(parts, tuple(within.alone() for within in ranges)), None
 
     def _order_range(self, seen: SeenPhase, graph: PatchGraph, rays: CameraRays | None) -> OrderRange | None:
         """Return how many cycles every patch may lack: its first pixel's ray in the depth range and the pattern."""

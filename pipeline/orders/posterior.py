@@ -1,4 +1,9 @@
-"""How probable each whole number of cycles is that a region's orders may lack to be absolute."""
+"""How probable each whole number of cycles is that a region's orders may lack to be absolute.
+
+The code gives a part its posterior (`code_posterior`). Every other source of evidence takes a posterior and returns it
+with what it knows taken in: `PartRange.narrow` the expected depth, `Posterior.beside` the surfaces around, and
+`Posterior.after` the frame before. A further source, such as a second camera, does the same.
+"""
 
 from dataclasses import dataclass
 
@@ -20,6 +25,8 @@ _FLOOR, _FAR_OUTSIDE = 1e-6, 0.8
 # This share of a region's pixels may lie outside at either end: rims, and what leaked in from other surfaces. Where the
 # range alone is to tell the order, only the second share may, and the others by this fraction of a cycle.
 _OUTLIERS, _STRAYS, _LEAVES = 0.1, 0.02, 0.25
+# Where nothing else is known, a part that does not go on as before may lack this many cycles more or less.
+_ELSEWHERE = 10
 
 
 @dataclass(frozen=True)
@@ -112,6 +119,24 @@ class Posterior:
         product = prior * self.probability
         return Posterior(self.first, product / product.sum())
 
+    def after(self, offset: int, error: float) -> "Posterior":
+        """Return the posterior of a part that had this offset in the frame before, but for this probability.
+
+        Both rest on the same surface and the same code, so they are not independent: where they contradict each other
+        neither is sure, but where they agree they are no surer together than the surer one.
+        """
+        if len(self.probability) == 0:
+            others = np.full(_ELSEWHERE, 0.5 * error / _ELSEWHERE)
+            return Posterior(offset - _ELSEWHERE, np.concatenate([others, [1 - error], others]))
+        both = self.beside(offset, 1 - error)
+        least: float = min(error, self.error(self.best))
+        others = both.error(both.best)
+        if others >= least:
+            return both
+        probability = both.probability * (least / max(others, 1e-300))
+        probability[both.best - both.first] = 1 - least
+        return Posterior(both.first, probability)
+
 
 NOTHING_KNOWN = Posterior(0, np.zeros(0))
 
@@ -120,7 +145,6 @@ NOTHING_KNOWN = Posterior(0, np.zeros(0))
 class AbsoluteOrders:
     """The offsets of a frame's parts: whole cycles to add to their orders to make them absolute."""
 
-    roots: npt.NDArray[np.int32]  # (P,) the patch that stands for each patch's part
     parts: Integers  # (n,) the roots of the parts that are large enough, rising
     posteriors: tuple[Posterior, ...]  # (n,)
 

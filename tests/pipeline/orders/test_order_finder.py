@@ -9,7 +9,7 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.decoding.frame import FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import CarriedOrders
-from pipeline.orders.order_finder import OrderFinder, Placement
+from pipeline.orders.order_finder import OrderFinder, Placement, with_frame_before
 from pipeline.orders.posterior import AbsoluteOrders, Posterior
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
@@ -32,7 +32,7 @@ def patches(offsets):
 
 def placement(**found):
     return Placement(
-        **{"roots": None, "absolute": None, "carried": None, "coded": False, "left_out": None, "warning": None, **found}
+        **{"roots": None, "orders": None, "carried": None, "coded": False, "left_out": None, "warning": None, **found}
     )
 
 
@@ -49,46 +49,59 @@ def test_nothing_told_is_nothing_known():
 
 def test_orders_that_are_carried_on_err_as_before_and_on_the_way():
     found = carried(roots=[2, 4], offsets=[1, 0], before=[2, 1], error_probability=[0.5, 0.001])
-    orders = placement(carried=found).region_orders(patches({}), REGIONS, memory([True, True], [0.002, 1e-6]))
+    before = memory([True, True], [0.002, 1e-6])
+    told = placement(orders=with_frame_before(None, found, before.orders), carried=found)
+    orders = told.region_orders(patches({2: 1, 4: 0}), REGIONS, before)
     # Region 1 (root 4) goes on from region 1 and region 3 (root 2) from region 2; region 2 is new.
     np.testing.assert_allclose(orders.error_probability[1:], [1 - 0.998 * 0.999, 1, 1 - (1 - 1e-6) * 0.5], rtol=1e-5)
     assert orders.known.tolist() == [False, True, False, False]
 
 
 def test_what_was_not_known_before_is_not_known_now():
-    found = carried(roots=[4], offsets=[0], before=[1], error_probability=[1e-9])
-    orders = placement(carried=found).region_orders(patches({}), REGIONS, memory([False], [1e-9]))
-    assert not orders.known.any()
+    found, before = carried(roots=[4], offsets=[0], before=[1], error_probability=[1e-9]), memory([False], [1e-9])
+    assert with_frame_before(None, found, before.orders) is None
+    assert not placement(carried=found).region_orders(patches({}), REGIONS, before).known.any()
 
 
 def test_the_code_speaks_for_itself():
     sure, open_ = Posterior(7, np.array([1 - 1e-6, 1e-6])), Posterior(3, np.array([0.6, 0.4]))
-    absolute = AbsoluteOrders(np.arange(10), np.array([2, 4, 9]), (open_, sure, Posterior(0, np.zeros(0))))
-    orders = placement(absolute=absolute, coded=True).region_orders(patches({2: 3, 4: 7, 9: 0}), REGIONS, None)
+    absolute = AbsoluteOrders(np.array([2, 4, 9]), (open_, sure, Posterior(0, np.zeros(0))))
+    orders = placement(orders=absolute, coded=True).region_orders(patches({2: 3, 4: 7, 9: 0}), REGIONS, None)
     assert orders.known.tolist() == [False, True, False, False]
     np.testing.assert_allclose(orders.error_probability[1:], [1e-6, 1, 0.4], rtol=1e-5)
     # An offset that is not the likeliest is as wrong as the posterior says.
-    orders = placement(absolute=absolute, coded=True).region_orders(patches({2: 4, 4: 8, 9: 0}), REGIONS, None)
+    orders = placement(orders=absolute, coded=True).region_orders(patches({2: 4, 4: 8, 9: 0}), REGIONS, None)
     np.testing.assert_allclose(orders.error_probability[1:], [1 - 1e-6, 1, 0.6], rtol=1e-5)
     assert not orders.known.any()
 
 
-def test_a_carried_order_stands_where_the_code_is_in_doubt():
-    doubt = Posterior(3, np.array([0.6, 0.4]))
-    absolute = AbsoluteOrders(np.arange(10), np.array([2, 4, 9]), (doubt, doubt, doubt))
-    found = carried(roots=[4], offsets=[3], before=[1], error_probability=[1e-4])
-    told = placement(absolute=absolute, carried=found, coded=True)
-    orders = told.region_orders(patches({2: 3, 4: 3, 9: 3}), REGIONS, memory([True], [1e-4]))
-    assert orders.known.tolist() == [False, True, False, False]
-    np.testing.assert_allclose(orders.error_probability[1:], [2e-4, 0.4, 0.4], rtol=1e-3)
+def test_the_frame_before_and_the_code_are_weighed():
+    """Parts whose code is in doubt: between the carried order and another; against it; and not carried at all.
+
+    The last one's code is sure of another order than the frame before.
+    """
+    doubt, other = Posterior(3, np.array([0.6, 0.4])), Posterior(3, np.array([0.02, 0.98]))
+    sure = Posterior(3, np.array([1e-9, 1 - 1e-9]))
+    absolute = AbsoluteOrders(np.array([2, 4, 6, 9]), (other, doubt, sure, doubt))
+    found = carried(roots=[2, 4, 6], offsets=[3, 3, 3], before=[1, 1, 1], error_probability=[1e-4] * 3)
+    before = memory([True], [1e-4])
+    told = placement(orders=with_frame_before(absolute, found, before.orders), carried=found, coded=True)
+    roots, offsets = told.offsets()
+    assert dict(zip(roots.tolist(), offsets.tolist(), strict=True)) == {2: 3, 4: 3, 6: 4, 9: 3}
+    regions = SimpleNamespace(roots=np.array([2, 4, 6, 9]))
+    orders = told.region_orders(patches({2: 3, 4: 3, 6: 4, 9: 3}), regions, before)
+    assert orders.known.tolist() == [False, False, True, True, False]
+    # 0.98 against 0.02 for what is wrong once in a thousand; no surer than the frame before; 1e-9 against 1e-3; alone.
+    np.testing.assert_allclose(orders.error_probability[1:], [0.0468, 1e-3, 1e-6, 0.4], rtol=0.01)
 
 
 @pytest.mark.parametrize("coded", [True, False])
 def test_the_later_evidence_overrules_the_earlier(coded):
     sure, doubt = Posterior(7, np.array([1 - 1e-6, 1e-6])), Posterior(3, np.array([0.6, 0.4]))
-    absolute = AbsoluteOrders(np.arange(10), np.array([2, 4, 6, 9]), (doubt, doubt, sure, Posterior(0, np.zeros(0))))
+    absolute = AbsoluteOrders(np.array([2, 4, 6, 9]), (doubt, doubt, sure, Posterior(0, np.zeros(0))))
     before = carried(roots=[4, 6], offsets=[5, 1], before=[1, 1], error_probability=[1e-4, 1e-4])
-    roots, offsets = placement(absolute=absolute, carried=before, coded=coded).offsets()
+    orders = with_frame_before(absolute, before, memory([True], [1e-6]).orders)
+    roots, offsets = placement(orders=orders, carried=before, coded=coded).offsets()
     found = dict(zip(roots.tolist(), offsets.tolist(), strict=True))  # the last one stays, as in an assignment
     assert found == ({2: 3} if coded else {}) | {4: 5, 6: 7}
     assert [len(part) for part in placement().offsets()] == [0, 0]

@@ -20,6 +20,18 @@ def test_an_error_far_below_rounding_is_kept():
     assert NOTHING_KNOWN.error(0) == 1.0
 
 
+def test_the_frame_before_is_no_independent_witness():
+    """Where both agree they are as sure as the surer one; where they differ the odds are what decides."""
+    unsure = Posterior(0, np.array([0.02, 0.95, 0.03]))
+    assert unsure.after(1, 1e-3).error(1) == pytest.approx(1e-3)
+    assert unsure.after(1, 0.2).error(1) == pytest.approx(0.05)
+    against = unsure.after(2, 0.1)
+    assert against.error(2) == pytest.approx(1 - 0.03 * 0.9 / (0.03 * 0.9 + 0.97 * 0.05), rel=1e-6)
+    assert NOTHING_KNOWN.after(5, 0.3).best == 5 and NOTHING_KNOWN.after(5, 0.3).error(5) == pytest.approx(0.3)
+    # What the pattern does not hold cannot have been.
+    assert unsure.after(40, 1e-3) is unsure
+
+
 @pytest.mark.parametrize(("width", "least", "most"), [(0.3, 0.0, 1e-3), (1.0, 1e-3, 0.1), (5.0, 0.5, 0.9)])
 def test_a_range_of_more_cycles_leaves_more_open(width, least, most):
     posterior = PartRange(4 - width / 2, 4 + width / 2, 0.0, True).alone()
