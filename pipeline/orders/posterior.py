@@ -126,10 +126,10 @@ class Posterior:
         neither is sure, but where they agree they are no surer together than the surer one.
         """
         if len(self.probability) == 0:
-            others = np.full(_ELSEWHERE, 0.5 * error / _ELSEWHERE)
-            return Posterior(offset - _ELSEWHERE, np.concatenate([others, [1 - error], others]))
+            side = np.full(_ELSEWHERE, 0.5 * error / _ELSEWHERE)
+            return Posterior(offset - _ELSEWHERE, np.concatenate([side, [1 - error], side]))
         both = self.beside(offset, 1 - error)
-        least: float = min(error, self.error(self.best))
+        least = min(error, self.error(self.best))
         others = both.error(both.best)
         if others >= least:
             return both
