@@ -27,7 +27,7 @@ from tikernels.unwrapping.union_find import part_of, rounds_at_once, settled
 _MAX_STEPPING, _MIN_PATCH_PX = 2.5, 60
 # A contact's votes count e-fold less where the patches' slopes differ by this (rad a px): what touches where the step
 # is a whole cycle seldom has the same slopes, and so both surfaces are whole before they meet.
-_USUAL_BEND = 0.08
+_USUAL_BEND = 0.06
 # The most support that a contact has, and the least difference between two that counts; logarithms.
 _MOST_SUPPORT, _LEAST_DIFFERENCE = 16.0, 0.0005
 # Of their common border, two parts must go on over more than the first share; one that would be left out alone, more
