@@ -198,6 +198,39 @@ def take_off(region: I32Array2, unwrapped: F32Array2, mask: U8Array2, cell: i32)
                 unwrapped[y, x] += ti.math.nan
 
 
+@ti.func
+def mark_strangers(
+    brightness: F32Array2, modulation: F32Array2, phase: F32Array2, region: I32Array2, mask: U8Array2, cell: i32
+) -> i32:
+    """Mark a cell's pixels that are cut off from their surface on the mask, and return whether there are any."""
+    marks, ray = 0, 0
+    top, left, bottom, right = cell_bounds(cell, region.shape[0], region.shape[1])
+    if lies_beside_others(phase, region, top, left, bottom, right):
+        for y in range(top, bottom):
+            for x in range(left, right):
+                if region[y, x] > 0:
+                    cut_off, ray = is_cut_off(brightness, modulation, phase, region, y, x, ray)
+                    if cut_off:
+                        mask[y, x] = ti.cast(0, ti.u8)
+                        marks = 1
+    return marks
+
+
+@ti.func
+def mark_rim(brightness: F32Array2, phase: F32Array2, region: I32Array2, mask: U8Array2, cell: i32) -> i32:
+    """Mark a cell's spikes and mixed pixels on the mask, and return whether there are any."""
+    marks = 0
+    top, left, bottom, right = cell_bounds(cell, region.shape[0], region.shape[1])
+    if lies_at_rim(region, top, left, bottom, right):
+        for y in range(top, bottom):
+            for x in range(left, right):
+                if region[y, x] > 0:
+                    if is_spike(region, y, x) or looks_like_others(brightness, phase, region, y, x):
+                        mask[y, x] = ti.cast(0, ti.u8)
+                        marks = 1
+    return marks
+
+
 @ti.kernel
 def leave_out_strangers_kernel(
     brightness: F32Array2,  # (H, W) up to a factor
@@ -209,33 +242,13 @@ def leave_out_strangers_kernel(
     marked: I32Array1,  # (cells,) scratch: which cells hold pixels to take off
 ):
     """Mark, and only then take off: neighbours look at what is left out as it was."""
-    height, width = region.shape[0], region.shape[1]
     for cell in range(marked.shape[0]):
-        marks, ray = 0, 0
-        top, left, bottom, right = cell_bounds(cell, height, width)
-        if lies_beside_others(phase, region, top, left, bottom, right):
-            for y in range(top, bottom):
-                for x in range(left, right):
-                    if region[y, x] > 0:
-                        cut_off, ray = is_cut_off(brightness, modulation, phase, region, y, x, ray)
-                        if cut_off:
-                            mask[y, x] = ti.cast(0, ti.u8)
-                            marks = 1
-        marked[cell] = marks
+        marked[cell] = mark_strangers(brightness, modulation, phase, region, mask, cell)
     for cell in range(marked.shape[0]):
         if marked[cell] == 1:
             take_off(region, unwrapped, mask, cell)
     for cell in range(marked.shape[0]):
-        marks = 0
-        top, left, bottom, right = cell_bounds(cell, height, width)
-        if lies_at_rim(region, top, left, bottom, right):
-            for y in range(top, bottom):
-                for x in range(left, right):
-                    if region[y, x] > 0:
-                        if is_spike(region, y, x) or looks_like_others(brightness, phase, region, y, x):
-                            mask[y, x] = ti.cast(0, ti.u8)
-                            marks = 1
-        marked[cell] = marks
+        marked[cell] = mark_rim(brightness, phase, region, mask, cell)
     for cell in range(marked.shape[0]):
         if marked[cell] == 1:
             take_off(region, unwrapped, mask, cell)
