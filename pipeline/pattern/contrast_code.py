@@ -38,17 +38,18 @@ def modulation_at(cycles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
 @cache
 def _levels_by_response() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return the (R,) strengths of the code by responses of different gamma, rising, and the (R, CYCLES) levels."""
-    phase = 2 * np.pi * np.arange(64) / 64
-    within = np.linspace(-0.5, 0.5, 129)
+    within = np.linspace(-0.5, 0.5, 129)  # cycles
     weight = (1 - (2 * within) ** 2) ** 2
-    seen = np.linspace(CONTRASTS[0], CONTRASTS[-1], 65) / (1 + np.linspace(CONTRASTS[0], CONTRASTS[-1], 65))
-    cycles = modulation_at(np.arange(CYCLES)[:, None] + within)
+    projected = modulation_at(np.arange(CYCLES)[:, None] + within)
+    # What of the light's own cycle is background and modulation, for every modulation of the codes.
+    modulations = np.linspace(projected.min(), projected.max(), 65)
+    wave = np.cos(2 * np.pi * np.arange(64) / 64)
+    codes = np.maximum(1 - modulations[:, None] * (1 - wave), 0)
     levels = []
     for gamma in _GAMMAS:
-        light = np.maximum(1 - seen[:, None] * (1 - np.cos(phase)), 0) ** gamma
-        background, modulation = light.mean(axis=1), 2 * (light * np.cos(phase)).mean(axis=1)
-        mean = [np.interp(cycles, seen, values) @ weight for values in (modulation, background)]
-        levels.append(np.log(mean[0] / mean[1]))
+        background, modulation = (codes**gamma).mean(axis=1), 2 * (codes**gamma * wave).mean(axis=1)
+        seen = [np.interp(projected, modulations, values) @ weight for values in (modulation, background)]
+        levels.append(np.log(seen[0] / seen[1]))
     spans = np.ptp(levels, axis=1)
     return spans / np.ptp(levels[_GAMMAS.index(1.0)]), np.array(levels)
 
