@@ -133,7 +133,7 @@ class Placement:
 def with_frame_before(
     absolute: AbsoluteOrders | None, carried: CarriedOrders | None, before: RegionOrders | None
 ) -> AbsoluteOrders | None:
-    """Let the orders that were absolute in the frame before count as evidence of where their parts are now.
+    """Let the orders of the frame before, as far as they were sure there, count as evidence of their parts' orders now.
 
     Parameters
     ----------
@@ -146,10 +146,10 @@ def with_frame_before(
     """
     if carried is None or before is None:
         return absolute
-    went_on = before.known[carried.before] & (carried.error_probability < 1)
+    stays = (1 - before.error_probability[carried.before].astype(np.float64)) * (1 - carried.error_probability)
+    went_on = stays > 0
     if not went_on.any():
         return absolute
-    stays = (1 - before.error_probability[carried.before].astype(np.float64)) * (1 - carried.error_probability)
     errors = np.maximum(1 - stays, _LEAST_CARRIED_ERROR)
     posteriors = {} if absolute is None else dict(zip(absolute.parts.tolist(), absolute.posteriors, strict=True))
     for root, offset, error in zip(carried.roots[went_on], carried.offsets[went_on], errors[went_on], strict=True):

@@ -73,7 +73,7 @@ def test_too_few_frames():
 
 def rendered(scene, share, swing_mm, direction, count=14):
     """Return frames of our simulator: an object that swings to and fro, each colour where it was at its time."""
-    rig = simulated_rig((240, 180), period_px=2 * 768 / 44)
+    rig = simulated_rig((320, 240), period_px=1.5 * 768 / 44)
     pattern = make_pattern((1024, 768), rig.pattern)
     rng = np.random.default_rng(1)
     images = []

@@ -229,7 +229,7 @@ def test_doubt_grows_until_the_code_is_seen_again():
         assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 1e-3
     of_ball, of_wall = np.array(doubts).T
     assert (np.diff(of_ball[:12]) > 0).all()
-    assert of_ball[11] > MAX_CARRIED_ERROR > 100 * of_wall.max()
+    assert of_ball[11] > MAX_CARRIED_ERROR > 5 * of_wall.max()  # a carried order errs once in a thousand at least
     assert of_ball[12] < 1e-3
 
 

@@ -58,9 +58,13 @@ def test_orders_that_are_carried_on_err_as_before_and_on_the_way():
 
 
 def test_what_was_not_known_before_is_not_known_now():
-    found, before = carried(roots=[4], offsets=[0], before=[1], error_probability=[1e-9]), memory([False], [1e-9])
-    assert with_frame_before(None, found, before.orders) is None
-    assert not placement(carried=found).region_orders(patches({}), REGIONS, before).known.any()
+    found = carried(roots=[4], offsets=[0], before=[1], error_probability=[1e-9])
+    for error in (0.02, 1.0):
+        before = memory([False], [error])
+        told = placement(orders=with_frame_before(None, found, before.orders), carried=found)
+        orders = told.region_orders(patches({4: 0}), REGIONS, before)
+        assert not orders.known.any()
+        assert orders.error_probability[1] == pytest.approx(error)
 
 
 def test_the_code_speaks_for_itself():
