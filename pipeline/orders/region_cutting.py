@@ -40,13 +40,12 @@ _MAX_DEVIATION = 9.0
 _NOWHERE = 5.5
 # Regions of fewer pixels or steps are too small to be parted.
 _MIN_PARTED_PX, _MIN_STEPS = 600, 6
-# An offset is a candidate where patches, with what comes over contacts of this support or more undiminished and this
-# many patches far, prefer it to their region's own by this margin, in variances; it takes this many such patches, and
-# the commonest few are looked at.
-_FULL_SUPPORT, _POOLED, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 3, 250.0, 3, 12
-# What a difference of labels costs across a contact of full support, in variances, the least share of it, and how often
-# labels settle.
-_LABEL_COST, _LEAST_SUPPORT, _SWEEPS = 12.0, 0.05, 8
+# An offset is a candidate where patches, with what comes over contacts of this support or more undiminished, prefer it
+# to their region's own by this margin, in variances; it takes this many such patches, and the commonest few are looked
+# at.
+_FULL_SUPPORT, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 250.0, 3, 12
+# What a difference of labels costs across a contact of full support, in variances, and the least share of it.
+_LABEL_COST, _LEAST_SUPPORT = 12.0, 0.05
 
 
 def spread_and_strength(steps: Steps) -> tuple[float, float]:
@@ -145,22 +144,23 @@ def _labels(
     """Label a region's patches with the offsets that their steps name, 0 for the region's own; None: all have that."""
     code = contrast_steps(strength)
     evidence = weigh_offsets(ends_of_steps, order, rise, code, offsets, patches, sigma, _MAX_DEVIATION)
-    own = int(evidence.sum(axis=1).argmin())
+    own = int(evidence.sum(axis=0).argmin())
     links = Links.of(ends, patches)
-    pooled = pool_evidence(evidence, links, support, _POOLED)
-    best = pooled.argmin(axis=0)
-    margin = pooled[own] - pooled[best, np.arange(patches)]
-    named, votes = np.unique(best[(best != own) & (margin > _MIN_MARGIN)], return_counts=True)
-    named, votes = named[votes >= _MIN_PATCHES], votes[votes >= _MIN_PATCHES]
+    pooled = pool_evidence(evidence, links, support)
+    best = pooled.argmin(axis=1)
+    margin = pooled[:, own] - pooled[np.arange(patches), best]
+    votes = np.bincount(best[(best != own) & (margin > _MIN_MARGIN)], minlength=len(offsets))
+    named = np.argsort(-votes, kind="stable")[:_CANDIDATES]
+    named = named[votes[named] >= _MIN_PATCHES]
     if len(named) == 0:
         return None
-    candidates = np.append(own, named[np.argsort(-votes, kind="stable")][:_CANDIDATES])
+    candidates = np.append(own, named)
     # None of them is right where the steps deviate by more than this from all.
     shown = np.bincount(np.concatenate(ends_of_steps), minlength=patches)
-    nowhere = (0.5 * _NOWHERE * shown[None]).astype(np.float32)
-    first = np.concatenate([pooled[candidates], pool_evidence(nowhere, links, support, _POOLED)]).argmin(axis=0)
-    costs = _LABEL_COST * np.maximum(support, _LEAST_SUPPORT)
-    labels = settle_labels(np.concatenate([evidence[candidates], nowhere]), first, links, costs, _SWEEPS)
+    nowhere = (0.5 * _NOWHERE * shown[:, None]).astype(np.float32)
+    alone = np.column_stack([evidence[:, candidates], nowhere])
+    first = np.column_stack([pooled[:, candidates], pool_evidence(nowhere, links, support)]).argmin(axis=1)
+    labels = settle_labels(alone, first, links, _LABEL_COST * np.maximum(support, _LEAST_SUPPORT))
     return None if (labels == 0).all() else labels
 
 

@@ -12,7 +12,26 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tikernels._taichi import F32Array1, F32Array2, I32Array1, f32, i32, ti
+from tikernels._taichi import (
+    F32Array1,
+    I32Array1,
+    I32Array2,
+    Vec16Array1,
+    Vec16Array2,
+    Vec16Array3,
+    f32,
+    i32,
+    ti,
+    vec16,
+)
+from tikernels.unwrapping.tables import add_alone
+
+#: Offsets that are looked at together (a vec16), and as many labels as there may be.
+LANES = 16
+# How far evidence is pooled, in patches, and how often all patches' labels settle at most.
+_ROUNDS, _SWEEPS = 3, 8
+# What a label costs that there is not.
+_NEVER = 1e30
 
 
 @ti.kernel
@@ -25,69 +44,64 @@ def weigh_offsets_kernel(
     first_offset: i32,
     sigma: f32,
     most: f32,  # what a step may deviate by, in variances
-    out_evidence: F32Array2,  # (offsets, P)
+    out_evidence: Vec16Array2,  # (P, groups of offsets); 0 to begin with
 ):
     """Sum up by how much the steps deviate from the code; half of it goes to either patch."""
-    for k in range(out_evidence.shape[0]):
-        for patch in range(out_evidence.shape[1]):
-            out_evidence[k, patch] = 0.0
+    for group in range(out_evidence.shape[1]):
         for s in range(order.shape[0]):
-            place, deviation = order[s] + first_offset + k, most
-            if place >= 0 and place < code.shape[0]:
-                departs = (rise[s] - code[place]) / sigma
-                deviation = ti.min(departs * departs, most)
-            out_evidence[k, low[s]] = out_evidence[k, low[s]] + 0.5 * deviation
-            out_evidence[k, high[s]] = out_evidence[k, high[s]] + 0.5 * deviation
+            half = vec16(0.5 * most)
+            for k in ti.static(range(LANES)):
+                place = order[s] + first_offset + group * LANES + k
+                if place >= 0 and place < code.shape[0]:
+                    departs = (rise[s] - code[place]) / sigma
+                    half[k] = 0.5 * ti.min(departs * departs, most)
+            add_alone(out_evidence[low[s], group], half)
+            add_alone(out_evidence[high[s], group], half)
 
 
 @ti.kernel
 def pool_evidence_kernel(
-    rounds: i32,
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
     weights: F32Array1,  # (2 C,) of their evidence
-    evidence: F32Array2,  # (offsets, P)
-    out_even: F32Array2,  # (offsets, P) after an even number of rounds; the evidence, to begin with
-    out_odd: F32Array2,  # (offsets, P) after an odd one
+    evidence: Vec16Array2,  # (P, groups of offsets)
+    out_pooled: Vec16Array3,  # (2, P, groups) after an even and an odd number of rounds; the evidence, to begin with
 ):
-    """Add to each patch's evidence what its neighbours have pooled in the round before; offset by offset."""
-    for k in range(evidence.shape[0]):
-        for turn in range(rounds):
-            for patch in range(evidence.shape[1]):
-                total = evidence[k, patch]
+    """Add to each patch's evidence what its neighbours have pooled in the round before."""
+    for turn in ti.static(range(_ROUNDS)):
+        for patch in range(evidence.shape[0]):
+            for group in range(evidence.shape[1]):
+                total = evidence[patch, group]
                 for n in range(starts[patch], starts[patch + 1]):
-                    pooled = out_even[k, neighbours[n]]
-                    if turn % 2 == 1:
-                        pooled = out_odd[k, neighbours[n]]
-                    total += weights[n] * pooled
-                if turn % 2 == 0:
-                    out_odd[k, patch] = total
-                else:
-                    out_even[k, patch] = total
+                    total += weights[n] * out_pooled[turn % 2, neighbours[n], group]
+                out_pooled[1 - turn % 2, patch, group] = total
 
 
 @ti.kernel
 def settle_labels_kernel(
-    half: i32,  # of the patches, 0 or 1
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
     costs: F32Array1,  # (2 C,) of a different label there
-    evidence: F32Array2,  # (labels, P)
-    labels: I32Array1,  # (P,)
-    out_labels: I32Array1,  # (P,)
+    evidence: Vec16Array1,  # (P,) of every label
+    out_labels: I32Array2,  # (2, P) alike, to begin with
 ):
-    """Give one half of the patches the labels that cost least beside their neighbours' present ones."""
-    for patch in range(labels.shape[0]):
-        best, least = labels[patch], 1e30
-        if patch % 2 == half:
-            for label in range(evidence.shape[0]):
-                cost = evidence[label, patch]
+    """Give one half of the patches, then the other, the labels that cost least beside their neighbours' present ones.
+
+    Half of the patches at a time: neighbours that change together would swap for ever.
+    """
+    for half in ti.static(range(2)):
+        for patch in range(evidence.shape[0]):
+            best = out_labels[half, patch]
+            if patch % 2 == half:
+                cost = evidence[patch]
                 for n in range(starts[patch], starts[patch + 1]):
-                    if labels[neighbours[n]] != label:
-                        cost += costs[n]
-                if cost < least:
-                    best, least = label, cost
-        out_labels[patch] = best
+                    # What all labels cost alike does not matter.
+                    label = out_labels[half, neighbours[n]]
+                    cost[label] = cost[label] - costs[n]
+                best = 0
+                for k in range(1, LANES):
+                    best = ti.select(cost[k] < cost[best], k, best)
+            out_labels[1 - half, patch] = best
 
 
 class Links(NamedTuple):
@@ -141,40 +155,39 @@ def weigh_offsets(
 
     Returns
     -------
-    (offsets, P) float32
+    (P, offsets) float32
         Squared deviations, in variances.
     """
-    evidence = np.empty((len(offsets), count), np.float32)
+    evidence = np.zeros((count, _groups(len(offsets)), LANES), np.float32)
     low, high = (np.ascontiguousarray(ends, np.int32) for ends in patches)
     seen = (np.ascontiguousarray(order, np.int32), rise.astype(np.float32), code.astype(np.float32))
     weigh_offsets_kernel(low, high, *seen, offsets.start, sigma, most, evidence)
-    return evidence
+    return evidence.reshape(count, -1)[:, : len(offsets)]
 
 
 def pool_evidence(
-    evidence: npt.NDArray[np.float32], links: Links, weights: npt.NDArray[np.floating], rounds: int
+    evidence: npt.NDArray[np.float32], links: Links, weights: npt.NDArray[np.floating]
 ) -> npt.NDArray[np.float32]:
-    """Add to each patch's evidence that of its neighbours, theirs, and so on.
+    """Add to each patch's evidence that of its neighbours, theirs, and of those again.
 
     Parameters
     ----------
-    evidence : (offsets, P) float32
+    evidence : (P, offsets) float32
         Of each patch alone.
     links : Links
         Its contacts.
     weights : (C,) float
         How much counts what comes over each contact.
-    rounds : int
-        How far it comes, in patches.
 
     Returns
     -------
-    (offsets, P) float32
+    (P, offsets) float32
     """
-    pooled = evidence.copy(), np.empty_like(evidence)
+    alone = _in_groups(evidence, 0.0)
+    pooled = np.stack([alone, alone])
     weight = weights[links.contact].astype(np.float32)
-    pool_evidence_kernel(rounds, links.starts, links.neighbours, weight, evidence, *pooled)
-    return pooled[rounds % 2]
+    pool_evidence_kernel(links.starts, links.neighbours, weight, alone, pooled)
+    return pooled[_ROUNDS % 2].reshape(len(evidence), -1)[:, : evidence.shape[1]]
 
 
 def settle_labels(
@@ -182,34 +195,44 @@ def settle_labels(
     labels: npt.NDArray[np.integer],
     links: Links,
     costs: npt.NDArray[np.floating],
-    sweeps: int,
 ) -> npt.NDArray[np.int32]:
     """Let labels settle between the patches' own evidence and their neighbours' labels.
 
     Parameters
     ----------
-    evidence : (labels, P) float32
-        What each label costs each patch.
+    evidence : (P, labels) float32
+        What each label costs each patch; at most LANES labels.
     labels : (P,) int
         To begin with.
     links : Links
         Contacts.
     costs : (C,) float
         What two labels cost that differ across each contact.
-    sweeps : int
-        How often all patches are looked at.
 
     Returns
     -------
     (P,) int32
     """
     cost = costs[links.contact].astype(np.float32)
-    settled = np.ascontiguousarray(labels, np.int32)
-    # Half of the patches at a time: neighbours that change together would swap for ever.
-    for half in (0, 1) * sweeps:
-        before, settled = settled, np.empty_like(settled)
-        settle_labels_kernel(half, links.starts, links.neighbours, cost, evidence, before, settled)
-    return settled
+    settled = np.stack([labels, labels]).astype(np.int32)
+    all_labels = _in_groups(evidence, _NEVER)[:, 0]
+    for _ in range(_SWEEPS):
+        before = settled[0].copy()
+        settle_labels_kernel(links.starts, links.neighbours, cost, all_labels, settled)
+        if np.array_equal(settled[0], before):
+            break
+    return settled[0]
+
+
+def _groups(offsets: int) -> int:
+    return -(-offsets // LANES)
+
+
+def _in_groups(evidence: npt.NDArray[np.float32], beyond: float) -> npt.NDArray[np.float32]:
+    """Return (P, offsets) evidence as (P, groups, LANES), with a value for offsets beyond."""
+    whole = np.full((len(evidence), _groups(evidence.shape[1]) * LANES), beyond, np.float32)
+    whole[:, : evidence.shape[1]] = evidence
+    return whole.reshape(len(evidence), -1, LANES)
 
 
 def connected_parts(ends: npt.NDArray[np.integer], count: int) -> npt.NDArray[np.int64]:

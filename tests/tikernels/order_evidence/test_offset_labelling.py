@@ -28,26 +28,26 @@ def test_deviations_as_the_twin(arch):
     low, high, order = rng.integers(0, COUNT, 200), rng.integers(0, COUNT, 200), rng.integers(-4, 9, 200)
     rise, offsets = rng.normal(0, 0.1, 200), range(-8, 24)
     evidence = weigh_offsets((low, high), order, rise, code, offsets, COUNT, 0.05, 9.0)
-    expected = np.zeros((len(offsets), COUNT))
+    expected = np.zeros((COUNT, len(offsets)))
     for k, offset in enumerate(offsets):
         place = order + offset
         inside = (place >= 0) & (place < len(code))
         deviation = np.where(inside, np.minimum(((rise - code[np.clip(place, 0, 19)]) / 0.05) ** 2, 9.0), 9.0)
-        np.add.at(expected[k], low, 0.5 * deviation)
-        np.add.at(expected[k], high, 0.5 * deviation)
+        np.add.at(expected[:, k], low, 0.5 * deviation)
+        np.add.at(expected[:, k], high, 0.5 * deviation)
     np.testing.assert_allclose(evidence, expected, rtol=1e-5, atol=1e-4)
 
 
 def test_what_is_pooled_as_the_twin(arch):
     rng = np.random.default_rng(1)
     ends, weights = grid(), rng.uniform(0, 1, grid().shape[1])
-    evidence = rng.uniform(0, 9, (7, COUNT)).astype(np.float32)
+    evidence = rng.uniform(0, 9, (COUNT, 19)).astype(np.float32)
     matrix = np.zeros((COUNT, COUNT))
     matrix[ends[0], ends[1]] = matrix[ends[1], ends[0]] = weights
     expected = evidence.astype(float)
     for _ in range(3):
-        expected = evidence + expected @ matrix
-    pooled = pool_evidence(evidence, Links.of(ends, COUNT), weights, 3)
+        expected = evidence + matrix @ expected
+    pooled = pool_evidence(evidence, Links.of(ends, COUNT), weights)
     np.testing.assert_allclose(pooled, expected, rtol=1e-5)
 
 
@@ -56,14 +56,14 @@ def test_labels_settle_with_their_neighbours(arch):
     rng = np.random.default_rng(2)
     right = (np.arange(COUNT) % COLUMNS >= 5).astype(int)
     shown = np.where(rng.random(COUNT) < 0.25, 1 - right, right)
-    evidence = np.where(np.arange(2)[:, None] == shown, 0.0, 6.0).astype(np.float32)
-    evidence[:, shown == right] *= 2
+    evidence = np.where(np.arange(2) == shown[:, None], 0.0, 6.0).astype(np.float32)
+    evidence[shown == right] *= 2
     ends = grid()
     links = Links.of(ends, COUNT)
-    labels = settle_labels(evidence, shown, links, np.full(ends.shape[1], 4.0), 8)
+    labels = settle_labels(evidence, shown, links, np.full(ends.shape[1], 4.0))
     assert np.mean(labels == right) > 0.9 > np.mean(shown == right)
     # Where a difference costs nothing, every patch keeps what it shows itself.
-    alone = settle_labels(evidence, np.zeros(COUNT, int), links, np.zeros(ends.shape[1]), 1)
+    alone = settle_labels(evidence, np.zeros(COUNT, int), links, np.zeros(ends.shape[1]))
     np.testing.assert_array_equal(alone, shown)
 
 
