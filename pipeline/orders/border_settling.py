@@ -28,7 +28,9 @@ from tikernels.unwrapping.surface_borders import Borders
 # A part's contrast is its code's times a factor, whose logarithm is a plane, less ambient light's share: standard
 # deviations of the slopes (a px) and of that share, and the smallest one of a level. A level may add as many variances.
 _SLOPE_SIGMA, _AMBIENT_SIGMA, _MIN_SIGMA, _MAX_DEVIATION = 5e-4, 0.1, 0.012, 9.0
-_ROUNDS = 5
+# How often the factor is fitted, each time with other weights, and to how many cycles at least of those that a large
+# part has.
+_ROUNDS, _FITTED_CYCLES = 5, 500
 # Fewer cycles tell no level. A patch that shows less than this share of a cycle shows none.
 _MIN_CYCLES, _MIN_SHOWN = 3.0, 0.3
 # What a pixel costs, in units of the logarithm of the likelihood: over which the surface goes on to another part, or to
@@ -84,7 +86,7 @@ class _LevelCosts:
 
     def _fitted(self, held: Integers) -> tuple[FloatArray, tuple[float, float, float], float]:
         """Fit a part's factor to its cycles: a robust plane, and a share of ambient light."""
-        cycles = self._cycles
+        cycles, held = self._cycles, held[:: max(len(held) // _FITTED_CYCLES, 1)]
         middle = float(self._x[held].mean()), float(self._y[held].mean()), float(np.median(cycles.brightness[held]))
         terms = self._terms(held, middle)
         remains = cycles.contrast[held] - self._code_at(held, self._lacks)[0]
@@ -197,10 +199,13 @@ def _going_on(
     one, other = np.concatenate([low, high]), np.concatenate([high, low])
     change = orders[other] - np.concatenate([shift, -shift]) - orders[one]
     wrong = (roots[one] != roots[other]) & (change != 0) & (np.abs(change) < _MOST_CYCLES)
-    pairs = np.stack([roots[one[wrong]], roots[other[wrong]], change[wrong]])
-    kinds, member = np.unique(pairs, axis=1, return_inverse=True)
-    for kind, (part, beside, cycles) in enumerate(kinds.T.tolist()):
-        yield part, beside, cycles, np.unique(one[wrong][member.ravel() == kind])
+    one, other, change = one[wrong], other[wrong], change[wrong]
+    # Sorted by a single number for each kind of border, which is quick.
+    pair = roots[one].astype(np.int64) * len(roots) + roots[other]
+    kind = pair * (2 * _MOST_CYCLES) + change
+    sort = np.argsort(kind, kind="stable")
+    for same in np.split(sort, np.flatnonzero(np.diff(kind[sort])) + 1) if len(sort) else []:
+        yield int(roots[one[same[0]]]), int(roots[other[same[0]]]), int(change[same[0]]), np.unique(one[same])
 
 
 def _clumps(graph: PatchGraph, members: npt.NDArray[np.bool_], seeds: Integers) -> Iterator[npt.NDArray[np.bool_]]:

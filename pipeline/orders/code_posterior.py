@@ -102,19 +102,22 @@ def log_likelihood(part: PartSteps) -> tuple[int, FloatArray]:
     lower_orders = part.lower_orders
     if len(lower_orders) == 0:
         return 0, np.zeros((len(STRENGTHS), len(_SPREADS), 0))
-    offsets = _offsets(part)
+    offsets, count = _offsets(part), len(lower_orders)
     variance = _SPREADS[:, None] ** 2 + part.noise
-    line = np.stack([np.ones(len(lower_orders)), np.linspace(-1, 1, len(lower_orders))])
+    line = np.stack([np.ones(count), np.linspace(-1, 1, count)])
     weighted = line / variance[:, None]
     normal = weighted @ line.T + np.eye(2) / _SPREADS[:, None, None] ** 2
-    remains = np.eye(len(lower_orders)) - line.T @ np.linalg.solve(normal, weighted)  # (spreads, steps, steps)
-    remains /= np.sqrt(_FREEDOM * variance)[..., None]
-    expected = np.diff(_levels())[:, None, lower_orders + offsets[:, None]]
-    seen, due = remains @ part.middle, expected @ remains.transpose(0, 2, 1)
-    deviations = (seen[:, None] - due).astype(np.float32)
-    fit = np.log(1 + deviations**2).sum(axis=-1, dtype=np.float64)
+    deviations = part.middle - np.diff(_levels())[:, lower_orders + offsets[:, None]]
+    deviations = deviations.reshape(-1, count).astype(np.float32)
+    fits = []
+    # In single precision: a large part has a hundred thousand deviations.
+    for along, scale in zip(np.linalg.solve(normal, weighted), 1 / np.sqrt(_FREEDOM * variance), strict=True):
+        left = deviations * scale.astype(np.float32)
+        left -= (deviations @ along.T.astype(np.float32)) @ (line * scale).astype(np.float32)
+        fits.append(np.log1p(np.square(left, out=left), out=left) @ np.ones(count, np.float32))
+    fit = np.stack(fits, axis=1).reshape(len(STRENGTHS), len(offsets), -1).transpose(0, 2, 1)
     constant = np.log(variance).sum(axis=-1) + np.linalg.slogdet(normal)[1] + 4 * np.log(_SPREADS)
-    return int(-lower_orders[0]), -0.5 * (_FREEDOM + 1) * fit - 0.5 * constant[:, None]
+    return int(-lower_orders[0]), -0.5 * (_FREEDOM + 1) * fit.astype(np.float64) - 0.5 * constant[:, None]
 
 
 def part_level(part: PartSteps) -> PartLevel | None:
