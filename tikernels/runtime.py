@@ -15,6 +15,7 @@ import numpy.typing as npt
 from tikernels._taichi import f32, i32, language, ti
 from tikernels.arrays import Array, DeviceArray, E
 from tikernels.errors import DeviceNotReady
+from tikernels.launching import forget
 
 #: Every arch by name, in the order in which "auto" prefers them.
 ARCHS = ("cuda", "metal", "vulkan", "cpu")
@@ -210,6 +211,7 @@ def _start(arch: str) -> str | None:
         return "vulkan: no driver"  # asked first because the runtime writes to stderr before it gives up
     # Taichi greets on standard output, which belongs to the program that uses us.
     with contextlib.redirect_stdout(open(os.devnull, "w")) as sink, sink:
+        forget()
         try:
             ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, offline_cache=True)
         except RuntimeError as error:

@@ -5,11 +5,12 @@ import numpy as np
 from tikernels import checks
 from tikernels._taichi import AnyArray2, AnyArray3, ti
 from tikernels.arrays import Array, E
+from tikernels.launching import kernel
 
 _TYPES = (np.uint8, np.uint16, np.int32, np.float32)
 
 
-@ti.kernel
+@kernel
 def transpose_kernel(
     image: AnyArray2,  # (H, W)
     out: AnyArray2,  # (W, H)
@@ -19,7 +20,7 @@ def transpose_kernel(
         out[y, x] = image[x, y]
 
 
-@ti.kernel
+@kernel
 def transpose_color_kernel(
     image: AnyArray3,  # (H, W, 3)
     out: AnyArray3,  # (W, H, 3)

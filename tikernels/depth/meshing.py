@@ -6,6 +6,7 @@ import numpy.typing as npt
 from tikernels import checks
 from tikernels._taichi import F32Array3, I32Array1, I32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, Mask
+from tikernels.launching import kernel
 
 
 @ti.func
@@ -40,7 +41,7 @@ def square_triangles(points: F32Array3, mask: U8Array2, y: i32, x: i32, max_step
     return bits
 
 
-@ti.kernel
+@kernel
 def count_triangles_kernel(
     points: F32Array3,  # (H, W, 3)
     mask: U8Array2,  # (H, W)
@@ -61,7 +62,7 @@ def count_triangles_kernel(
         out_vertices[y] = vertices
 
 
-@ti.kernel
+@kernel
 def number_vertices_kernel(
     mask: U8Array2,  # (H, W)
     first: I32Array1,  # (H,) number of a row's first vertex
@@ -76,7 +77,7 @@ def number_vertices_kernel(
                 number += 1
 
 
-@ti.kernel
+@kernel
 def fill_triangles_kernel(
     points: F32Array3,  # (H, W, 3)
     mask: U8Array2,  # (H, W)

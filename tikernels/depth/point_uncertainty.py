@@ -11,6 +11,7 @@ from tikernels import checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, ti, vec3
 from tikernels.arrays import F32
 from tikernels.depth.triangulation import ProjectorGeometry, load_projector, ray_depth
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.strips import STRIP, strip_at, strip_count
 
@@ -19,7 +20,7 @@ from tikernels.strips import STRIP, strip_at, strip_count
 _BESIDE = 0.02
 
 
-@ti.kernel
+@kernel
 def point_sigma_kernel(
     phase: F32Array2,  # (H, W) rad, absolute
     phase_sigma: F32Array2,  # (H, W) rad

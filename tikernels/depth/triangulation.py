@@ -15,6 +15,7 @@ from tikernels import checks
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, mat3, ti, vec3, vec5
 from tikernels.arrays import F32
 from tikernels.depth.lens_distortion import distorted
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.strips import STRIP, strip_at, strip_count
 
@@ -99,7 +100,7 @@ def ray_depth(
     return depth
 
 
-@ti.kernel
+@kernel
 def triangulate_kernel(
     unwrapped_phase: F32Array2,  # (H, W) rad, absolute; NaN outside the mask
     rays: F32Array3,  # (H, W, 2) x, y at unit depth

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, I32Array2, U8Array2, f32, i32, ti, vec3, vec4
 from tikernels.arrays import F32, LevelsImage
+from tikernels.launching import kernel
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_vector import PI, color_at, matrix_of
@@ -64,7 +65,7 @@ def add_cycle(label: i32, sums: vec4, cells: I32Array2, draft_bits: i32, out_sum
 def measure_contrast_kernel(mixed: bool) -> Any:
     """Return the kernel that sums every patch's modulation and background, order by order."""
 
-    @ti.kernel
+    @kernel
     def measure_contrast(
         image: AnyArray3,  # (H, W, 3) levels
         surface_labels: U8Array2,  # (H, W) see `Surfaces`
@@ -164,7 +165,7 @@ def measure_contrast(
     return runtime.to_host(sums)  # synchronises
 
 
-@ti.kernel
+@kernel
 def match_stretches_kernel(
     stretches: F32Array2,  # (N, n) steps of the contrast's logarithm
     windows: F32Array2,  # (W, n) the code's

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from tikernels import checks
 from tikernels._taichi import F32Array1, F32Array2, I32Array1, I32Array2, f32, ti
 from tikernels.arrays import F32, I32
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.strips import STRIP, strip_at, strip_count
 
@@ -30,7 +31,7 @@ def tabled(corrections: F32Array1, unwrapped: f32) -> f32:
     return corrections[below] + share * (corrections[below + 1] - corrections[below])
 
 
-@ti.kernel
+@kernel
 def correct_by_modulation_kernel(
     region: I32Array2,  # (H, W) region's number from 1; 0 outside
     absolute: I32Array1,  # (regions + 1,) 1 where the orders are absolute

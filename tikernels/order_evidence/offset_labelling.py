@@ -24,6 +24,7 @@ from tikernels._taichi import (
     ti,
     vec16,
 )
+from tikernels.launching import kernel
 from tikernels.unwrapping.tables import add_alone
 
 #: Offsets that are looked at together (a vec16), and as many labels as there may be.
@@ -34,7 +35,7 @@ _ROUNDS, _SWEEPS = 3, 8
 _NEVER = 1e30
 
 
-@ti.kernel
+@kernel
 def weigh_offsets_kernel(
     low: I32Array1,  # (S,) patch of each step's lower cycle
     high: I32Array1,  # (S,) and of its higher one
@@ -59,7 +60,7 @@ def weigh_offsets_kernel(
             add_alone(out_evidence[high[s], group], half)
 
 
-@ti.kernel
+@kernel
 def pool_evidence_kernel(
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
@@ -77,7 +78,7 @@ def pool_evidence_kernel(
                 out_pooled[1 - turn % 2, patch, group] = total
 
 
-@ti.kernel
+@kernel
 def settle_labels_kernel(
     starts: I32Array1,  # (P + 1,) of each patch's neighbours
     neighbours: I32Array1,  # (2 C,) patches
@@ -187,7 +188,7 @@ def pool_evidence(
     pooled = np.stack([alone, alone])
     weight = weights[links.contact].astype(np.float32)
     pool_evidence_kernel(links.starts, links.neighbours, weight, alone, pooled)
-    return pooled[_ROUNDS % 2].reshape(len(evidence), -1)[:, : evidence.shape[1]]
+    return np.asarray(pooled[_ROUNDS % 2].reshape(len(evidence), -1)[:, : evidence.shape[1]])
 
 
 def settle_labels(
@@ -221,7 +222,7 @@ def settle_labels(
         settle_labels_kernel(links.starts, links.neighbours, cost, all_labels, settled)
         if np.array_equal(settled[0], before):
             break
-    return settled[0]
+    return np.asarray(settled[0])
 
 
 def _groups(offsets: int) -> int:

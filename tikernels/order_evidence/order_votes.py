@@ -13,6 +13,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, I32Array2, i32, ti
 from tikernels.arrays import F32, I32
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import (
@@ -56,7 +57,7 @@ def smooth_around(phase: F32Array2, y: i32, x: i32) -> i32:
     return smooth
 
 
-@ti.kernel
+@kernel
 def vote_orders_kernel(
     phase: F32Array2,  # (H, W) rad
     labels: I32Array2,  # (H, W) patch and order in it

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from tikernels import checks
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, f32, i32, ti, u1
+from tikernels.launching import kernel
 from tikernels.unwrapping.tables import add_alone
 from tikernels.unwrapping.union_find import part_of, rounds_at_once, settled
 
@@ -54,7 +55,7 @@ def unite(a: i32, b: i32, orders: I32Array2, evidence: F32Array2, parents: I32Ar
     orders[low, 1] = ti.max(orders[low, 1], orders[high, 1])
 
 
-@ti.kernel
+@kernel
 def join_parts_kernel(
     first: i32,  # contact to begin with,
     stop: i32,  # and the one to stop before

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, F32Array3, I32Array1, I32Array2, U8Array2, f32, i32, ivec4, ti, u1, vec2, vec3
 from tikernels.arrays import F32, I32, U8
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI, wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.unwrapping.continuity import frame_rates
@@ -147,7 +148,7 @@ def adopt(bounds: ivec4, adopted: F32Array3, phase: F32Array2, unwrapped: F32Arr
                 mask[y, x] = ti.cast(1, ti.u8)
 
 
-@ti.kernel
+@kernel
 def adopt_pixels_kernel(
     final: I32Array2,  # (3, cells or more) see `Final`; steps are read
     phase: F32Array2,  # (H, W) rad; STEP_PHASE at steps

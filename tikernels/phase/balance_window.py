@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from tikernels._taichi import F32Array1, F32Array3, Static, f32, i32, ti
 from tikernels.arrays import F32
+from tikernels.launching import kernel
 
 #: The window across and along the stripes, as a standard deviation in cycles. At 0.85 cycles a Gaussian passes 1e-6 of
 #: the fringe; wider ones blur the reflectance without gaining anything.
@@ -74,7 +75,7 @@ def half_gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
     return np.asarray(np.exp(-0.5 * (reach / sigma) ** 2), np.float32)
 
 
-@ti.kernel
+@kernel
 def smooth_blocks_kernel(
     channels: Static,  # N
     sums: F32Array3,  # (Hb, Wb, N) a block's sums

@@ -15,6 +15,7 @@ import numpy as np
 from tikernels import checks
 from tikernels._taichi import F32Array2, f32, ti
 from tikernels.arrays import F32
+from tikernels.launching import kernel
 from tikernels.phase.phase_fit import doubted
 from tikernels.phase.phase_vector import wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
@@ -41,7 +42,7 @@ def turned_by_blur(before: f32, here: f32, after: f32, dim: f32, bright: f32) ->
     return ti.select(smooth, 0.5 * (one + other) * (bright - dim) / ti.max(bright + dim, 1e-6), 0.0)
 
 
-@ti.kernel
+@kernel
 def undo_camera_blur_kernel(
     phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
     brightness: F32Array2,  # (H, W)

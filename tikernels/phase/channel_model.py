@@ -29,6 +29,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
 from tikernels.arrays import F32
+from tikernels.launching import kernel
 from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, sharpening_factors, template_mismatch, waves_of
 from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
@@ -214,7 +215,7 @@ class ChannelModel:
         settle_nodes_kernel(self._shared, self._around, self.nodes)
 
 
-@ti.kernel
+@kernel
 def recover_samples_kernel(
     samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to, levels
     gains: F32Array3,  # (Hg, Wg, 3)
@@ -257,7 +258,7 @@ def ambient_at(smooth: F32Array3, spacing_px: i32, share: f32, y: i32, x: i32) -
     return share * smooth[i, j, WindowSum.BACKGROUND] / ti.max(smooth[i, j, WindowSum.SAMPLES], 1e-6)
 
 
-@ti.kernel
+@kernel
 def sum_template_kernel(
     samples: F32Array3,  # (H, Wb, 3) balanced, levels
     phases: F32Array2,  # (H, Wb) rad
@@ -305,7 +306,7 @@ def sum_template_kernel(
                 out_normal[strip, _CORNERS + 3 * a + k] = right[a, k]
 
 
-@ti.kernel
+@kernel
 def sum_model_kernel(
     samples: F32Array3,  # (H, Wb, 3) balanced, levels
     phases: F32Array2,  # (H, Wb) rad
@@ -345,7 +346,7 @@ def sum_model_kernel(
             out_sums[i, j, LineSum.PRODUCT + k] = product[k]
 
 
-@ti.kernel
+@kernel
 def fit_nodes_kernel(
     sums: F32Array3,  # (Hg, Wg, 13) see `LineSum`, over the window
     smooth: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
@@ -376,7 +377,7 @@ def fit_nodes_kernel(
                 out_shared[block, j, _SHARED - 1] = weight
 
 
-@ti.kernel
+@kernel
 def settle_nodes_kernel(
     shared: F32Array3,  # (Hb, Wb, 7) see `fit_nodes_kernel`
     around: F32Array3,  # (Hg, Wg, 7) the same, over the window

@@ -23,6 +23,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2, f32, i32, mat3, ti, vec3
 from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.phase.balance_window import BalanceWindow
 from tikernels.phase.crosstalk import Crosstalk, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
@@ -175,7 +176,7 @@ def channels_at(sums: F32Array3, i: i32, j: i32, first: Static) -> vec3:
 
 @cache
 def _collect_samples_kernel(mixed: bool) -> Any:
-    @ti.kernel
+    @kernel
     def collect_samples_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         unmixing: F32Array3,  # (N, 3, 3) of each surface
@@ -205,7 +206,7 @@ def _collect_samples_kernel(mixed: bool) -> Any:
     return collect_samples_kernel
 
 
-@ti.kernel
+@kernel
 def predict_blocks_kernel(
     samples: F32Array3,  # (H, Wb, 3)
     inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk
@@ -268,7 +269,7 @@ def predict_blocks_kernel(
         out_sums[i, j, WindowSum.SAMPLES] = count
 
 
-@ti.kernel
+@kernel
 def sum_blocks_kernel(
     samples: F32Array3,  # (H, Wb, 3)
     rows: i32,
@@ -285,7 +286,7 @@ def sum_blocks_kernel(
             out_sums[i, j, WindowSum.SEEN + k] = total[k]
 
 
-@ti.kernel
+@kernel
 def find_gains_kernel(
     sums: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
     predicted: i32,  # 0: nothing is predicted yet, and the channels are to be equal
@@ -302,7 +303,7 @@ def find_gains_kernel(
             out_gains[i, j, k] = gain[k]
 
 
-@ti.kernel
+@kernel
 def apply_gains_kernel(
     image: F32Array3,  # (H, W, 3) linear light
     gains: F32Array3,  # (Hg, Wg, 3)
@@ -316,7 +317,7 @@ def apply_gains_kernel(
             out[y, x, k] = image[y, x, k] * gain[k]
 
 
-@ti.kernel
+@kernel
 def darken_kernel(
     image: F32Array3,  # (H, W, 3)
     mask: U8Array2,  # (H, W) 0: left out

@@ -13,6 +13,7 @@ from tikernels import checks
 from tikernels._taichi import F32Array2, F32Array3, mat3, ti, vec3
 from tikernels.arrays import F32
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import color_at, matrix_of, phase_weights
 from tikernels.phase.surfaces import Surfaces
 
@@ -29,7 +30,7 @@ def weighed_vector(channels: vec3, gain: vec3, weights: mat3) -> vec3:
     return weights @ (channels * gain)
 
 
-@ti.kernel
+@kernel
 def correct_crosstalk_kernel(
     image: F32Array3,  # (H, W, 3) linear light at the camera
     inverse_matrix: F32Array2,  # (3, 3)

@@ -17,6 +17,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI, wrap
 from tikernels.phase.wrapped_phase import has_phase, mark_no_phase_kernel
 
@@ -166,7 +167,7 @@ def equalized(phase: f32, table: F32Array1) -> f32:
     return phase + table[low] + fraction * (table[low + 1] - table[low])
 
 
-@ti.kernel
+@kernel
 def measure_distribution_kernel(
     phase: F32Array2,  # (H, W) rad; what lies beyond +-pi, or is NaN, does not count
     step: i32,  # px between two samples along a row
@@ -212,7 +213,7 @@ def measure_distribution(phase: F32, bins: int, step: int = 1) -> npt.NDArray[np
     return np.asarray(histogram.sum(axis=0), np.int64)
 
 
-@ti.kernel
+@kernel
 def equalize_phase_kernel(
     wrapped_phase: F32Array2,  # (H, W) rad
     marked: F32Array2,  # (H, W) rad; NO_PHASE where nothing is to be corrected

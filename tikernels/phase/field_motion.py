@@ -23,6 +23,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2, f32, ti, vec3
 from tikernels.arrays import F32, LevelsImage
+from tikernels.launching import kernel
 from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics
@@ -121,7 +122,7 @@ def shifted_cycle(harmonics: Static, unmixing: Static, phase: f32, offsets: vec3
 
 @cache
 def _hold_still_kernel(mixed: bool) -> Any:
-    @ti.kernel
+    @kernel
     def hold_still_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         phase: F32Array2,  # (H, W) rad
@@ -214,7 +215,7 @@ def hold_still(
     return out
 
 
-@ti.kernel
+@kernel
 def doubt_motion_kernel(
     change: F32Array2,  # (H, W) rad; NaN where it is not known
     spread: f32,  # of the times of the three primaries

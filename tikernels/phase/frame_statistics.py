@@ -8,6 +8,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array3, I32Array1, f32, ti, vec3
 from tikernels.arrays import LevelsImage
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import color_at, phase_vector
 from tikernels.raw.linearization import LEVEL_TYPES, WHITE_LEVELS
 
@@ -68,7 +69,7 @@ class FrameLevels:
         return CLIPPED * self.white
 
 
-@ti.kernel
+@kernel
 def probe_frame_kernel(
     image: AnyArray3,  # (H, W, 3) levels
     scale: f32,  # levels to 0..1
@@ -185,7 +186,7 @@ def _period(signal: npt.NDArray[np.complex64]) -> float | None:
     return float(height * weights.sum() / (weights @ frequencies[lobe]))
 
 
-@ti.kernel
+@kernel
 def count_out_of_range_kernel(
     image: AnyArray3,  # (H, W, 3)
     white_level: f32,

@@ -29,6 +29,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3
 from tikernels.arrays import F32
+from tikernels.launching import kernel
 from tikernels.phase.channel_template import HARMONICS, cycle_and_slope, load_harmonics, sharpened
 from tikernels.phase.color_balance import sample_at
 from tikernels.phase.equalization import equalized
@@ -70,7 +71,7 @@ def sharpening(harmonics: Static, phase: f32) -> vec3:
     return result
 
 
-@ti.kernel
+@kernel
 def sum_sharpness_kernel(
     samples: F32Array3,  # (H, Wb, 3) the channels that the nodes belong to, levels
     phases: F32Array2,  # (H, Wb) rad, bare; NO_PHASE where there is none

@@ -5,6 +5,7 @@ import numpy as np
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, ti
 from tikernels.arrays import F32
+from tikernels.launching import kernel
 from tikernels.phase.wrapped_phase import has_phase
 
 # Every eighth pixel both ways tells the usual change.
@@ -57,7 +58,7 @@ def measure_rates(phase: F32, quality: F32, out: F32 | None = None) -> F32:
     return out
 
 
-@ti.kernel
+@kernel
 def measure_rates_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)

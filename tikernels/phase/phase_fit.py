@@ -47,6 +47,7 @@ from tikernels._taichi import (
     vec3,
 )
 from tikernels.arrays import F32, LevelsImage
+from tikernels.launching import kernel
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import cycle_and_slope, load_harmonics, sharpened
 from tikernels.phase.color_balance import Gains, gain_at
@@ -211,7 +212,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
     width_at_once = min(max(spacing_px, 8), 16)
     lanes = ti.types.vector(width_at_once, ti.f32)
 
-    @ti.kernel
+    @kernel
     def fit_phase_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         labels: U8Array2,  # (H, W) see `Surfaces`
@@ -300,7 +301,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
 def _count_phases_kernel(mixed: bool) -> Any:
     lanes = ti.types.vector(_SAMPLES_A_THREAD, ti.f32)
 
-    @ti.kernel
+    @kernel
     def count_phases_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         labels: U8Array2,  # (H, W) see `Surfaces`

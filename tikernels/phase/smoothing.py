@@ -24,6 +24,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, F32Array3, Static, U8Array2, f32, ti, u1
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.phase.phase_change import RATE_ACROSS, RATE_ALONG, measure_rates, rates_shape
 from tikernels.phase.phase_vector import PI, wrap
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
@@ -126,7 +127,7 @@ def _smooth_rows_kernel(pairs: int) -> Any:
     window = 2 * reach + STRIP
     taps, lanes = ti.types.vector(window, ti.f32), ti.types.vector(STRIP, ti.f32)
 
-    @ti.kernel
+    @kernel
     def smooth_rows_kernel(
         phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
         precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
@@ -200,7 +201,7 @@ def _smooth_columns_kernel(pairs: int, wraps: bool) -> Any:
     """Return the kernel that fits `pairs` neighbours on either side across the rows, of rows that are smoothed."""
     lanes = ti.types.vector(STRIP, ti.f32)
 
-    @ti.kernel
+    @kernel
     def smooth_columns_kernel(
         phase: F32Array2,  # (H, W) rad, the rows' means; without whole cycles if it `wraps`
         mask: U8Array2,  # (H, W)
@@ -378,7 +379,7 @@ class Smoother:
         return smoothed, variance
 
 
-@ti.kernel
+@kernel
 def restore_kernel(
     wrapped_phase: F32Array2,  # (H, W) rad
     smoothed: F32Array2,  # (H, W) rad, a little beyond +-pi

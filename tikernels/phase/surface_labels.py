@@ -15,6 +15,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array2, F32Array3, U8Array2, f32, i32, ti, vec3
 from tikernels.arrays import F32, LevelsImage
+from tikernels.launching import kernel
 from tikernels.phase.channel_template import blurred, cycle_and_slope, load_harmonics
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized
@@ -77,7 +78,7 @@ class Relabelled(NamedTuple):
     """(H, W) pixels that fit none."""
 
 
-@ti.kernel
+@kernel
 def surface_misfits_kernel(
     image: AnyArray3,  # (H, W, 3) levels
     labels: U8Array2,  # (H, W) see `Surfaces`

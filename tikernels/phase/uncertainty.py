@@ -27,6 +27,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti, vec2
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
 from tikernels.phase.phase_fit import MAX_MISFIT
 from tikernels.phase.smoothing import left_of_differences, left_of_variance
@@ -76,7 +77,7 @@ def smoothed_variances(
     return vec2([ti.select(mask[y, x] == 0, ti.math.nan, noise), model])
 
 
-@ti.kernel
+@kernel
 def compare_rows_kernel(
     phase: F32Array2,  # (H, W) rad, unwrapped
     precision: F32Array2,  # (H, W) 1 / rad^2
@@ -103,7 +104,7 @@ def compare_rows_kernel(
         out[y, sample % columns] = ti.select(expected[0] > expected[1], ratio, ti.math.nan)
 
 
-@ti.kernel
+@kernel
 def phase_sigma_kernel(
     precision: F32Array2,  # (H, W) 1 / rad^2
     misfit: F32Array2,  # (H, W) beyond one

@@ -9,6 +9,7 @@ import numpy as np
 from tikernels import checks
 from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, ti, u1
 from tikernels.arrays import F32
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import arctangent, color_at, modulation_of, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
@@ -27,7 +28,7 @@ def has_phase(phase: f32) -> u1:
     return phase < LEAST_NO_PHASE
 
 
-@ti.kernel
+@kernel
 def mark_no_phase_kernel(
     wrapped_phase: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
@@ -41,7 +42,7 @@ def mark_no_phase_kernel(
         out[y, x] = value
 
 
-@ti.kernel
+@kernel
 def compute_wrapped_phase_kernel(
     image: F32Array3,  # (H, W, 3) linear light, balanced and without crosstalk
     out_phase: F32Array2,  # (H, W) rad

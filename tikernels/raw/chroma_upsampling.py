@@ -18,6 +18,7 @@ import numpy as np
 from tikernels import checks
 from tikernels._taichi import AnyArray2, F32Array3, Static, f32, i32, ti, vec2, vec3
 from tikernels.arrays import F32, Plane
+from tikernels.launching import kernel
 from tikernels.raw.pixel_format import LUMA_WEIGHTS, PixelFormat
 
 #: How far the interpolation reaches, samples to either side.
@@ -104,7 +105,7 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
         for i in ti.static(range(3)):
             out[y, x, i] = color[i]
 
-    @ti.kernel
+    @kernel
     def convert_chroma_kernel(
         luma: AnyArray2,  # (H, W) levels
         blue_chroma: AnyArray2,  # (H', W') levels; (H', 2 W') with red's between them

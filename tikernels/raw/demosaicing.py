@@ -16,6 +16,7 @@ from tikernels import checks
 from tikernels._taichi import AnyArray2, F32Array3, Static, f32, i32, ti
 from tikernels.arrays import F32, Plane
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.raw.pixel_format import PixelFormat
 
 # Lagrange's weights of the rows at distances 1, 3, 5 and 7, on either side.
@@ -63,7 +64,7 @@ def _demosaic_kernel(stripes: str, red_row: int, red_column: int) -> Any:
                     far += _ACROSS[k] * beside(mosaic, other, along, n_along)
         return far
 
-    @ti.kernel
+    @kernel
     def demosaic_kernel(
         mosaic: AnyArray2,  # (H, W) levels
         scale: f32,  # 1 / white level

@@ -7,6 +7,7 @@ from tikernels import checks
 from tikernels._taichi import AnyArray2, AnyArray3, f32, ti
 from tikernels.arrays import F32, LevelsImage, Plane
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.raw.chroma_upsampling import convert_chroma
 from tikernels.raw.demosaicing import demosaic
 from tikernels.raw.pixel_format import PixelFormat
@@ -16,7 +17,7 @@ from tikernels.raw.pixel_format import PixelFormat
 def _reorder_channels_kernel(channels: str, scaled: bool) -> Any:
     places = tuple(channels.index(color) for color in "rgb")
 
-    @ti.kernel
+    @kernel
     def reorder_channels_kernel(
         image: AnyArray3,  # (H, W, 3 or 4) levels
         scale: f32,  # 1 / white level
@@ -32,7 +33,7 @@ def _reorder_channels_kernel(channels: str, scaled: bool) -> Any:
 
 @cache
 def _join_planes_kernel(scaled: bool) -> Any:
-    @ti.kernel
+    @kernel
     def join_planes_kernel(
         red: AnyArray2,  # (H, W) levels
         green: AnyArray2,  # (H, W) levels

@@ -11,6 +11,7 @@ from tikernels import checks
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, f32, ti, vec4
 from tikernels.arrays import F32, LevelsImage
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.raw.linearization import LEVEL_TYPES
 
 
@@ -26,7 +27,7 @@ def cubic_weights(fraction: f32) -> vec4:
     )
 
 
-@ti.kernel
+@kernel
 def align_channels_kernel(
     image: AnyArray3,  # (H, W, 3) levels
     shift_px: F32Array2,  # (3, 2) x, y by which each channel lands beside its place

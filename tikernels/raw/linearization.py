@@ -14,6 +14,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array1, F32Array3, f32, ti
 from tikernels.arrays import F32, LevelsImage
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 
 TRANSFERS = ("linear", "srgb", "bt709")
 
@@ -53,7 +54,7 @@ def linear_light(transfer: str) -> Any:
 def _linearize_kernel(transfer: str) -> Any:
     to_linear = linear_light(transfer)
 
-    @ti.kernel
+    @kernel
     def linearize_kernel(
         image: AnyArray3,  # (H, W, 3) encoded, 0..white_level
         scale: f32,  # 1 / white_level
@@ -69,7 +70,7 @@ def _linearize_kernel(transfer: str) -> Any:
     return linearize_kernel
 
 
-@ti.kernel
+@kernel
 def _linearize_by_table_kernel(
     image: AnyArray3,  # (H, W, 3) encoded, 0..white_level
     scale: f32,  # 1 / white_level

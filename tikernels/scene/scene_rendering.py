@@ -31,6 +31,7 @@ from tikernels._taichi import (
 )
 from tikernels.arrays import F32
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.scene.projector_light import light_at, projector_pixel
 from tikernels.scene.ray_casting import FAR_MM, ray_casting
 from tikernels.scene.scene_shapes import SCENES, at_rest, surface_color
@@ -129,7 +130,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
             lit = 1 - shadowed(p, direction, pose)
         return lit, slope * (falloff / distance) ** 2
 
-    @ti.kernel
+    @kernel
     def render_scene_kernel(
         rays: F32Array4,  # (views, H, W, 2) unit-depth rays, lens distortion taken out
         light: F32Array3,  # (Hp, Wp, 3) linear projector light, 0..1

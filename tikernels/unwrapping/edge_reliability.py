@@ -7,6 +7,7 @@ the sum of both its ends as its cost. Costs are integers, equal on every device.
 """
 
 from tikernels._taichi import F32Array2, I32Array3, Static, f32, i32, ti
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, LEAST_STEP_PHASE
 from tikernels.strips import STRIP, strip_at, strip_count
@@ -107,7 +108,7 @@ def best_edge(
     return ti.select(cost == NO_EDGE, NOWHERE, (shift << 3) + side)
 
 
-@ti.kernel
+@kernel
 def weigh_edges_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # see `frame_rates`

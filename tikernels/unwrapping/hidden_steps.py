@@ -6,6 +6,7 @@ phase of the other surface goes on over many pixels, too, but the orders step by
 """
 
 from tikernels._taichi import F32Array2, I32Array2, f32, i32, ti
+from tikernels.launching import kernel
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.continuity import cycles_and_departure, frame_rates
 from tikernels.unwrapping.tables import (
@@ -51,7 +52,7 @@ def seam_around(seams: I32Array2, columns: i32, cell: i32) -> i32:
     return total
 
 
-@ti.kernel
+@kernel
 def mark_hidden_steps_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # see `frame_rates`

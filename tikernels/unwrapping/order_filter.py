@@ -18,6 +18,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.strips import STRIP, strip_at, strip_count
 from tikernels.transposing import transpose
@@ -28,7 +29,7 @@ _BAND = 32  # rows that one thread walks down
 _MAX_WINDOW_PX = 31  # 961 pixels: means within 34 cycles
 
 
-@ti.kernel
+@kernel
 def sum_rows_kernel(
     unwrapped: F32Array2,  # (H, W) rad
     mask: U8Array2,  # (H, W)
@@ -104,7 +105,7 @@ def sum_down(
             out_counts[y, x] = count
 
 
-@ti.kernel
+@kernel
 def sum_windows_kernel(
     phase: I32Array2,  # (H, W) 2^16 a cycle
     mask: U8Array2,  # (H, W)
@@ -185,7 +186,7 @@ def look_again(mask: U8Array2, reach: i32, y: i32, x: i32, active: U8Array2, lat
                     out_changed[0] = 1
 
 
-@ti.kernel
+@kernel
 def correct_active_kernel(
     mask: U8Array2,  # (H, W)
     excess: I32Array2,  # (H, W) of the uncorrected windows
@@ -213,7 +214,7 @@ def correct_active_kernel(
                     look_again(mask, reach, y, x, active, later, out_changed)
 
 
-@ti.kernel
+@kernel
 def add_cycles_kernel(
     unwrapped: F32Array2,  # (H, W) rad
     cycles: I32Array2,  # (H, W)

@@ -4,6 +4,7 @@ A contact joins two patches by what pixels on either side say of their orders, w
 """
 
 from tikernels._taichi import F32Array2, I32Array2, Static, i32, ivec2, ivec4, ti, vec3
+from tikernels.launching import kernel
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.continuity import cycles_and_departure, frame_rates, vote_above, vote_weight
 from tikernels.unwrapping.tables import (
@@ -149,7 +150,7 @@ def note_side(
             start, votes = k + 1, 0
 
 
-@ti.kernel
+@kernel
 def note_borders_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)

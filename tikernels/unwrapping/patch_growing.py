@@ -6,6 +6,7 @@ where two of its patches touch, they note a contact with its votes (`patch_conta
 """
 
 from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3
+from tikernels.launching import kernel
 from tikernels.phase.wrapped_phase import LEAST_STEP_PHASE, has_phase
 from tikernels.unwrapping.continuity import (
     brightness_weight,
@@ -196,7 +197,7 @@ def grow_run(
     return stop
 
 
-@ti.kernel
+@kernel
 def grow_patches_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)

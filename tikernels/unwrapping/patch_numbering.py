@@ -1,10 +1,11 @@
 """Number the patches and contacts of all cells without gaps, in the order of the cells."""
 
 from tikernels._taichi import I32Array1, I32Array2, Static, i32, ti
+from tikernels.launching import kernel
 from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Counter, Patch, patch_number
 
 
-@ti.kernel
+@kernel
 def number_patches_kernel(
     first: i32,  # cell to begin with,
     stop: i32,  # and the one to stop before
@@ -34,7 +35,7 @@ def number_patches_kernel(
         counters[Counter.CROWDED] = crowded
 
 
-@ti.kernel
+@kernel
 def collect_patches_kernel(
     serial: Static,  # whether one thread does it
     cell_total: i32,

@@ -6,6 +6,7 @@ import numpy.typing as npt
 from tikernels import runtime
 from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ti
 from tikernels.arrays import F32, I32
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.unwrapping.tables import (
     ORDER_BITS,
@@ -34,7 +35,7 @@ def add_pixel(x: f32, y: f32, u: f32, patch: i32, sums: Static):
         add_alone(sums[patch, k], terms[k])
 
 
-@ti.kernel
+@kernel
 def sum_patches_kernel(
     phase: F32Array2,  # (H, W) rad
     labels: I32Array2,  # (H, W) patch and order in it

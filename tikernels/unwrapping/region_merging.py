@@ -6,6 +6,7 @@ equal ones the contacts' names decide, which are the same on every device.
 """
 
 from tikernels._taichi import I32Array1, I32Array2, Static, i32, ti
+from tikernels.launching import kernel
 from tikernels.unwrapping.tables import GOLDEN, MOST, Contact, Counter, Match, Patch
 
 
@@ -135,7 +136,7 @@ def join_regions(patches: I32Array2, contacts: I32Array2, e: i32, counters: I32A
         patches[Patch.SUPPORT, b] = 0
 
 
-@ti.kernel
+@kernel
 def merge_patches_kernel(
     serial: Static,  # whether one thread does it
     adds_votes: Static,  # whether contacts that claim the same have their votes added up
@@ -191,7 +192,7 @@ def merge_patches_kernel(
         join_regions(patches, contacts, e, counters)
 
 
-@ti.kernel
+@kernel
 def settle_patches_kernel(
     serial: Static,  # whether one thread does it
     count: i32,
@@ -208,7 +209,7 @@ def settle_patches_kernel(
         patches[Patch.OFFSET, i] = offset
 
 
-@ti.kernel
+@kernel
 def close_gaps_kernel(
     contact_count: i32,
     contacts: I32Array2,  # (5, capacity) see `Contact`; those with votes move to the front, in order

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels._taichi import F32Array1, I32Array1, I32Array2, f32, i32, ti
+from tikernels.launching import kernel
 from tikernels.unwrapping.patches import PatchGraph
 from tikernels.unwrapping.surface_borders import Borders
 from tikernels.unwrapping.tables import add_alone
@@ -79,7 +80,7 @@ def join_lists(into: i32, other: i32, lists: I32Array2):
         add_alone(lists[_List.LENGTH, into], lists[_List.LENGTH, other])
 
 
-@ti.kernel
+@kernel
 def grow_parts_kernel(
     first: i32,  # contact to begin with
     rounds: i32,  # of loops after which to stop

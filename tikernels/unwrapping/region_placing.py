@@ -2,6 +2,7 @@
 
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, I32Array2, Static, f32, i32, ti, vec3
 from tikernels.depth.triangulation import load_projector, projected
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, MOST, ORDER_MASK, ORDER_ZERO, Patch, Region
 
@@ -22,7 +23,7 @@ def first_order(labels: I32Array2, patches: I32Array2, i: i32) -> i32:
     )
 
 
-@ti.kernel
+@kernel
 def choose_starts_kernel(
     serial: Static,  # whether one thread does it
     count: i32,
@@ -61,7 +62,7 @@ def choose_starts_kernel(
             out_regions[Region.ORDER, patches[Patch.ROOT, i]] = first_order(labels, patches, i)
 
 
-@ti.kernel
+@kernel
 def place_regions_kernel(
     serial: Static,  # whether one thread does it
     count: i32,

@@ -5,6 +5,7 @@ orders show it: at the rim of a round object it can pass for the other surface. 
 """
 
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, U8Array2, f32, i32, ti
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.strips import STRIP, strip_at, strip_count
@@ -43,7 +44,7 @@ def mark_overruled(cell: i32, cells: I32Array2, draft_bits: i32, patches: I32Arr
             cells[Cell.STEPS, draft_b >> draft_bits] = 1
 
 
-@ti.kernel
+@kernel
 def finish_patches_kernel(
     serial: Static,  # whether one thread does it
     cell_total: i32,
@@ -141,7 +142,7 @@ def leave_out_steps(
                 region[k] = region[k] * (1 - beside_step(phase, rates, labels, final, y, first + k))
 
 
-@ti.kernel
+@kernel
 def write_unwrapped_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # see `frame_rates`

@@ -20,6 +20,7 @@ import numpy as np
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, f32, i32, ti, u1
 from tikernels.arrays import F32, I32, U8
+from tikernels.launching import kernel
 from tikernels.phase.wrapped_phase import has_phase
 from tikernels.unwrapping.tables import cell_bounds, cells_of
 
@@ -231,7 +232,7 @@ def mark_rim(brightness: F32Array2, phase: F32Array2, region: I32Array2, mask: U
     return marks
 
 
-@ti.kernel
+@kernel
 def leave_out_strangers_kernel(
     brightness: F32Array2,  # (H, W) up to a factor
     modulation: F32Array2,  # (H, W) levels

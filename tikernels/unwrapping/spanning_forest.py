@@ -13,6 +13,7 @@ above it, plus the number of pixels in a cell if it leads downwards.
 """
 
 from tikernels._taichi import F32Array2, I32Array2, I32Array3, Static, f32, i32, ivec2, ti
+from tikernels.launching import kernel
 from tikernels.unwrapping.continuity import brightness_weight, frame_rates
 from tikernels.unwrapping.edge_reliability import (
     DOWNWARDS,
@@ -251,7 +252,7 @@ def note_exits(edges: I32Array3, top: i32, left: i32, away: Static, label: Stati
             leave(cost, away[p], label[p], (p << 2) + side, out_trees)
 
 
-@ti.kernel
+@kernel
 def grow_trees_kernel(
     edges: I32Array3,  # (4, whole cells + 1) see `Edge`
     quality: F32Array2,  # (H, W)

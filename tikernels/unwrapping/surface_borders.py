@@ -14,6 +14,7 @@ import numpy.typing as npt
 from tikernels import runtime
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec2, vec3, vec4
 from tikernels.arrays import F32, I32
+from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.unwrapping.continuity import frame_rates
@@ -98,7 +99,7 @@ def departure(phase: F32Array2, y: i32, x: i32, down: Static, rate: f32) -> vec2
     return result
 
 
-@ti.kernel
+@kernel
 def sample_departures_kernel(
     phase: F32Array2,  # (H, W) rad
     rates: F32Array2,  # see `frame_rates`
@@ -160,7 +161,7 @@ def border_at(
     return far, px, steps, shift
 
 
-@ti.kernel
+@kernel
 def measure_borders_kernel(
     phase: F32Array2,  # (H, W) rad
     quality: F32Array2,  # (H, W)

@@ -1,6 +1,7 @@
 """Join the patches of reliable edges to trees, and note the best edge between every two trees that touch."""
 
 from tikernels._taichi import F32Array2, I32Array2, I32Array3, Static, i32, ivec2, ivec4, ti
+from tikernels.launching import kernel
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.edge_reliability import (
     DOWNWARDS,
@@ -58,7 +59,7 @@ def tree_link(
     return link
 
 
-@ti.kernel
+@kernel
 def join_trees_kernel(
     cell_total: i32,
     edges: I32Array3,  # (4, whole cells + 1) see `Edge`
@@ -118,7 +119,7 @@ def note_best_edge(edge: ivec4, places: ivec2, known: Static, noted: Static, con
     return steps
 
 
-@ti.kernel
+@kernel
 def note_contacts_kernel(
     edges: I32Array3,  # (4, whole cells + 1) see `Edge`
     rates: F32Array2,  # see `frame_rates`
@@ -174,7 +175,7 @@ def note_contacts_kernel(
         out_cells[Cell.STEPS, cell] = out_cells[Cell.STEPS, cell] | steps
 
 
-@ti.kernel
+@kernel
 def root_trees_kernel(
     cell_total: i32,
     draft_bits: i32,

@@ -1,0 +1,109 @@
+"""Launch kernels again without asking Taichi's Python front end what their arguments are.
+
+At every call Taichi 1.7 makes a launch context, looks the kernel up by the types of its arguments, and checks each of
+them: 80 us for ten arguments, as long as many a kernel takes. Of a kernel that has run before with arguments of the
+same types only pointers, shapes and numbers change. So its context is kept, and only those are set.
+"""
+
+import atexit
+import functools
+import threading
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+import numpy as np
+
+from tikernels._taichi import language, ti
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+# What is kept is no public part of Taichi: versions that this was tested with. Others are launched by their own means,
+# and so is Quadrants, which keeps its contexts itself.
+_TESTED = {("taichi", (1, 7, 4))}
+
+# How arguments are set: an array, a number, or a constant that the kernel was compiled with.
+_ARRAY, _FLOAT, _INTEGER, _CONSTANT = range(4)
+
+# What each kernel keeps, by the types of its arguments.
+_kept: list[dict[Any, Any]] = []
+# A context is set and launched by one thread at a time.
+_lock = threading.Lock()
+
+
+def kernel(function: Function) -> Function:
+    """Compile a function as a kernel when it is called for the first time, and launch it quickly from then on."""
+    plain: Any = ti.kernel(function)
+    if (language, tuple(ti.__version__)) not in _TESTED:
+        return cast(Function, plain)
+    primal = plain._primal
+    kinds = [_kind(argument.annotation) for argument in primal.arguments]
+    if None in kinds or primal.return_type is not None:
+        return cast(Function, plain)
+    kept: dict[Any, Any] = {}
+    _kept.append(kept)
+    implementation = ti.lang.impl
+
+    @functools.wraps(function)
+    def launch(*arguments: Any) -> Any:
+        if len(arguments) != len(kinds):
+            return plain(*arguments)
+        types = []
+        for kind, value in zip(kinds, arguments, strict=True):
+            if kind == _ARRAY:
+                # Buffers of a GPU, and what Taichi would copy or refuse, go the plain way.
+                if type(value) is not np.ndarray or not value.flags.c_contiguous:
+                    return plain(*arguments)
+                types.append((value.dtype.num, value.ndim))
+            elif kind == _CONSTANT:
+                types.append(value)
+        key = tuple(types)
+        known = kept.get(key)
+        if known is None or known[0] is not implementation.get_runtime().prog:
+            plain(*arguments)  # compiles, and checks the arguments
+            program = implementation.get_runtime().prog
+            if program.config().arch in (ti.x64, ti.arm64):
+                # A GPU's launch writes addresses of the device into the context, which is of no further use then.
+                compiled_for = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
+                code = program.compile_kernel(program.config(), program.get_device_caps(), compiled_for)
+                kept[key] = (program, code, compiled_for.make_launch_context(), {})
+            return None
+        program, code, context, last = known
+        with _lock:
+            place = 0
+            for kind, value in zip(kinds, arguments, strict=True):
+                if kind == _ARRAY:
+                    now = (value.__array_interface__["data"][0], value.shape)
+                    if last.get(place) != now:
+                        context.set_arg_external_array_with_shape((place,), now[0], value.nbytes, now[1], 0)
+                        last[place] = now
+                elif kind == _FLOAT:
+                    context.set_arg_float((place,), float(value))
+                elif kind == _INTEGER:
+                    context.set_arg_int((place,), int(value))
+                else:
+                    continue
+                place += 1
+            program.launch_kernel(code, context)
+        return None
+
+    return cast(Function, launch)
+
+
+def forget() -> None:
+    """Let go of everything that belongs to the device; to be called before another one is started."""
+    for kept in _kept:
+        kept.clear()
+
+
+atexit.register(forget)  # before Taichi's own end, which was registered earlier
+
+
+def _kind(annotation: Any) -> int | None:
+    """Return how an argument of a kernel is set; None: not here."""
+    if isinstance(annotation, ti.template):
+        return _CONSTANT
+    if isinstance(annotation, ti.types.ndarray):
+        return None if isinstance(annotation.dtype, ti.lang.matrix.MatrixType) else _ARRAY
+    if id(annotation) in ti.types.primitive_types.real_type_ids:
+        return _FLOAT
+    return _INTEGER if annotation in (ti.i32, ti.u1) else None
