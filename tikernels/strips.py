@@ -11,14 +11,33 @@ constant length, computes on all of them whether the image goes on that far or n
         for k in range(STRIP): compute
         for k in range(count): copy the results out
 
+On Vulkan Taichi 1.7 compiles only one loop of a kernel with such vectors, so a second one is a kernel of its own.
+
 Kernels that add up a strip need no copies. Those that compute little need none either, and still gain by the strip:
 row and column of every single pixel would cost a division, by which they take half as long again on a CPU.
 """
 
-from tikernels._taichi import i32, ti
+from tikernels._taichi import Static, i32, ti, vec3
 
 #: Pixels of a strip where nothing asks for another length.
 STRIP = 32
+#: Samples, or blocks of them, that a thread works on together where it keeps many numbers of each.
+LANES = 16
+#: A number of each, and three channels.
+lanes = ti.types.vector(LANES, ti.f32)
+lanes_of_colors = ti.types.matrix(3, LANES, ti.f32)
+
+
+@ti.func
+def color_of(colors: Static, k: i32) -> vec3:
+    """Return the three channels of one lane."""
+    return vec3(colors[0, k], colors[1, k], colors[2, k])
+
+
+@ti.func
+def set_color(colors: Static, k: i32, color: vec3):
+    """Change the three channels of one lane."""
+    colors[0, k], colors[1, k], colors[2, k] = color.x, color.y, color.z
 
 
 @ti.func

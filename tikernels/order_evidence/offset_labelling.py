@@ -96,12 +96,14 @@ def settle_labels_kernel(
             if patch % 2 == half:
                 cost = evidence[patch]
                 for n in range(starts[patch], starts[patch + 1]):
-                    # What all labels cost alike does not matter.
+                    # What all labels cost alike does not matter. One by one: SPIR-V does not index loaded vectors.
                     label = out_labels[half, neighbours[n]]
-                    cost[label] = cost[label] - costs[n]
-                best = 0
-                for k in range(1, LANES):
-                    best = ti.select(cost[k] < cost[best], k, best)
+                    for k in ti.static(range(LANES)):
+                        cost[k] -= ti.select(label == k, costs[n], 0.0)
+                best, least = 0, cost[0]
+                for k in ti.static(range(1, LANES)):
+                    best = ti.select(cost[k] < least, k, best)
+                    least = ti.min(cost[k], least)
             out_labels[1 - half, patch] = best
 
 

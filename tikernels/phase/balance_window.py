@@ -11,6 +11,7 @@ import numpy.typing as npt
 from tikernels._taichi import F32Array1, F32Array3, Static, f32, i32, ti
 from tikernels.arrays import F32
 from tikernels.launching import kernel
+from tikernels.strips import strip_at, strip_count
 
 #: The window across and along the stripes, as a standard deviation in cycles. At 0.85 cycles a Gaussian passes 1e-6 of
 #: the fringe; wider ones blur the reflectance without gaining anything.
@@ -20,6 +21,9 @@ _ROWS_A_CYCLE = 2.5
 _MAX_ROWS = 64
 # The window ends at three standard deviations.
 _REACH = 3
+# Numbers of a row that a thread smooths.
+_STRIP = 64
+numbers = ti.types.vector(_STRIP, ti.f32)
 
 
 class BalanceWindow:
@@ -58,7 +62,8 @@ class BalanceWindow:
         out : (Hg, Wg, N) float32
             Where the result goes.
         """
-        smooth_blocks_kernel(int(sums.shape[2]), sums, self._across, self._along, half, out)
+        smooth_across_kernel(sums, self._across, half)
+        smooth_along_kernel(half, self._along, out)
 
 
 def block_rows(period_px: float) -> int:
@@ -75,43 +80,51 @@ def half_gaussian(sigma: float, offset: float = 0.0) -> npt.NDArray[np.float32]:
     return np.asarray(np.exp(-0.5 * (reach / sigma) ** 2), np.float32)
 
 
+@ti.func
+def add_shifted(total: Static, weight: f32, sums: F32Array3, i: i32, place: i32, first: i32, stop: i32):
+    """Add a strip of a row to a total that is changed, weighed, from its first to its stop-th number.
+
+    The sums of a row's blocks lie one after another, so a strip of them is taken for sums of the first block.
+    """
+    for k in range(first, stop):
+        total[k] += weight * sums[i, 0, place + k]
+
+
 @kernel
-def smooth_blocks_kernel(
-    channels: Static,  # N
+def smooth_across_kernel(
     sums: F32Array3,  # (Hb, Wb, N) a block's sums
-    taps_across: F32Array1,  # half a Gaussian, from its middle
-    taps_along: F32Array1,
-    half: F32Array3,  # (Hg, Wg, N) scratch: smoothed across the stripes
+    taps: F32Array1,  # half a Gaussian, from its middle
     out: F32Array3,  # (Hg, Wg, N)
 ):
-    """Smooth across the stripes, from blocks to nodes, then along them."""
-    for node in range(half.shape[0] * half.shape[1]):
-        i, j = node // half.shape[1], node % half.shape[1]
-        total = ti.Vector.zero(f32, channels)
-        for tap in range(taps_across.shape[0]):
+    """Smooth across the stripes, from blocks to nodes."""
+    for t in range(out.shape[0] * strip_count(out.shape[1] * out.shape[2], _STRIP)):
+        i, place, count = strip_at(t, out.shape[1] * out.shape[2], _STRIP)
+        total = numbers(0.0)
+        for tap in range(taps.shape[0]):
             above, below = 2 * i - tap, 2 * i + 1 + tap
             if above >= 0:
-                add_weighted(total, taps_across[tap], sums, above, j, channels)
+                add_shifted(total, taps[tap], sums, above, place, 0, count)
             if below < sums.shape[0]:
-                add_weighted(total, taps_across[tap], sums, below, j, channels)
-        for k in ti.static(range(channels)):
-            half[i, j, k] = total[k]
-    for node in range(half.shape[0] * half.shape[1]):
-        i, j = node // half.shape[1], node % half.shape[1]
-        total = ti.Vector.zero(f32, channels)
-        add_weighted(total, taps_along[0], half, i, j, channels)
-        for tap in range(1, taps_along.shape[0]):
-            left, right = j - tap, j + tap
-            if left >= 0:
-                add_weighted(total, taps_along[tap], half, i, left, channels)
-            if right < half.shape[1]:
-                add_weighted(total, taps_along[tap], half, i, right, channels)
-        for k in ti.static(range(channels)):
-            out[i, j, k] = total[k]
+                add_shifted(total, taps[tap], sums, below, place, 0, count)
+        for k in range(count):
+            out[i, 0, place + k] = total[k]
 
 
-@ti.func
-def add_weighted(total: Static, weight: f32, sums: F32Array3, i: i32, j: i32, channels: Static):
-    """Add one place's sums to a total that is changed."""
-    for k in ti.static(range(channels)):
-        total[k] += weight * sums[i, j, k]
+@kernel
+def smooth_along_kernel(
+    sums: F32Array3,  # (Hg, Wg, N)
+    taps: F32Array1,  # half a Gaussian, from its middle
+    out: F32Array3,  # (Hg, Wg, N)
+):
+    """Smooth along the stripes, from node to node."""
+    for t in range(out.shape[0] * strip_count(out.shape[1] * out.shape[2], _STRIP)):
+        row = out.shape[1] * out.shape[2]
+        i, place, count = strip_at(t, row, _STRIP)
+        total = numbers(0.0)
+        add_shifted(total, taps[0], sums, i, place, 0, count)
+        for tap in range(1, taps.shape[0]):
+            shift = tap * out.shape[2]
+            add_shifted(total, taps[tap], sums, i, place - shift, ti.max(shift - place, 0), count)
+            add_shifted(total, taps[tap], sums, i, place + shift, 0, ti.min(row - place - shift, count))
+        for k in range(count):
+            out[i, 0, place + k] = total[k]

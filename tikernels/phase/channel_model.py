@@ -27,17 +27,27 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3, vec4
 from tikernels.arrays import F32
 from tikernels.launching import kernel
-from tikernels.phase.channel_template import HARMONICS, TERMS, cycle_at, sharpening_factors, template_mismatch, waves_of
+from tikernels.phase.channel_template import (
+    HARMONICS,
+    TERMS,
+    cycle_at,
+    load_harmonics,
+    sharpened_cycle_and_slope,
+    sharpening_factors,
+    sharpening_of,
+    template_mismatch,
+    waves_of,
+)
 from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.fringe_sharpness import FringeSharpness, equalized_at
 from tikernels.phase.phase_vector import arctangent, matrix_of, modulation_of
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
-from tikernels.strips import strip_at, strip_count
+from tikernels.strips import LANES, color_of, lanes, lanes_of_colors, set_color, strip_at, strip_count
 
 # Places of a symmetric matrix' upper triangle, row by row.
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
@@ -82,6 +92,10 @@ class LineSum(IntEnum):
 
 
 _LINE_SUMS = LineSum.PRODUCT + 3
+line_sums = ti.types.matrix(_LINE_SUMS, LANES, ti.f32)
+# Sums over the samples that `recover_samples_kernel` makes.
+_MOMENTS = 5
+sample_moments = ti.types.matrix(_MOMENTS, LANES, ti.f32)
 
 
 class ChannelModel:
@@ -97,7 +111,7 @@ class ChannelModel:
         #: (H, Wb) rad, the samples' bare phase; NO_PHASE where there is none.
         self.phases = runtime.empty((height, columns), np.float32)
         strips = height * -(-columns // _SAMPLES_A_THREAD)
-        self._moments = runtime.empty((strips, 5), np.float32)
+        self._moments = runtime.empty((strips, _MOMENTS), np.float32)
         template_strips = height * -(-columns // (_EVERY * _SAMPLES_A_THREAD))
         self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS), np.float32)
         self._sums = runtime.empty((*blocks, _LINE_SUMS), np.float32)
@@ -230,24 +244,38 @@ def recover_samples_kernel(
 ):
     """Balance the samples, take their phase, and sum up each strip's modulation and background."""
     for strip in range(samples.shape[0] * strip_count(samples.shape[1], _SAMPLES_A_THREAD)):
-        y, first, count = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
+        y, start, total = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
         weights = matrix_of(phase_weights)
-        moments = ti.Vector.zero(f32, 5)
-        for j in range(first, first + count):
-            seen = sample_at(samples, y, j)
-            gain = gain_at(gains, spacing_px, y, j * spacing_px + spacing_px // 2)
-            vector = weighed_vector(seen, gain, weights)
-            modulation, background = modulation_of(vector), vector.z
-            phase = NO_PHASE
-            if modulation > min_modulation and seen.max() < max_level:
-                phase = arctangent(vector.y, vector.x)
-            if modulation > telling and seen.max() < max_level:
-                moments += ti.Vector([1.0, modulation, background, background * background, background * modulation])
-            out_phase[y, j] = phase
-            for k in ti.static(range(3)):
-                out_balanced[y, j, k] = seen[k] * gain[k]
-        for k in ti.static(range(5)):
-            out_moments[strip, k] = moments[k]
+        light, color_gains = lanes_of_colors(0.0), lanes_of_colors(1.0)
+        angle, moments = lanes(0.0), sample_moments(0.0)
+        for part in range(strip_count(total, LANES)):
+            first, count = start + part * LANES, ti.min(LANES, total - part * LANES)
+            for k in range(count):
+                x = (first + k) * spacing_px + spacing_px // 2
+                set_color(light, k, sample_at(samples, y, first + k))
+                set_color(color_gains, k, gain_at(gains, spacing_px, y, x))
+            for k in range(LANES):
+                seen, gain = color_of(light, k), color_of(color_gains, k)
+                vector = weighed_vector(seen, gain, weights)
+                modulation, background = modulation_of(vector), vector.z
+                whole = (seen.max() < max_level) & (k < count)
+                angle[k] = ti.select(whole & (modulation > min_modulation), arctangent(vector.y, vector.x), NO_PHASE)
+                tells = ti.select(whole & (modulation > telling), 1.0, 0.0)
+                moments[0, k] += tells
+                moments[1, k] += tells * modulation
+                moments[2, k] += tells * background
+                moments[3, k] += tells * background * background
+                moments[4, k] += tells * background * modulation
+                set_color(light, k, seen * gain)
+            for k in range(count):
+                out_phase[y, first + k] = angle[k]
+                for c in ti.static(range(3)):
+                    out_balanced[y, first + k, c] = light[c, k]
+        for n in ti.static(range(_MOMENTS)):
+            moment = 0.0
+            for k in range(LANES):
+                moment += moments[n, k]
+            out_moments[strip, n] = moment
 
 
 @ti.func
@@ -320,30 +348,37 @@ def sum_model_kernel(
 ):
     """Sum up, block by block, what the straight lines of A and B are drawn through."""
     height = samples.shape[0]
-    for block in range(out_sums.shape[0] * out_sums.shape[1]):
-        i, j = block // out_sums.shape[1], block % out_sums.shape[1]
-        count = 0.0
-        model, square, seen, product = vec3(0.0), vec3(0.0), vec3(0.0), vec3(0.0)
-        ambient = ambient_at(smooth, 2 * rows, share, i * rows, j * 2 * rows)
-        sharper = sharpness[ti.min(i // 2, sharpness.shape[0] - 1), j]
-        bend, factors = ti.exp(3.0 * sharper), sharpening_factors(sharper)
+    for t in range(out_sums.shape[0] * strip_count(out_sums.shape[1], LANES)):
+        i, first, count = strip_at(t, out_sums.shape[1], LANES)
+        harmonics = load_harmonics(template)
+        light, phase, ambient, sums = lanes_of_colors(0.0), lanes(0.0), lanes(0.0), line_sums(0.0)
+        sharper = lanes_of_colors(1.0)
+        for k in range(count):
+            ambient[k] = ambient_at(smooth, 2 * rows, share, i * rows, (first + k) * 2 * rows)
+            factors = sharpening_of(sharpness[ti.min(i // 2, sharpness.shape[0] - 1), first + k])
+            set_color(sharper, k, vec3(factors[1], factors[2], factors[3]))
         for y in range(i * rows, ti.min((i + 1) * rows, height)):
-            if has_phase(phases[y, j]):
-                waves = factors * waves_of(equalized_at(phases[y, j], correction, bend))
-                light = sample_at(samples, y, j) - ambient
-                cycle = cycle_at(template, waves)
-                expected = light.dot(cycle) / cycle.dot(cycle) * cycle
-                count += 1.0
-                model += expected
-                square += expected * expected
-                seen += light + ambient
-                product += expected * (light + ambient)
-        out_sums[i, j, LineSum.COUNT] = count
-        for k in ti.static(range(3)):
-            out_sums[i, j, LineSum.MODEL + k] = model[k]
-            out_sums[i, j, LineSum.SQUARE + k] = square[k]
-            out_sums[i, j, LineSum.SEEN + k] = seen[k]
-            out_sums[i, j, LineSum.PRODUCT + k] = product[k]
+            for k in range(count):
+                set_color(light, k, sample_at(samples, y, first + k))
+                # Beyond the cycle where there is no phase.
+                phase[k] = NO_PHASE
+                if has_phase(phases[y, first + k]):
+                    phase[k] = equalized_at(phases[y, first + k], correction, sharper[0, k])
+            for k in range(LANES):
+                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
+                counts = ti.select(has_phase(phase[k]) & (k < count), 1.0, 0.0)
+                cycle, _ = sharpened_cycle_and_slope(harmonics, counts * phase[k], factors)
+                seen = color_of(light, k)
+                expected = counts * (seen - ambient[k]).dot(cycle) / cycle.dot(cycle) * cycle
+                sums[LineSum.COUNT, k] += counts
+                for c in ti.static(range(3)):
+                    sums[LineSum.MODEL + c, k] += expected[c]
+                    sums[LineSum.SQUARE + c, k] += expected[c] * expected[c]
+                    sums[LineSum.SEEN + c, k] += counts * seen[c]
+                    sums[LineSum.PRODUCT + c, k] += expected[c] * seen[c]
+        for k in range(count):
+            for c in ti.static(range(_LINE_SUMS)):
+                out_sums[i, first + k, c] = sums[c, k]
 
 
 @kernel

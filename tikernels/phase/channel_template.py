@@ -120,20 +120,8 @@ def blurred(harmonics: Static, contrast: f32):
 
 
 @ti.func
-def sharpened(harmonics: Static, sharpness: f32):
-    """Return `load_harmonics`, the nth from the second on times exp((n^2 - 1) sharpness); see `fringe_sharpness.py`."""
-    result = harmonics
-    for n in ti.static(range(2, HARMONICS + 1)):
-        factor = ti.exp(ti.static(n * n - 1) * sharpness)
-        for channel in ti.static(range(3)):
-            result[channel, n - 1] *= factor
-            result[channel, HARMONICS + n - 1] *= factor
-    return result
-
-
-@ti.func
 def sharpening_factors(sharpness: f32):
-    """Return what `sharpened` multiplies `waves_of` by."""
+    """Return what `waves_of` are to be multiplied by, given `FringeSharpness`'s value: see `sharpening_of`."""
     result = ti.Vector.one(f32, TERMS)
     for n in ti.static(range(2, HARMONICS + 1)):
         factor = ti.exp(ti.static(n * n - 1) * sharpness)
@@ -142,16 +130,29 @@ def sharpening_factors(sharpness: f32):
 
 
 @ti.func
+def sharpening_of(sharpness: f32):
+    """Return (harmonics,) what each harmonic is multiplied by, exp((n^2 - 1) sharpness); see `fringe_sharpness.py`."""
+    return ti.Vector([ti.exp(ti.static(n * n - 1) * sharpness) for n in range(1, HARMONICS + 1)])
+
+
+@ti.func
 def cycle_and_slope(harmonics: Static, phase: f32):
     """Return the template's three channels at a phase and their derivatives, given `load_harmonics`."""
+    return sharpened_cycle_and_slope(harmonics, phase, ti.Vector.one(f32, HARMONICS))
+
+
+@ti.func
+def sharpened_cycle_and_slope(harmonics: Static, phase: f32, factors: Static):
+    """Return `cycle_and_slope` of harmonics that are to be multiplied by these factors; see `sharpening_of`."""
     cosine, sine = cosine_and_sine(phase)
     cycle, slope = vec3(1.0), vec3(0.0)
     real, imaginary = cosine, sine
     for n in ti.static(range(1, HARMONICS + 1)):
+        even, odd = factors[n - 1] * real, factors[n - 1] * imaginary
         for channel in ti.static(range(3)):
             of_cosine, of_sine = harmonics[channel, n - 1], harmonics[channel, HARMONICS + n - 1]
-            cycle[channel] += of_cosine * real + of_sine * imaginary
-            slope[channel] += n * (of_sine * real - of_cosine * imaginary)
+            cycle[channel] += of_cosine * even + of_sine * odd
+            slope[channel] += n * (of_sine * even - of_cosine * odd)
         if ti.static(n < HARMONICS):
             real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
     return cycle, slope

@@ -30,6 +30,7 @@ from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
 from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import neutral_light, shows_surface, without_ambient
 from tikernels.raw.linearization import LEVEL_TYPES
+from tikernels.strips import LANES, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
 # Sums below this hold no colour worth measuring.
 _DARK = 1e-6
@@ -53,6 +54,7 @@ class WindowSum(IntEnum):
 
 
 _WINDOW_SUMS = WindowSum.SAMPLES + 1
+window_sums = ti.types.matrix(_WINDOW_SUMS, LANES, ti.f32)
 
 
 class Gains:
@@ -80,6 +82,10 @@ class Gains:
         self.gains = runtime.empty((*grid, 3), np.float32)
         self._sums = runtime.empty((*blocks, _WINDOW_SUMS), np.float32)
         self._half = runtime.empty((*grid, _WINDOW_SUMS), np.float32)
+        # The first look needs the channels alone.
+        self._color_sums = runtime.empty((*blocks, 3), np.float32)
+        self._color_half = runtime.empty((*grid, 3), np.float32)
+        self._color_smooth = runtime.empty((*grid, 3), np.float32)
         self._contrast_sums = runtime.empty((-(-height // _SPARSE) + 1, 2), np.float32)
 
     def measure(self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels) -> None:
@@ -103,17 +109,15 @@ class Gains:
         rows, surfaces = self.window.rows, crosstalk.surfaces
         shown = (surfaces.unmixing, surfaces.ambient, surfaces.labels)
         _collect_samples_kernel(surfaces.mixed)(image, *shown, levels.intensity, rows, self.samples)
-        sum_blocks_kernel(self.samples, rows, self._sums)
-        self._find_gains(predicted=False)
+        sum_blocks_kernel(self.samples, rows, self._color_sums)
+        self.window.smooth(self._color_sums, self._color_half, self._color_smooth)
+        find_gains_kernel(self._color_smooth, False, self.gains)
         waves = channel_waves(crosstalk.lag)
         of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
         light = (self.samples, crosstalk.inverse, crosstalk.matrix, of_phase, to_phase, self.gains, rows)
         predict_blocks_kernel(*light, levels.modulation, self._contrast_sums, self._sums)
-        self._find_gains(predicted=True)
-
-    def _find_gains(self, predicted: bool) -> None:
         self.window.smooth(self._sums, self._half, self.smooth)
-        find_gains_kernel(self.smooth, predicted, self.gains)
+        find_gains_kernel(self.smooth, True, self.gains)
 
 
 @ti.func
@@ -243,37 +247,42 @@ def predict_blocks_kernel(
             modulation_sum += contrast_sums[i, _MODULATION]
             background_sum += contrast_sums[i, _BACKGROUND]
         contrast_sums[last, _CONTRAST] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
-    for block in range(out_sums.shape[0] * out_sums.shape[1]):
-        i, j = block // out_sums.shape[1], block % out_sums.shape[1]
+    strips = strip_count(out_sums.shape[1], LANES)
+    for t in range(out_sums.shape[0] * strips):
+        i, first, count = strip_at(t, out_sums.shape[1], LANES)
         inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
         of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
-        seen, predicted = vec3(0.0), vec3(0.0)
-        background, count = 0.0, 0.0
         contrast = contrast_sums[last, _CONTRAST]
+        light, color_gains, sums = lanes_of_colors(0.0), lanes_of_colors(1.0), window_sums(0.0)
         # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
-        gain = gain_at(gains, columns, ti.min(i * rows + rows // 2, height - 1), j * columns + rows)
+        middle = ti.min(i * rows + rows // 2, height - 1)
+        for k in range(count):
+            set_color(color_gains, k, gain_at(gains, columns, middle, (first + k) * columns + rows))
         for y in range(i * rows, ti.min((i + 1) * rows, height)):
-            sample = sample_at(samples, y, j)
-            vector = projected_vector(sample, gain, inverse, to_phase)
-            modulation = modulation_of(vector)
-            if modulation > min_modulation:
-                share = contrast / modulation
-                seen += sample
-                predicted += neutral_channels(vector, share, of_phase, matrix)
-                background += (sample * gain).sum() / 3.0
-                count += 1.0
-        for k in ti.static(range(3)):
-            out_sums[i, j, WindowSum.SEEN + k] = seen[k]
-            out_sums[i, j, WindowSum.PREDICTED + k] = predicted[k]
-        out_sums[i, j, WindowSum.BACKGROUND] = background
-        out_sums[i, j, WindowSum.SAMPLES] = count
+            for k in range(count):
+                set_color(light, k, sample_at(samples, y, first + k))
+            for k in range(LANES):
+                sample, gain = color_of(light, k), color_of(color_gains, k)
+                vector = projected_vector(sample, gain, inverse, to_phase)
+                modulation = modulation_of(vector)
+                counts = ti.select(modulation > min_modulation, 1.0, 0.0)
+                share = contrast / ti.max(modulation, 1e-9)
+                predicted = neutral_channels(vector, share, of_phase, matrix)
+                for c in ti.static(range(3)):
+                    sums[WindowSum.SEEN + c, k] += counts * sample[c]
+                    sums[WindowSum.PREDICTED + c, k] += counts * predicted[c]
+                sums[WindowSum.BACKGROUND, k] += counts * ((sample * gain).sum() / 3.0)
+                sums[WindowSum.SAMPLES, k] += counts
+        for k in range(count):
+            for c in ti.static(range(_WINDOW_SUMS)):
+                out_sums[i, first + k, c] = sums[c, k]
 
 
 @kernel
 def sum_blocks_kernel(
     samples: F32Array3,  # (H, Wb, 3)
     rows: i32,
-    out_sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`; the first three are written
+    out_sums: F32Array3,  # (Hb, Wb, 3)
 ):
     """Sum up every block's channels."""
     height = samples.shape[0]
@@ -288,7 +297,7 @@ def sum_blocks_kernel(
 
 @kernel
 def find_gains_kernel(
-    sums: F32Array3,  # (Hg, Wg, 8) see `WindowSum`
+    sums: F32Array3,  # (Hg, Wg, 3 or 8) see `WindowSum`
     predicted: i32,  # 0: nothing is predicted yet, and the channels are to be equal
     out_gains: F32Array3,  # (Hg, Wg, 3)
 ):

@@ -27,14 +27,15 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3
+from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3, vec4
 from tikernels.arrays import F32
 from tikernels.launching import kernel
-from tikernels.phase.channel_template import HARMONICS, cycle_and_slope, load_harmonics, sharpened
-from tikernels.phase.color_balance import sample_at
+from tikernels.phase.channel_template import HARMONICS, load_harmonics, sharpened_cycle_and_slope, sharpening_of
+from tikernels.phase.color_balance import channels_at, sample_at
 from tikernels.phase.equalization import equalized
 from tikernels.phase.phase_vector import cosine_and_sine
-from tikernels.phase.wrapped_phase import has_phase
+from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
+from tikernels.strips import LANES, color_of, lanes, lanes_of_colors, set_color, strip_at, strip_count
 
 # Tiles both ways, at most, and cycles that each wants; they are averaged with their neighbours.
 _TILES, _CYCLES, _AROUND = 8, 3, 0.7
@@ -48,7 +49,8 @@ _STEP = 2.0
 # In focus, x hardly differs from tile to tile, RMS; beyond the most there is hardly a fringe.
 _IN_FOCUS, _MOST = 0.02, 0.7
 # Columns of what a block's samples say: the two sums of x, and their number.
-_PRODUCT, _SQUARE, _COUNT = range(3)
+_PRODUCT, _SQUARE, _COUNT, _SUMS = range(4)
+sharpness_sums = ti.types.matrix(_SUMS, LANES, ti.f32)
 
 
 @ti.func
@@ -58,8 +60,8 @@ def equalized_at(bare: f32, correction: F32Array1, bend: f32) -> f32:
 
 
 @ti.func
-def sharpening(harmonics: Static, phase: f32) -> vec3:
-    """Return the derivative of the three channels by the sharpness, g."""
+def sharpening(harmonics: Static, phase: f32, factors: Static) -> vec3:
+    """Return the derivative of the three channels by the sharpness, g, given `sharpening_of` what it is."""
     cosine, sine = cosine_and_sine(phase)
     result = vec3(0.0)
     real, imaginary = cosine, sine
@@ -67,7 +69,7 @@ def sharpening(harmonics: Static, phase: f32) -> vec3:
         real, imaginary = real * cosine - imaginary * sine, real * sine + imaginary * cosine
         for channel in ti.static(range(3)):
             wave = harmonics[channel, n - 1] * real + harmonics[channel, HARMONICS + n - 1] * imaginary
-            result[channel] += ti.static(n * n - 1) * wave
+            result[channel] += ti.static(n * n - 1) * factors[n - 1] * wave
     return result
 
 
@@ -83,28 +85,46 @@ def sum_sharpness_kernel(
     out_sums: F32Array3,  # (Hb, Wb, 3)
 ):
     """Sum up, block by block, what the sharpness explains of what brightness and phase leave over."""
-    for block in range(out_sums.shape[0] * out_sums.shape[1]):
-        i, j = block // out_sums.shape[1], block % out_sums.shape[1]
-        node = ti.min(i // 2, nodes.shape[0] - 1)
-        color = ti.max(vec3(nodes[node, j, 0], nodes[node, j, 1], nodes[node, j, 2]), 1e-6)
-        ambient = vec3(nodes[node, j, 3], nodes[node, j, 4], nodes[node, j, 5])
-        harmonics = sharpened(load_harmonics(template), sharpness[node, j])
-        bend, sums = ti.exp(3.0 * sharpness[node, j]), vec3(0.0)
-        # Half of the blocks tell enough, as of a chessboard one colour.
-        last = ti.select((i + j) % 2 == 0, ti.min((i + 1) * rows, samples.shape[0]), i * rows)
-        for y in range(i * rows, last):
-            if has_phase(phases[y, j]):
-                phase = equalized_at(phases[y, j], correction, bend)
-                cycle, slope = cycle_and_slope(harmonics, phase)
-                light = (sample_at(samples, y, j) - ambient) / color
+    # Half of the blocks tell enough, as of a chessboard one colour.
+    for t in range(out_sums.shape[0] * strip_count(out_sums.shape[1], 2 * LANES)):
+        i, start, total = strip_at(t, out_sums.shape[1], 2 * LANES)
+        first, count = start + i % 2, (total + 1 - i % 2) // 2
+        node, harmonics = ti.min(i // 2, nodes.shape[0] - 1), load_harmonics(template)
+        seen, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
+        phase, sharper = lanes(NO_PHASE), lanes_of_colors(1.0)
+        sums = sharpness_sums(0.0)
+        for k in range(count):
+            j = first + 2 * k
+            set_color(colors, k, ti.max(channels_at(nodes, node, j, 0), 1e-6))
+            set_color(ambients, k, channels_at(nodes, node, j, 3))
+            factors = sharpening_of(sharpness[node, j])
+            set_color(sharper, k, vec3(factors[1], factors[2], factors[3]))
+        for y in range(i * rows, ti.min((i + 1) * rows, samples.shape[0])):
+            for k in range(count):
+                set_color(seen, k, sample_at(samples, y, first + 2 * k))
+                phase[k] = NO_PHASE
+                if has_phase(phases[y, first + 2 * k]):
+                    phase[k] = equalized_at(phases[y, first + 2 * k], correction, sharper[0, k])
+            for k in range(LANES):
+                counts = ti.select(has_phase(phase[k]), 1.0, 0.0)
+                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
+                cycle, slope = sharpened_cycle_and_slope(harmonics, counts * phase[k], factors)
+                light = (color_of(seen, k) - color_of(ambients, k)) / color_of(colors, k)
                 brightness = light.dot(cycle) / cycle.dot(cycle)
                 across = cycle.cross(slope).normalized(1e-9)
-                left, effect = light.dot(across), brightness * sharpening(harmonics, phase).dot(across)
-                weight = ti.min(1.0, _HUBER * ti.max(brightness, 0.0) / (ti.abs(left) + 1e-9))
+                effect = brightness * sharpening(harmonics, counts * phase[k], factors).dot(across)
+                left = light.dot(across)
+                weight = counts * ti.min(1.0, _HUBER * ti.max(brightness, 0.0) / (ti.abs(left) + 1e-9))
                 least = _PRIOR * brightness
-                sums += vec3(weight * left * effect, weight * (effect * effect + least * least), 1.0)
-        for k in ti.static(range(3)):
-            out_sums[i, j, k] = sums[k]
+                sums[_PRODUCT, k] += weight * left * effect
+                sums[_SQUARE, k] += weight * (effect * effect + least * least)
+                sums[_COUNT, k] += counts
+        for j in range(start, start + total):
+            for n in ti.static(range(_SUMS)):
+                out_sums[i, j, n] = 0.0
+        for k in range(count):
+            for n in ti.static(range(_SUMS)):
+                out_sums[i, first + 2 * k, n] = sums[n, k]
 
 
 class FringeSharpness:

@@ -45,11 +45,12 @@ from tikernels._taichi import (
     ti,
     u1,
     vec3,
+    vec4,
 )
 from tikernels.arrays import F32, LevelsImage
 from tikernels.launching import kernel
 from tikernels.phase.channel_model import ChannelModel
-from tikernels.phase.channel_template import cycle_and_slope, load_harmonics, sharpened
+from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope, sharpening_of
 from tikernels.phase.color_balance import Gains, gain_at
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import BINS, equalized, place_in_cycle
@@ -65,11 +66,8 @@ from tikernels.phase.surfaces import (
 )
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.raw.linearization import LEVEL_TYPES
-from tikernels.strips import strip_at, strip_count
+from tikernels.strips import STRIP, color_of, set_color, strip_at, strip_count
 
-# Gaps between nodes that one thread walks along: enough threads for a GPU, and more than the 512 iterations below
-# which the CPU runtime uses a single core.
-_GAPS_A_THREAD = 8
 # The arctangent is never further off than this; a model that says so is wrong there. rad
 _MAX_STEP = 0.3
 #: A misfit of up to three standard deviations is noise; the square of that.
@@ -132,10 +130,10 @@ def fringe_vector(channels: vec3, color: vec3, ambient: vec3, weights: mat3) -> 
 
 @ti.func
 def model_at(
-    phase: f32,
+    cycle: vec3,
+    slope: vec3,
     color: vec3,
     ambient: vec3,
-    harmonics: Static,
     mixing: F32Array3,
     besides: F32Array2,
     labels: U8Array2,
@@ -144,7 +142,6 @@ def model_at(
     mixed: Static,
 ):
     """Return a pixel's channels M, their change with phase M' and contrast W, all for s = 1, and with ambient B."""
-    cycle, slope = cycle_and_slope(harmonics, phase)
     model, change, swing, rest = color * cycle, color * slope, color * (cycle - 1.0), ambient
     if ti.static(mixed):
         surface = surface_at(labels, y, x)
@@ -206,11 +203,42 @@ def doubted(misfit: f32, doubt: f32, precision: f32) -> f32:
     return ti.max(misfit, ti.min(misfit + doubt * doubt * precision, MAX_MISFIT))
 
 
+@ti.func
+def load_nodes(
+    nodes: F32Array3,
+    sharpness: F32Array2,
+    spacing_px: Static,
+    row: f32,
+    place: i32,
+    colors: Static,
+    ambients: Static,
+    sharper: Static,
+):
+    """Fill a strip with A, B, and the factors of the second to fourth harmonic, gap by gap between nodes.
+
+    Gap j lies between nodes j - 1 and j; the first one begins half of it before the image, where `place` is 0.
+    """
+    in_gap = ti.static(min(spacing_px, STRIP))
+    right_color, right_ambient = node_model(nodes, row, place // spacing_px - 1)
+    for gap in range(STRIP // in_gap):
+        j = (place + gap * in_gap) // spacing_px
+        left_color, left_ambient = right_color, right_ambient
+        right_color, right_ambient = node_model(nodes, row, j)
+        color_slope = (right_color - left_color) * ti.static(1.0 / spacing_px)
+        ambient_slope = (right_ambient - left_ambient) * ti.static(1.0 / spacing_px)
+        factors = sharpening_of(sharpness[ti.cast(row, ti.i32), ti.min(j, nodes.shape[1] - 1)])
+        for number in range(in_gap):
+            k = gap * in_gap + number
+            along = ti.cast(place + k - j * spacing_px, ti.f32) + 0.5
+            set_color(colors, k, left_color + color_slope * along)
+            set_color(ambients, k, left_ambient + ambient_slope * along)
+            set_color(sharper, k, vec3(factors[1], factors[2], factors[3]))
+
+
 @cache
 def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
     """Return the kernel from grey levels to phase, for nodes that are `spacing_px` px apart."""
-    width_at_once = min(max(spacing_px, 8), 16)
-    lanes = ti.types.vector(width_at_once, ti.f32)
+    lanes, lanes_of_colors = ti.types.vector(STRIP, ti.f32), ti.types.matrix(3, STRIP, ti.f32)
 
     @kernel
     def fit_phase_kernel(
@@ -236,63 +264,52 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
         out_misfit: F32Array2,  # (H, W) the square of what is left, over its variance
         out_brightness: F32Array2,  # (H, W) levels: the mean over the cycle, without ambient light
     ):
-        # Gap j lies between nodes j - 1 and j; the first and the last one reach to the image's borders.
-        height, width, gaps = image.shape[0], image.shape[1], nodes.shape[1] + 1
-        for t in range(height * strip_count(gaps, _GAPS_A_THREAD)):
-            y, first, count_of_gaps = strip_at(t, gaps, _GAPS_A_THREAD)
-            weights, frame_harmonics = matrix_of(phase_weights), load_harmonics(template)
+        height, width, before = image.shape[0], image.shape[1], ti.static(spacing_px // 2)
+        for t in range(height * strip_count(width + before, STRIP)):
+            y, place, _ = strip_at(t, width + before, STRIP)
+            start = place - before
+            weights, harmonics = matrix_of(phase_weights), load_harmonics(template)
             v = ti.min(ti.max((y + 0.5) / spacing_px - 0.5, 0.0), ti.cast(nodes.shape[0] - 1, ti.f32))
-            right_color, right_ambient = node_model(nodes, v, first - 1)
-            red, green, blue, bare, start_phase = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
+            light, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
+            sharper, bare, start_phase = lanes_of_colors(1.0), lanes(0.0), lanes(0.0)
             phase, modulation, precision, left, bright = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            for j in range(first, first + count_of_gaps):
-                left_color, left_ambient = right_color, right_ambient
-                right_color, right_ambient = node_model(nodes, v, j)
-                color_slope = (right_color - left_color) * ti.static(1.0 / spacing_px)
-                ambient_slope = (right_ambient - left_ambient) * ti.static(1.0 / spacing_px)
-                harmonics = sharpened(frame_harmonics, sharpness[ti.cast(v, ti.i32), ti.min(j, nodes.shape[1] - 1)])
-                start = j * spacing_px - spacing_px // 2
-                x, stop = ti.max(start, 0), ti.min(start + spacing_px, width)
-                while x < stop:
-                    count = ti.min(width_at_once, stop - x)
-                    for k in range(count):
-                        seen = color_at(image, y, x + k)
-                        red[k], green[k], blue[k] = seen.x, seen.y, seen.z
-                    for k in range(width_at_once):
-                        along = ti.cast(x + k - start, ti.f32) + 0.5
-                        color, ambient = left_color + color_slope * along, left_ambient + ambient_slope * along
-                        projected = without_ambient(vec3(red[k], green[k], blue[k]), besides, labels, y, x + k, mixed)
-                        channels = neutral_light(projected, unmixing, labels, y, x + k, mixed)
-                        vector = fringe_vector(channels, color, ambient, weights)
-                        modulation[k] = modulation_of(vector) * color.sum() / 3.0  # of channels as they are
-                        bare[k] = arctangent(vector.y, vector.x)
-                    for k in range(width_at_once):
-                        start_phase[k] = equalized(bare[k], correction)
-                    for k in range(width_at_once):
-                        along = ti.cast(x + k - start, ti.f32) + 0.5
-                        color, ambient = left_color + color_slope * along, left_ambient + ambient_slope * along
-                        seen = vec3(red[k], green[k], blue[k])
-                        model, change, swing, rest = model_at(
-                            start_phase[k], color, ambient, harmonics, mixing, besides, labels, y, x + k, mixed
-                        )
-                        weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
-                        step, precise, left[k], shown = fitted_step(
-                            weight * (seen - rest), weight * model, weight * change, weight * swing, contrast_doubt
-                        )
-                        precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
-                        bright[k] = shown * (model - swing).sum() / 3.0
-                        valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
-                        if ti.static(mixed):
-                            valid &= shows_surface(labels, y, x + k)
-                        fitted = start_phase[k] + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
-                        phase[k] = ti.select(valid, fitted, NO_PHASE)
-                    for k in range(count):
-                        out_phase[y, x + k] = phase[k]
-                        out_modulation[y, x + k] = modulation[k]
-                        out_precision[y, x + k] = precision[k]
-                        out_misfit[y, x + k] = left[k]
-                        out_brightness[y, x + k] = bright[k]
-                    x += width_at_once
+            load_nodes(nodes, sharpness, spacing_px, v, place, colors, ambients, sharper)
+            first, stop = ti.max(-start, 0), ti.min(STRIP, width - start)
+            for k in range(first, stop):
+                set_color(light, k, color_at(image, y, start + k))
+            for k in range(STRIP):
+                color, ambient = color_of(colors, k), color_of(ambients, k)
+                projected = without_ambient(color_of(light, k), besides, labels, y, ti.max(start + k, 0), mixed)
+                channels = neutral_light(projected, unmixing, labels, y, ti.max(start + k, 0), mixed)
+                vector = fringe_vector(channels, color, ambient, weights)
+                modulation[k] = modulation_of(vector) * color.sum() / 3.0  # of channels as they are
+                bare[k] = arctangent(vector.y, vector.x)
+            for k in range(STRIP):
+                start_phase[k] = equalized(bare[k], correction)
+            for k in range(STRIP):
+                seen, color, ambient = color_of(light, k), color_of(colors, k), color_of(ambients, k)
+                factors = vec4(1.0, sharper[0, k], sharper[1, k], sharper[2, k])
+                cycle, slope = sharpened_cycle_and_slope(harmonics, start_phase[k], factors)
+                model, change, swing, rest = model_at(
+                    cycle, slope, color, ambient, mixing, besides, labels, y, ti.max(start + k, 0), mixed
+                )
+                weight = 1.0 / ti.sqrt(read_noise * read_noise + noise_gain * ti.max(seen, 0.0))
+                step, precise, left[k], shown = fitted_step(
+                    weight * (seen - rest), weight * model, weight * change, weight * swing, contrast_doubt
+                )
+                precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
+                bright[k] = shown * (model - swing).sum() / 3.0
+                valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
+                if ti.static(mixed):
+                    valid &= shows_surface(labels, y, ti.max(start + k, 0))
+                fitted = start_phase[k] + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
+                phase[k] = ti.select(valid, fitted, NO_PHASE)
+            for k in range(first, stop):
+                out_phase[y, start + k] = phase[k]
+                out_modulation[y, start + k] = modulation[k]
+                out_precision[y, start + k] = precision[k]
+                out_misfit[y, start + k] = left[k]
+                out_brightness[y, start + k] = bright[k]
 
     return fit_phase_kernel
 

@@ -22,7 +22,7 @@ from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, f32, i3
 from tikernels.arrays import F32, I32, U8
 from tikernels.launching import kernel
 from tikernels.phase.wrapped_phase import has_phase
-from tikernels.unwrapping.tables import cell_bounds, cells_of
+from tikernels.unwrapping.tables import CELL_WIDTH, cell_bounds, cells_of
 
 # How far rays go; within how many px they must reach another surface's light, and how far beyond the own one's end that
 # is looked for.
@@ -36,6 +36,9 @@ _MIXED = 0.4
 _NOTHING, _END, _OTHER, _BRIGHTNESS = range(4)
 # Rows and columns of looks around a cell, ten pixels apart.
 _LOOKS = 5, 4
+# Brightness and surface of a row of a cell, whose pixels are looked at together: see `strips.py`.
+_row_of_light = ti.types.vector(CELL_WIDTH, ti.f32)
+_row_of_regions = ti.types.vector(CELL_WIDTH, ti.i32)
 
 
 @ti.func
@@ -104,24 +107,69 @@ def follow_ray(
 
 
 @ti.func
-def is_cut_off(
-    brightness: F32Array2, modulation: F32Array2, phase: F32Array2, region: I32Array2, y: i32, x: i32, first: i32
-):
-    """Return whether a pixel is cut off from its surface, and a ray that goes on if it is not.
+def place_of_ray(ray: i32):
+    """Return by how many rows and columns each step of one of the eight rays goes on."""
+    place = ray + ti.cast(ray > 3, i32)  # of the nine, without the middle one
+    return place // 3 - 1, place % 3 - 1
 
-    It is cut off if all rays are stopped, some by an edge and some by another's light. The ray on which the one before
-    was not stopped is tried first.
+
+@ti.func
+def rays_go_on(brightness: F32Array2, region: I32Array2, y: i32, left: i32, dy: i32, dx: i32):
+    """Return which pixels of a cell's row have a ray that meets nothing, as `follow_ray` says; none at the image's end.
+
+    They are looked at together, which takes a fifth of the time.
     """
-    tried, open_ray, edges, others = 0, -1, False, False
-    while tried < 8 and open_ray < 0:
+    goes_on = _row_of_regions(0)
+    y2, first, last = y + _FAR * dy, left + _FAR * dx, left + _FAR * dx + CELL_WIDTH
+    if ti.min(y2, first) >= 0 and y2 < region.shape[0] and ti.max(last, left + CELL_WIDTH) <= region.shape[1]:
+        own, before, here = _row_of_regions(0), _row_of_light(0.0), _row_of_light(0.0)
+        for k in range(CELL_WIDTH):
+            own[k], before[k] = region[y, left + k], brightness[y, left + k]
+            here[k] = brightness[y + 2 * dy, left + k + 2 * dx]
+            goes_on[k] = ti.cast(region[y + 2 * dy, left + k + 2 * dx] == own[k], i32)
+        far, left_over = 4, 1
+        while far <= _FAR and left_over > 0:
+            left_over = 0
+            for k in range(CELL_WIDTH):
+                after = brightness[y + far * dy, left + k + far * dx]
+                edge = ti.max(before[k], after) > _EDGE * ti.min(before[k], after)
+                stays = (region[y + far * dy, left + k + far * dx] == own[k]) & ~edge
+                goes_on[k] = goes_on[k] & ti.cast(stays, i32)
+                before[k], here[k] = here[k], after
+                left_over += goes_on[k]
+            far += 2
+    return goes_on
+
+
+@ti.func
+def stopped_pixels(brightness: F32Array2, region: I32Array2, y: i32, left: i32, right: i32, first: i32):
+    """Return which pixels of a cell's row have no ray that `rays_go_on` tells of, and the ray that was looked at last.
+
+    The next row begins with that one.
+    """
+    stopped, tried, ray = _row_of_regions(0), 0, first
+    for x in range(left, right):
+        stopped[x - left] = ti.cast(region[y, x] > 0, i32)
+    while tried < 8 and stopped.sum() > 0:
         ray = (first + tried) % 8
-        place = ray + ti.cast(ray > 3, i32)  # of the nine, without the middle one
-        meets = follow_ray(brightness, modulation, phase, region, y, x, place // 3 - 1, place % 3 - 1)
+        dy, dx = place_of_ray(ray)
+        stopped &= 1 - rays_go_on(brightness, region, y, left, dy, dx)
+        tried += 1
+    return stopped, ray
+
+
+@ti.func
+def is_cut_off(brightness: F32Array2, modulation: F32Array2, phase: F32Array2, region: I32Array2, y: i32, x: i32) -> u1:
+    """Whether all rays from a pixel are stopped, some by an edge and some by another's light."""
+    tried, goes_on, edges, others = 0, False, False, False
+    while tried < 8 and not goes_on:
+        dy, dx = place_of_ray(tried)
+        meets = follow_ray(brightness, modulation, phase, region, y, x, dy, dx)
         edges |= meets == _BRIGHTNESS
         others |= meets == _OTHER
-        open_ray = ti.select(meets == _NOTHING, ray, -1)
+        goes_on = meets == _NOTHING
         tried += 1
-    return (open_ray < 0) & edges & others, ti.max(open_ray, 0)
+    return not goes_on and edges and others
 
 
 @ti.func
@@ -129,15 +177,45 @@ def is_spike(region: I32Array2, y: i32, x: i32) -> u1:
     """Whether no 3x3 block of its surface holds a pixel."""
     spike, block = True, 0
     while spike and block < 9:
-        # The block around the pixel comes first: it holds most.
-        place = (block + 4) % 9
-        top, left, whole, k = y + place // 3 - 2, x + place % 3 - 2, True, 0
+        top, left, whole, k = y + block // 3 - 2, x + block % 3 - 2, True, 0
         while whole and k < 9:
             whole = region_at(region, top + k // 3, left + k % 3) == region[y, x]
             k += 1
         spike = not whole
         block += 1
     return spike
+
+
+@ti.func
+def lies_at_rim(region: I32Array2, top: i32, left: i32, bottom: i32, right: i32) -> u1:
+    """Whether a surface, or the image, ends in a cell or beside it: else all its pixels have a block around them."""
+    ends = top == 0 or left == 0 or bottom == region.shape[0] or right == region.shape[1]
+    if not ends:
+        number, differs = region[top, left], _row_of_regions(0)
+        for y in range(top - 1, bottom + 1):
+            for k in range(CELL_WIDTH):
+                differs[k] |= (region[y, left - 1 + k] ^ number) | (region[y, left + 1 + k] ^ number)
+        ends = differs.max() != 0 or differs.min() != 0
+    return ends
+
+
+@ti.func
+def rim_of(region: I32Array2, y: i32, left: i32, right: i32):
+    """Return which pixels of a cell's row have another surface, or the image's end, among the eight around them."""
+    rim = _row_of_regions(0)
+    if y > 0 and left > 0 and y + 1 < region.shape[0] and left + CELL_WIDTH < region.shape[1]:
+        own = _row_of_regions(0)
+        for k in range(CELL_WIDTH):
+            own[k] = region[y, left + k]
+        for row, column in ti.static(ti.ndrange(3, 3)):
+            for k in range(CELL_WIDTH):
+                rim[k] |= own[k] ^ region[y + row - 1, left + k + column - 1]
+        for k in range(CELL_WIDTH):
+            rim[k] = ti.cast((rim[k] != 0) & (own[k] > 0), i32)
+    else:
+        for x in range(left, right):
+            rim[x - left] = ti.cast(region[y, x] > 0, i32)
+    return rim
 
 
 @ti.func
@@ -177,18 +255,6 @@ def lies_beside_others(phase: F32Array2, region: I32Array2, top: i32, left: i32,
 
 
 @ti.func
-def lies_at_rim(region: I32Array2, top: i32, left: i32, bottom: i32, right: i32) -> u1:
-    """Whether a surface, or the image, ends in a cell or beside it: else all its pixels have a block around them."""
-    number = region[top, left]
-    ends = top == 0 or left == 0 or bottom == region.shape[0] or right == region.shape[1]
-    if not ends:
-        for y in range(top - 1, bottom + 1):
-            for x in range(left - 1, right + 1):
-                ends |= region[y, x] != number
-    return ends
-
-
-@ti.func
 def take_off(region: I32Array2, unwrapped: F32Array2, mask: U8Array2, cell: i32):
     """Take the pixels of a cell that were marked on the mask out of their surfaces."""
     top, left, bottom, right = cell_bounds(cell, region.shape[0], region.shape[1])
@@ -208,10 +274,10 @@ def mark_strangers(
     top, left, bottom, right = cell_bounds(cell, region.shape[0], region.shape[1])
     if lies_beside_others(phase, region, top, left, bottom, right):
         for y in range(top, bottom):
+            stopped, ray = stopped_pixels(brightness, region, y, left, right, ray)
             for x in range(left, right):
-                if region[y, x] > 0:
-                    cut_off, ray = is_cut_off(brightness, modulation, phase, region, y, x, ray)
-                    if cut_off:
+                if stopped[x - left] == 1:
+                    if is_cut_off(brightness, modulation, phase, region, y, x):
                         mask[y, x] = ti.cast(0, ti.u8)
                         marks = 1
     return marks
@@ -224,8 +290,9 @@ def mark_rim(brightness: F32Array2, phase: F32Array2, region: I32Array2, mask: U
     top, left, bottom, right = cell_bounds(cell, region.shape[0], region.shape[1])
     if lies_at_rim(region, top, left, bottom, right):
         for y in range(top, bottom):
+            rim = rim_of(region, y, left, right)
             for x in range(left, right):
-                if region[y, x] > 0:
+                if rim[x - left] == 1:
                     if is_spike(region, y, x) or looks_like_others(brightness, phase, region, y, x):
                         mask[y, x] = ti.cast(0, ti.u8)
                         marks = 1
@@ -242,12 +309,24 @@ def leave_out_strangers_kernel(
     mask: U8Array2,  # (H, W)
     marked: I32Array1,  # (cells,) scratch: which cells hold pixels to take off
 ):
-    """Mark, and only then take off: neighbours look at what is left out as it was."""
+    """Mark what is cut off, and only then take it off: neighbours look at what is left out as it was."""
     for cell in range(marked.shape[0]):
         marked[cell] = mark_strangers(brightness, modulation, phase, region, mask, cell)
     for cell in range(marked.shape[0]):
         if marked[cell] == 1:
             take_off(region, unwrapped, mask, cell)
+
+
+@kernel
+def trim_rims_kernel(
+    brightness: F32Array2,  # (H, W) up to a factor
+    phase: F32Array2,  # (H, W) rad; NO_PHASE where there is none
+    region: I32Array2,  # (H, W) from 1; 0: none
+    unwrapped: F32Array2,  # (H, W) rad
+    mask: U8Array2,  # (H, W)
+    marked: I32Array1,  # (cells,) scratch: which cells hold pixels to take off
+):
+    """Mark spikes and mixed pixels, and only then take them off."""
     for cell in range(marked.shape[0]):
         marked[cell] = mark_rim(brightness, phase, region, mask, cell)
     for cell in range(marked.shape[0]):
@@ -285,3 +364,4 @@ def leave_out_strangers(brightness: F32, modulation: F32, phase: F32, out: tuple
     rows, columns = cells_of(*shape)
     marked = runtime.empty((rows * columns,), np.int32)
     leave_out_strangers_kernel(brightness, modulation, phase, region, unwrapped, mask, marked)
+    trim_rims_kernel(brightness, phase, region, unwrapped, mask, marked)
