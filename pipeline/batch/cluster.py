@@ -1,8 +1,7 @@
-"""Many processes, here or on other machines, by Dask: chains of frames are tasks, results are written in place."""
+"""Many processes, also on other machines, by Dask: chains of frames are tasks, results are written in place."""
 
 import asyncio
 import logging
-import os
 import secrets
 import socket
 from collections.abc import Callable, Iterator, Sequence
@@ -14,14 +13,11 @@ from urllib.parse import urlsplit
 from pipeline.batch.job import Job
 from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import ClusterError
-from pipeline.processes import block_interrupts
 
 # Tasks a worker: more even out the time that each takes, fewer let footage be read in one go.
 _TASKS_A_WORKER = 8
 # Time that a scheduler may take to answer: on a busy network it takes a few seconds.
 _TIMEOUT_S = 20
-# Time that processes here may take to start: each imports Dask and compiles nothing yet.
-_START_S = 120
 # Between two looks at whether the scheduler still has workers.
 _LOOK_S = 5
 # Time without any worker after which the run ends: a worker that is restarted is back sooner.
@@ -33,7 +29,7 @@ _workers: dict[str, Worker] = {}
 _stopped: set[str] = set()
 
 
-def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: Callable[[Outcome], None]) -> None:
+def decode_on_cluster(job: Job, todo: Sequence[Chain], address: str, tell: Callable[[Outcome], None]) -> None:
     """Decode chains of frames by the workers of a cluster; see `Worker.decode`.
 
     Parameters
@@ -42,8 +38,8 @@ def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: C
         What to decode and how; its store must be there.
     todo : sequence of (range, frozenset)
         The chains: frames of which each is decoded with the one before, and which of them are to be stored.
-    where : int or str
-        The number of processes to start here, or the address of a scheduler.
+    address : str
+        Of the scheduler.
     tell : callable
         Told of every stored and every bad frame, not in order.
 
@@ -52,7 +48,7 @@ def decode_on_cluster(job: Job, todo: Sequence[Chain], where: int | str, tell: C
     ClusterError
         There is no cluster, or workers die over the same frames again and again.
     """
-    with _client(where) as (distributed, client), client.as_current():
+    with _client(address) as (distributed, client), client.as_current():
         n_workers = max(1, len(client.ncores()))
         size = -(-len(todo) // (_TASKS_A_WORKER * n_workers))
         tasks = [todo[first : first + size] for first in range(0, len(todo), size)]
@@ -115,75 +111,26 @@ def _no_answer(address: str, error: Exception) -> ClusterError:
 
 
 @contextmanager
-def _client(where: int | str) -> Iterator[tuple[Any, Any]]:
-    """Give Dask and a client of it."""
+def _client(address: str) -> Iterator[tuple[Any, Any]]:
+    """Give Dask and a client of its scheduler at an address."""
     try:
         import distributed
     except ImportError:
         raise ClusterError("dask distributed is not installed: pip install 'colorphase[cluster]'") from None
-    if isinstance(where, str):
-        _check_address(where)
-        with distributed.utils.silence_logging_cmgr(logging.CRITICAL):
-            try:
-                asyncio.run(_shake_hands(where))
-            except (Exception, CancelledError):  # whatever Dask makes of another protocol
-                raise ClusterError(
-                    f"what listens at {where} is no Dask scheduler: give the scheduler's address"
-                ) from None
-            try:
-                client: Any = distributed.Client(where, timeout=_TIMEOUT_S, set_as_default=False)
-            except (OSError, ValueError) as error:
-                raise _no_answer(where, error) from None
-            with client:
-                yield distributed, client
-        return
-    with local_cluster(where) as cluster, distributed.Client(cluster, set_as_default=False) as client:
-        yield distributed, client
-
-
-@contextmanager
-def local_cluster(n_workers: int) -> Iterator[Any]:
-    """Start processes here, among which the cores are shared out; on the loopback interface.
-
-    Parameters
-    ----------
-    n_workers : int
-        How many.
-
-    Raises
-    ------
-    ClusterError
-        They do not start.
-    """
-    import dask
-    import distributed
-
-    # Kernels share the cores; each worker's reading and writing comes on top.
-    threads = str(max(1, (os.cpu_count() or 1) // n_workers))
-    with (
-        # Dask makes the C library give all memory back at once: asking for it anew took a fifth of a worker's time.
-        dask.config.set({"distributed.nanny.pre-spawn-environ": {}}),
-        block_interrupts() as unblock,
-        distributed.LocalCluster(
-            n_workers=0,
-            threads_per_worker=1,
-            processes=True,
-            host="127.0.0.1",
-            dashboard_address=None,
-            # Its server for pages about itself is there in any case, on a port that another one may have.
-            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
-            memory_limit=0,
-            silence_logs=logging.CRITICAL,
-            env={"TI_CPU_MAX_NUM_THREADS": os.environ.get("TI_CPU_MAX_NUM_THREADS", threads)},
-        ) as cluster,
-    ):
-        unblock()
-        cluster.scale(n_workers)  # here, so that Ctrl-C meanwhile closes what has been started
+    _check_address(address)
+    with distributed.utils.silence_logging_cmgr(logging.CRITICAL):
         try:
-            cluster.wait_for_workers(n_workers, _START_S)
-        except TimeoutError:
-            raise ClusterError(f"{n_workers} processes did not start within {_START_S} s: ask for fewer") from None
-        yield cluster
+            asyncio.run(_shake_hands(address))
+        except (Exception, CancelledError):  # whatever Dask makes of another protocol
+            raise ClusterError(
+                f"what listens at {address} is no Dask scheduler: give the scheduler's address"
+            ) from None
+        try:
+            client: Any = distributed.Client(address, timeout=_TIMEOUT_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise _no_answer(address, error) from None
+        with client:
+            yield distributed, client
 
 
 def _decode_task(chains: Sequence[Chain], job: Job, run: str) -> list[Outcome]:

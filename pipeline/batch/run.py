@@ -4,11 +4,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from pipeline.batch.job import Job, chains
+from pipeline.batch.local_processes import decode_in_processes, usable_cores
 from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import FootageError, SettingsError
 from pipeline.footage.source import BadFrame, Source
 from pipeline.output.store import ResultStore, read_attributes
 from tikernels import runtime
+
+# A process starts in the time that it takes to decode about as many frames.
+_FRAMES_A_START = 128
 
 
 @dataclass
@@ -32,7 +36,7 @@ def decode_footage(
     stop: int | None = None,
     *,
     strict: bool = False,
-    workers: int = 0,
+    workers: int | None = None,
     cluster: str | None = None,
     tell: Callable[[int, int], None] = lambda done, of: None,
 ) -> DecodeSummary:
@@ -46,8 +50,9 @@ def decode_footage(
         Which frames: from `start` on, in steps of `job.step`, below `stop`.
     strict : bool
         Whether a bad frame ends the run, instead of being left out.
-    workers : int
-        The number of processes to start here, each with a decoder of its own; 0: this process decodes.
+    workers : int, optional
+        In how many processes to decode here; 1: in this one. Left out, long footage is decoded in one for each core,
+        but in this one where a GPU computes.
     cluster : str, optional
         Address of a Dask scheduler, ``tcp://...``, whose workers see footage and store under the same names.
     tell : callable
@@ -67,7 +72,7 @@ def decode_footage(
     OutputError
         The store holds frames that were made otherwise, or cannot be written.
     ClusterError
-        There is no cluster, or its workers die.
+        There is no cluster, or its workers or the processes here die.
     """
     source = job.open()
     job = job.with_transfer_of(source)
@@ -91,7 +96,7 @@ def decode_footage(
     tell(done, summary.n_frames)
     todo: list[Chain] = list(chains(wanted, missing))
     try:
-        _decode_chains(job, todo, workers if cluster is None else cluster, note)
+        _decode_chains(job, todo, workers, cluster, note)
     except KeyboardInterrupt:
         store.remove_leftovers()
         n_done = len(set(wanted) & store.done())
@@ -127,13 +132,27 @@ def _ready_store(job: Job, source: Source) -> tuple[ResultStore, tuple[str, ...]
     return store, notes
 
 
-def _decode_chains(job: Job, todo: list[Chain], where: int | str, note: Callable[[Outcome], None]) -> None:
-    """Decode chains of frames: in this process (0), in processes that are started here, or on a scheduler's workers."""
+def _decode_chains(
+    job: Job, todo: list[Chain], workers: int | None, cluster: str | None, note: Callable[[Outcome], None]
+) -> None:
+    """Decode chains of frames: on a scheduler's workers, in processes that are started here, or in this one."""
     if not todo:
         return
-    if where:
+    if cluster is not None:
         from pipeline.batch.cluster import decode_on_cluster  # slow to import, and of the extra `cluster`
 
-        decode_on_cluster(job, todo, where, note)
+        decode_on_cluster(job, todo, cluster, note)
+        return
+    count = _worthwhile_processes(job, todo) if workers is None else workers
+    if count > 1:
+        decode_in_processes(job, todo, count, note)
     else:
         Worker(job).decode(todo, note)
+
+
+def _worthwhile_processes(job: Job, todo: list[Chain]) -> int:
+    """Return in how many processes frames are decoded the soonest."""
+    if job.arch != "cpu" and (job.arch != "auto" or runtime.init("auto") != "cpu"):
+        return 1  # one GPU does all the work
+    n_frames = sum(len(missing) for _, missing in todo)
+    return min(usable_cores(), n_frames // _FRAMES_A_START)

@@ -48,8 +48,8 @@ class FootageOptions:
     """The part of each frame that is decoded, in px: x,y,width,height."""
     strict: bool = False
     """Stop at the first bad frame, instead of leaving it out."""
-    workers: Annotated[int, Parameter(validator=bounded(0))] = 0
-    """Number of processes to start for decoding; 0: decode in this one."""
+    workers: Annotated[int | None, Parameter(validator=bounded(1))] = None
+    """In how many processes to decode; left out, one for each core, or a single one with a GPU."""
     cluster: str | None = None
     """Decode on a Dask cluster: the scheduler's address, as tcp://10.0.0.1:8786."""
     export: MeshKind | None = None

@@ -62,7 +62,9 @@ class LightPath:
         self._wavelengths_nm: FloatArray | None = None
         responses: list[FloatArray] = []  # that the pattern's codes may go through
         compensated: bool | None = None
+        # What a frame has told of the light, and one cycle of each channel by that.
         self._learned: LightEstimate | None = None
+        self._learned_cycle: npt.NDArray[np.float32] = flat_template()
         matrix, light = settings.crosstalk_matrix, np.ones(3)
         if calibration is not None:
             if calibration.pattern is not None:
@@ -101,6 +103,8 @@ class LightPath:
             return
         self._learned = light
         self._use(light.crosstalk_matrix)
+        response = ResponsePrior(np.broadcast_to(light.response, (3, len(light.response))), None)
+        self._learned_cycle = response.template(self.crosstalk.matrix, 0.0)
         self.constant_known = light.constant_known
         self.constant_sigma = light.constant_sigma if light.constant_known else _UNKNOWN_CONSTANT
 
@@ -125,8 +129,7 @@ class LightPath:
             One cycle of each balanced channel as far as it is known; see `ChannelModel.fit`.
         """
         if self._learned is not None:
-            response = np.broadcast_to(self._learned.response, (3, len(self._learned.response)))
-            return self._learned.correction, ResponsePrior(response, None).template(self.crosstalk.matrix, 0.0)
+            return self._learned.correction, self._learned_cycle
         measured = measure_correction(histogram, max(3, int(_HARMONICS_A_PIXEL * period_px)))
         fits = [prior.fit(measured, period_px) for prior in self._priors]
         if not self._equalize:

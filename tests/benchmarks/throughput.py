@@ -1,9 +1,8 @@
 """How fast footage is decoded, end to end, and what limits it: python tests/benchmarks/throughput.py --help.
 
-Each stage runs alone first: reading, decoding (kernels on all cores), writing (as many threads as in a run). The bound
-is the lower of the slowest of them and of what the cores allow: cores over the stages' summed CPU seconds a frame. The
-goal is 85 % of it. Rounds alternate between them and the best of each counts, because other programs take the cores.
-Two workers of one thread, each bound to a core of its own, are to reach 1.6 times the rate of one.
+Each stage runs alone first, in one thread: reading, decoding, writing. What the cores allow is their number over the
+stages' summed CPU seconds a frame; the goal is 85 % of it. Rounds alternate between the stages, and the best of each
+counts, because other programs take the cores. Then all run together, in a process for each core.
 """
 
 import argparse
@@ -16,11 +15,15 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+# One kernel thread, as in each of the processes; read when a device starts.
+os.environ.setdefault("TI_CPU_MAX_NUM_THREADS", "1")
+
 import _tests_path  # noqa: F401 - puts support on the path
 from support.recorded_footage import record
 
 from pipeline import DecodeSettings
 from pipeline.batch.job import Job
+from pipeline.batch.local_processes import usable_cores
 from pipeline.batch.run import decode_footage
 from pipeline.batch.worker import _WRITERS
 from pipeline.decoding.front_side import RimVotes
@@ -28,15 +31,15 @@ from pipeline.footage.source import StoredAs
 from pipeline.output.store import chosen_fields
 from tikernels import runtime
 
-_STARTING = 8  # frames
+_ALONE = 100  # frames that each stage is measured with
 
 
-def measure(n_frames: int, run: Callable[[], object]) -> tuple[float, float]:
-    """Return frames a second, and CPU seconds a frame of all threads."""
-    begin, cpu = time.perf_counter(), time.process_time()
+def measure(n_frames: int, run: Callable[[], object]) -> float:
+    """Return CPU seconds a frame, of all threads."""
+    begin = time.process_time()
     run()
     runtime.synchronize()
-    return n_frames / (time.perf_counter() - begin), (time.process_time() - cpu) / n_frames
+    return (time.process_time() - begin) / n_frames
 
 
 def stages(job: Job, n_frames: int, rounds: int) -> None:
@@ -71,38 +74,27 @@ def stages(job: Job, n_frames: int, rounds: int) -> None:
         with ThreadPoolExecutor(_WRITERS) as writers:
             list(writers.map(write_some, range(_WRITERS)))
 
-    def together() -> tuple[float, float]:
-        """Begin to measure when all buffers are there: opening takes as long whatever the footage's length."""
-        shutil.rmtree(job.store, ignore_errors=True)
-        clocks = []
-        decode_footage(job, tell=lambda done, of: clocks.append((time.perf_counter(), time.process_time())))
-        (begin, cpu_begin), (end, cpu_end) = clocks[_STARTING], clocks[-1]
-        n_timed = n_frames - _STARTING
-        return n_timed / (end - begin), (cpu_end - cpu_begin) / n_timed
+    runs = {"reading": lambda: sum(1 for _ in source.frames(0, n_frames)), "decoding": decode, "writing": write}
+    all_found = [{name: measure(n_frames, run) for name, run in runs.items()} for _ in range(rounds)]
+    found = {name: min(one[name] for one in all_found) for name in runs}
+    allowed = usable_cores() / sum(found.values())
+    print(
+        f"\n{source.size_px[0]}x{source.size_px[1]}, {len(job.fields)} fields, {usable_cores()} cores; CPU ms a frame:"
+    )
+    print(", ".join(f"{name} {1e3 * seconds:.1f}" for name, seconds in found.items()), end="")
+    print(f"; the cores allow {allowed:.1f} frames/s")
+    rate = together(job)
+    print(f"together {rate:.1f} frames/s, {rate / allowed:.0%} of that (goal: 85 %)")
+    print(f"a frame takes {_bytes(job.store) / len(source) / 1e6:.2f} MB")
 
-    runs = {
-        "reading": lambda: sum(1 for _ in source.frames(0, n_frames)),
-        "decoding": decode,
-        "writing": write,
-    }
-    all_found = [
-        {**{name: measure(n_frames, run) for name, run in runs.items()}, "together": together()} for _ in range(rounds)
-    ]
-    found = {
-        name: tuple(best(one[name][i] for one in all_found) for i, best in enumerate((max, min)))
-        for name in all_found[0]
-    }
-    whole = found.pop("together")
-    cores = len(os.sched_getaffinity(0))
-    cpu_s = sum(seconds for _, seconds in found.values())
-    bound = min(*(rate for rate, _ in found.values()), cores / cpu_s)
-    print(f"\n{source.size_px[0]}x{source.size_px[1]}, {len(job.fields)} fields, {n_frames} frames, {cores} cores")
-    print(f"{'':12}{'frames/s':>10}{'CPU ms/frame':>14}")
-    for name, (rate, seconds) in {**found, "together": whole}.items():
-        print(f"{name:12}{rate:10.1f}{1e3 * seconds:14.1f}")
-    print(f"cores allow {cores / cpu_s:.1f} frames/s; together {whole[0] / bound:.0%} of the bound (goal: 85 %),")
-    print(f"and {whole[1] / cpu_s:.2f} times the stages' CPU time")
-    print(f"a frame takes {_bytes(job.store) / n_frames / 1e6:.2f} MB")
+
+def together(job: Job) -> float:
+    """Return frames a second of a run, between its first and its last fifth: starting takes as long for any length."""
+    shutil.rmtree(job.store, ignore_errors=True)
+    clocks: list[float] = []
+    decode_footage(job, tell=lambda done, of: clocks.append(time.perf_counter()))
+    first, last = len(clocks) // 5, 4 * len(clocks) // 5
+    return (last - first) / (clocks[last] - clocks[first])
 
 
 def long_run(job: Job, n_frames: int) -> None:
@@ -119,32 +111,6 @@ def long_run(job: Job, n_frames: int) -> None:
     print(f"memory after frame 100: {sizes[100]:.0f} MB, at the end {sizes[n_frames]:.0f} (goal: 20 more at most)")
 
 
-def two_workers(job: Job, n_frames: int) -> None:
-    """Compare one and two workers of one thread, each bound to one core."""
-    from distributed import Client
-
-    from pipeline.batch.cluster import local_cluster
-
-    os.environ["TI_CPU_MAX_NUM_THREADS"] = "1"
-    rates = {}
-    for n_workers in (1, 2):
-        with local_cluster(n_workers) as cluster, Client(cluster) as client:
-            cores = sorted(os.sched_getaffinity(0))
-            for k, address in enumerate(client.scheduler_info()["workers"]):
-                client.run(_bind, cores[k % len(cores)], workers=[address])
-            store = f"{job.store}.{n_workers}"
-            decode_footage(replace(job, store=f"{store}.warm"), stop=128 * n_workers, cluster=cluster.scheduler_address)
-            begin = time.perf_counter()
-            decode_footage(replace(job, store=store), stop=n_frames, cluster=cluster.scheduler_address)
-            rates[n_workers] = n_frames / (time.perf_counter() - begin)
-    print(f"one worker {rates[1]:.1f}, two {rates[2]:.1f} frames/s: {rates[2] / rates[1]:.2f} times (goal: 1.6)")
-
-
-def _bind(core: int) -> None:
-    for thread in os.listdir("/proc/self/task"):
-        os.sched_setaffinity(int(thread), {core})
-
-
 def _bytes(folder: str) -> int:
     return sum(path.stat().st_size for path in Path(folder).rglob("*") if path.is_file())
 
@@ -152,14 +118,14 @@ def _bytes(folder: str) -> int:
 def main() -> None:
     """Parse and measure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--frames", type=int, default=100, help="a round")
+    parser.add_argument("--frames", type=int, default=768, help="of the footage")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--sizes", nargs="*", default=["640x480", "1920x1080"])
     parser.add_argument("--fields", nargs="*", help="left out: all")
     parser.add_argument("--arch", default="cpu")
-    parser.add_argument("--workers", action="store_true", help="compare one and two workers instead")
     parser.add_argument("--long", action="store_true", help="compare the end of a long run with its beginning instead")
     options = parser.parse_args()
+    runtime.init(options.arch)
     for size in options.sizes:
         width, height = map(int, size.split("x"))
         with tempfile.TemporaryDirectory() as folder:
@@ -168,12 +134,10 @@ def main() -> None:
             fields = chosen_fields(options.fields, in_mm=True)
             says = StoredAs()
             job = Job(str(film), says, DecodeSettings(), rig, None, 1, 0, fields, f"{folder}/result.zarr", options.arch)
-            if options.workers:
-                two_workers(job, options.frames)
-            elif options.long:
+            if options.long:
                 long_run(job, options.frames)
             else:
-                stages(job, options.frames, options.rounds)
+                stages(job, _ALONE, options.rounds)
 
 
 if __name__ == "__main__":

@@ -1,24 +1,17 @@
-"""Real processes of Dask distributed: the same bytes as here, whoever dies on the way."""
+"""Real processes of Dask distributed: the same bytes as here."""
 
-import os
-import signal
 import socket
-import subprocess
 import threading
-import time
-from contextlib import suppress
-from pathlib import Path
 
 import pytest
-from support.command_line import command
+from support.dask_cluster import local_cluster
 from support.missing import import_but_fail_in_ci
 from support.recorded_footage import contents, record
 
 from pipeline import DecodeSettings
-from pipeline.batch.cluster import local_cluster
-from pipeline.batch.job import CHAIN_FRAMES, Job
+from pipeline.batch.job import Job
 from pipeline.batch.run import decode_footage
-from pipeline.errors import ClusterError, FootageError
+from pipeline.errors import ClusterError
 from pipeline.footage.source import StoredAs
 from pipeline.output.store import chosen_fields
 
@@ -53,88 +46,12 @@ def job_of(folder, store):
     return Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu")
 
 
-def children():
-    """Return the processes that run frames for us: Dask's workers, which their nannies have started."""
-    mine, found = os.getpid(), []
-    for folder in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == mine and b"spawn_main" in (folder / "cmdline").read_bytes():
-                found.append(int(folder.name))
-        except (OSError, IndexError):
-            pass  # it has ended
-    return found
-
-
 @pytest.mark.long
-@pytest.mark.skipif(not Path("/proc").exists(), reason="processes are found in /proc")
-def test_workers_that_are_killed(folder, here, tmp_path):
+def test_the_same_bytes_as_here(folder, here, tmp_path):
     store = tmp_path / "result.zarr"
-    killed = []
-
-    def kill():
-        """Kill a worker whenever twenty more frames are done."""
-        for target in (15, 60, 110):
-            while not finished.is_set() and len(list((store / "done").glob("c.*"))) < target:
-                time.sleep(0.005)
-            if not finished.is_set() and (workers := children()):
-                os.kill(workers[len(killed) % len(workers)], signal.SIGKILL)
-                killed.append(target)
-
-    finished = threading.Event()
-    killer = threading.Thread(target=kill)
-    killer.start()
-    try:
-        summary = decode_footage(job_of(folder, store), workers=2)
-    finally:
-        finished.set()
-        killer.join()
-    assert killed[:2] == [15, 60]
-    assert summary.bad == []
+    with local_cluster(2) as cluster:
+        decode_footage(job_of(folder, store), cluster=cluster.scheduler_address)
     assert contents(store) == here
-
-
-@pytest.mark.long
-@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
-def test_ctrl_c_at_the_terminal(folder, tmp_path):
-    """Workers end with the frame that they are at, and neither they nor Dask say anything."""
-    arguments = command("decode", folder / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu", "--workers", "2")
-    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    marks = tmp_path / "out" / "result.zarr" / "done"
-    with process:
-        while len(list(marks.glob("c.*"))) < 5:
-            assert process.poll() is None
-            time.sleep(0.005)
-        os.killpg(process.pid, signal.SIGINT)
-        _, said = process.communicate(timeout=120)
-    assert process.returncode == 130
-    n_done = len(list(marks.glob("c.*")))
-    assert said == f"stopped: {n_done} of {N_FRAMES} frames are done; the same command goes on from there\n"
-    assert n_done < CHAIN_FRAMES
-    assert not list((tmp_path / "out").rglob("*.part*"))
-
-
-def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
-    """A damaged frame ends a strict run with its number."""
-    film = tmp_path / "film.zarr"
-    record(film, 70)
-    (film / "frames" / "c.66.0.0.0").unlink()
-    fields = chosen_fields(("mask",), in_mm=False)
-    job = Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r.zarr"), "cpu")
-    with pytest.raises(FootageError, match=r"frame 66 of .*film\.zarr: it is missing"):
-        decode_footage(job, strict=True, workers=1)
-    assert decode_footage(job).bad[0].number == 66
-
-
-def test_another_cluster_on_this_machine(recwarn):
-    """Its port for pages about itself, which nobody asks for, is taken."""
-    with socket.socket() as taken:
-        with suppress(OSError):  # or it is in use already
-            taken.bind(("127.0.0.1", 8787))
-            taken.listen()
-        with local_cluster(1) as cluster:
-            assert len(cluster.scheduler_info["workers"]) == 1
-    assert not recwarn.list
 
 
 def test_no_scheduler(folder, tmp_path):

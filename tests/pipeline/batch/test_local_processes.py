@@ -1,0 +1,145 @@
+"""Real processes on this machine: the same bytes as in one, whoever dies on the way."""
+
+import os
+import shutil
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import pytest
+from support.command_line import command
+from support.recorded_footage import contents, record
+
+from pipeline import DecodeSettings
+from pipeline.batch import local_processes, run
+from pipeline.batch.job import CHAIN_FRAMES, Job
+from pipeline.batch.run import decode_footage
+from pipeline.errors import ClusterError, FootageError, OutputError
+from pipeline.footage.source import StoredAs
+from pipeline.output.store import chosen_fields
+
+pytestmark = pytest.mark.usefixtures("kernels_on_disk")
+N_FRAMES = 200
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, cpu):
+    folder = tmp_path_factory.mktemp("cluster")
+    record(folder / "film.mkv", N_FRAMES)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def here(folder):
+    """Return what a run in this process stores."""
+    store = folder / "here.zarr"
+    decode_footage(job_of(folder, store))
+    return contents(store)
+
+
+def job_of(folder, store):
+    fields = chosen_fields(("mask", "unwrapped_phase", "phase_sigma"), in_mm=False)
+    film = str(folder / "film.mkv")
+    return Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu")
+
+
+def children():
+    """Return the processes that decode frames for us."""
+    mine, found = os.getpid(), []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
+            if parent == mine and b"worker_process" in (folder / "cmdline").read_bytes():
+                found.append(int(folder.name))
+        except (OSError, IndexError):
+            pass  # it has ended
+    return found
+
+
+@pytest.mark.long
+@pytest.mark.skipif(not Path("/proc").exists(), reason="processes are found in /proc")
+def test_processes_that_are_killed(folder, here, tmp_path):
+    store = tmp_path / "result.zarr"
+    killed = []
+
+    def kill():
+        """Kill a worker whenever twenty more frames are done."""
+        for target in (15, 60, 110):
+            while not finished.is_set() and len(list((store / "done").glob("c.*"))) < target:
+                time.sleep(0.005)
+            if not finished.is_set() and (workers := children()):
+                os.kill(workers[len(killed) % len(workers)], signal.SIGKILL)
+                killed.append(target)
+
+    finished = threading.Event()
+    killer = threading.Thread(target=kill)
+    killer.start()
+    try:
+        summary = decode_footage(job_of(folder, store), workers=2)
+    finally:
+        finished.set()
+        killer.join()
+    assert killed[:2] == [15, 60]
+    assert summary.bad == []
+    assert contents(store) == here
+
+
+@pytest.mark.long
+@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
+def test_ctrl_c_at_the_terminal(folder, tmp_path):
+    """What is stored is whole, and no process says anything."""
+    arguments = command("decode", folder / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu", "--workers", "2")
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    marks = tmp_path / "out" / "result.zarr" / "done"
+    with process:
+        while len(list(marks.glob("c.*"))) < 5:
+            assert process.poll() is None
+            time.sleep(0.005)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    n_done = len(list(marks.glob("c.*")))
+    assert said == f"stopped: {n_done} of {N_FRAMES} frames are done; the same command goes on from there\n"
+    assert n_done < CHAIN_FRAMES
+    assert not list((tmp_path / "out").rglob("*.part*"))
+
+
+def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
+    """A damaged frame ends a strict run with its number."""
+    film = tmp_path / "film.zarr"
+    record(film, 70)
+    (film / "frames" / "c.66.0.0.0").unlink()
+    fields = chosen_fields(("mask",), in_mm=False)
+    job = Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r.zarr"), "cpu")
+    with pytest.raises(FootageError, match=r"frame 66 of .*film\.zarr: it is missing"):
+        decode_footage(job, strict=True, workers=2)
+    assert decode_footage(job).bad[0].number == 66
+
+
+def test_that_die_again_and_again(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(local_processes, "_SILENT_S", 0.0)
+    with pytest.raises(ClusterError, match="processes died over the same frames"):
+        decode_footage(job_of(folder, tmp_path / "result.zarr"), workers=2)
+
+
+def test_an_error_of_ours_comes_back_as_it_was(folder, tmp_path):
+    """A store that vanishes is told in the words that this process would use."""
+    job = job_of(folder, tmp_path / "result.zarr")
+
+    def remove(done, of):
+        if done == 5:
+            shutil.rmtree(job.store, ignore_errors=True)
+
+    with pytest.raises(OutputError, match="has vanished"):
+        decode_footage(job, workers=2, tell=remove)
+
+
+def test_how_many_processes_are_worth_their_start(folder, tmp_path, monkeypatch):
+    job = job_of(folder, tmp_path / "result.zarr")
+    monkeypatch.setattr(run, "usable_cores", lambda: 8)
+    frames = range(1024)
+    assert run._worthwhile_processes(job, [(frames, frozenset(frames))]) == 8
+    assert run._worthwhile_processes(job, [(frames, frozenset(frames[:300]))]) == 2
+    assert run._worthwhile_processes(job, [(frames, frozenset(frames[:10]))]) == 0
