@@ -39,6 +39,8 @@ def kernel(function: Function) -> Function:
     kinds = [_kind(argument.annotation) for argument in primal.arguments]
     if None in kinds or primal.return_type is not None:
         return cast(Function, plain)
+    # Axes of an array that are those of its elements: none, or one of vectors.
+    inner = [getattr(getattr(argument.annotation, "dtype", None), "ndim", 0) for argument in primal.arguments]
     kept: dict[Any, Any] = {}
     _kept.append(kept)
     implementation = ti.lang.impl
@@ -70,9 +72,9 @@ def kernel(function: Function) -> Function:
         program, code, context, last = known
         with _lock:
             place = 0
-            for kind, value in zip(kinds, arguments, strict=True):
+            for kind, value, axes in zip(kinds, arguments, inner, strict=True):
                 if kind == _ARRAY:
-                    now = (value.__array_interface__["data"][0], value.shape)
+                    now = (value.__array_interface__["data"][0], value.shape[: value.ndim - axes])
                     if last.get(place) != now:
                         context.set_arg_external_array_with_shape((place,), now[0], value.nbytes, now[1], 0)
                         last[place] = now
@@ -103,7 +105,7 @@ def _kind(annotation: Any) -> int | None:
     if isinstance(annotation, ti.template):
         return _CONSTANT
     if isinstance(annotation, ti.types.ndarray):
-        return None if isinstance(annotation.dtype, ti.lang.matrix.MatrixType) else _ARRAY
+        return _ARRAY
     if id(annotation) in ti.types.primitive_types.real_type_ids:
         return _FLOAT
     return _INTEGER if annotation in (ti.i32, ti.u1) else None

@@ -5,6 +5,8 @@ scatter is not known; both are integrated over, and what the other parts say of 
 `docs/coded_pattern.md` has the derivation.
 """
 
+from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
@@ -32,6 +34,8 @@ _FREEDOM = 4.0
 # A median of n values scatters 1.25 / sqrt(n) as much as they do; the scatter that a part's own columns show counts as
 # much as the frame's when there are eight of them.
 _MEDIAN_SCATTER, _SCATTER_PRIOR = 1.2533, 8.0
+# Numbers that are worked on together: they stay in a core's cache.
+_MOST_AT_ONCE = 2**18
 # Standard deviation of a cycle's level, what its columns have in common included.
 _LEVEL_SIGMA = 0.01
 
@@ -93,31 +97,56 @@ def _scatter(deviations: FloatArray) -> float:
     return robust_sigma(deviations) if len(deviations) else 0.0
 
 
-def log_likelihood(part: PartSteps) -> tuple[int, FloatArray]:
-    """Return the smallest offset, and the (strengths, spreads, offsets) logarithm of how probable a part's steps are.
+def log_likelihoods(parts: list[PartSteps]) -> list[tuple[int, FloatArray]]:
+    """Return the smallest offset of each part, and the logarithm of how probable its steps are at each of its offsets.
+
+    That is a (strengths, spreads, offsets) array.
 
     A step is Student-distributed about the code's. What all steps have in common, and a trend, is the contrast's own
     slow change; it is of the order of the spread, and integrated over.
     """
-    lower_orders = part.lower_orders
-    if len(lower_orders) == 0:
-        return 0, np.zeros((len(STRENGTHS), len(_SPREADS), 0))
-    offsets, count = _offsets(part), len(lower_orders)
-    variance = _SPREADS[:, None] ** 2 + part.noise
+    found = [(0, np.zeros((len(STRENGTHS), len(_SPREADS), 0)))] * len(parts)
+    by_count = defaultdict(list)
+    for number, part in enumerate(parts):
+        by_count[len(part.lower_orders)].append(number)
+    for count, numbers in by_count.items():
+        if count == 0:
+            continue
+        # Parts of as many steps at once, so many that their deviations take some megabytes.
+        at_once = max(1, _MOST_AT_ONCE // (len(STRENGTHS) * CYCLES * count))
+        for first in range(0, len(numbers), at_once):
+            some = numbers[first : first + at_once]
+            for number, likelihood in zip(some, _alike_likelihoods([parts[k] for k in some]), strict=True):
+                found[number] = (int(-parts[number].lower_orders[0]), likelihood)
+    return found
+
+
+def _alike_likelihoods(parts: list[PartSteps]) -> list[FloatArray]:
+    """Return `log_likelihoods` of parts that have as many steps."""
+    orders = np.stack([part.lower_orders for part in parts])
+    count, last = orders.shape[1], CYCLES - 2
+    n_offsets = last + 1 - (orders[:, -1] - orders[:, 0])
+    places = orders - orders[:, :1]
+    places = np.minimum(places[:, None] + np.arange(n_offsets.max())[:, None], last)  # (n, offsets, count)
+    variance = _SPREADS[:, None] ** 2 + np.stack([part.noise for part in parts])[:, None]  # (n, spreads, count)
     line = np.stack([np.ones(count), np.linspace(-1, 1, count)])
-    weighted = line / variance[:, None]
+    weighted = line / variance[:, :, None]
     normal = weighted @ line.T + np.eye(2) / _SPREADS[:, None, None] ** 2
-    deviations = part.middle - np.diff(_levels())[:, lower_orders + offsets[:, None]]
-    deviations = deviations.reshape(-1, count).astype(np.float32)
-    fits = []
-    # In single precision: a large part has a hundred thousand deviations.
-    for along, scale in zip(np.linalg.solve(normal, weighted), 1 / np.sqrt(_FREEDOM * variance), strict=True):
-        left = deviations * scale.astype(np.float32)
-        left -= (deviations @ along.T.astype(np.float32)) @ (line * scale).astype(np.float32)
-        fits.append(np.log1p(np.square(left, out=left), out=left) @ np.ones(count, np.float32))
-    fit = np.stack(fits, axis=1).reshape(len(STRENGTHS), len(offsets), -1).transpose(0, 2, 1)
     constant = np.log(variance).sum(axis=-1) + np.linalg.slogdet(normal)[1] + 4 * np.log(_SPREADS)
-    return int(-lower_orders[0]), -0.5 * (_FREEDOM + 1) * fit.astype(np.float64) - 0.5 * constant[:, None]
+    # In single precision: a large part has a hundred thousand deviations.
+    middle = np.stack([part.middle for part in parts]).astype(np.float32)
+    deviations = middle[:, None, None] - np.diff(_levels()).astype(np.float32)[:, places].swapaxes(0, 1)
+    deviations = deviations.reshape(len(parts), -1, count)
+    fits = []
+    along, scale = np.linalg.solve(normal, weighted), (1 / np.sqrt(_FREEDOM * variance)).astype(np.float32)
+    for k in range(len(_SPREADS)):
+        left = deviations * scale[:, k, None]
+        shape = (line * scale[:, k, None]).astype(np.float32)
+        left -= (deviations @ along[:, k].swapaxes(1, 2).astype(np.float32)) @ shape
+        fits.append(np.log1p(np.square(left, out=left), out=left) @ np.ones(count, np.float32))
+    fit = np.stack(fits, axis=1).reshape(len(parts), len(_SPREADS), len(STRENGTHS), -1).swapaxes(1, 2)
+    likelihoods = -0.5 * (_FREEDOM + 1) * fit.astype(np.float64) - 0.5 * constant[:, None, :, None]
+    return [likelihood[..., :offsets] for likelihood, offsets in zip(likelihoods, n_offsets, strict=True)]
 
 
 def part_level(part: PartSteps) -> PartLevel | None:
@@ -148,34 +177,54 @@ def code_posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray)
     Parameters
     ----------
     likelihoods : n (int, (strengths, spreads, offsets) float)
-        Of `log_likelihood`.
+        Of `log_likelihoods`.
     luck : (n,) float
         Logarithm by how much likelier than it seems each part shows no code at all.
     """
     alone = np.log(_STRENGTH_PRIOR / len(_SPREADS))[:, None] + np.zeros(len(_SPREADS))
-    evidence = np.array([_evidence(part) for _, part in likelihoods]).reshape(-1, *alone.shape)
+    n_offsets = np.array([part.shape[-1] for _, part in likelihoods], np.int64)
+    read = n_offsets > 0
+    evidence = np.zeros((len(likelihoods), *alone.shape))
+    for some, padded in _padded(likelihoods):
+        # Of each strength and spread, by a part of any offset; without steps a part says nothing.
+        evidence[some] = np.where(
+            read[some, None, None], _log_sum(padded) - np.log(np.maximum(n_offsets, 1))[some, None, None], 0
+        )
     shown = alone + evidence.sum(axis=0)
-    read = np.array([part.shape[-1] > 0 for _, part in likelihoods], np.bool_)
     evidence[np.ix_(read, STRENGTHS == 0)] += luck[read, None, None]
     together = alone + evidence.sum(axis=0)
-    posteriors = []
-    for (first, likelihood), own, more in zip(likelihoods, evidence, luck, strict=True):
-        if likelihood.shape[-1] == 0:
-            posteriors.append(NOTHING_KNOWN)
-            continue
-        others = together - own
-        others -= np.logaddexp.reduce(others, axis=None)
+    posteriors = [NOTHING_KNOWN] * len(likelihoods)
+    for some, padded in _padded(likelihoods):
+        others = together - evidence[some]
+        others -= _log_sum(others.reshape(len(others), -1))[:, None, None]
         prior = np.logaddexp(np.log(1 - _UNALIKE) + others, np.log(_UNALIKE) + alone)
-        prior[STRENGTHS == 0] += more
-        logarithm = np.logaddexp.reduce(prior[..., None] + likelihood, axis=(0, 1))
-        probability = np.exp(logarithm - logarithm.max())
-        posteriors.append(Posterior(first, probability / probability.sum()))
-    without = np.logaddexp.reduce(shown[STRENGTHS == 0], axis=None)
-    return posteriors, bool(without < np.logaddexp.reduce(shown[STRENGTHS > 0], axis=None))
+        prior[:, STRENGTHS == 0] += luck[some, None, None]
+        logarithm = _log_sum((prior[..., None] + padded).reshape(len(padded), -1, padded.shape[-1]).swapaxes(1, 2))
+        probability = np.exp(logarithm - logarithm.max(axis=1, keepdims=True, initial=-1e300))
+        for k, own in zip(range(some.start, some.stop), probability, strict=True):
+            if read[k]:
+                own = own[: n_offsets[k]]
+                posteriors[k] = Posterior(likelihoods[k][0], own / own.sum())
+    without, with_code = _log_sum(shown[STRENGTHS == 0].ravel()), _log_sum(shown[STRENGTHS > 0].ravel())
+    return posteriors, bool(without < with_code)
 
 
-def _evidence(likelihood: FloatArray) -> FloatArray:
-    """Return how probable each strength and spread is by a part of any offset; without steps it says nothing."""
-    if likelihood.shape[-1] == 0:
-        return np.zeros(likelihood.shape[:-1])
-    return np.asarray(np.logaddexp.reduce(likelihood, axis=-1) - np.log(likelihood.shape[-1]))
+def _padded(likelihoods: list[tuple[int, FloatArray]]) -> Iterator[tuple[slice, FloatArray]]:
+    """Yield the likelihoods of some parts at a time as one array, -inf where a part has fewer offsets."""
+    widest = max((part.shape[-1] for _, part in likelihoods), default=0)
+    if widest == 0:
+        return
+    at_once = max(1, _MOST_AT_ONCE // (len(STRENGTHS) * len(_SPREADS) * widest))
+    for first in range(0, len(likelihoods), at_once):
+        some = slice(first, min(first + at_once, len(likelihoods)))
+        padded = np.full((some.stop - first, len(STRENGTHS), len(_SPREADS), widest), -np.inf)
+        for place, (_, part) in zip(padded, likelihoods[some], strict=True):
+            place[..., : part.shape[-1]] = part
+        yield some, padded
+
+
+def _log_sum(logarithms: FloatArray) -> FloatArray:
+    """Return the logarithm of the sum over the last axis; five times as fast as `np.logaddexp.reduce`."""
+    most = np.maximum(logarithms.max(axis=-1, initial=-np.inf), -1e300)
+    with np.errstate(divide="ignore"):
+        return np.asarray(most + np.log(np.exp(logarithms - most[..., None]).sum(axis=-1)))

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.orders.border_settling import settle_borders
-from pipeline.orders.code_posterior import code_posteriors, log_likelihood, part_level, seen_steps
+from pipeline.orders.code_posterior import code_posteriors, log_likelihoods, part_level, seen_steps
 from pipeline.orders.contrast_cycles import Steps, read_cycles
 from pipeline.orders.frame_context import level_evidence, log_nearness, nearness
 from pipeline.orders.posterior import (
@@ -109,7 +109,7 @@ def _placed(
     places = np.ptp(steps.order) if len(steps.order) else 1
     ends = np.where(origin == parts, 1, 2)  # of what remains of the region the labels have found one
     luck = np.where(origin >= 0, ends * np.log(max(places, 1)), 0.0)
-    likelihoods = [log_likelihood(part) for part in seen]
+    likelihoods = log_likelihoods(seen)
     posteriors, readable = code_posteriors(likelihoods, luck)
     sure = [k for k, found in enumerate(posteriors) if found.error(found.best) < MAX_ABSOLUTE_ERROR]
     if readable and sure:

@@ -24,6 +24,8 @@ _ANY_SHARE = 0.1
 _FREEDOM, _STUDENT, _MIN_SIGMA, _MAX_DEVIATION = 4.0, 0.375, 0.01, 0.2
 # Of a part more pixels than this tell no more.
 _MANY_PX = 5000
+# Among more placed parts a part is not left out of what is usual when its own level is judged: it hardly counts.
+_FEW_PLACED = 64
 # Half of all surfaces lie within this many cycles of those that are known, beside a plane through the frame.
 _NEAR_CYCLES = 4.0
 
@@ -62,12 +64,15 @@ def level_evidence(levels: list[PartLevel | None], sure: dict[int, int], pixels:
     factors = np.array([level.factor(sure[k]) for k in placed if (level := levels[k]) is not None])
     weights = np.sqrt(np.minimum(pixels[placed], _MANY_PX))
     evidence: list[FloatArray | float] = []
+    by_all = _usual_factor(factors, weights) if len(placed) else None
+    itself = frozenset(placed.tolist()) if len(placed) <= _FEW_PLACED else frozenset()
     for part, level in enumerate(levels):
-        others = placed != part
-        if level is None or not others.any():
+        if level is None or by_all is None or itself == {part}:
             evidence.append(0.0)
             continue
-        usual, spread = _usual_factor(factors[others], weights[others])
+        usual, spread = by_all
+        if part in itself:
+            usual, spread = _usual_factor(factors[placed != part], weights[placed != part])
         away = level.seen - level.code - usual[:, None]
         variance = (spread**2 + _MIN_SIGMA**2 + level.variance)[:, None]
         alike = np.log((1 - _ANY_SHARE) * _STUDENT) - 0.5 * np.log(variance)

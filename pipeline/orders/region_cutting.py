@@ -108,11 +108,11 @@ def cut_regions(
     owner = graph.root[steps.low]
     pixels, count = np.bincount(graph.root, graph.pixels), np.bincount(owner, minlength=len(graph.root))
     regions = np.flatnonzero(pixels >= _MIN_PARTED_PX)
+    regions = regions[count[regions] >= _MIN_STEPS]
     number = np.empty(len(graph.root), np.int64)
-    for region in regions[count[regions] >= _MIN_STEPS]:
-        patches, own = np.flatnonzero(graph.root == region), np.flatnonzero(owner == region)
+    held = (_held_by(owners, regions) for owners in (graph.root, owner, graph.root[graph.ends[0]]))
+    for region, patches, own, within in zip(regions, *held, strict=True):
         number[patches] = np.arange(len(patches))
-        within = graph.root[graph.ends[0]] == region
         ends, support = number[graph.ends[:, within]], np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
         seen = (number[steps.low[own]], number[steps.high[own]]), steps.order[own], steps.rise[own]
         lowest, highest = int(steps.order[own].min()), int(steps.order[own].max())
@@ -128,6 +128,13 @@ def cut_regions(
         own_offset = np.bincount(pieces[labels == 0], graph.pixels[patches][labels == 0], len(patches))
         main[region] = patches[own_offset.argmax()]
     return roots, main
+
+
+def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integers]:
+    """Return of each region, in the order of their numbers, the places at which it is the owner."""
+    order = np.argsort(owners, kind="stable")
+    firsts, lasts = (np.searchsorted(owners[order], regions, side) for side in ("left", "right"))
+    return [order[first:last] for first, last in zip(firsts, lasts, strict=True)]
 
 
 def _labels(

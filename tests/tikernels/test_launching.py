@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tikernels import launching, runtime
-from tikernels._taichi import AnyArray2, F32Array1, F32Array2, Static, f32, i32, ti
+from tikernels._taichi import AnyArray2, F32Array1, F32Array2, Static, Vec16Array1, Vec16Array2, f32, i32, ti
 from tikernels.launching import kernel
 
 
@@ -23,6 +23,15 @@ def add_kernel(values: F32Array2, times: Static, factor: f32, offset: i32, out: 
 def double_kernel(values: AnyArray2, out: F32Array1):
     for y in range(values.shape[0]):
         out[y] = 2.0 * values[y, 0]
+
+
+@kernel
+def add_vectors_kernel(values: Vec16Array2, out: Vec16Array1):
+    for y in range(values.shape[0]):
+        total = values[y, 0]
+        for x in range(1, values.shape[1]):
+            total += values[y, x]
+        out[y] = total
 
 
 def added(values, times, factor, offset):
@@ -46,6 +55,14 @@ def test_element_types_take_turns(arch):
         values = np.arange(6, dtype=dtype).reshape(3, 2)
         double_kernel(values, out)
         np.testing.assert_array_equal(out, 2 * values[:, 0])
+
+
+def test_arrays_of_vectors(arch):
+    rng = np.random.default_rng(1)
+    for rows, columns in ((3, 2), (5, 4), (1, 1), (3, 2)):
+        values, out = rng.normal(size=(rows, columns, 16)).astype(np.float32), np.zeros((rows, 16), np.float32)
+        add_vectors_kernel(values, out)
+        np.testing.assert_allclose(out, values.sum(axis=1), atol=1e-5)
 
 
 def test_little_is_kept(arch):

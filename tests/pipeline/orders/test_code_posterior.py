@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.coded_steps import shown
 
-from pipeline.orders.code_posterior import STRENGTHS, code_posteriors, log_likelihood, part_level, seen_steps
+from pipeline.orders.code_posterior import STRENGTHS, code_posteriors, log_likelihoods, part_level, seen_steps
 from pipeline.pattern.contrast_code import contrast_levels
 
 PART = np.array([0])
@@ -18,20 +18,20 @@ def seen(rows, lack, **surface):
 
 @pytest.mark.parametrize("lack", [0, 7, 80])
 def test_ten_cycles_name_their_place(lack):
-    (posterior,), readable = code_posteriors([log_likelihood(seen(10, lack))], np.zeros(1))
+    (posterior,), readable = code_posteriors(log_likelihoods([seen(10, lack)]), np.zeros(1))
     assert readable and posterior.best == lack and posterior.error(lack) < 1e-6
 
 
 def test_few_cycles_do_not():
-    (posterior,), _ = code_posteriors([log_likelihood(seen(4, 20))], np.zeros(1))
+    (posterior,), _ = code_posteriors(log_likelihoods([seen(4, 20)]), np.zeros(1))
     assert posterior.error(posterior.best) > 1e-3
 
 
 def test_chance_that_looks_like_the_code_is_doubted():
-    likelihood = log_likelihood(seen(7, 20))
+    likelihoods = log_likelihoods([seen(7, 20)])
     errors = []
     for luck in (0.0, 12.0):
-        (posterior,), _ = code_posteriors([likelihood], np.array([luck]))
+        (posterior,), _ = code_posteriors(likelihoods, np.array([luck]))
         errors.append(posterior.error(20))
     assert errors[1] > 10 * errors[0]
 
@@ -47,5 +47,14 @@ def test_how_high_the_contrast_is():
 def test_a_part_without_steps():
     nothing = seen(1, 0)
     assert part_level(nothing) is None
-    (posterior,), _ = code_posteriors([log_likelihood(nothing)], np.zeros(1))
+    (posterior,), _ = code_posteriors(log_likelihoods([nothing]), np.zeros(1))
     assert posterior.error(0) == 1
+
+
+def test_many_parts_are_read_as_each_by_itself():
+    """Of any number of steps and offsets, in any order."""
+    parts = [seen(rows, lack) for rows, lack in ((5, 3), (1, 0), (9, 40), (5, 60), (2, 7))]
+    for together, part in zip(log_likelihoods(parts), parts, strict=True):
+        ((first, alone),) = log_likelihoods([part])
+        assert together[0] == first
+        np.testing.assert_allclose(together[1], alone, rtol=1e-5, atol=1e-5)
