@@ -160,9 +160,11 @@ class FirstLook:
     def unlit(self) -> npt.NDArray[np.bool_]:
         """Return which pixels are dark, or show no fringe over most of a cycle, (H, W)."""
         part = np.ones((max(3, int(_SWING_CYCLES * self.gains.period_px)), 1), np.uint8)
-        swing = (cv2.dilate(self.image, part).astype(np.float32) - cv2.erode(self.image, part)).max(axis=-1)
-        dark = self.image.sum(axis=-1, dtype=np.float32) < 3 * self.levels.intensity
-        return np.asarray(dark | (swing < 2 * self.levels.modulation))
+        # Channel by channel: NumPy reduces an axis of three at a tenth of the speed.
+        red, green, blue = cv2.split(cv2.morphologyEx(self.image, cv2.MORPH_GRADIENT, part))
+        swing = cv2.max(cv2.max(red, green), blue)
+        light = sum(channel.astype(np.float32) for channel in cv2.split(self.image))
+        return np.asarray((light < 3 * self.levels.intensity) | (swing < 2 * self.levels.modulation))
 
     def sample_places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Return the rows and columns of the samples that gains are measured from; see `color_balance.py`."""

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from bench_decode import frame
+from bench_decode import tiled
 from skimage.restoration import unwrap_phase
 
 import tikernels
@@ -41,7 +41,7 @@ def main() -> None:
     print(f"{decoder.arch}, {runtime.kernel_language()}; best of twelve, ms, and times faster than scikit-image")
     print(f"{'size':>11} {'directional':>18} {'reliability':>18} {'scikit-image':>14} {'orders differ':>14}")
     for height, width in SIZES:
-        decoded = decoder.decode(frame(height, width))
+        decoded = decoder.decode(tiled(width, height))
         mask, quality = decoded.mask, decoded.modulation
         phase = np.nan_to_num(decoded.wrapped_phase)
         masked = np.ma.masked_array(phase, ~mask)
