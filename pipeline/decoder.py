@@ -15,7 +15,7 @@ from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.front_side import RimVotes, ask_rims
 from pipeline.decoding.light_path import LightPath
 from pipeline.decoding.self_calibration import LightEstimate, estimate_light
-from pipeline.decoding.surface_search import FoundSurfaces, NoModelFits
+from pipeline.decoding.surface_search import FoundSurfaces, NoModelFits, OnlyColor
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError, DecodeWarning
@@ -247,7 +247,7 @@ class Decoder:
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)
         mismatch = model.mismatch if found is None else found.mismatch
-        odd = looked.odd if isinstance(looked, FoundSurfaces) else looked
+        odd = looked if isinstance(looked, NoModelFits) else None if found is None else found.odd
         fast = 0.0 if motion is None else motion.too_fast
         doubt = np.hypot(mismatch, 0.0 if odd is None else odd.phase_rad) if found is None else found.constant_sigma
         light = (model.contrast, mismatch, odd, fast, lambda: self._mm_per_rad(surface))
@@ -255,7 +255,7 @@ class Decoder:
             phases,
             surface,
             phase_counts=counts,
-            surfaces=found,
+            surfaces=None if isinstance(looked, NoModelFits) else looked,
             at_rest=self.settings.field_times is None or motion is not None,
             orders=orders,
             constant_known=path.constant_known,
@@ -327,7 +327,7 @@ class Decoder:
         correction: npt.NDArray[np.float32],
         cycle: npt.NDArray[np.float32],
         memory: FrameMemory | None,
-    ) -> FoundSurfaces | NoModelFits | None:
+    ) -> FoundSurfaces | OnlyColor | NoModelFits | None:
         """Find what the surfaces' colours make of the crosstalk; None: nothing beyond what the balance undoes."""
         path, model = self._path, work.model
         if path.surfaces is None:

@@ -13,6 +13,7 @@ import numpy as np
 from tikernels import runtime
 from tikernels.arrays import U8, Array, E, Mask
 from tikernels.errors import ShapeError
+from tikernels.launching import is_constant
 
 #: Any array, as a host function declares it.
 A = TypeVar("A")
@@ -32,7 +33,7 @@ def read_array(name: str, array: A, shape: Sequence[int | None], *dtypes: type[n
         return array
     contiguous = np.ascontiguousarray(array)
     # A GPU launch copies every NumPy argument back, which a read-only array does not survive.
-    if arch != "cpu" and not contiguous.flags.writeable:
+    if arch != "cpu" and not contiguous.flags.writeable and not is_constant(contiguous):
         contiguous = contiguous.copy()
     return cast(A, contiguous)
 

@@ -8,34 +8,44 @@ same types only pointers, shapes and numbers change. So its context is kept, and
 import atexit
 import functools
 import threading
+import weakref
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
+import numpy.typing as npt
 
-from tikernels._taichi import language, ti
+from tikernels._taichi import DEVICE_TYPES, TESTED, ti
+from tikernels.traffic import traffic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
-
-# What is kept is no public part of Taichi: versions that this was tested with. Others are launched by their own means,
-# and so is Quadrants, which keeps its contexts itself.
-_TESTED = {("taichi", (1, 7, 4))}
+Number = TypeVar("Number", bound=np.generic)
 
 # How arguments are set: an array, a number, or a constant that the kernel was compiled with.
 _ARRAY, _FLOAT, _INTEGER, _CONSTANT = range(4)
 
 # What each kernel keeps, by the types of its arguments.
 _kept: list[dict[Any, Any]] = []
+# Arrays that were declared to be constant, by their identity, and their copies on a GPU.
+_constants: dict[int, list[Any]] = {}
 # A context is set and launched by one thread at a time.
 _lock = threading.Lock()
 
 
 def kernel(function: Function) -> Function:
     """Compile a function as a kernel when it is called for the first time, and launch it quickly from then on."""
-    plain: Any = ti.kernel(function)
-    if (language, tuple(ti.__version__)) not in _TESTED:
+    compiled: Any = ti.kernel(function)
+
+    @functools.wraps(function)
+    def plain(*arguments: Any) -> Any:
+        if traffic.on_device:
+            arguments = tuple(_on_device(argument) for argument in arguments)
+        traffic.count_call(arguments)
+        return compiled(*arguments)
+
+    if not TESTED:  # Quadrants keeps its contexts itself
         return cast(Function, plain)
-    primal = plain._primal
+    primal = compiled._primal
     kinds = [_kind(argument.annotation) for argument in primal.arguments]
     if None in kinds or primal.return_type is not None:
         return cast(Function, plain)
@@ -69,6 +79,7 @@ def kernel(function: Function) -> Function:
                 code = program.compile_kernel(program.config(), program.get_device_caps(), compiled_for)
                 kept[key] = (program, code, compiled_for.make_launch_context(), {})
             return None
+        traffic.calls += 1
         program, code, context, last = known
         with _lock:
             place = 0
@@ -91,8 +102,40 @@ def kernel(function: Function) -> Function:
     return cast(Function, launch)
 
 
+def constant(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
+    """Declare that an array does not change any more: it is sent to a GPU once, however many kernels read it.
+
+    Returns the array, which can no longer be written.
+    """
+    array.flags.writeable = False
+    if traffic.on_device:
+        key = id(array)
+        _constants[key] = [weakref.ref(array, lambda _: _constants.pop(key, None)), None]
+    return array
+
+
+def is_constant(array: object) -> bool:
+    """Whether an array was declared to be constant, for the device that runs."""
+    known = _constants.get(id(array))
+    return known is not None and known[0]() is array
+
+
+def _on_device(argument: Any) -> Any:
+    """Return the buffer of an array that was declared to be constant, anything else as it is."""
+    if not is_constant(argument):
+        return argument
+    known = _constants[id(argument)]
+    if known[1] is None:
+        buffer: Any = ti.ndarray(DEVICE_TYPES[argument.dtype.name], argument.shape)
+        buffer.from_numpy(argument)
+        traffic.sent_bytes += argument.nbytes
+        known[1] = buffer
+    return known[1]
+
+
 def forget() -> None:
     """Let go of everything that belongs to the device; to be called before another one is started."""
+    _constants.clear()
     for kept in _kept:
         kept.clear()
 

@@ -12,10 +12,12 @@ from typing import Any, TypeGuard
 import numpy as np
 import numpy.typing as npt
 
-from tikernels._taichi import f32, i32, language, ti
+from tikernels._taichi import DEVICE_TYPES, language, ti
 from tikernels.arrays import Array, DeviceArray, E
+from tikernels.core_binding import bound_to_cores
 from tikernels.errors import DeviceNotReady
 from tikernels.launching import forget
+from tikernels.traffic import traffic
 
 #: Every arch by name, in the order in which "auto" prefers them.
 ARCHS = ("cuda", "metal", "vulkan", "cpu")
@@ -70,6 +72,8 @@ def init(arch: str = "auto") -> str:
         reason = _start(candidate)
         if reason is None:
             _started = candidate
+            traffic.on_device = candidate != "cpu"
+            traffic.clear()
             return candidate
         _started = None  # a failed start has already ended what ran before
         reasons.append(reason)
@@ -160,7 +164,7 @@ def empty(shape: tuple[int, ...], dtype: type[E]) -> Array[E]:
     """
     if started() == "cpu":
         return np.empty(shape, dtype)
-    buffer: DeviceArray[E] = ti.ndarray(_DEVICE_TYPES[np.dtype(dtype).name], shape)
+    buffer: DeviceArray[E] = ti.ndarray(DEVICE_TYPES[np.dtype(dtype).name], shape)
     return buffer
 
 
@@ -168,14 +172,29 @@ def to_device(array: npt.NDArray[E]) -> Array[E]:
     """Return a NumPy array as a buffer where the kernels reach it fastest; itself on the CPU."""
     if started() == "cpu":
         return array
-    buffer: DeviceArray[E] = ti.ndarray(_DEVICE_TYPES[array.dtype.name], array.shape)
-    buffer.from_numpy(array)
+    buffer: DeviceArray[E] = ti.ndarray(DEVICE_TYPES[array.dtype.name], array.shape)
+    write(array, buffer)
     return buffer
+
+
+def write(array: npt.NDArray[E], buffer: Array[E]) -> None:
+    """Copy a NumPy array to a buffer of its shape, unless it is the buffer itself."""
+    if isinstance(buffer, np.ndarray):
+        if array is not buffer:
+            buffer[...] = array
+        return
+    traffic.sent_bytes += array.nbytes
+    buffer.from_numpy(array)
 
 
 def to_host(buffer: Array[E]) -> npt.NDArray[E]:
     """Return a buffer as a NumPy array: itself on the CPU, a copy from a GPU."""  # synchronises
-    return buffer if isinstance(buffer, np.ndarray) else buffer.to_numpy()
+    if isinstance(buffer, np.ndarray):
+        return buffer
+    array = buffer.to_numpy()
+    traffic.reads += 1
+    traffic.read_bytes += array.nbytes
+    return array
 
 
 def is_device_array(array: object) -> TypeGuard[DeviceArray[np.generic]]:
@@ -185,24 +204,19 @@ def is_device_array(array: object) -> TypeGuard[DeviceArray[np.generic]]:
 
 def has_dtype(buffer: DeviceArray[E], dtypes: Sequence[type[np.generic]]) -> bool:
     """Whether a device ndarray's element type is one of NumPy's."""
-    return any(_DEVICE_TYPES.get(dtype.__name__) == buffer.element_type for dtype in dtypes)
+    return any(DEVICE_TYPES.get(dtype.__name__) == buffer.element_type for dtype in dtypes)
 
 
 def dtype_name(array: Array[E]) -> str:
     """Return the NumPy name of an array's element type."""
     if isinstance(array, np.ndarray):
         return str(array.dtype.name)
-    return next((name for name, kind in _DEVICE_TYPES.items() if kind == array.element_type), str(array.element_type))
+    return next((name for name, kind in DEVICE_TYPES.items() if kind == array.element_type), str(array.element_type))
 
 
 def synchronize() -> None:
     """Wait until the device has finished; for measuring."""
     ti.sync()
-
-
-_DEVICE_TYPES = {
-    "float32": f32, "int32": i32, "uint8": ti.u8, "uint16": ti.u16, "uint32": ti.u32,
-}  # fmt: skip
 
 
 def _start(arch: str) -> str | None:
@@ -213,7 +227,8 @@ def _start(arch: str) -> str | None:
     with contextlib.redirect_stdout(open(os.devnull, "w")) as sink, sink:
         forget()
         try:
-            ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, offline_cache=True)
+            with bound_to_cores() if arch == "cpu" else contextlib.nullcontext():
+                ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, offline_cache=True)
         except RuntimeError as error:
             return f"{arch}: {str(error).splitlines()[-1].strip()}"
     running = ti.lang.impl.current_cfg().arch

@@ -23,6 +23,9 @@ from tikernels._taichi import Static, i32, ti, vec3
 STRIP = 32
 #: Samples, or blocks of them, that a thread works on together where it keeps many numbers of each.
 LANES = 16
+#: The CPU gives a thread 512 iterations of a parallel loop or more: of 600 strips one of two threads did nearly all. So
+#: loops over a few hundred strips have as many iterations for each, of which the first one works.
+SPREAD = 16
 #: A number of each, and three channels.
 lanes = ti.types.vector(LANES, ti.f32)
 lanes_of_colors = ti.types.matrix(3, LANES, ti.f32)

@@ -35,11 +35,21 @@ _END_S = 20.0
 _MOST_DEATHS = 3
 
 
-def usable_cores() -> int:
-    """Return how many cores this process may use."""
+def usable_cores() -> list[int]:
+    """Return the cores that this process may use."""
     if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        return sorted(os.sched_getaffinity(0))
+    return list(range(os.cpu_count() or 1))
+
+
+def shares(cores: Sequence[int], count: int) -> list[list[int]]:
+    """Share out cores among processes, as many to each; more processes than cores have one each, some the same.
+
+    >>> shares([0, 1, 2, 3, 4], 2), shares([0, 1], 3)
+    ([[0, 1], [2, 3]], [[0], [1], [0]])
+    """
+    size = max(1, len(cores) // count)
+    return [[cores[(k * size + i) % len(cores)] for i in range(size)] for k in range(count)]
 
 
 def decode_in_processes(job: Job, todo: Sequence[Chain], count: int, tell: Callable[[Outcome], None]) -> None:
@@ -52,7 +62,7 @@ def decode_in_processes(job: Job, todo: Sequence[Chain], count: int, tell: Calla
     todo : sequence of (range, frozenset)
         The chains: frames of which each is decoded with the one before, and which of them are to be stored.
     count : int
-        How many processes; the cores are shared out among them.
+        How many processes; each has its share of the cores to itself.
     tell : callable
         Told of every stored and every bad frame, not in order. What it raises ends the run.
 
@@ -64,11 +74,10 @@ def decode_in_processes(job: Job, todo: Sequence[Chain], count: int, tell: Calla
     size = -(-len(todo) // (_TASKS_A_PROCESS * count))
     tasks = deque(list(todo[first : first + size]) for first in range(0, len(todo), size))
     count = min(count, len(tasks))
-    threads = max(1, usable_cores() // count)
     heard: queue.Queue[Any] = queue.Queue()
     # Neither these nor the threads that talk to them get Ctrl-C: the caller does.
     with block_interrupts():
-        processes = [_Decoding(job, tasks, threads, heard) for _ in range(count)]
+        processes = [_Decoding(job, tasks, cores, heard) for cores in shares(usable_cores(), count)]
     try:
         running = count
         while running:
@@ -103,8 +112,8 @@ class _Decoding:
     What is reported of frames is put into `heard`, at last `Done`, or a `Failure`.
     """
 
-    def __init__(self, job: Job, tasks: deque[list[Chain]], threads: int, heard: "queue.Queue[Any]") -> None:
-        self._job, self._tasks, self._heard, self._n_threads = job, tasks, heard, threads
+    def __init__(self, job: Job, tasks: deque[list[Chain]], cores: list[int], heard: "queue.Queue[Any]") -> None:
+        self._job, self._tasks, self._heard, self._cores = job, tasks, heard, cores
         self._lock, self._ended = Lock(), False
         self._process: _Process | None = None
         self._thread = Thread(target=self._run, name="process", daemon=True)
@@ -168,7 +177,7 @@ class _Decoding:
                 return self._process
             if self._ended:
                 raise EOFError
-            self._process = process = _Process(self._n_threads)
+            self._process = process = _Process(self._cores)
         process.send(self._job)
         process.receive()
         return process
@@ -181,9 +190,10 @@ class _Decoding:
 
 
 class _Process:
-    """A process that runs `worker_process.serve`."""
+    """A process that runs `worker_process.serve` on some cores, with a kernel thread for each."""
 
-    def __init__(self, threads: int) -> None:
+    def __init__(self, cores: list[int]) -> None:
+        threads = len(cores)
         environment = {
             # Taichi's and Quadrants' names for it; a user's own numbers win.
             "TI_CPU_MAX_NUM_THREADS": str(threads),
@@ -197,6 +207,9 @@ class _Process:
             stdout=subprocess.PIPE,
             env=environment,
         )
+        if hasattr(os, "sched_setaffinity"):  # before it has threads, which inherit it
+            with suppress(OSError):
+                os.sched_setaffinity(self._process.pid, cores)
         self._tasks, self._reports = cast(IO[bytes], self._process.stdin), cast(IO[bytes], self._process.stdout)
         self._asked_at_s: float | None = None
 

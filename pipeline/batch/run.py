@@ -155,4 +155,4 @@ def _worthwhile_processes(job: Job, todo: list[Chain]) -> int:
     if job.arch != "cpu" and (job.arch != "auto" or runtime.init("auto") != "cpu"):
         return 1  # one GPU does all the work
     n_frames = sum(len(missing) for _, missing in todo)
-    return min(usable_cores(), n_frames // _FRAMES_A_START)
+    return min(len(usable_cores()), n_frames // _FRAMES_A_START)

@@ -16,7 +16,7 @@ from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.phase.camera_blur import VARIANCE_PX
 from tikernels.phase.channel_model import ChannelModel
-from tikernels.phase.color_balance import Gains, WindowSum
+from tikernels.phase.color_balance import WindowSum
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
@@ -29,6 +29,8 @@ _Labels = npt.NDArray[np.uint8]
 
 # Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces.
 _SHARP = 0.08
+# Nodes closer together than this, under fine fringes, say the same (px): of those only some are looked at.
+_NODE_SPACING_PX = 8
 # A node tells a colour if this share of its window is lit.
 _FILLED = 0.3
 # About as many samples tell the ambient light.
@@ -62,10 +64,12 @@ class FirstLook:
 
     Attributes
     ----------
-    ratios : (Hg, Wg, 3) float64
-        The colour around every node; see `color_ratios`.
-    lit : (Hg, Wg) bool
-        Which nodes tell it.
+    spacing_px : int
+        Between the nodes that are looked at.
+    ratios : (Hn, Wn, 3) float64
+        The colour around every one of these; see `color_ratios`.
+    lit : (Hn, Wn) bool
+        Which of them tell it.
     """
 
     def __init__(
@@ -79,7 +83,14 @@ class FirstLook:
         gains = model.gains
         self.device_image, self.gains, self.levels, self.correction = image, gains, levels, correction
         self._model, self._crosstalk = model, crosstalk
-        self._smooth = runtime.to_host(gains.smooth).astype(np.float64)
+        self._every = max(1, _NODE_SPACING_PX // gains.spacing_px)
+        self.spacing_px = self._every * gains.spacing_px
+        smooth = runtime.to_host(gains.smooth)
+        rows, columns = (
+            np.minimum((self._every - 1) // 2 + self._every * np.arange(-(-n // self._every)), n - 1)
+            for n in smooth.shape[:2]
+        )
+        self._smooth = smooth[rows[:, None], columns].astype(np.float64)
         predicted = np.maximum(self._smooth[..., WindowSum.PREDICTED : WindowSum.PREDICTED + 3], 1e-9)
         self.ratios = color_ratios(self._smooth[..., WindowSum.SEEN : WindowSum.SEEN + 3] / predicted)
         self.lit = self._smooth[..., WindowSum.SAMPLES] > _FILLED * gains.window.samples
@@ -90,10 +101,16 @@ class FirstLook:
         return runtime.to_host(self.device_image)
 
     @cached_property
+    def _samples(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Return the frame's samples, (N, 3) levels, as they are and balanced."""
+        seen, balanced = runtime.to_host(self.gains.samples), runtime.to_host(self._model.balanced)
+        return seen.reshape(-1, 3), balanced.reshape(-1, 3)
+
+    @cached_property
     def around(self) -> FloatArray:
         """(H, Wb) mean brightness around each sample, levels."""
         samples = np.maximum(self._smooth[..., WindowSum.SAMPLES], 1e-6)
-        return _at_samples(self._smooth[..., WindowSum.BACKGROUND] / samples, self.gains)
+        return self._at_samples(self._smooth[..., WindowSum.BACKGROUND] / samples)
 
     @cached_property
     def ambient(self) -> float:
@@ -113,7 +130,7 @@ class FirstLook:
 
     @cached_property
     def contrast(self) -> npt.NDArray[np.float32]:
-        """(Hg, Wg) what the camera's blur leaves of the fringe's contrast around every node, beside the usual.
+        """(Hn, Wn) what the camera's blur leaves of the fringe's contrast around every node, beside the usual.
 
         Where a surface turns away the fringe is finer, and blur takes more of it.
         """
@@ -136,24 +153,24 @@ class FirstLook:
 
     def fringe(self, contrast_doubt: float) -> Fringe:
         """Return how the fringe of each place differs from the template, given what is doubted of its contrast."""
-        return Fringe(contrast_doubt, self.contrast, self.gains.spacing_px)
+        return Fringe(contrast_doubt, self.contrast, self.spacing_px)
 
     @cached_property
     def contrast_around(self) -> FloatArray:
         """(H, Wb) that around each sample."""
-        return _at_samples(self.contrast, self.gains)
+        return self._at_samples(self.contrast)
 
     def common_colors(self) -> FloatArray:
         """Return the colours that many nodes have in common, (n, 3) ratios, the commonest first."""
         steps = [np.gradient(self.ratios, axis=axis) for axis in (0, 1) if self.ratios.shape[axis] > 1]
         change = np.sum([(step**2).sum(axis=-1) for step in steps], axis=0) + np.zeros(self.lit.shape)
         weights = (1 / (1 + change / _SHARP**2) ** 2)[self.lit]
-        return common_colors(self.ratios[self.lit], weights, LEAST_PX / self.gains.spacing_px**2 / 2)
+        return common_colors(self.ratios[self.lit], weights, LEAST_PX / self.spacing_px**2 / 2)
 
     def labels(self, colors: FloatArray) -> _Labels:
         """Return (H, W) uint8: which colour the node nearest to each pixel has, or NO_SURFACE."""
         nodes = nearest_colors(self.ratios, colors).astype(np.uint8)
-        labels = repeated(nodes, self.gains.spacing_px, (self.gains.height, self.gains.width))
+        labels = repeated(nodes, self.spacing_px, (self.gains.height, self.gains.width))
         labels[self.unlit()] = NO_SURFACE
         return labels
 
@@ -180,14 +197,19 @@ class FirstLook:
 
     def _looked_at(self, wanted: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return about as many samples as wanted, (N, 3), their b cos(phi), b sin(phi) and a, levels, and contrast."""
-        samples = runtime.to_host(self.gains.samples)
-        step = max(1, samples.shape[0] * samples.shape[1] // wanted)
-        while math.gcd(step, samples.shape[1]) > 1:  # or it meets the same columns again and again
+        samples, balanced_samples = self._samples
+        step = max(1, len(samples) // wanted)
+        while math.gcd(step, int(self.gains.samples.shape[1])) > 1:  # or it meets the same columns again and again
             step += 1
-        seen = samples.reshape(-1, 3)[::step].astype(np.float64)
-        balanced = runtime.to_host(self._model.balanced).reshape(-1, 3)[::step].astype(np.float64)
+        seen, balanced = samples[::step].astype(np.float64), balanced_samples[::step].astype(np.float64)
         contrast = self.contrast_around.ravel()[::step]
         return seen, np.asarray(balanced @ self._crosstalk.weights.T.astype(np.float64)), contrast
+
+    def _at_samples(self, values: npt.NDArray[np.floating]) -> FloatArray:
+        """Return values at nodes as values at samples."""
+        size = (values.shape[1] * self._every, values.shape[0] * self.spacing_px)
+        between = cv2.resize(np.ascontiguousarray(values), size, interpolation=cv2.INTER_LINEAR)
+        return np.asarray(between[: self.gains.height, : int(self.gains.samples.shape[1])], np.float64)
 
     def _correction_at(self, phase: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
         """Return what to add to bare phases, rad; several times as fast as `np.interp`."""
@@ -237,10 +259,3 @@ class FirstLook:
 def repeated(values: npt.NDArray[Any], step: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:
     """Return values of every `step`th pixel both ways as those of all."""
     return np.ascontiguousarray(values.repeat(step, axis=0).repeat(step, axis=1)[: shape[0], : shape[1]])
-
-
-def _at_samples(values: npt.NDArray[np.floating], gains: Gains) -> FloatArray:
-    """Return values at nodes as values at samples."""
-    size = (int(gains.samples.shape[1]), values.shape[0] * gains.spacing_px)
-    between = cv2.resize(np.ascontiguousarray(values), size, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(between[: gains.height], np.float64)

@@ -22,7 +22,7 @@ from pipeline.decoding.fields import (
     fields_of,
 )
 from pipeline.decoding.frame_reader import size_text
-from pipeline.decoding.surface_search import FoundSurfaces
+from pipeline.decoding.surface_search import FoundSurfaces, OnlyColor
 from pipeline.errors import SettingsError
 from tikernels import runtime
 from tikernels.arrays import F32, Array
@@ -79,7 +79,7 @@ class FrameMemory:
     phase_counts: npt.NDArray[np.float64] | None  # (tiles, bins) bare phases seen, earlier ones faded; None: no fringe
     surface: SurfaceBuffers
     orders: RegionOrders
-    surfaces: FoundSurfaces | None  # what the frame's surfaces make of the crosstalk; None: nothing beyond the balance
+    surfaces: FoundSurfaces | OnlyColor | None  # what surfaces make of the crosstalk; None: nothing
 
     @property
     def faded_phase_counts(self) -> npt.NDArray[np.float64] | float:
@@ -123,7 +123,7 @@ class Measured:
     light_doubts: tuple[str, ...] = ()  # and of the light
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
-    surfaces: FoundSurfaces | None = None
+    surfaces: FoundSurfaces | OnlyColor | None = None
     range_sign: int = 1  # without a calibration: -1 where the phase grows towards the camera
     front_is_clear: bool = False  # whether that is more than a guess
     at_rest: bool = True  # whether the surfaces are those of one moment: no motion between the colours, or undone
@@ -288,7 +288,9 @@ class DecodedFrame:
         with runtime.lock:
             known = (surface.unwrapped, phases.precision, phases.variance, misfit, surface.mask)
             found = self._measured.surfaces
-            edges = None if found is None or misfit is None else edge_variance(found.crosstalk)
+            edges = None
+            if misfit is not None and isinstance(found, FoundSurfaces):
+                edges = edge_variance(found.crosstalk)
             return estimate_phase_sigma(*known, edges, self._setup.smoothing_pairs, self.period_px or 1.0)
 
     @property

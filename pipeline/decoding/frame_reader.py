@@ -75,6 +75,8 @@ class FrameReader:
         if dtype not in WHITE_LEVELS:
             raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
         image = checks.read_array("image", image, (None, None, 3), checks.element_type(image))
+        if isinstance(image, np.ndarray):
+            image = runtime.to_device(image)
         white = self._settings.white_level or WHITE_LEVELS[dtype]
         if dtype == "float32" or white < WHITE_LEVELS[dtype]:
             missing, outside = count_out_of_range(image, white)

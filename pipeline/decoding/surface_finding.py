@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.decoding.first_look import FirstLook
-from pipeline.decoding.surface_search import FoundSurfaces, KnownLight, NoModelFits, SurfaceSearch
+from pipeline.decoding.surface_search import FoundSurfaces, KnownLight, NoModelFits, OnlyColor, SurfaceSearch
 from pipeline.models import FloatArray
 from tikernels.arrays import LevelsImage
 from tikernels.phase.channel_model import ChannelModel
@@ -57,8 +57,8 @@ class SurfaceFinder:
         template: npt.NDArray[np.float32],
         *,
         template_known: bool,
-        before: FoundSurfaces | None = None,
-    ) -> FoundSurfaces | NoModelFits | None:
+        before: FoundSurfaces | OnlyColor | None = None,
+    ) -> FoundSurfaces | OnlyColor | NoModelFits | None:
         """Return the surfaces of a frame; None if all are neutral, or act as the balance alone undoes.
 
         Parameters
@@ -77,9 +77,9 @@ class SurfaceFinder:
             One cycle of the channels on white.
         template_known : bool
             Whether that is known, or only read off this frame.
-        before : FoundSurfaces, optional
-            Those of the frame before in a video: they stay as they were, and only if they leave more unexplained than
-            there, new ones are looked for.
+        before : FoundSurfaces or OnlyColor, optional
+            What the frame before in a video had: its surfaces stay as they were, and only if they leave more
+            unexplained than there, new ones are looked for; a colour that is still the only one is not asked again.
         """
         look = FirstLook(image, model, crosstalk, levels, correction)
         if not look.lit.any():
@@ -88,13 +88,16 @@ class SurfaceFinder:
         white = np.exp(colors[0]) if self._white is None else self._white
         if np.abs(colors - color_ratios(white)).max() < _NEUTRAL:
             return None
+        if isinstance(before, OnlyColor) and len(colors) == 1 and np.abs(colors[0] - before.ratios).max() < _NEUTRAL:
+            return before
         known = self._known_light(crosstalk, white, template, template_known=template_known)
-        if before is not None:
+        if isinstance(before, FoundSurfaces):
             search = SurfaceSearch(look, known, look.labels(colors[:1]), before.fitted.matrices.sum(axis=2))
             return self._judged(search.follow(before))
-        if len(colors) == 1 and self._acts_after(look, known):
-            return None
-        return self._judged(SurfaceSearch(look, known, look.labels(colors), np.exp(colors)).run())
+        found = None
+        if len(colors) > 1 or not self._acts_after(look, known):
+            found = SurfaceSearch(look, known, look.labels(colors), np.exp(colors)).run()
+        return OnlyColor(colors[0]) if found is None and len(colors) == 1 else self._judged(found)
 
     def _judged(self, found: FoundSurfaces | NoModelFits | None) -> FoundSurfaces | NoModelFits | None:
         """Return what was found; a crosstalk that the frame itself has told is contradicted by nothing."""

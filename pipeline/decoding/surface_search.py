@@ -121,6 +121,13 @@ class FoundSurfaces:
         return float(np.hypot(self.fitted.constant_sigma.max(), 0.0 if self.odd is None else self.odd.phase_rad))
 
 
+class OnlyColor(NamedTuple):
+    """The frame has a single colour, and the balance alone undoes what that makes of the crosstalk."""
+
+    ratios: FloatArray
+    """(3,) see `color_ratios`."""
+
+
 class NoModelFits(NamedTuple):
     """Some of the frame's colours contradict the crosstalk: no matrix explains them."""
 

@@ -94,17 +94,18 @@ class _LevelCosts:
         prior = np.diag([0.0, _SLOPE_SIGMA**-2, _SLOPE_SIGMA**-2, _AMBIENT_SIGMA**-2])
         sigma = _MIN_SIGMA
         for _ in range(_ROUNDS):
-            departs = remains - terms @ fit
+            departs = remains - fit @ terms
             sigma = max(robust_sigma(departs), 0.5 * _MIN_SIGMA)
             weights = cycles.share[held] / np.maximum(1, np.abs(departs) / (1.5 * sigma)) / sigma**2
-            weighted = terms * weights[:, None]
-            fit = np.linalg.solve(weighted.T @ terms + prior, weighted.T @ remains)
+            weighted = terms * weights
+            fit = np.linalg.solve(weighted @ terms.T + prior, weighted @ remains)
         return fit, middle, max(sigma, _MIN_SIGMA)
 
     def _terms(self, held: Integers, middle: tuple[float, float, float]) -> FloatArray:
+        """Return (4, N): what a part's factor is made of, at each of these cycles."""
         x, y, brightness = middle
         darker = np.clip(brightness / np.maximum(self._cycles.brightness[held], 1e-6) - 1, -1, 3)
-        return np.stack([np.ones(len(held)), self._x[held] - x, self._y[held] - y, darker], axis=1)
+        return np.stack([np.ones(len(held)), self._x[held] - x, self._y[held] - y, darker])
 
     def _code_at(self, held: Integers, lacks: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         place = self._cycles.order[held] + lacks[self._cycles.patch[held]]
@@ -116,7 +117,7 @@ class _LevelCosts:
         fit, middle, sigma = self._fits[part]
         held = np.flatnonzero(patches[self._cycles.patch])
         code, inside = self._code_at(held, lacks)
-        departs = (self._cycles.contrast[held] - code - self._terms(held, middle) @ fit) / sigma
+        departs = (self._cycles.contrast[held] - code - fit @ self._terms(held, middle)) / sigma
         cost = np.where(inside, np.minimum(departs**2, _MAX_DEVIATION), _MAX_DEVIATION)
         weights = 0.5 * self._cycles.share[held] * cost
         return np.asarray(np.bincount(self._cycles.patch[held], weights, len(patches)), np.float64)

@@ -117,9 +117,12 @@ class CarriedOrders:
 
 def _fitted_planes(group: npt.NDArray[np.int64], here: FloatArray, values: FloatArray, count: int) -> FloatArray:
     """Return (count, 3): constant and slopes of the plane that fits each group's (n,) values at (3, n) places best."""
-    normal = np.stack([[np.bincount(group, a * b, count) for b in here] for a in here]) + _PLANE_PRIOR[..., None]
-    right = np.stack([np.bincount(group, a * values, count) for a in here])
-    return np.asarray(np.linalg.solve(normal.transpose(2, 0, 1), right.T[..., None])[..., 0])
+    normal, right = np.empty((count, 3, 3)), np.empty((count, 3, 1))
+    for i, a in enumerate(here):
+        right[:, i, 0] = np.bincount(group, a * values, count)
+        for j, b in enumerate(here[: i + 1]):
+            normal[:, i, j] = normal[:, j, i] = np.bincount(group, a * b, count)
+    return np.asarray(np.linalg.solve(normal + _PLANE_PRIOR, right)[..., 0])
 
 
 def choose_motion(
@@ -153,7 +156,7 @@ def choose_motion(
         for left in (votes[:, REST], rest)
     )
     at_rest = voting & (void_at_rest < void)[root]
-    chosen = votes.copy()
+    chosen = votes.copy(order="K")
     chosen[at_rest, LACKING], chosen[at_rest, REST] = cycles[at_rest], rest[at_rest]
     return chosen, np.where(at_rest, 0.0, expected)
 
@@ -179,7 +182,7 @@ def count_votes(
     change = taken_with - votes[:, REST] / RESTS_A_CYCLE  # votes lack what the phase has gained
     surprise = change - (taken_with if expected is None else expected)
     voting = votes[:, PATCH] >= 0
-    votes, change, surprise = votes[voting], change[voting], surprise[voting]
+    votes, change, surprise = _rows(votes, voting), change[voting], surprise[voting]
     root = roots[votes[:, PATCH]].astype(np.int64)
     sound = np.bincount(root, votes[:, SOUND], len(roots)) >= _MIN_VOTES
     counting = (votes[:, SOUND] == 1) | ~sound[root]
@@ -188,7 +191,7 @@ def count_votes(
     coherence = _coherence(root[counting], votes[counting, REST], len(roots))
     everyone = int(counting.sum())
     counting &= clear
-    votes, root, change, surprise = votes[counting], root[counting], change[counting], surprise[counting]
+    votes, root, change, surprise = _rows(votes, counting), root[counting], change[counting], surprise[counting]
     if len(votes) == 0:
         none = np.zeros(0, np.int64)
         return CarriedOrders(False, none, none, none, none.astype(float), np.zeros((0, 3)))
@@ -228,10 +231,16 @@ def count_votes(
     return CarriedOrders(True, regions[kept], offsets, before, doubt[kept], np.zeros((len(offsets), 3)))
 
 
+def _rows(votes: npt.NDArray[np.int32], chosen: npt.NDArray[np.bool_]) -> npt.NDArray[np.int32]:
+    """Return some of the votes, column by column in memory as they are."""
+    return votes.T[:, chosen].T
+
+
 def _coherence(root: npt.NDArray[np.int64], rest: npt.NDArray[np.int32], count: int) -> npt.NDArray[np.float64]:
     """(count,) float: how alike a region's phase changes, 1 where by the same everywhere, 0 where nobody votes."""
-    turn = np.exp(2j * np.pi / RESTS_A_CYCLE * rest)
-    sums = [np.bincount(root, component, count) for component in (turn.real, turn.imag)]
+    least = int(rest.min(initial=0))
+    turn = 2 * np.pi / RESTS_A_CYCLE * np.arange(least, int(rest.max(initial=0)) + 1)
+    sums = [np.bincount(root, component[rest - least], count) for component in (np.cos(turn), np.sin(turn))]
     return np.asarray(np.hypot(*sums) / np.maximum(np.bincount(root, minlength=count), 1))
 
 
@@ -258,7 +267,7 @@ def split_by_votes(
     (P,) int32
         The patch that stands for the part of each patch.
     """
-    votes = votes[(votes[:, PATCH] >= 0) & (votes[:, SOUND] == 1)]
+    votes = _rows(votes, (votes[:, PATCH] >= 0) & (votes[:, SOUND] == 1))
     if len(votes) == 0:
         return graph.root
     # The offsets in use, known ones and others, the commonest first: hardly any frame has more than a few.

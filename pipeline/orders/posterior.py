@@ -42,10 +42,8 @@ class OrderRange:
     ) -> list["PartRange"]:
         """Return what is possible of most pixels of each part."""
         held = (roots, parts, pixels)
-        (least, most), (all_least, all_most) = (
-            (_quantiles(self.least, 1 - share, *held), _quantiles(self.most, share, *held))
-            for share in (_OUTLIERS, _STRAYS)
-        )
+        least, all_least = _quantiles(self.least, (1 - _OUTLIERS, 1 - _STRAYS), *held)
+        most, all_most = _quantiles(self.most, (_OUTLIERS, _STRAYS), *held)
         best = np.rint((all_least + all_most) / 2)
         outside = np.maximum(np.maximum(all_least - best, best - all_most), 0)
         return [PartRange(*ends, self.of_depth) for ends in zip(least, most, outside, strict=True)]
@@ -159,12 +157,16 @@ class AbsoluteOrders:
 
 
 def _quantiles(
-    values: FloatArray, share: float, roots: npt.NDArray[np.integer], parts: Integers, pixels: npt.NDArray[np.integer]
-) -> FloatArray:
-    """Return by part the value below which this share of its pixels lies."""
+    values: FloatArray,
+    shares: tuple[float, float],
+    roots: npt.NDArray[np.integer],
+    parts: Integers,
+    pixels: npt.NDArray[np.integer],
+) -> list[FloatArray]:
+    """Return, for each share, by part the value below which this share of its pixels lies."""
     sort = np.lexsort((values, roots))
     below = np.cumsum(pixels[sort], dtype=np.float64)
     starts, stops = np.searchsorted(roots[sort], parts), np.searchsorted(roots[sort], parts, side="right")
     start_pixels = np.concatenate([[0.0], below])[starts]
-    wanted = start_pixels + share * (below[stops - 1] - start_pixels)
-    return np.asarray(values[sort][np.minimum(np.searchsorted(below, wanted), stops - 1)])
+    wanted = (start_pixels + share * (below[stops - 1] - start_pixels) for share in shares)
+    return [values[sort[np.minimum(np.searchsorted(below, pixel), stops - 1)]] for pixel in wanted]

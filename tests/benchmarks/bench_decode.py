@@ -38,6 +38,7 @@ from pipeline.batch.run import decode_footage
 from pipeline.footage.source import StoredAs
 from pipeline.simulation import DEFAULT_PERIOD_PX, TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
+from tikernels.traffic import traffic
 
 Image = npt.NDArray[np.uint8]
 SIZES = ((640, 480), (1920, 1440), (3840, 2160))
@@ -94,7 +95,7 @@ def frames(arch: str) -> None:
     """Measure one frame by size."""
     from peer import decode  # beside this file; scikit-image is needed here alone
 
-    matrix = np.array(TYPICAL_CROSSTALK)
+    matrix, asked = np.array(TYPICAL_CROSSTALK), []
     print("\n| picture | plain: best; median; CPU, ms | peer, best | times as fast", end="")
     print(" | all known: best; median; CPU, ms | of plain |")
     print("|---|---|---|---|---|---|")
@@ -118,6 +119,14 @@ def frames(arch: str) -> None:
             f"| {all_known.best:.1f}; {all_known.median:.1f}; {all_known.cpu:.1f} | {all_known.best / ours.best:.2f} |",
             flush=True,
         )
+        traffic.clear()
+        _results(plain.decode(image))
+        asked.append(
+            f"| {width}x{height} | {traffic.calls} | {traffic.copied_calls + traffic.reads} "
+            f"| {traffic.sent_bytes / 1e6:.2f} | {traffic.read_bytes / 1e6:.2f} |"
+        )
+    print("\n| picture, plain | calls of kernels | waits | MB sent | MB read |\n|---|---|---|---|---|")
+    print("\n".join(asked))
 
 
 def _results(frame: Any) -> object:
@@ -211,7 +220,7 @@ def device(arch: str) -> str:
     if Path("/proc/cpuinfo").exists():
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
         name = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), name)
-    told = f"{name}, {usable_cores()} cores"
+    told = f"{name}, {len(usable_cores())} cores"
     if arch == "cuda":
         query = ["nvidia-smi", "--query-gpu=name,power.limit,clocks.max.sm,clocks.max.mem", "--format=csv,noheader"]
         told = f"{subprocess.run(query, capture_output=True, text=True, check=True).stdout.strip()}; {told}"

@@ -77,10 +77,9 @@ def stages(job: Job, n_frames: int, rounds: int) -> None:
     runs = {"reading": lambda: sum(1 for _ in source.frames(0, n_frames)), "decoding": decode, "writing": write}
     all_found = [{name: measure(n_frames, run) for name, run in runs.items()} for _ in range(rounds)]
     found = {name: min(one[name] for one in all_found) for name in runs}
-    allowed = usable_cores() / sum(found.values())
-    print(
-        f"\n{source.size_px[0]}x{source.size_px[1]}, {len(job.fields)} fields, {usable_cores()} cores; CPU ms a frame:"
-    )
+    cores = len(usable_cores())
+    allowed = cores / sum(found.values())
+    print(f"\n{source.size_px[0]}x{source.size_px[1]}, {len(job.fields)} fields, {cores} cores; CPU ms a frame:")
     print(", ".join(f"{name} {1e3 * seconds:.1f}" for name, seconds in found.items()), end="")
     print(f"; the cores allow {allowed:.1f} frames/s")
     rate = together(job)

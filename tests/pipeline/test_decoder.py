@@ -13,6 +13,7 @@ from pipeline.output.report import measure_against_truth
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import DeviceNotReady, ShapeError
 from tikernels.scene import scene_rendering as projection
+from tikernels.traffic import traffic
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -28,6 +29,22 @@ def simulated(scene="bust", stripes="horizontal", tilt_deg=0.0, distortion=False
     settings = SimulationSettings(scene=scene, **settings)
     frame = simulate_frame(rig, settings)
     return frame, rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix})
+
+
+def test_a_gpu_is_asked_little(arch):
+    """The goal for a plain frame: 12 calls of kernels, one wait, the frame sent once and the results read once."""
+    truth, _ = simulated("plane")
+    decoder = Decoder(DecodeSettings(crosstalk_matrix=SimulationSettings().crosstalk_matrix), arch=arch)
+    decoder.decode(truth.image)
+    traffic.clear()
+    frame = decoder.decode(truth.image)
+    results = frame.unwrapped_phase.nbytes + frame.mask.nbytes
+    assert traffic.calls <= 50
+    if arch != "cpu":
+        assert traffic.copied_calls <= 2
+        assert traffic.reads <= 27
+        assert traffic.sent_bytes < truth.image.nbytes + 30_000
+        assert traffic.read_bytes < results + 1_600_000
 
 
 @pytest.mark.parametrize("scene", projection.SCENES)

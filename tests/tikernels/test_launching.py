@@ -118,3 +118,14 @@ def test_threads_take_turns(arch):
     for thread in threads:
         thread.join(60)
     assert not wrong
+
+
+@kernel
+def wrong_kernel(out: F32Array1):
+    for y in range(out.shape[0]):
+        out[y] = out.no_such_thing
+
+
+def test_errors_in_kernels_name_their_line(arch):
+    with pytest.raises(Exception, match=r"test_launching\.py.*, line \d+"):
+        wrong_kernel(np.zeros(3, np.float32))

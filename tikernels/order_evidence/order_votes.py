@@ -7,6 +7,8 @@ before shows no edge within reach. What has moved goes on moving: the frame befo
 that each of its regions had last, so that half a cycle is what the motion may change by, and not the motion.
 """
 
+import functools
+
 import numpy as np
 import numpy.typing as npt
 
@@ -68,12 +70,12 @@ def vote_orders_kernel(
     region_before: I32Array2,  # (H, W)
     change: F32Array2,  # (regions + 1, 3) rad by which the phase of each region before is expected to change, and its
     # slopes, rad a px, along rows and columns
-    out_votes: I32Array2,  # (cells * VOTES_A_CELL, 5)
+    out_votes: I32Array2,  # (5, cells * VOTES_A_CELL)
 ):
     """Ask every fourth pixel both ways what its patch lacks to agree with the frame before."""
     height, width = phase.shape[0], phase.shape[1]
     columns = (width + CELL_WIDTH - 1) // CELL_WIDTH
-    for vote in range(out_votes.shape[0]):
+    for vote in range(out_votes.shape[1]):
         cell, place = vote // VOTES_A_CELL, vote % VOTES_A_CELL
         y = (cell // columns) * CELL_HEIGHT + 4 * (place // (CELL_WIDTH // 4)) + 1
         x = (cell % columns) * CELL_WIDTH + 4 * (place % (CELL_WIDTH // 4)) + 1
@@ -89,13 +91,14 @@ def vote_orders_kernel(
                 cycles = ti.cast(ti.round(lacking), i32)
                 rest = ti.cast(ti.round(ti.cast(RESTS_A_CYCLE, ti.f32) * (lacking - ti.cast(cycles, ti.f32))), i32)
                 sound = smooth_around(before, y, x)
-        out_votes[vote, PATCH] = patch
-        out_votes[vote, LACKING] = cycles
-        out_votes[vote, REST] = rest
-        out_votes[vote, BEFORE] = region
-        out_votes[vote, SOUND] = sound
+        out_votes[PATCH, vote] = patch
+        out_votes[LACKING, vote] = cycles
+        out_votes[REST, vote] = rest
+        out_votes[BEFORE, vote] = region
+        out_votes[SOUND, vote] = sound
 
 
+@functools.cache
 def vote_places(shape: tuple[int, int]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return the row and the column of every vote in an image of this shape."""
     vote = np.arange(cells_of(*shape)[0] * cells_of(*shape)[1] * VOTES_A_CELL)
@@ -127,7 +130,7 @@ def vote_orders(
     -------
     (cells * VOTES_A_CELL, 5) int32
         Patch (-1: no vote), whole cycles lacking, what is left over in RESTS_A_CYCLE, region there before, and 1
-        where the vote is sound.
+        where the vote is sound. Column by column in memory.
 
     Raises
     ------
@@ -138,7 +141,7 @@ def vote_orders(
     before = checks.read_array("unwrapped_before", unwrapped_before, patches.shape, np.float32)
     region_before = checks.read_array("region_before", region_before, patches.shape, np.int32)
     change = checks.read_array("change", change, (None, 3), np.float32)
-    votes = runtime.empty((patches.cells * VOTES_A_CELL, 5), np.int32)
+    votes = runtime.empty((5, patches.cells * VOTES_A_CELL), np.int32)
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits, patches.table)
     vote_orders_kernel(phase, *of_patches, before, region_before, change, votes)
-    return runtime.to_host(votes)  # synchronises
+    return runtime.to_host(votes).T  # synchronises

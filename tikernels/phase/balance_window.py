@@ -8,6 +8,7 @@ by twice as many columns; the grid has a node in the middle of every two blocks,
 import numpy as np
 import numpy.typing as npt
 
+from tikernels import runtime
 from tikernels._taichi import F32Array1, F32Array3, Static, f32, i32, ti
 from tikernels.arrays import F32
 from tikernels.launching import kernel
@@ -45,10 +46,11 @@ class BalanceWindow:
         #: (Hg, Wg) how many nodes there are.
         self.grid = (-(-self.blocks[0] // 2), self.blocks[1])
         # Across, a node stands between two blocks, so the taps sit at half-integer distances.
-        self._across = half_gaussian(SIGMA_ACROSS * period_px / self.rows, offset=0.5)
-        self._along = half_gaussian(SIGMA_ALONG * period_px / self.spacing_px)
+        across = half_gaussian(SIGMA_ACROSS * period_px / self.rows, offset=0.5)
+        along = half_gaussian(SIGMA_ALONG * period_px / self.spacing_px)
+        self._across, self._along = runtime.to_device(across), runtime.to_device(along)
         #: How many samples, one a row of each block, a window that nothing cuts off has, by their weights.
-        self.samples = float(self.rows * 2 * self._across.sum() * (2 * self._along.sum() - self._along[0]))
+        self.samples = float(self.rows * 2 * across.sum() * (2 * along.sum() - along[0]))
 
     def smooth(self, sums: F32, half: F32, out: F32) -> None:
         """Add up the blocks' sums over the window at every node.

@@ -29,7 +29,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3, vec4
 from tikernels.arrays import F32
-from tikernels.launching import kernel
+from tikernels.launching import constant, kernel
 from tikernels.phase.channel_template import (
     HARMONICS,
     TERMS,
@@ -47,7 +47,7 @@ from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.fringe_sharpness import FringeSharpness, equalized_at
 from tikernels.phase.phase_vector import arctangent, matrix_of, modulation_of
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
-from tikernels.strips import LANES, color_of, lanes, lanes_of_colors, set_color, strip_at, strip_count
+from tikernels.strips import LANES, SPREAD, color_of, lanes, lanes_of_colors, set_color, strip_at, strip_count
 
 # Places of a symmetric matrix' upper triangle, row by row.
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
@@ -215,7 +215,7 @@ class ChannelModel:
         gram += np.diag(prior)
         right = normal[_CORNERS:].reshape(TERMS, 3) + prior[:, None] * runtime.to_host(known).T
         solved = np.linalg.solve(gram, right)
-        self.template[:] = (solved / solved[0]).T
+        self.template = constant(np.ascontiguousarray((solved / solved[0]).T, np.float32))
         self.mismatch = template_mismatch(self.template, weights)
 
     def _fit_nodes(self, correction: F32) -> None:
@@ -301,7 +301,10 @@ def sum_template_kernel(
 ):
     """Sum up the normal equations of the template's least squares, strip by strip."""
     columns = strip_count(samples.shape[1], _EVERY)
-    for strip in range(samples.shape[0] * strip_count(columns, _SAMPLES_A_THREAD)):
+    for t in range(SPREAD * samples.shape[0] * strip_count(columns, _SAMPLES_A_THREAD)):
+        if t % SPREAD > 0:
+            continue
+        strip = t // SPREAD
         y, first, count = strip_at(strip, columns, _SAMPLES_A_THREAD)
         # The upper triangle of the symmetric equations, row by row, and the right sides.
         # Taichi compiles vectors of up to 32 numbers well.
@@ -348,8 +351,10 @@ def sum_model_kernel(
 ):
     """Sum up, block by block, what the straight lines of A and B are drawn through."""
     height = samples.shape[0]
-    for t in range(out_sums.shape[0] * strip_count(out_sums.shape[1], LANES)):
-        i, first, count = strip_at(t, out_sums.shape[1], LANES)
+    for t in range(SPREAD * out_sums.shape[0] * strip_count(out_sums.shape[1], LANES)):
+        if t % SPREAD > 0:
+            continue
+        i, first, count = strip_at(t // SPREAD, out_sums.shape[1], LANES)
         harmonics = load_harmonics(template)
         light, phase, ambient, sums = lanes_of_colors(0.0), lanes(0.0), lanes(0.0), line_sums(0.0)
         sharper = lanes_of_colors(1.0)

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels._taichi import F32Array2, Static, f32, ti, vec3
+from tikernels.launching import constant
 from tikernels.phase.phase_vector import cosine_and_sine
 
 #: Harmonics of a channel over one cycle.
@@ -35,7 +36,7 @@ def known_template(matrix: npt.NDArray[np.floating], light: npt.NDArray[np.compl
     """
     waves = 2 * light[:, 1 : HARMONICS + 1] / light[:, :1].real
     mixed = matrix @ np.concatenate([np.ones((3, 1)), waves.real, -waves.imag], axis=1)
-    return np.asarray(mixed / mixed[:, :1], np.float32)
+    return constant(np.asarray(mixed / mixed[:, :1], np.float32))
 
 
 def channel_harmonics(template: npt.NDArray[np.floating]) -> npt.NDArray[np.complex128]:
@@ -45,7 +46,7 @@ def channel_harmonics(template: npt.NDArray[np.floating]) -> npt.NDArray[np.comp
 
 def flat_template() -> npt.NDArray[np.float32]:
     """Return (3, terms) float32: the template of a rig of which nothing is known."""
-    return np.eye(1, TERMS, dtype=np.float32).repeat(3, axis=0)
+    return constant(np.eye(1, TERMS, dtype=np.float32).repeat(3, axis=0))
 
 
 def template_mismatch(template: npt.NDArray[np.float32], weights: npt.NDArray[np.float32]) -> float:

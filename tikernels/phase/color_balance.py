@@ -27,10 +27,10 @@ from tikernels.launching import kernel
 from tikernels.phase.balance_window import BalanceWindow
 from tikernels.phase.crosstalk import Crosstalk, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
-from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of, modulation_of
+from tikernels.phase.phase_vector import color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import neutral_light, shows_surface, without_ambient
 from tikernels.raw.linearization import LEVEL_TYPES
-from tikernels.strips import LANES, color_of, lanes_of_colors, set_color, strip_at, strip_count
+from tikernels.strips import LANES, SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
 # Sums below this hold no colour worth measuring.
 _DARK = 1e-6
@@ -112,9 +112,8 @@ class Gains:
         sum_blocks_kernel(self.samples, rows, self._color_sums)
         self.window.smooth(self._color_sums, self._color_half, self._color_smooth)
         find_gains_kernel(self._color_smooth, False, self.gains)
-        waves = channel_waves(crosstalk.lag)
-        of_phase, to_phase = waves.astype(np.float32), np.linalg.inv(waves).astype(np.float32)
-        light = (self.samples, crosstalk.inverse, crosstalk.matrix, of_phase, to_phase, self.gains, rows)
+        matrices = (crosstalk.inverse, crosstalk.matrix, crosstalk.waves, crosstalk.inverse_waves)
+        light = (self.samples, *matrices, self.gains, rows)
         predict_blocks_kernel(*light, levels.modulation, self._contrast_sums, self._sums)
         self.window.smooth(self._sums, self._half, self.smooth)
         find_gains_kernel(self.smooth, True, self.gains)
@@ -248,8 +247,10 @@ def predict_blocks_kernel(
             background_sum += contrast_sums[i, _BACKGROUND]
         contrast_sums[last, _CONTRAST] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
     strips = strip_count(out_sums.shape[1], LANES)
-    for t in range(out_sums.shape[0] * strips):
-        i, first, count = strip_at(t, out_sums.shape[1], LANES)
+    for t in range(SPREAD * out_sums.shape[0] * strips):
+        if t % SPREAD > 0:
+            continue
+        i, first, count = strip_at(t // SPREAD, out_sums.shape[1], LANES)
         inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
         of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
         contrast = contrast_sums[last, _CONTRAST]

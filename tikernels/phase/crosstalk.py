@@ -13,8 +13,8 @@ from tikernels import checks
 from tikernels._taichi import F32Array2, F32Array3, mat3, ti, vec3
 from tikernels.arrays import F32
 from tikernels.errors import ShapeError
-from tikernels.launching import kernel
-from tikernels.phase.phase_vector import color_at, matrix_of, phase_weights
+from tikernels.launching import constant, kernel
+from tikernels.phase.phase_vector import channel_waves, color_at, matrix_of, phase_weights
 from tikernels.phase.surfaces import Surfaces
 
 
@@ -82,6 +82,10 @@ class Crosstalk:
     """(3, 3): undoes it."""
     weights: npt.NDArray[np.float32]
     """(3, 3): takes the balanced channels to b cos(phi), b sin(phi) and the background a; see `phase_weights`."""
+    waves: npt.NDArray[np.float32]
+    """(3, 3): what a, b cos(phi) and b sin(phi) make of the channels; see `channel_waves`."""
+    inverse_waves: npt.NDArray[np.float32]
+    """(3, 3): undoes it."""
     noise_amplification: float
     """Standard deviation of b cos(phi) and of b sin(phi), for a camera channel's of one, on the first surface."""
     lag: npt.NDArray[np.float64] | None
@@ -115,13 +119,15 @@ class Crosstalk:
             The matrix is not 3x3 or cannot be inverted.
         """
         inverse = invert_crosstalk(matrix, normalize_rows=True)
-        weights = phase_weights(inverse, lag)
+        weights, waves = phase_weights(inverse, lag), channel_waves(lag)
         surfaces = Surfaces.of(np.eye(3)) if surfaces is None else surfaces
         seen_weights = phase_weights(inverse @ surfaces.unmixing[0])
         return cls(
-            np.linalg.inv(inverse).astype(np.float32),
-            inverse.astype(np.float32),
-            weights.astype(np.float32),
+            constant(np.linalg.inv(inverse).astype(np.float32)),
+            constant(inverse.astype(np.float32)),
+            constant(weights.astype(np.float32)),
+            constant(waves.astype(np.float32)),
+            constant(np.linalg.inv(waves).astype(np.float32)),
             float(np.sqrt((seen_weights[:2] ** 2).sum() / 2)),
             lag,
             surfaces,

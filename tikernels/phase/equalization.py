@@ -17,7 +17,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, f32, i32, ti
 from tikernels.arrays import F32, Mask
 from tikernels.errors import ShapeError
-from tikernels.launching import kernel
+from tikernels.launching import constant, kernel
 from tikernels.phase.phase_vector import PI, wrap
 from tikernels.phase.wrapped_phase import has_phase, mark_no_phase_kernel
 
@@ -54,7 +54,7 @@ class MeasuredCorrection(NamedTuple):
         correction[:-1] = np.fft.irfft(spectrum, bins)
         correction[-1] = correction[0]
         mean = self.counts @ (correction[1:] + correction[:-1]) / (2 * max(self.counts.sum(), 1))
-        return np.asarray(correction - mean, np.float32)
+        return constant(np.asarray(correction - mean, np.float32))
 
 
 def measure_correction(

@@ -115,15 +115,24 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     """
     image = checks.read_array("image", image, (None, None, 3), *LEVEL_TYPES)
     columns = min(_COLUMNS, int(image.shape[1]))
-    samples = np.empty((columns, int(image.shape[0]), _COLUMNS_OF_A_PIXEL), np.float32)
+    out = runtime.empty((columns, int(image.shape[0]), _COLUMNS_OF_A_PIXEL), np.float32)
     dtype = runtime.dtype_name(image)
     white = white_level or WHITE_LEVELS[dtype]
-    probe_frame_kernel(image, 1.0 / white, samples)
+    probe_frame_kernel(image, 1.0 / white, out)
+    samples = runtime.to_host(out)  # synchronises
     light, changes = samples[..., _LIGHT : _LIGHT + 3], samples[..., _CHANGE : _CHANGE + 3]
-    bright = float(np.percentile(light.mean(axis=-1), 95))
+    bright = _bright(light[..., 0] + light[..., 1] + light[..., 2]) / 3
     fringe = samples[..., _COSINE] + 1j * samples[..., _SINE]
     noise = _noise(changes, light, bright, 0.0 if dtype.startswith("float") else 1.0 / white)
-    return FrameStatistics(_period(fringe), noise, bright, float(np.percentile(np.abs(fringe), 95)))
+    return FrameStatistics(_period(fringe), noise, bright, _bright(np.abs(fringe)))
+
+
+def _bright(values: npt.NDArray[np.float32]) -> float:
+    """Return the 95th percentile; a third of the time that NumPy's own takes."""
+    place = 0.95 * (values.size - 1)
+    below, above = int(place), min(int(place) + 1, values.size - 1)
+    low, high = np.partition(values.ravel(), (below, above))[[below, above]].astype(np.float64)
+    return float(low + (place - below) * (high - low))
 
 
 def _noise(
@@ -143,8 +152,10 @@ def _noise(
     brightness = np.log(light)
     lowest, highest = brightness.min(), brightness.max()
     numbers = ((brightness - lowest) * (_NOISE_GROUPS / (highest - lowest + 1e-6))).astype(np.int8)
-    for number in range(_NOISE_GROUPS):
-        group = np.flatnonzero(numbers == number)
+    in_groups = np.split(
+        np.argsort(numbers, kind="stable"), np.cumsum(np.bincount(numbers, minlength=_NOISE_GROUPS))[:-1]
+    )
+    for group in in_groups:
         if len(group) >= min(_LEAST_GROUP, len(light) / _NOISE_GROUPS):
             # The middle fifth instead of the median: that of whole levels is one or the next.
             first, last = 2 * len(group) // 5, 3 * len(group) // 5

@@ -29,13 +29,13 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3, vec4
 from tikernels.arrays import F32
-from tikernels.launching import kernel
+from tikernels.launching import constant, kernel
 from tikernels.phase.channel_template import HARMONICS, load_harmonics, sharpened_cycle_and_slope, sharpening_of
 from tikernels.phase.color_balance import channels_at, sample_at
 from tikernels.phase.equalization import equalized
 from tikernels.phase.phase_vector import cosine_and_sine
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
-from tikernels.strips import LANES, color_of, lanes, lanes_of_colors, set_color, strip_at, strip_count
+from tikernels.strips import LANES, SPREAD, color_of, lanes, lanes_of_colors, set_color, strip_at, strip_count
 
 # Tiles both ways, at most, and cycles that each wants; they are averaged with their neighbours.
 _TILES, _CYCLES, _AROUND = 8, 3, 0.7
@@ -86,8 +86,10 @@ def sum_sharpness_kernel(
 ):
     """Sum up, block by block, what the sharpness explains of what brightness and phase leave over."""
     # Half of the blocks tell enough, as of a chessboard one colour.
-    for t in range(out_sums.shape[0] * strip_count(out_sums.shape[1], 2 * LANES)):
-        i, start, total = strip_at(t, out_sums.shape[1], 2 * LANES)
+    for t in range(SPREAD * out_sums.shape[0] * strip_count(out_sums.shape[1], 2 * LANES)):
+        if t % SPREAD > 0:
+            continue
+        i, start, total = strip_at(t // SPREAD, out_sums.shape[1], 2 * LANES)
         first, count = start + i % 2, (total + 1 - i % 2) // 2
         node, harmonics = ti.min(i // 2, nodes.shape[0] - 1), load_harmonics(template)
         seen, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
@@ -143,11 +145,11 @@ class FringeSharpness:
         self._tiles = (wide, high)
         self._sums = runtime.empty((*blocks, 3), np.float32)
         #: (Hg, Wg) x.
-        self.values = np.zeros(grid, np.float32)
+        self.values = constant(np.zeros(grid, np.float32))
 
     def forget(self) -> None:
         """Take the fringe to be as sharp everywhere."""
-        self.values[:] = 0
+        self.values = constant(np.zeros_like(self.values))
 
     def refine(
         self, samples: F32, phases: F32, correction: F32, template: F32, nodes: F32, rows: int, doubt: float
@@ -189,10 +191,10 @@ class FringeSharpness:
             return float(np.sqrt((counts * values**2).sum() / counts.sum()))
 
         step = cv2.resize(_STEP * self._tiled(sums), size, interpolation=cv2.INTER_LINEAR)
-        self.values += step
-        self.values *= max(0.0, 1 - (doubt / max(spread(self.values), 1e-9)) ** 2)
-        self.values -= np.float32(np.log((counts * np.exp(3 * self.values)).sum() / counts.sum()) / 3)
-        np.clip(self.values, -_MOST, _MOST, out=self.values)
+        values = self.values + step
+        values *= max(0.0, 1 - (doubt / max(spread(values), 1e-9)) ** 2)
+        values -= np.float32(np.log((counts * np.exp(3 * values)).sum() / counts.sum()) / 3)
+        self.values = constant(np.clip(values, -_MOST, _MOST))
         return spread(step) > max(_IN_FOCUS, doubt)
 
     def _tiled(self, sums: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

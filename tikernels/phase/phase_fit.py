@@ -389,15 +389,15 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
         The image has another shape or dtype.
     """
     image = checks.read_array("image", image, (gains.height, gains.width, 3), *LEVEL_TYPES)
-    histogram = np.zeros((_TILES**2, BINS), np.int32)
+    histogram = runtime.empty((_TILES**2, BINS), np.int32)
+    histogram.fill(0)
     step = max(1, gains.height * gains.width // _COUNTED)
     thresholds = (levels.intensity, levels.telling, levels.clipped)
     surfaces = crosstalk.surfaces
     shown = (surfaces.labels, surfaces.unmixing, surfaces.ambient)
     kernel = _count_phases_kernel(surfaces.mixed)
     kernel(image, *shown, crosstalk.weights, gains.gains, gains.spacing_px, step, *thresholds, histogram)
-    runtime.synchronize()
-    return histogram.astype(np.int64)
+    return runtime.to_host(histogram).astype(np.int64)  # synchronises
 
 
 def fit_phase(

@@ -162,7 +162,8 @@ def waves(light: _Complexes, phase: _Array, contrast: _Array | None = None) -> t
         By what blur multiplies the first harmonic; the nth by its power of n^2.
     """
     n = np.arange(1, light.shape[1] + 1)
-    turns = np.exp(1j * n * phase[..., None])
+    # Powers of the first: as many exponentials take several times as long.
+    turns = np.cumprod(np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), light.shape[1])), axis=1)
     if contrast is not None:
         turns *= contrast[:, None] ** n**2
     return 1 + (turns @ light.T).real, (turns * 1j * n @ light.T).real
@@ -322,7 +323,7 @@ def _across(
             across = d - (_dot(d, m) / square)[:, None] * m
             step = _dot(seen, across) / (brightness * _dot(across, across))
             phase = phase + np.clip(step, -_PHASE_STEP, _PHASE_STEP)
-    normal = np.cross(m, d)
+    normal = m[:, (1, 2, 0)] * d[:, (2, 0, 1)] - m[:, (2, 0, 1)] * d[:, (1, 2, 0)]
     normal /= np.sqrt(_dot(normal, normal))[:, None]
     return _Across(phase, brightness, m, d, normal, _dot(seen, normal))
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from tikernels._taichi import F32Array2, F32Array3, Static, U8Array2, i32, mat3, ti, u1, vec3
 from tikernels.arrays import U8
+from tikernels.launching import constant
 
 #: Of a pixel that shows no fringe.
 NO_SURFACE = 255
@@ -37,10 +38,11 @@ class Surfaces:
     def of(cls, mixing: npt.ArrayLike, labels: U8 | None = None, ambient: npt.ArrayLike | None = None) -> "Surfaces":
         """Prepare surfaces for decoding; without labels all pixels show the first one."""
         matrices = np.asarray(mixing, np.float64).reshape(-1, 3, 3)
-        everywhere = np.zeros((1, 1), np.uint8) if labels is None else labels
+        everywhere = constant(np.zeros((1, 1), np.uint8)) if labels is None else labels
         besides = np.zeros((len(matrices), 3)) if ambient is None else np.asarray(ambient)
-        inverse = np.linalg.inv(matrices).astype(np.float32)
-        return cls(everywhere, matrices.astype(np.float32), inverse, besides.astype(np.float32))
+        inverse = np.linalg.inv(matrices)
+        tables = (constant(table.astype(np.float32)) for table in (matrices, inverse, besides))
+        return cls(everywhere, *tables)
 
     @property
     def mixed(self) -> bool:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels.arrays import F32, I32
+from tikernels.arrays import F32
 from tikernels.errors import ShapeError
 from tikernels.phase.phase_change import MEAN_QUALITY
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, LEAST_STEP_PHASE
@@ -258,17 +258,10 @@ def _write(
         (drafts.contacts, noted),
         (drafts.cell_table, cells),
     ):
-        _copy(host, buffer)
+        runtime.write(host, buffer)
 
 
 def _cells_of_pixels(marked: npt.NDArray[np.bool_]) -> Integers:
     """Return the cell of every marked pixel."""
     y, x = np.nonzero(marked)
     return (y // CELL_HEIGHT) * cells_of(*marked.shape)[1] + x // CELL_WIDTH
-
-
-def _copy(host: npt.NDArray[np.int32], buffer: I32) -> None:
-    if isinstance(buffer, np.ndarray):
-        buffer[...] = host
-    else:
-        buffer.from_numpy(host)

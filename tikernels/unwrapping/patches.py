@@ -14,6 +14,7 @@ from tikernels.unwrapping.hidden_steps import mark_hidden_steps_kernel
 from tikernels.unwrapping.region_placing import choose_starts_kernel, place_regions_kernel
 from tikernels.unwrapping.region_writing import finish_patches_kernel, write_unwrapped_kernel
 from tikernels.unwrapping.surface_borders import Borders
+from tikernels.unwrapping.table_columns import columns_at, first_columns, put_columns
 from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Patch, Region, cells_of, numbers_of
 from tikernels.unwrapping.unwrap_methods import PatchMethod
 
@@ -105,16 +106,16 @@ class Patches:
 
     def roots(self) -> npt.NDArray[np.int32]:
         """Return (P,) int32: the patch that stands for the region of each patch."""
-        return np.array(runtime.to_host(self.table)[Patch.ROOT, : self.count], np.int32)  # synchronises
+        return np.array(first_columns(self.table, self.count)[Patch.ROOT], np.int32)  # synchronises
 
     def graph(self) -> PatchGraph:
         """Return the patches, and where they touch inside their regions."""
-        table = runtime.to_host(self.table)[:, : self.count]  # synchronises
-        cells, contacts = runtime.to_host(self.cell_table), runtime.to_host(self._draft_contacts)
+        table = first_columns(self.table, self.count)  # synchronises
+        cells = runtime.to_host(self.cell_table)
         counts = np.diff(cells[Cell.CONTACTS])
         within = np.arange(cells[Cell.CONTACTS, -1]) - np.repeat(cells[Cell.CONTACTS, :-1], counts)
         cell = np.repeat(np.arange(self.cells), counts)
-        noted = contacts.take((cell << (self.draft_bits + CONTACT_BITS)) + within, axis=1)
+        noted = columns_at(self._draft_contacts, (cell << (self.draft_bits + CONTACT_BITS)) + within)
         ends = numbers_of(noted[[Contact.FROM, Contact.TO]], cells, self.draft_bits)
         offset, root = table[Patch.OFFSET].copy(), table[Patch.ROOT].copy()
         agree = offset[ends[1]] == offset[ends[0]] + noted[Contact.SHIFT]
@@ -139,9 +140,9 @@ class Patches:
         """
         if np.shape(shifts) != (self.count,):
             raise ShapeError(f"shifts has shape {np.shape(shifts)}, expected one for each of {self.count} patches")
-        table = runtime.to_host(self.table)
-        table[Patch.OFFSET, : self.count] += shifts
-        _write_back(self.table, table)
+        table = first_columns(self.table, self.count)
+        table[Patch.OFFSET] += shifts
+        put_columns(table, self.table)
 
     def split(self, roots: npt.NDArray[np.int32], left_out: npt.NDArray[np.bool_] | None = None) -> None:
         """Make regions of the patches that share a root, which is one of them; their orders stay.
@@ -161,11 +162,11 @@ class Patches:
         if np.shape(roots) != (self.count,):
             raise ShapeError(f"roots has shape {np.shape(roots)}, expected one for each of {self.count} patches")
         self._check_numbers("roots", roots)
-        table = runtime.to_host(self.table)
-        table[Patch.ROOT, : self.count] = roots
+        table = first_columns(self.table, self.count)
+        table[Patch.ROOT] = roots
         if left_out is not None:
-            table[Patch.PIXELS, : self.count][left_out] = 0
-        _write_back(self.table, table)
+            table[Patch.PIXELS][left_out] = 0
+        put_columns(table, self.table)
         self._choose_starts()
 
     def set_orders(self, roots: npt.NDArray[np.integer], orders: npt.NDArray[np.integer]) -> None:
@@ -190,13 +191,13 @@ class Patches:
             raise ShapeError(f"orders has shape {np.shape(orders)}, expected {np.shape(roots)}: one for each root")
         if len(roots) == 0:
             return
-        regions = runtime.to_host(self._regions)
+        regions = first_columns(self._regions, self.count)
         regions[Region.ORDER, roots] = -orders
-        _write_back(self._regions, regions)
+        put_columns(regions, self._regions)
 
     def orders(self, roots: npt.NDArray[np.integer]) -> npt.NDArray[np.int32]:
         """Return the whole cycles that are added to the orders of the regions with these roots."""
-        return np.array(-runtime.to_host(self._regions)[Region.ORDER, roots], np.int32)  # synchronises
+        return np.array(-first_columns(self._regions, self.count)[Region.ORDER, roots], np.int32)  # synchronises
 
     def place(self, phase: F32, rays: F32, projector: ProjectorGeometry, depth_mm: float) -> None:
         """Give every region the orders that bring it nearest to a depth, instead of 0 at its start.
@@ -257,7 +258,7 @@ class Patches:
         out_mask = checks.out_array("out_mask", out_mask, self.shape, np.uint8)
         out_region = checks.out_array("out_region", out_region, self.shape, np.int32)
         # Numbering a handful of regions by their size is the host's work; ties go to the start's place in the image.
-        regions = runtime.to_host(self._regions)[:, : self.count]  # synchronises
+        regions = first_columns(self._regions, self.count)  # synchronises
         roots = np.flatnonzero(regions[Region.PIXELS] >= MIN_REGION_PX)
         roots = roots[np.lexsort((regions[Region.START, roots], -regions[Region.PIXELS, roots]))]
         numbers = np.zeros(max(self.count, 1), np.int32)
@@ -282,8 +283,3 @@ class Patches:
     def _choose_starts(self) -> None:
         serial = one_thread_is_faster(self.count)
         choose_starts_kernel(serial, self.count, self.labels, self.table, self._regions)
-
-
-def _write_back(buffer: I32, host: npt.NDArray[np.int32]) -> None:
-    if not isinstance(buffer, np.ndarray):
-        buffer.from_numpy(host)

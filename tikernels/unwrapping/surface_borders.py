@@ -201,23 +201,35 @@ def measure_borders_kernel(
 
 
 def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt.NDArray[np.float32]:
-    """Return (2, cells): the departures (rad) up to which a surface goes on, and from which it steps."""
-    told = departures.reshape(rows, columns)
-    median = cv2.medianBlur(told, 2 * _AROUND + 1).ravel()
+    """Return (4, cells) rad, up to which a surface goes on and from which it steps, along and across the stripes.
+
+    Parameters
+    ----------
+    departures : (2, cells)
+        By how much the phase departs at a place of each cell, along and across; NO_PHASE if it cannot be told.
+    """
+    size = 2 * _AROUND + 1
+    # One picture above the other, and a frame around each.
+    framed = np.full((2, rows + 2 * _AROUND, columns + 2 * _AROUND), NO_PHASE, np.float32)
+    framed[:, _AROUND:-_AROUND, _AROUND:-_AROUND] = departures.reshape(2, rows, columns)
+    pictures = framed.reshape(-1, framed.shape[2])
+    median = cv2.medianBlur(pictures, size)
     # Where some of those around are missing, for they cannot be told or lie outside, the median is of the others.
-    framed = np.pad(told, _AROUND, constant_values=NO_PHASE)
-    reach = np.ones((2 * _AROUND + 1,) * 2, np.uint8)
-    missing = cv2.dilate((framed >= NO_PHASE).astype(np.uint8), reach)[_AROUND:-_AROUND, _AROUND:-_AROUND]
-    some = np.flatnonzero(missing)
-    around = np.lib.stride_tricks.sliding_window_view(framed, reach.shape)[some // columns, some % columns]
-    around = np.sort(around.reshape(len(some), -1), axis=1)
+    missing = cv2.dilate((pictures >= NO_PHASE).astype(np.uint8), np.ones((size, size), np.uint8)) != 0
+    inside = np.zeros(framed.shape, bool)
+    inside[:, _AROUND:-_AROUND, _AROUND:-_AROUND] = True
+    some = np.flatnonzero(missing.ravel() & inside.ravel())
+    offsets = np.arange(-_AROUND, _AROUND + 1)
+    near = (offsets[:, None] * pictures.shape[1] + offsets).ravel()
+    around = np.sort(pictures.ravel()[some[:, None] + near], axis=1)
     found = np.count_nonzero(around < NO_PHASE, axis=1)
     lower = around[np.arange(len(some)), np.maximum(found - 1, 0) // 2]
-    median[some] = np.where(found > 0, lower, 0)
-    sigma = _SIGMA_OF_MEDIAN * median
+    median.ravel()[some] = np.where(found > 0, lower, 0)
+    sigma = _SIGMA_OF_MEDIAN * median.reshape(framed.shape)[:, _AROUND:-_AROUND, _AROUND:-_AROUND].reshape(2, -1)
     steps = np.maximum(_STEPS, _STEPS_SIGMAS * sigma)
     steps[steps > _MOST] = NO_PHASE
-    return np.stack([np.maximum(_GOES_ON, _GOES_ON_SIGMAS * sigma), steps]).astype(np.float32)
+    goes_on = np.maximum(_GOES_ON, _GOES_ON_SIGMAS * sigma)
+    return np.stack([goes_on, steps], axis=1).reshape(4, -1).astype(np.float32)
 
 
 def measure_borders(
@@ -246,7 +258,7 @@ def measure_borders(
     count = rows * columns
     sample = runtime.empty((2, count), np.float32)
     sample_departures_kernel(phase, rates, sample)
-    limits = np.concatenate([_limits(seen, rows, columns) for seen in runtime.to_host(sample)])  # synchronises
+    limits = _limits(runtime.to_host(sample), rows, columns)  # synchronises
     pairs = runtime.empty((3, _PLACES * count), np.int32)
     px = runtime.empty((2, _PLACES * count), np.float32)
     counts = runtime.empty((count,), np.int32)

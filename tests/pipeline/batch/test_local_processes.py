@@ -138,8 +138,19 @@ def test_an_error_of_ours_comes_back_as_it_was(folder, tmp_path):
 
 def test_how_many_processes_are_worth_their_start(folder, tmp_path, monkeypatch):
     job = job_of(folder, tmp_path / "result.zarr")
-    monkeypatch.setattr(run, "usable_cores", lambda: 8)
+    monkeypatch.setattr(run, "usable_cores", lambda: list(range(8)))
     frames = range(1024)
     assert run._worthwhile_processes(job, [(frames, frozenset(frames))]) == 8
     assert run._worthwhile_processes(job, [(frames, frozenset(frames[:300]))]) == 2
     assert run._worthwhile_processes(job, [(frames, frozenset(frames[:10]))]) == 0
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processes cannot be bound to cores here")
+def test_each_process_has_its_share_of_the_cores(folder, tmp_path):
+    seen = set()
+
+    def look(done, of):
+        seen.update(tuple(sorted(os.sched_getaffinity(child))) for child in children())
+
+    decode_footage(job_of(folder, tmp_path / "result.zarr"), workers=2, tell=look)
+    assert seen == {tuple(share) for share in local_processes.shares(local_processes.usable_cores(), 2)}

@@ -42,6 +42,22 @@ def test_nodes_have_the_paints_colours(arch):
     assert np.mean(labels == np.array(order)[numbers]) > 0.9
 
 
+@pytest.mark.parametrize(("size", "spacing_px"), [((121, 163), 2), ((96, 128), 2), ((121, 163), 4)])
+def test_of_nodes_close_together_some_are_looked_at(cpu, size, spacing_px):
+    """They cover the picture as all of them do."""
+    image, _, _ = board(["orange", "blue"], size, gamma=1.0)
+    crosstalk, gains = Crosstalk.of(MATRIX), Gains(*size, 2.3 * spacing_px)
+    assert gains.spacing_px == spacing_px
+    gains.measure(image, crosstalk, LEVELS)
+    model = ChannelModel(gains)
+    model.recover(crosstalk, LEVELS)
+    look = FirstLook(image, model, crosstalk, LEVELS, FLAT)
+    assert look.spacing_px == 8
+    assert look.lit.shape == tuple(-(-n // 8) for n in size)
+    assert look.labels(look.common_colors()).shape == size
+    assert look.around.shape == look.contrast_around.shape == tuple(gains.samples.shape[:2])
+
+
 @pytest.mark.parametrize("gamma", [1.0, 2.0])
 def test_ambient_light_is_what_the_modulation_does_not_follow(cpu, gamma):
     """Where the projector's light falls off, the fringe fades and the ambient light stays."""

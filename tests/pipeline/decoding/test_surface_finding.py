@@ -6,6 +6,7 @@ from support.colored_boards import MATRIX, PAINTS, RESPONSE, band_matrix, board,
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration
+from pipeline.decoding.surface_finding import SurfaceFinder
 
 PAINTED = ["white", "orange", "blue", "skin"]
 
@@ -43,6 +44,24 @@ def test_a_colour_that_acts_after_the_crosstalk_stays_so(cpu):
     image, _, _ = board(["skin"], broad=1.0)
     found, broad = (board_decoder(reflectance_bands=bands).decode(image) for bands in (None, "broad"))
     np.testing.assert_array_equal(found.wrapped_phase, broad.wrapped_phase)
+
+
+def test_in_a_video_an_only_colour_is_asked_once(cpu, monkeypatch):
+    """Until it changes, or another one joins it."""
+    image, _, _ = board(["skin"], broad=1.0)
+    asked, acts_after = [], SurfaceFinder._acts_after
+    monkeypatch.setattr(SurfaceFinder, "_acts_after", lambda *of: asked.append(1) or acts_after(*of))
+    decoder = board_decoder()
+    first = decoder.decode(image)
+    second = decoder.decode(image, previous=first)
+    assert len(asked) == 1
+    np.testing.assert_array_equal(second.memory.surfaces.ratios, first.memory.surfaces.ratios)
+    other, _, _ = board(["orange"], broad=1.0)
+    third = decoder.decode(other, previous=second)
+    assert len(asked) == 2
+    broad = board_decoder(reflectance_bands="broad")
+    np.testing.assert_array_equal(second.wrapped_phase, broad.decode(image, previous=broad.decode(image)).wrapped_phase)
+    assert np.abs(third.memory.surfaces.ratios - second.memory.surfaces.ratios).max() > 0.1
 
 
 def test_one_colour_alone_is_told_by_what_is_left_over(cpu):

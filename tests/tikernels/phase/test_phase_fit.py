@@ -54,7 +54,7 @@ def recover(image: np.ndarray, *, mixed=False, doubt=0.02, gain=0.0, fitted=True
     model.recover(crosstalk, levels)
     model.fit(crosstalk, correction, flat_template(), 0.02)
     if not fitted:
-        model.template[:, 1:] *= 0
+        model.template = flat_template()
     out = fit_phase(image, model, crosstalk, levels, correction, doubt)
     return FittedPhase(*(runtime.to_host(o) for o in out)), model, correction
 
