@@ -135,10 +135,20 @@ class Job:
             "chain_frames": CHAIN_FRAMES,
         }
 
-    def open_store(
+    def open_store(self, source: Source) -> ResultStore:
+        """Open the store.
+
+        Raises
+        ------
+        OutputError
+            It is not there, or holds something else.
+        """
+        return ResultStore(self.store, self.identity(source), self.fields)
+
+    def make_store(
         self, source: Source, light: LightEstimate | None = None, rims: RimVotes | None = None
     ) -> ResultStore:
-        """Open the store, or make it, with what has been learnt of the light and of which side is in front.
+        """Make what is missing of the store, with what has been learnt of the light and of which side is in front.
 
         Raises
         ------
@@ -146,7 +156,8 @@ class Job:
             It holds something else, or cannot be written.
         """
         also = {"light": None if light is None else light.as_json(), "rims": asdict(rims or RimVotes())}
-        return ResultStore(self.store, self.identity(source), len(source), self.size_px(source), self.fields, also)
+        identity, size_px = self.identity(source), self.size_px(source)
+        return ResultStore.make(self.store, identity, self.fields, len(source), size_px, also)
 
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""

@@ -1,8 +1,8 @@
 """Decode in several processes on this machine, each with a decoder of its own.
 
 The kernels' languages keep the interpreter to themselves while a kernel runs, and share its work out over the cores
-many times a frame. Processes of one kernel thread each do neither: two of them decode 1.9 times the frames that one
-process on two cores does.
+many times a frame. Processes of one kernel thread each do neither: two of them decode half as many frames again as
+one process on two cores does.
 """
 
 import os

@@ -70,7 +70,7 @@ def decode_footage(
     FootageError
         The footage cannot be read, or `strict` and a frame is bad.
     OutputError
-        The store holds frames that were made otherwise, or cannot be written.
+        The store holds frames that were made otherwise, cannot be written, or has lost frames.
     ClusterError
         There is no cluster, or its workers or the processes here die.
     """
@@ -80,7 +80,7 @@ def decode_footage(
     store, notes = _ready_store(job, source)
     missing = set(wanted) - store.done()
     summary = DecodeSummary(len(wanted), len(wanted) - len(missing), notes=notes)
-    done = summary.n_before
+    done, stored = summary.n_before, set[int]()
 
     def note(report: Outcome) -> None:
         nonlocal done
@@ -88,8 +88,10 @@ def decode_footage(
             if strict:
                 raise FootageError(f"frame {report.number} of {source.name}: {report.reason}")
             summary.bad.append(report)
-        elif report.warnings:
-            summary.warned[report.number] = report.warnings
+        else:
+            stored.add(report.number)
+            if report.warnings:
+                summary.warned[report.number] = report.warnings
         done += 1
         tell(done, summary.n_frames)
 
@@ -106,6 +108,7 @@ def decode_footage(
     finally:
         source.close()
     store.remove_leftovers()  # of workers that died
+    store.check(stored)
     summary.bad.sort(key=lambda frame: frame.number)
     return summary
 
@@ -127,7 +130,7 @@ def _ready_store(job: Job, source: Source) -> tuple[ResultStore, tuple[str, ...]
         runtime.init(job.arch)
         light, rims, doubts = job.learn(source)
         notes += doubts
-    store = job.open_store(source, light, rims)
+    store = job.make_store(source, light, rims)
     store.remove_leftovers()
     return store, notes
 

@@ -13,9 +13,8 @@ from pipeline.batch.job import Job, join_ranges
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
-from pipeline.errors import DecodeWarning, FootageError, OutputError
+from pipeline.errors import DecodeWarning, FootageError
 from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
-from pipeline.output.store import read_attributes
 from tikernels import runtime
 
 # Frames read ahead; more of them only take memory.
@@ -54,8 +53,6 @@ class Worker:
     """
 
     def __init__(self, job: Job) -> None:
-        if read_attributes(job.store) is None:
-            raise OutputError(f"{job.store} is not there: every worker must see it under this name")
         self._job = job
         self._source = job.open()
         self._store = job.open_store(self._source)

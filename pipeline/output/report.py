@@ -79,8 +79,10 @@ def depth_in_words(read: Callable[[str], npt.NDArray[Any] | None], *, in_mm: boo
         with np.errstate(divide="ignore", invalid="ignore"):
             mm_per_rad = float(np.nanmedian((point_sigma / phase_sigma)[unknown]))
         cycle = f", some {2 * np.pi * mm_per_rad:.2g} mm each"
+    share = unknown.sum() / mask.sum()
+    part = "less than 1%" if share < 0.005 else f"{share:.0%}"
     return (
-        f"depth is relative on {unknown.sum() / mask.sum():.0%} of the pixels: {which} there may be off by whole "
+        f"depth is relative on {part} of the pixels: {which} there may be off by whole "
         f"cycles{cycle}; a pattern with the code or a --depth-range tells"
     )
 

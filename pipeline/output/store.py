@@ -7,7 +7,7 @@ import errno
 import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -62,18 +62,16 @@ def chosen_fields(names: Sequence[str] | None, *, in_mm: bool) -> tuple[str, ...
 
 
 class ResultStore:
-    """The frames of one footage, each written once and marked when it is safe.
+    """The frames of one footage, each written once and marked when it is safe; never made by being opened.
 
     Parameters
     ----------
     location : str or Path
-        A folder, or an fsspec URL such as ``s3://bucket/result.zarr``; what is missing in it is made.
+        A folder, or an fsspec URL such as ``s3://bucket/result.zarr``.
     identity : dict
         What all its frames share, as JSON: a store that says otherwise is refused.
-    n_frames, size_px, fields
-        Of the whole footage: how many frames, their width and height, and which of `FIELDS` are stored.
-    also : dict, optional
-        Further attributes of a new store, which an old one keeps as they were.
+    fields : sequence of str
+        Which of `FIELDS` are stored.
 
     Attributes
     ----------
@@ -83,42 +81,67 @@ class ResultStore:
     Raises
     ------
     OutputError
-        The place cannot be written, or holds something else.
+        It is not there, or holds something else.
     """
 
-    def __init__(
-        self,
-        location: str | Path,
-        identity: dict[str, Any],
-        n_frames: int,
-        size_px: tuple[int, int],
-        fields: Sequence[str],
-        also: dict[str, Any] | None = None,
-    ) -> None:
-        import zarr  # slow to import, and only needed here
-
+    def __init__(self, location: str | Path, identity: dict[str, Any], fields: Sequence[str]) -> None:
         self.location, self._folder, self._files = _place(location)
         self._fields = tuple(fields)
-        identity = json.loads(json.dumps({**identity, "fields": list(fields)}))
+        found = read_attributes(location)
+        if found is None:
+            raise OutputError(f"{location} is not there: every worker must see it under this name")
+        _refuse_mixing(self.location, found, _whole_identity(identity, fields))
+        self.attributes = found
+
+    @classmethod
+    def make(
+        cls,
+        location: str | Path,
+        identity: dict[str, Any],
+        fields: Sequence[str],
+        n_frames: int,
+        size_px: tuple[int, int],
+        also: dict[str, Any] | None = None,
+    ) -> "ResultStore":
+        """Make what is missing of a store, and open it.
+
+        Parameters
+        ----------
+        location, identity, fields
+            As above.
+        n_frames, size_px
+            Of the whole footage: how many frames, their width and height.
+        also : dict, optional
+            Further attributes of a new store, which an old one keeps as they were.
+
+        Raises
+        ------
+        OutputError
+            The place cannot be written, or holds something else.
+        """
+        import zarr  # slow to import, and only needed here
+
+        name, folder, _ = _place(location)
+        identity = _whole_identity(identity, fields)
         found = read_attributes(location)
         if found is not None:
-            _refuse_mixing(self.location, found, identity)
+            _refuse_mixing(name, found, identity)
         lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3, "record": _MARK_BYTES}
         axes: tuple[str, ...]
         fill: float
-        with self._explained():
-            group = zarr.open_group(self.location, mode="a", attributes={**identity, **(also or {})})
-            for name in (*fields, DONE):
-                if name in group:
+        with _explained(name, folder):
+            group = zarr.open_group(name, mode="a", attributes={**identity, **(also or {})})
+            for field in (*fields, DONE):
+                if field in group:
                     continue
-                if name == DONE:
+                if field == DONE:
                     axes, dtype, fill, codec = ("record",), np.dtype(np.uint8), _BLANK, None
                 else:
-                    axes, dtype, codec = FIELDS[name].axes, np.dtype(FIELDS[name].dtype), chunk_codec(_LEVEL)
+                    axes, dtype, codec = FIELDS[field].axes, np.dtype(FIELDS[field].dtype), chunk_codec(_LEVEL)
                     fill = np.nan if dtype.kind == "f" else 0
                 shape = tuple(lengths[axis] for axis in axes)
                 group.create_array(
-                    name,
+                    field,
                     shape=(n_frames, *shape),
                     chunks=(1, *shape),
                     dtype=dtype,
@@ -127,12 +150,25 @@ class ResultStore:
                     chunk_key_encoding=CHUNK_KEYS,
                     dimension_names=("frame", *axes),
                 )
-        self.attributes: dict[str, Any] = group.attrs.asdict()
+        return cls(location, identity, fields)
 
     def done(self) -> set[int]:
         """Return the numbers of the frames that are whole."""
-        with self._explained():
+        with _explained(self.location, self._folder):
             return done_frames(self.location)
+
+    def check(self, numbers: Set[int]) -> None:
+        """Look whether frames that were stored are still there.
+
+        Raises
+        ------
+        OutputError
+            Somebody has removed some, or the whole store.
+        """
+        lost = numbers - self.done()
+        if lost:
+            frames = "a frame has" if len(lost) == 1 else f"{len(lost)} frames have"
+            raise OutputError(f"{self.location}: {frames} vanished after being stored: run again")
 
     def write(self, number: int, frame: DecodedFrame) -> None:
         """Write a frame's chunks and, once they are safe, its mark; may be called again, and from several threads.
@@ -142,7 +178,7 @@ class ResultStore:
         OutputError
             The disk is full, or the store is gone.
         """
-        with self._explained():
+        with _explained(self.location, self._folder):
             for name in self._fields:
                 values = np.asarray(getattr(frame, name))
                 values = FIELDS[name].rounded(values, frame.noise_levels, in_mm=frame.calibrated)
@@ -162,28 +198,11 @@ class ResultStore:
         """Remove the files that a writer who was killed left half-written; while nobody writes."""
         if self._folder is None:
             return  # elsewhere nothing appears before it is whole
-        with self._explained():
+        with _explained(self.location, self._folder):
             for folder in (self._folder, *(self._folder / name for name in (*self._fields, DONE))):
                 for name in os.listdir(folder):
                     if name.endswith(_LEFTOVERS):
                         (folder / name).unlink(missing_ok=True)
-
-    @contextmanager
-    def _explained(self) -> Iterator[None]:
-        """Turn what a file system raises into one line."""
-        try:
-            yield
-        except OutputError:
-            raise
-        except OSError as error:
-            gone = error.errno == errno.ENOENT
-            what = "it has vanished: bring its disk back, and run again" if gone else explain(error)
-            raise OutputError(f"cannot write {self.location}: {what}") from error
-        except Exception as error:
-            if self._folder is not None:
-                raise
-            # Each remote file system has errors of its own.
-            raise OutputError(f"cannot write {self.location}: {' '.join(str(error).split())}") from error
 
 
 def done_frames(location: str | Path) -> set[int]:
@@ -258,7 +277,7 @@ def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calib
     """
     height, width = frame.mask.shape
     fields = chosen_fields(None, in_mm=frame.calibrated)
-    ResultStore(path, result_attributes(settings, calibration), 1, (width, height), fields).write(0, frame)
+    ResultStore.make(path, result_attributes(settings, calibration), fields, 1, (width, height)).write(0, frame)
 
 
 def _place(location: str | Path) -> tuple[str, Path | None, Any]:
@@ -283,6 +302,30 @@ def _place(location: str | Path) -> tuple[str, Path | None, Any]:
 def _holds_others(folder: Path) -> bool:
     """Whether a folder holds more than what is left of a store whose making was interrupted."""
     return any(not name.endswith(_LEFTOVERS) for name in os.listdir(folder))
+
+
+def _whole_identity(identity: dict[str, Any], fields: Sequence[str]) -> dict[str, Any]:
+    """Return what all frames of a store share, as it reads once it is written as JSON."""
+    whole: dict[str, Any] = json.loads(json.dumps({**identity, "fields": list(fields)}))
+    return whole
+
+
+@contextmanager
+def _explained(name: str, folder: Path | None) -> Iterator[None]:
+    """Turn what a file system raises into one line; no folder: a remote one."""
+    try:
+        yield
+    except OutputError:
+        raise
+    except OSError as error:
+        gone = error.errno == errno.ENOENT
+        what = "it has vanished: bring its disk back, and run again" if gone else explain(error)
+        raise OutputError(f"cannot write {name}: {what}") from error
+    except Exception as error:
+        if folder is not None:
+            raise
+        # Each remote file system has errors of its own.
+        raise OutputError(f"cannot write {name}: {' '.join(str(error).split())}") from error
 
 
 def _refuse_mixing(name: str, found: dict[str, Any], identity: dict[str, Any]) -> None:

@@ -11,12 +11,19 @@ from pathlib import Path
 import numpy as np
 from support.command_line import command
 
+from pipeline.batch.job import Job
 from pipeline.calibration import Calibration
+from pipeline.footage.source import StoredAs
+from pipeline.output.store import chosen_fields
 from pipeline.recording.recorder import Recorder
+from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.raw.pixel_format import PixelFormat
 
-#: Frames that are simulated; the rest of the footage are these, moved.
+#: Frames of footage that is worth more than one process.
+N_FRAMES = 200
+
+# Frames that are simulated; the rest of the footage are these, moved.
 _DISTINCT = 6
 
 
@@ -28,6 +35,13 @@ def record(path: Path, n_frames: int, size_px: tuple[int, int] = (128, 96)) -> C
         for number in range(n_frames):
             recorder.add(np.roll(images[number % _DISTINCT], number // _DISTINCT, axis=1))
     return rig.model_copy(update={"crosstalk_matrix": SimulationSettings().crosstalk_matrix})
+
+
+def job_of(folder: Path, store: Path) -> Job:
+    """Return a job that decodes a folder's ``film.mkv``, without a calibration."""
+    fields = chosen_fields(("mask", "unwrapped_phase", "phase_sigma"), in_mm=False)
+    film = str(folder / "film.mkv")
+    return Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu")
 
 
 def contents(folder: Path) -> dict[str, str]:

@@ -6,14 +6,10 @@ import threading
 import pytest
 from support.dask_cluster import local_cluster
 from support.missing import import_but_fail_in_ci
-from support.recorded_footage import contents, record
+from support.recorded_footage import contents, job_of
 
-from pipeline import DecodeSettings
-from pipeline.batch.job import Job
 from pipeline.batch.run import decode_footage
 from pipeline.errors import ClusterError
-from pipeline.footage.source import StoredAs
-from pipeline.output.store import chosen_fields
 
 import_but_fail_in_ci("distributed")
 # Not ours: what Dask leaves behind when its processes are killed.
@@ -22,28 +18,6 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
 ]
-N_FRAMES = 200
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory, cpu):
-    folder = tmp_path_factory.mktemp("cluster")
-    record(folder / "film.mkv", N_FRAMES)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def here(folder):
-    """Return what a run in this process stores."""
-    store = folder / "here.zarr"
-    decode_footage(job_of(folder, store))
-    return contents(store)
-
-
-def job_of(folder, store):
-    fields = chosen_fields(("mask", "unwrapped_phase", "phase_sigma"), in_mm=False)
-    film = str(folder / "film.mkv")
-    return Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu")
 
 
 @pytest.mark.long

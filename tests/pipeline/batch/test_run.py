@@ -387,6 +387,18 @@ def test_a_vanished_store(job):
         decode_footage(job, tell=remove)
 
 
+def test_frames_that_vanish_after_they_were_stored(job):
+    """A run that says it is done has its frames."""
+
+    def remove(done, of):
+        if done == of:
+            (Path(job.store) / "done" / "c.3.0").unlink()
+
+    with pytest.raises(OutputError, match="a frame has vanished after being stored: run again"):
+        decode_footage(job, tell=remove)
+    assert decode_footage(job).n_before == N_FRAMES - 1
+
+
 def test_a_store_behind_a_url(job, undisturbed):
     fsspec = import_but_fail_in_ci("fsspec")
     url = "memory://bucket/result.zarr"

@@ -1,5 +1,7 @@
 """One process's share of a run: what it decodes, what it stores, and what it is told of a store that is not there."""
 
+from pathlib import Path
+
 import pytest
 from support.recorded_footage import record
 
@@ -23,12 +25,13 @@ def job(tmp_path, cpu):
 def test_every_worker_must_see_the_store(job):
     with pytest.raises(OutputError, match=r"is not there: every worker must see it under this name"):
         Worker(job)
+    assert not Path(job.store).exists()
 
 
 def test_only_what_is_missing_is_stored_and_bad_frames_are_told(job, tmp_path):
     """Frame 1 is decoded for frame 2, which leans on it."""
     source = job.open()
-    job.open_store(source)
+    job.make_store(source)
     (tmp_path / "film.zarr" / "frames" / "c.4.0.0.0").unlink()
     told = []
     Worker(job).decode([(range(0, 3), frozenset({0, 2})), (range(4, 6), frozenset({4, 5}))], told.append)

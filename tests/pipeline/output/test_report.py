@@ -85,6 +85,14 @@ def test_depth_that_is_only_relative_is_said(truth):
     assert 80 < float(said.split("some ")[1].split(" mm")[0]) < 110
     assert "each surface there may be off by whole cycles; a" in words(calibrated, ("region", "point_sigma"))
     assert words(calibrated, ("absolute",)) is None
+
+    def nearly_all_known(name):
+        known = np.ones_like(calibrated.mask)
+        known[np.unravel_index(np.argmax(calibrated.mask), known.shape)] = False
+        return known if name == "absolute" else getattr(calibrated, name)
+
+    few = depth_in_words(nearly_all_known, in_mm=True, front_is_clear=True)
+    assert "relative on less than 1% of the pixels: the surface there" in few
     waves = simulate_frame(rig, SimulationSettings(scene="waves", noise_levels=0.0))
     ranged = rig.model_copy(update={"depth_range_mm": (880.0, 920.0)})
     assert words(Decoder(calibration=ranged, arch="cpu").decode(waves.image)) is None

@@ -1,0 +1,22 @@
+"""Footage that is decoded in several processes, and what one process makes of it."""
+
+import pytest
+from support.recorded_footage import N_FRAMES, contents, job_of, record
+
+from pipeline.batch.run import decode_footage
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory, cpu):
+    """Return a folder with the footage, ``film.mkv``."""
+    folder = tmp_path_factory.mktemp("film")
+    record(folder / "film.mkv", N_FRAMES)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def here(folder):
+    """Return what a run in this process stores."""
+    store = folder / "here.zarr"
+    decode_footage(job_of(folder, store))
+    return contents(store)
