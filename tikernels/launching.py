@@ -6,10 +6,11 @@ same types only pointers, shapes and numbers change. So its context is kept, and
 """
 
 import atexit
+import contextlib
 import functools
 import threading
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -32,8 +33,16 @@ _constants: dict[int, list[Any]] = {}
 _lock = threading.Lock()
 
 
-def kernel(function: Function) -> Function:
-    """Compile a function as a kernel when it is called for the first time, and launch it quickly from then on."""
+def kernel(function: Function, *, whole_vectors: bool = False) -> Function:
+    """Compile a function as a kernel when it is called for the first time, and launch it quickly from then on.
+
+    Parameters
+    ----------
+    function : callable
+        In the kernel language.
+    whole_vectors : bool
+        Whether the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
+    """
     compiled: Any = ti.kernel(function)
 
     @functools.wraps(function)
@@ -41,7 +50,8 @@ def kernel(function: Function) -> Function:
         if traffic.on_device:
             arguments = tuple(_on_device(argument) for argument in arguments)
         traffic.count_call(arguments)
-        return compiled(*arguments)
+        with _vectors_kept(whole_vectors):
+            return compiled(*arguments)
 
     if not TESTED:  # Quadrants keeps its contexts itself
         return cast(Function, plain)
@@ -76,7 +86,8 @@ def kernel(function: Function) -> Function:
             if program.config().arch in (ti.x64, ti.arm64):
                 # A GPU's launch writes addresses of the device into the context, which is of no further use then.
                 compiled_for = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
-                code = program.compile_kernel(program.config(), program.get_device_caps(), compiled_for)
+                with _vectors_kept(whole_vectors):
+                    code = program.compile_kernel(program.config(), program.get_device_caps(), compiled_for)
                 kept[key] = (program, code, compiled_for.make_launch_context(), {})
             return None
         traffic.calls += 1
@@ -100,6 +111,20 @@ def kernel(function: Function) -> Function:
         return None
 
     return cast(Function, launch)
+
+
+@contextlib.contextmanager
+def _vectors_kept(kept: bool) -> Iterator[None]:
+    """Let the CPU's compiler see vectors as such, and not as so many numbers each on its own, as it does otherwise."""
+    if not kept or traffic.on_device:
+        yield
+        return
+    config = ti.lang.impl.current_cfg()
+    config.real_matrix_scalarize = False
+    try:
+        yield
+    finally:
+        config.real_matrix_scalarize = True
 
 
 def constant(array: npt.NDArray[Number]) -> npt.NDArray[Number]:

@@ -2,6 +2,7 @@
 
 import contextlib
 import ctypes
+import math
 import os
 import sys
 import threading
@@ -16,6 +17,7 @@ from tikernels._taichi import DEVICE_TYPES, language, ti
 from tikernels.arrays import Array, DeviceArray, E
 from tikernels.core_binding import bound_to_cores
 from tikernels.errors import DeviceNotReady
+from tikernels.lanes import VECTOR_BYTES
 from tikernels.launching import forget
 from tikernels.traffic import traffic
 
@@ -163,9 +165,17 @@ def empty(shape: tuple[int, ...], dtype: type[E]) -> Array[E]:
     a device ndarray. Both are taken by every kernel.
     """
     if started() == "cpu":
-        return np.empty(shape, dtype)
+        return _aligned(shape, np.dtype(dtype))
     buffer: DeviceArray[E] = ti.ndarray(DEVICE_TYPES[np.dtype(dtype).name], shape)
     return buffer
+
+
+def _aligned(shape: tuple[int, ...], dtype: np.dtype[E]) -> npt.NDArray[E]:
+    """Allocate an array whose vectors of sixteen begin where a CPU loads them as a whole; see `lanes.py`."""
+    size = math.prod(shape) * dtype.itemsize
+    memory = np.empty(size + VECTOR_BYTES, np.uint8)
+    start = -memory.ctypes.data % VECTOR_BYTES
+    return np.asarray(memory[start : start + size].view(dtype).reshape(shape))
 
 
 def to_device(array: npt.NDArray[E]) -> Array[E]:

@@ -21,14 +21,28 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array2, F32Array3, Static, U8Array2, f32, ti, u1
+from tikernels._taichi import F32Array2, Static, U8Array2, f32, ti, u1
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
+from tikernels.lanes import (
+    LANES,
+    as_lanes,
+    byte_lanes,
+    float_lanes,
+    in_vectors,
+    lane_count,
+    lanes_at,
+    load_lanes,
+    load_lanes_of,
+    planes,
+    store_lanes,
+    store_lanes_of,
+    width_of,
+)
 from tikernels.launching import kernel
 from tikernels.phase.phase_change import RATE_ACROSS, RATE_ALONG, measure_rates, rates_shape
 from tikernels.phase.phase_vector import PI, wrap
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, NO_PHASE, STEP_PHASE, has_phase, mark_no_phase_kernel
-from tikernels.strips import STRIP, strip_at, strip_count
 
 # A pair of neighbours counts while each is within a radian of what the usual change leads to, and the surface bends
 # less between them than noise makes it, four standard deviations; or than the least, which round surfaces do within a
@@ -121,41 +135,41 @@ def quadric_share(a: f32, b: f32, count: f32, squares: f32, fourths: f32) -> f32
 
 
 @cache
-def _smooth_rows_kernel(pairs: int) -> Any:
+def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
     """Return the kernel that fits `pairs` neighbours on either side along the rows."""
-    reach = max(pairs, 1)
-    window = 2 * reach + STRIP
-    taps, lanes = ti.types.vector(window, ti.f32), ti.types.vector(STRIP, ti.f32)
+    taps = ti.types.vector(3 * LANES, ti.f32)
 
-    @kernel
     def smooth_rows_kernel(
-        phase: F32Array2,  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
-        precision: F32Array2,  # (H, W) 1 / rad^2: one over the phase's variance
+        phase: planes(wide),  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
+        precision: planes(wide),  # (H, W) 1 / rad^2: one over the phase's variance
         rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad a px
-        out: F32Array2,  # (H, W) rad, the rows' means; NO_PHASE outside the mask, STEP_PHASE between two surfaces
-        out_rows: F32Array3,  # (3, H, W) see `_Row`
+        out: planes(wide),  # (H, W) rad, the rows' means; NO_PHASE outside the mask, STEP_PHASE between two surfaces
+        out_rows: planes(wide, ndim=3),  # (3, H, W) see `_Row`
     ):
-        height, width = phase.shape[0], phase.shape[1]
+        height, width = phase.shape[0], width_of(phase, wide)
         last = rates.shape[0] - 1
-        for t in range(height * strip_count(width, STRIP)):
-            y, first, length = strip_at(t, width, STRIP)
+        for t in range(height * lane_count(width)):
+            y, place = lanes_at(t, width)
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
+            before = load_lanes(phase, float_lanes, y, ti.max(place - 1, 0), width, wide)
+            here = load_lanes(phase, float_lanes, y, place, width, wide)
+            after = load_lanes(phase, float_lanes, y, ti.min(place + 1, lane_count(width) - 1), width, wide)
+            upper = load_lanes(phase, float_lanes, above, place, width, wide)
+            lower = load_lanes(phase, float_lanes, below, place, width, wide)
+            certainty = load_lanes(precision, float_lanes, y, place, width, wide)
             values = taps(0.0)
-            upper, lower, certainty = lanes(0.0), lanes(0.0), lanes(0.0)
-            mean, bend, mean_variance, fit_variance = lanes(0.0), lanes(0.0), lanes(0.0), lanes(0.0)
-            for k in range(window):
-                values[k] = NO_PHASE
-            for k in range(ti.max(0, reach - first), ti.min(window, width - first + reach)):
-                values[k] = phase[y, first - reach + k]
-            for k in range(length):
-                upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
-                certainty[k] = precision[y, first + k]
-            for k in range(STRIP):
-                centre = values[reach + k]
+            for k in range(LANES):
+                values[k] = ti.select(place == 0, NO_PHASE, before[k])
+                values[LANES + k] = ti.select(place * LANES + k < width, here[k], NO_PHASE)
+                values[2 * LANES + k] = ti.select((place + 1) * LANES + k < width, after[k], NO_PHASE)
+            mean, bend = float_lanes(0.0), float_lanes(0.0)
+            mean_variance, fit_variance = float_lanes(0.0), float_lanes(0.0)
+            for k in range(LANES):
+                centre = values[LANES + k]
                 # Without a neighbour the differences stay far beyond any phase.
-                to_left = ti.abs(wrap(values[reach + k - 1] - centre) + rate_along)
-                to_right = ti.abs(wrap(values[reach + k + 1] - centre) - rate_along)
+                to_left = ti.abs(wrap(values[LANES + k - 1] - centre) + rate_along)
+                to_right = ti.abs(wrap(values[LANES + k + 1] - centre) - rate_along)
                 to_upper = departure(centre - upper[k], rate_across)
                 to_lower = departure(lower[k] - centre, rate_across)
                 to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
@@ -166,8 +180,8 @@ def _smooth_rows_kernel(pairs: int) -> Any:
                 total, total_2, count, squares, fourths = 0.0, 0.0, 1.0, 0.0, 0.0
                 for tap in ti.static(range(1, pairs + 1)):
                     change = change_over(rate_along, tap)
-                    one = wrap(values[reach + k - tap] - centre + change)
-                    other = wrap(values[reach + k + tap] - centre - change)
+                    one = wrap(values[LANES + k - tap] - centre + change)
+                    other = wrap(values[LANES + k + tap] - centre - change)
                     counts = pair_counts(one, other, per_bend)
                     both = ti.select(counts > 0.0, counts * (one + other), 0.0)
                     total, total_2 = total + both, total_2 + tap * tap * both
@@ -175,18 +189,17 @@ def _smooth_rows_kernel(pairs: int) -> Any:
                     fourths += 2.0 * tap**4 * counts
                 a, b = quadric_weights(count, squares, fourths)
                 # A pixel between two surfaces has nothing but itself, should one of them claim it.
-                here = ti.select(step, STEP_PHASE, centre + total / count)
-                mean[k] = ti.select(has_phase(centre), here, NO_PHASE)
+                alone = ti.select(step, STEP_PHASE, centre + total / count)
+                mean[k] = ti.select(has_phase(centre), alone, NO_PHASE)
                 bend[k] = ti.select(step, 0.0, a * total - b * total_2 - total / count)
                 mean_variance[k] = variance * ti.select(step, 1.0, 1.0 / count)
                 fit_variance[k] = variance * ti.select(step, 1.0, quadric_share(a, b, count, squares, fourths))
-            for k in range(length):
-                out[y, first + k] = mean[k]
-                out_rows[_Row.BEND, y, first + k] = bend[k]
-                out_rows[_Row.MEAN_VARIANCE, y, first + k] = mean_variance[k]
-                out_rows[_Row.FIT_VARIANCE, y, first + k] = fit_variance[k]
+            store_lanes(out, y, place, width, mean, wide)
+            store_lanes_of(out_rows, _Row.BEND, y, place, width, bend, wide)
+            store_lanes_of(out_rows, _Row.MEAN_VARIANCE, y, place, width, mean_variance, wide)
+            store_lanes_of(out_rows, _Row.FIT_VARIANCE, y, place, width, fit_variance, wide)
 
-    return smooth_rows_kernel
+    return kernel(smooth_rows_kernel, whole_vectors=wide)
 
 
 @ti.func
@@ -197,43 +210,47 @@ def change_across(near: f32, far: f32, change: f32, wraps: Static) -> f32:
 
 
 @cache
-def _smooth_columns_kernel(pairs: int, wraps: bool) -> Any:
+def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
     """Return the kernel that fits `pairs` neighbours on either side across the rows, of rows that are smoothed."""
-    lanes = ti.types.vector(STRIP, ti.f32)
 
-    @kernel
     def smooth_columns_kernel(
-        phase: F32Array2,  # (H, W) rad, the rows' means; without whole cycles if it `wraps`
-        mask: U8Array2,  # (H, W)
-        rows: F32Array3,  # (3, H, W) see `_Row`
+        phase: planes(wide),  # (H, W) rad, the rows' means; without whole cycles if it `wraps`
+        mask: planes(wide, ti.u8),  # (H, W)
+        rows: planes(wide, ndim=3),  # (3, H, W) see `_Row`
         rates: F32Array2,  # last row: RATE_ALONG, RATE_ACROSS ..., rad a px
-        out: F32Array2,  # (H, W) rad; NaN outside the mask
-        out_variance: F32Array2,  # (H, W) rad^2
+        out: planes(wide),  # (H, W) rad; NaN outside the mask
+        out_variance: planes(wide),  # (H, W) rad^2
     ):
-        height, width = out.shape[0], out.shape[1]
+        height, width = out.shape[0], width_of(out, wide)
         last = rates.shape[0] - 1
-        for t in range(height * strip_count(width, STRIP)):
-            y, first, length = strip_at(t, width, STRIP)
+        for t in range(height * lane_count(width)):
+            y, place = lanes_at(t, width)
             rate = rates[last, RATE_ACROSS]
-            centre, bend, variance, upper, lower = lanes(0.0), lanes(0.0), lanes(1.0), lanes(0.0), lanes(0.0)
-            bends, others, count, squares, fourths = lanes(0.0), lanes(1.0), lanes(1.0), lanes(0.0), lanes(0.0)
-            total, total_2, total_bend = lanes(0.0), lanes(0.0), lanes(0.0)
-            for k in range(length):
-                centre[k] = ti.select(mask[y, first + k] != 0, phase[y, first + k], _FAR)
-                bend[k], variance[k] = rows[_Row.BEND, y, first + k], rows[_Row.MEAN_VARIANCE, y, first + k]
+            centre = load_lanes(phase, float_lanes, y, place, width, wide)
+            holds = load_lanes(mask, byte_lanes, y, place, width, wide)
+            bend = load_lanes_of(rows, _Row.BEND, y, place, width, wide)
+            variance = load_lanes_of(rows, _Row.MEAN_VARIANCE, y, place, width, wide)
+            count, squares, fourths = float_lanes(1.0), float_lanes(0.0), float_lanes(0.0)
+            total, total_2, total_bend = float_lanes(0.0), float_lanes(0.0), float_lanes(0.0)
+            for k in range(LANES):
+                centre[k] = ti.select(holds[k] != 0, centre[k], _FAR)
             for tap in ti.static(range(1, pairs + 1)):
                 if y >= tap and y + tap < height:
                     change = change_over(rate, tap) if ti.static(wraps) else tap * rate
                     above, below = y - tap, y + tap
-                    for k in range(length):
-                        x = first + k
-                        upper[k] = ti.select(mask[above, x] != 0, phase[above, x], _NO_ROW)
-                        lower[k] = ti.select(mask[below, x] != 0, phase[below, x], _NO_ROW)
-                        bends[k] = rows[_Row.BEND, above, x] + rows[_Row.BEND, below, x]
-                        others[k] = rows[_Row.MEAN_VARIANCE, above, x] + rows[_Row.MEAN_VARIANCE, below, x]
-                    for k in range(STRIP):
-                        one = change_across(centre[k], upper[k], -change, wraps)
-                        other = change_across(centre[k], lower[k], change, wraps)
+                    upper = load_lanes(phase, float_lanes, above, place, width, wide)
+                    lower = load_lanes(phase, float_lanes, below, place, width, wide)
+                    holds_above = load_lanes(mask, byte_lanes, above, place, width, wide)
+                    holds_below = load_lanes(mask, byte_lanes, below, place, width, wide)
+                    bends = load_lanes_of(rows, _Row.BEND, above, place, width, wide)
+                    bends += load_lanes_of(rows, _Row.BEND, below, place, width, wide)
+                    others = load_lanes_of(rows, _Row.MEAN_VARIANCE, above, place, width, wide)
+                    others += load_lanes_of(rows, _Row.MEAN_VARIANCE, below, place, width, wide)
+                    for k in range(LANES):
+                        high = ti.select(holds_above[k] != 0, upper[k], _NO_ROW)
+                        low = ti.select(holds_below[k] != 0, lower[k], _NO_ROW)
+                        one = change_across(centre[k], high, -change, wraps)
+                        other = change_across(centre[k], low, change, wraps)
                         counts = pair_counts(one, other, inverse_bend(others[k] + 4.0 * variance[k]))
                         weight = counts * ti.min(2.0 * variance[k] / others[k], _MOST_WEIGHT)
                         both = ti.select(counts > 0.0, weight * (one + other), 0.0)
@@ -241,20 +258,20 @@ def _smooth_columns_kernel(pairs: int, wraps: bool) -> Any:
                         total_bend[k] += weight * bends[k]
                         count[k], squares[k] = count[k] + 2.0 * weight, squares[k] + 2.0 * tap * tap * weight
                         fourths[k] += 2.0 * tap**4 * weight
-            for k in range(length):
-                upper[k] = rows[_Row.FIT_VARIANCE, y, first + k] - variance[k]
-            for k in range(STRIP):
+            fit_variance = load_lanes_of(rows, _Row.FIT_VARIANCE, y, place, width, wide)
+            for k in range(LANES):
                 a, b = quadric_weights(count[k], squares[k], fourths[k])
                 fitted = centre[k] + a * total[k] - b * total_2[k] + (bend[k] + total_bend[k]) / count[k]
                 # A row's mean and what its quadric adds to it are uncorrelated.
-                left = variance[k] * quadric_share(a, b, count[k], squares[k], fourths[k]) + upper[k] / count[k]
+                of_bend = (fit_variance[k] - variance[k]) / count[k]
+                left = variance[k] * quadric_share(a, b, count[k], squares[k], fourths[k]) + of_bend
                 inside = centre[k] < 0.5 * _FAR
                 centre[k] = ti.select(inside, fitted, ti.math.nan)
                 variance[k] = ti.select(inside, left, variance[k])
-            for k in range(length):
-                out[y, first + k], out_variance[y, first + k] = centre[k], variance[k]
+            store_lanes(out, y, place, width, centre, wide)
+            store_lanes(out_variance, y, place, width, variance, wide)
 
-    return smooth_columns_kernel
+    return kernel(smooth_columns_kernel, whole_vectors=wide)
 
 
 def _window(pairs: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
@@ -330,7 +347,10 @@ class Smoother:
         precision = checks.read_array("precision", precision, self.shape, np.float32)
         rates = checks.read_array("rates", rates, rates_shape(self.shape[0]), np.float32)
         out = checks.out_buffer("out", out, self.shape, np.float32)
-        _smooth_rows_kernel(self._pairs)(phase, precision, rates, out, self._rows)
+        wide = in_vectors(phase, precision, out, self._rows)
+        seen = [as_lanes(array, wide) for array in (phase, precision)]
+        written = [as_lanes(array, wide) for array in (out, self._rows)]
+        _smooth_rows_kernel(self._pairs, wide)(*seen, rates, *written)
         return out
 
     def across(
@@ -375,7 +395,10 @@ class Smoother:
         smoothed, variance = (None, None) if out is None else out
         smoothed = checks.out_buffer("out[0]", smoothed, self.shape, np.float32)
         variance = checks.out_buffer("out[1]", variance, self.shape, np.float32)
-        _smooth_columns_kernel(self._pairs, wraps)(phase, mask, self._rows, rates, smoothed, variance)
+        wide = in_vectors(phase, mask, self._rows, smoothed, variance)
+        seen = [as_lanes(array, wide) for array in (phase, mask, self._rows)]
+        written = [as_lanes(array, wide) for array in (smoothed, variance)]
+        _smooth_columns_kernel(self._pairs, wraps, wide)(*seen, rates, *written)
         return smoothed, variance
 
 
