@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from tikernels._taichi import Static, i32, ti
+from tikernels._taichi import Static, f32, i32, ti
 from tikernels.arrays import Array
 
 #: Pixels of a vector.
@@ -33,6 +33,7 @@ LANES = 16
 VECTOR_BYTES = 64
 
 float_lanes, integer_lanes, byte_lanes = (ti.types.vector(LANES, kind) for kind in (ti.f32, ti.i32, ti.u8))
+three_lanes = ti.types.vector(3 * LANES, ti.f32)
 
 
 def planes(wide: bool, kind: Any = ti.f32, ndim: int = 2) -> Any:
@@ -82,6 +83,20 @@ def load_lanes(plane: Static, kind: Static, y: i32, place: i32, width: i32, wide
     else:
         for k in range(ti.min(LANES, width - place * LANES)):
             values[k] = plane[y, place * LANES + k]
+    return values
+
+
+@ti.func
+def load_around(plane: Static, y: i32, place: i32, width: i32, beyond: f32, wide: Static):
+    """Return the pixels of three vectors of a row, those at a place in the middle; what is beyond the row outside it."""
+    before = load_lanes(plane, float_lanes, y, ti.max(place - 1, 0), width, wide)
+    here = load_lanes(plane, float_lanes, y, place, width, wide)
+    after = load_lanes(plane, float_lanes, y, ti.min(place + 1, lane_count(width) - 1), width, wide)
+    values = three_lanes(0.0)
+    for k in range(LANES):
+        values[k] = ti.select(place > 0, before[k], beyond)
+        values[LANES + k] = ti.select(place * LANES + k < width, here[k], beyond)
+        values[2 * LANES + k] = ti.select((place + 1) * LANES + k < width, after[k], beyond)
     return values
 
 

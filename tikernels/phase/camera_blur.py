@@ -10,16 +10,31 @@ whose imaginary part turns the phase by v grad(log s) grad(phi), besides the mea
 12 px a cycle an edge where the brightness doubles makes 0.06 rad of it.
 """
 
+from functools import cache
+from typing import Any
+
 import numpy as np
 
 from tikernels import checks
-from tikernels._taichi import F32Array2, f32, ti
+from tikernels._taichi import f32, ti
 from tikernels.arrays import F32
+from tikernels.lanes import (
+    LANES,
+    as_lanes,
+    float_lanes,
+    in_vectors,
+    lane_count,
+    lanes_at,
+    load_around,
+    load_lanes,
+    planes,
+    store_lanes,
+    width_of,
+)
 from tikernels.launching import kernel
 from tikernels.phase.phase_fit import doubted
 from tikernels.phase.phase_vector import wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
-from tikernels.strips import STRIP, strip_at, strip_count
 
 #: v, px^2: a pixel's area makes 1/12, and a lens that is made for the sensor, with a blur of half a pixel, 1/4.
 VARIANCE_PX = 1 / 3
@@ -27,7 +42,6 @@ VARIANCE_PX = 1 / 3
 _DOUBT_PX = 0.5
 # Slopes on either side of a pixel that differ by more than this, or are steeper, are none: a step is near. rad a px
 _SAME_SLOPE, _STEEPEST = 0.4, 1.2
-_lanes, _row = ti.types.vector(STRIP, ti.f32), ti.types.vector(STRIP + 2, ti.f32)
 
 
 @ti.func
@@ -42,39 +56,40 @@ def turned_by_blur(before: f32, here: f32, after: f32, dim: f32, bright: f32) ->
     return ti.select(smooth, 0.5 * (one + other) * (bright - dim) / ti.max(bright + dim, 1e-6), 0.0)
 
 
-@kernel
-def undo_camera_blur_kernel(
-    phase: F32Array2,  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
-    brightness: F32Array2,  # (H, W)
-    precision: F32Array2,  # (H, W) 1 / rad^2
-    out: F32Array2,  # (H, W) rad, as the phase
-    out_misfit: F32Array2,  # (H, W) in units of the precision's variance; added to
-):
-    height, width = phase.shape[0], phase.shape[1]
-    for t in range(height * strip_count(width, STRIP)):
-        y, first, count = strip_at(t, width, STRIP)
-        above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
-        here, light = _row(0.0), _row(0.0)
-        upper, lower, light_above, light_below = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
-        sure, result, left = _lanes(0.0), _lanes(0.0), _lanes(0.0)
-        for k in range(ti.max(0, 1 - first), ti.min(STRIP + 2, width - first + 1)):
-            here[k], light[k] = phase[y, first - 1 + k], brightness[y, first - 1 + k]
-        for k in range(count):
-            upper[k], lower[k] = phase[above, first + k], phase[below, first + k]
-            light_above[k], light_below[k] = brightness[above, first + k], brightness[below, first + k]
-            sure[k], left[k] = precision[y, first + k], out_misfit[y, first + k]
-        if first == 0:
-            here[0] = NO_PHASE
-        if count < STRIP or first + STRIP == width:
-            here[count + 1] = NO_PHASE
-        for k in range(STRIP):
-            turn = turned_by_blur(upper[k], here[k + 1], lower[k], light_above[k], light_below[k])
-            turn += turned_by_blur(here[k], here[k + 1], here[k + 2], light[k], light[k + 2])
-            result[k] = here[k + 1] - ti.select(has_phase(here[k + 1]), VARIANCE_PX * turn, 0.0)
-            left[k] = doubted(left[k], _DOUBT_PX * turn, sure[k])
-        for k in range(count):
-            out[y, first + k] = result[k]
-            out_misfit[y, first + k] = left[k]
+@cache
+def _undo_camera_blur_kernel(wide: bool) -> Any:
+    """Return the kernel for rows of vectors, or of numbers."""
+
+    def undo_camera_blur_kernel(
+        phase: planes(wide),  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
+        brightness: planes(wide),  # (H, W)
+        precision: planes(wide),  # (H, W) 1 / rad^2
+        out: planes(wide),  # (H, W) rad, as the phase
+        out_misfit: planes(wide),  # (H, W) in units of the precision's variance; added to
+    ):
+        height, width = phase.shape[0], width_of(phase, wide)
+        for t in range(height * lane_count(width)):
+            y, place = lanes_at(t, width)
+            above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
+            here = load_around(phase, y, place, width, NO_PHASE, wide)
+            light = load_around(brightness, y, place, width, 0.0, wide)
+            upper = load_lanes(phase, float_lanes, above, place, width, wide)
+            lower = load_lanes(phase, float_lanes, below, place, width, wide)
+            light_above = load_lanes(brightness, float_lanes, above, place, width, wide)
+            light_below = load_lanes(brightness, float_lanes, below, place, width, wide)
+            sure = load_lanes(precision, float_lanes, y, place, width, wide)
+            misfit = load_lanes(out_misfit, float_lanes, y, place, width, wide)
+            turned = float_lanes(0.0)
+            for k in range(LANES):
+                x = LANES + k
+                turn = turned_by_blur(upper[k], here[x], lower[k], light_above[k], light_below[k])
+                turn += turned_by_blur(here[x - 1], here[x], here[x + 1], light[x - 1], light[x + 1])
+                turned[k] = here[x] - ti.select(has_phase(here[x]), VARIANCE_PX * turn, 0.0)
+                misfit[k] = doubted(misfit[k], _DOUBT_PX * turn, sure[k])
+            store_lanes(out, y, place, width, turned, wide)
+            store_lanes(out_misfit, y, place, width, misfit, wide)
+
+    return kernel(undo_camera_blur_kernel, whole_vectors=wide)
 
 
 def undo_camera_blur(phase: F32, brightness: F32, precision: F32, out: tuple[F32, F32]) -> None:
@@ -104,4 +119,6 @@ def undo_camera_blur(phase: F32, brightness: F32, precision: F32, out: tuple[F32
         checks.out_buffer(name, buffer, shape, np.float32)
         for name, buffer in zip(("corrected phase", "misfit"), out, strict=True)
     )
-    undo_camera_blur_kernel(phase, brightness, precision, corrected, misfit)
+    arrays = (phase, brightness, precision, corrected, misfit)
+    wide = in_vectors(*arrays)
+    _undo_camera_blur_kernel(wide)(*(as_lanes(array, wide) for array in arrays))

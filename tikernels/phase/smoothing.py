@@ -32,6 +32,7 @@ from tikernels.lanes import (
     in_vectors,
     lane_count,
     lanes_at,
+    load_around,
     load_lanes,
     load_lanes_of,
     planes,
@@ -137,7 +138,6 @@ def quadric_share(a: f32, b: f32, count: f32, squares: f32, fourths: f32) -> f32
 @cache
 def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
     """Return the kernel that fits `pairs` neighbours on either side along the rows."""
-    taps = ti.types.vector(3 * LANES, ti.f32)
 
     def smooth_rows_kernel(
         phase: planes(wide),  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
@@ -152,17 +152,10 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
             y, place = lanes_at(t, width)
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
-            before = load_lanes(phase, float_lanes, y, ti.max(place - 1, 0), width, wide)
-            here = load_lanes(phase, float_lanes, y, place, width, wide)
-            after = load_lanes(phase, float_lanes, y, ti.min(place + 1, lane_count(width) - 1), width, wide)
+            values = load_around(phase, y, place, width, NO_PHASE, wide)
             upper = load_lanes(phase, float_lanes, above, place, width, wide)
             lower = load_lanes(phase, float_lanes, below, place, width, wide)
             certainty = load_lanes(precision, float_lanes, y, place, width, wide)
-            values = taps(0.0)
-            for k in range(LANES):
-                values[k] = ti.select(place == 0, NO_PHASE, before[k])
-                values[LANES + k] = ti.select(place * LANES + k < width, here[k], NO_PHASE)
-                values[2 * LANES + k] = ti.select((place + 1) * LANES + k < width, after[k], NO_PHASE)
             mean, bend = float_lanes(0.0), float_lanes(0.0)
             mean_variance, fit_variance = float_lanes(0.0), float_lanes(0.0)
             for k in range(LANES):
