@@ -90,7 +90,7 @@ class FirstLook:
             np.minimum((self._every - 1) // 2 + self._every * np.arange(-(-n // self._every)), n - 1)
             for n in smooth.shape[:2]
         )
-        self._smooth = smooth[rows[:, None], columns].astype(np.float64)
+        self._smooth = smooth[rows[:, None], columns]
         predicted = np.maximum(self._smooth[..., WindowSum.PREDICTED : WindowSum.PREDICTED + 3], 1e-9)
         self.ratios = color_ratios(self._smooth[..., WindowSum.SEEN : WindowSum.SEEN + 3] / predicted)
         self.lit = self._smooth[..., WindowSum.SAMPLES] > _FILLED * gains.window.samples
@@ -162,8 +162,11 @@ class FirstLook:
 
     def common_colors(self) -> FloatArray:
         """Return the colours that many nodes have in common, (n, 3) ratios, the commonest first."""
-        steps = [np.gradient(self.ratios, axis=axis) for axis in (0, 1) if self.ratios.shape[axis] > 1]
-        change = np.sum([(step**2).sum(axis=-1) for step in steps], axis=0) + np.zeros(self.lit.shape)
+        change = np.zeros(self.lit.shape)
+        for axis in (0, 1):
+            if self.ratios.shape[axis] > 1:
+                step = np.gradient(self.ratios, axis=axis)
+                change += np.einsum("ijk,ijk->ij", step, step)
         weights = (1 / (1 + change / _SHARP**2) ** 2)[self.lit]
         return common_colors(self.ratios[self.lit], weights, LEAST_PX / self.spacing_px**2 / 2)
 
@@ -202,8 +205,17 @@ class FirstLook:
         while math.gcd(step, int(self.gains.samples.shape[1])) > 1:  # or it meets the same columns again and again
             step += 1
         seen, balanced = samples[::step].astype(np.float64), balanced_samples[::step].astype(np.float64)
-        contrast = self.contrast_around.ravel()[::step]
+        contrast = self._contrast_at(np.arange(0, len(samples), step))
         return seen, np.asarray(balanced @ self._crosstalk.weights.T.astype(np.float64)), contrast
+
+    def _contrast_at(self, samples: npt.NDArray[np.intp]) -> FloatArray:
+        """Return what `contrast_around` has at some samples, without the others."""
+        row, column = np.divmod(samples, int(self.gains.samples.shape[1]))
+        # Where these lie between the nodes, whose values are those of the middles of their squares.
+        y, x = (row + 0.5) / self.spacing_px - 0.5, (column + 0.5) / self._every - 0.5
+        places = (x.astype(np.float32)[None], y.astype(np.float32)[None])
+        border = cv2.BORDER_REPLICATE
+        return np.asarray(cv2.remap(self.contrast, *places, cv2.INTER_LINEAR, borderMode=border)[0], np.float64)
 
     def _at_samples(self, values: npt.NDArray[np.floating]) -> FloatArray:
         """Return values at nodes as values at samples."""

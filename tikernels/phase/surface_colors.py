@@ -17,7 +17,7 @@ _MOST = 24
 def color_ratios(light: npt.ArrayLike) -> _Array:
     """Return the logarithms of channels, (..., 3), less their mean: a colour without its brightness."""
     logs = np.log(np.maximum(np.asarray(light, np.float64), 1e-9))
-    return np.asarray(logs - logs.mean(axis=-1, keepdims=True))
+    return np.asarray(logs - (_sum_of_channels(logs) / 3)[..., None])
 
 
 def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
@@ -37,11 +37,11 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
     (n, 3) float64
         1 to 24 ratios, the commonest first.
     """
-    place = np.clip((ratios[:, [0, 2]] / _STEP).round().astype(int), -_FARTHEST, _FARTHEST)
-    first = place.min(axis=0) - _APART
-    rows, columns = place.max(axis=0) + _APART + 1 - first
-    counts = np.bincount((place - first) @ [columns, 1], weights, rows * columns).reshape(rows, columns)
-    counts = counts.astype(np.float32)
+    red, blue = (np.clip(np.rint(ratios[:, c] / _STEP), -_FARTHEST, _FARTHEST).astype(np.int32) for c in (0, 2))
+    first = np.array([red.min(), blue.min()]) - _APART
+    rows, columns = np.array([red.max(), blue.max()]) + _APART + 1 - first
+    cell = (red - first[0]) * columns + (blue - first[1])
+    counts = np.bincount(cell, weights, rows * columns).reshape(rows, columns).astype(np.float32)
     smooth = cv2.GaussianBlur(np.sqrt(counts), (0, 0), _SMOOTH)
     peaks = np.argwhere((smooth == cv2.dilate(smooth, np.ones((_APART, _APART)))) & (smooth > 0))
     peaks = peaks[np.argsort(-smooth[tuple(peaks.T)], kind="stable")][: 3 * _MOST]
@@ -52,11 +52,11 @@ def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:
         if len(centers) == 1 or (sizes.min() >= least and len(centers) <= _MOST):
             break
         centers = np.delete(centers, sizes.argmin(), axis=0)
-    nearest = nearest_colors(ratios, centers)
-    means = [
-        np.average(ratios[nearest == k], axis=0, weights=weights[nearest == k] + 1e-9) for k in range(len(centers))
-    ]
-    return np.array(means)[np.argsort(-sizes, kind="stable")]
+    nearest, shares = nearest_colors(ratios, centers), weights + 1e-9
+    means = np.array(
+        [shares[nearest == k] @ ratios[nearest == k] / shares[nearest == k].sum() for k in range(len(centers))]
+    )
+    return np.asarray(means[np.argsort(-sizes, kind="stable")])
 
 
 def _color_of(cells: npt.NDArray[np.integer]) -> _Array:
@@ -67,4 +67,11 @@ def _color_of(cells: npt.NDArray[np.integer]) -> _Array:
 
 def nearest_colors(ratios: _Array, centers: _Array) -> npt.NDArray[np.intp]:
     """Return the number of the colour that each of (..., 3) ratios is nearest to."""
-    return np.asarray(((ratios[..., None, :] - centers) ** 2).sum(axis=-1).argmin(axis=-1))
+    if len(centers) == 1:
+        return np.zeros(ratios.shape[:-1], np.intp)
+    return np.asarray(_sum_of_channels((ratios[..., None, :] - centers) ** 2).argmin(axis=-1))
+
+
+def _sum_of_channels(values: _Array) -> _Array:
+    """Return the sum over the last axis, of length three: NumPy's own takes several times as long."""
+    return np.asarray(values[..., 0] + values[..., 1] + values[..., 2])
