@@ -87,16 +87,16 @@ def load_lanes(plane: Static, kind: Static, y: i32, place: i32, width: i32, wide
 
 
 @ti.func
-def load_around(plane: Static, y: i32, place: i32, width: i32, beyond: f32, wide: Static):
-    """Return the pixels of three vectors of a row, those at a place in the middle; what is beyond the row outside it."""
-    before = load_lanes(plane, float_lanes, y, ti.max(place - 1, 0), width, wide)
-    here = load_lanes(plane, float_lanes, y, place, width, wide)
-    after = load_lanes(plane, float_lanes, y, ti.min(place + 1, lane_count(width) - 1), width, wide)
+def load_around(plane: Static, kind: Static, y: i32, place: i32, width: i32, beyond: f32, wide: Static):
+    """Return the pixels of three vectors of a row, those at a place in the middle, as floats; `beyond` outside it."""
+    before = load_lanes(plane, kind, y, ti.max(place - 1, 0), width, wide)
+    here = load_lanes(plane, kind, y, place, width, wide)
+    after = load_lanes(plane, kind, y, ti.min(place + 1, lane_count(width) - 1), width, wide)
     values = three_lanes(0.0)
     for k in range(LANES):
-        values[k] = ti.select(place > 0, before[k], beyond)
-        values[LANES + k] = ti.select(place * LANES + k < width, here[k], beyond)
-        values[2 * LANES + k] = ti.select((place + 1) * LANES + k < width, after[k], beyond)
+        values[k] = ti.select(place > 0, ti.cast(before[k], ti.f32), beyond)
+        values[LANES + k] = ti.select(place * LANES + k < width, ti.cast(here[k], ti.f32), beyond)
+        values[2 * LANES + k] = ti.select((place + 1) * LANES + k < width, ti.cast(after[k], ti.f32), beyond)
     return values
 
 

@@ -165,14 +165,14 @@ def empty(shape: tuple[int, ...], dtype: type[E]) -> Array[E]:
     a device ndarray. Both are taken by every kernel.
     """
     if started() == "cpu":
-        return _aligned(shape, np.dtype(dtype))
+        return empty_on_host(shape, dtype)
     buffer: DeviceArray[E] = ti.ndarray(DEVICE_TYPES[np.dtype(dtype).name], shape)
     return buffer
 
 
-def _aligned(shape: tuple[int, ...], dtype: np.dtype[E]) -> npt.NDArray[E]:
+def empty_on_host(shape: tuple[int, ...], dtype: type[E]) -> npt.NDArray[E]:
     """Allocate an array whose vectors of sixteen begin where a CPU loads them as a whole; see `lanes.py`."""
-    size = math.prod(shape) * dtype.itemsize
+    size = math.prod(shape) * np.dtype(dtype).itemsize
     memory = np.empty(size + VECTOR_BYTES, np.uint8)
     start = -memory.ctypes.data % VECTOR_BYTES
     return np.asarray(memory[start : start + size].view(dtype).reshape(shape))

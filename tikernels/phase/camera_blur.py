@@ -71,8 +71,8 @@ def _undo_camera_blur_kernel(wide: bool) -> Any:
         for t in range(height * lane_count(width)):
             y, place = lanes_at(t, width)
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
-            here = load_around(phase, y, place, width, NO_PHASE, wide)
-            light = load_around(brightness, y, place, width, 0.0, wide)
+            here = load_around(phase, float_lanes, y, place, width, NO_PHASE, wide)
+            light = load_around(brightness, float_lanes, y, place, width, 0.0, wide)
             upper = load_lanes(phase, float_lanes, above, place, width, wide)
             lower = load_lanes(phase, float_lanes, below, place, width, wide)
             light_above = load_lanes(brightness, float_lanes, above, place, width, wide)

@@ -152,7 +152,7 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
             y, place = lanes_at(t, width)
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
-            values = load_around(phase, y, place, width, NO_PHASE, wide)
+            values = load_around(phase, float_lanes, y, place, width, NO_PHASE, wide)
             upper = load_lanes(phase, float_lanes, above, place, width, wide)
             lower = load_lanes(phase, float_lanes, below, place, width, wide)
             certainty = load_lanes(precision, float_lanes, y, place, width, wide)

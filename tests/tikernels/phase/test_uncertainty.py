@@ -28,19 +28,18 @@ def case(seed=1):
     return precision, (1e-3 * rng.random(SHAPE)).astype(np.float32), (rng.random(SHAPE) > 0.1).astype(np.uint8)
 
 
-def expected_sigma(precision, smoothed, mask, empty, scatter, error=0.0, misfit=0.0):
+def expected_sigma(precision, smoothed, mask, empty, scatter, model=0.0):
     """Return the fit's sigma, of which smoothing averages all but the model's 3 %, and 0.025 rad beside nothing."""
-    noise, model = smoothed + 0.03 / precision, misfit / precision + error
+    noise = smoothed + 0.03 / precision
     return np.where(mask == 0, np.nan, np.sqrt(scatter**2 * noise + model + 0.025**2 * empty))
 
 
 def test_as_the_twin(arch):
     precision, smoothed, mask = case()
     empty = np.random.default_rng(2).random(SHAPE).astype(np.float32)
-    error = (1e-4 * np.random.default_rng(5).random(SHAPE)).astype(np.float32)
-    misfit = np.random.default_rng(8).random(SHAPE).astype(np.float32)
-    out = phase_sigma(precision, misfit, error, smoothed, mask, empty, 1.3)
-    expected = expected_sigma(precision, smoothed, mask, empty, 1.3, error, misfit)
+    model = (1e-4 * np.random.default_rng(5).random(SHAPE)).astype(np.float32)
+    out = phase_sigma(precision, model, smoothed, mask, empty, 1.3)
+    expected = expected_sigma(precision, smoothed, mask, empty, 1.3, model)
     np.testing.assert_allclose(runtime.to_host(out), expected, rtol=1e-5)
 
 
@@ -55,7 +54,7 @@ def test_rows_that_differ_by_what_is_expected_have_a_ratio_of_one(arch):
     noise = sigma * np.random.default_rng(3).standard_normal((height, width))
     phase = (0.1 * rows + 1e-4 * rows**2 + noise).astype(np.float32)
     step, every, none = 4, 3, np.zeros_like(phase)
-    ratio = runtime.to_host(compare_rows(phase, precision, none, none, smoothed, mask, 1.0, step, every))
+    ratio = runtime.to_host(compare_rows(phase, precision, none, smoothed, mask, 1.0, step, every))
     assert np.isnan(ratio[:5, :3]).all() and np.isfinite(ratio[:, 3:]).all()
     assert np.median(ratio[:, 3:]) / 0.6745 == pytest.approx(1, abs=0.02)
 
@@ -181,8 +180,7 @@ def test_menu(menu):
 
     fields = {
         "precision": precision,
-        "misfit": empty,
-        "error": 1e-4 * empty,
+        "model": 1e-4 * empty,
         "smoothed": smoothed,
         "mask": mask,
         "empty": empty,
@@ -193,4 +191,4 @@ def test_menu(menu):
 def test_too_few_rows_to_compare(arch):
     level = np.ones((12, 5), np.float32)
     with pytest.raises(ShapeError, match="phase has 12 rows: four rows 4 px apart need 13"):
-        compare_rows(level, level, level, level, level, np.ones((12, 5), np.uint8), 1.0, 4, 1)
+        compare_rows(level, level, level, level, np.ones((12, 5), np.uint8), 1.0, 4, 1)

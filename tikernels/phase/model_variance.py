@@ -1,0 +1,203 @@
+"""What the channels' model is wrong by, as a variance of the phase: the fit's misfit tells it.
+
+    variance = misfit / precision + error
+
+The mean of the misfit is one where the model is right, and a model that is wrong across the phase is as wrong along it:
+the usual scaling of a fit's variance by its chi square, place by place. Over a few pixels `misfit` is that mean less
+one, where chance does not make it: at an edge of paint, a highlight, a spot of another colour. Over the balance window
+`error` is the mean of (misfit - 1) / precision, as of a surface whose colour acts otherwise than the model says.
+"""
+
+from functools import cache
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import checks, runtime
+from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
+from tikernels.arrays import F32, U8
+from tikernels.lanes import (
+    LANES,
+    as_lanes,
+    byte_lanes,
+    float_lanes,
+    in_vectors,
+    lane_count,
+    lanes_at,
+    load_lanes,
+    planes,
+    store_lanes,
+    width_of,
+)
+from tikernels.launching import kernel
+from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
+from tikernels.phase.phase_fit import MAX_MISFIT
+
+# Misfits are averaged over this many pixels both ways. Where the model is right their mean exceeds one by less than the
+# second: two standard deviations, sqrt(2 / 25) each. A single pixel counts for no more than the third.
+_AROUND_PX, _BY_CHANCE, _MOST_MISFIT = 5, 0.57, 50.0
+# In the mean over the window a pixel counts for no more than this, rad^2: a highlight is not its neighbourhood's error.
+_MOST_VARIANCE = 0.25
+# Blocks of a cycle that tell that mean, by a column of each.
+_BLOCKS_A_CYCLE = 2.5
+_LEAST_SHARE = 1e-3
+#: Of a phase of which nothing is known, 1 / rad^2.
+LEAST_PRECISION = 1e-6
+
+
+@ti.func
+def counted(misfit: f32) -> f32:
+    """Return a misfit as far as it counts."""
+    return ti.min(misfit, _MOST_MISFIT)
+
+
+@ti.func
+def divided_by(misfit: f32) -> f32:
+    """Return what the fit has divided a pixel's precision by already, for its misfit is large."""
+    return ti.max(1.0, counted(misfit) * (1.0 / MAX_MISFIT))
+
+
+@kernel
+def sum_blocks_kernel(
+    precision: F32Array2,  # (H, W) 1 / rad^2
+    misfit: F32Array2,  # (H, W)
+    mask: U8Array2,  # (H, W)
+    step: i32,  # side of a block, px
+    out_excess: F32Array2,  # (rows, columns) rad^2, the mean over a column of each block, 0 off the mask
+    out_share: F32Array2,  # (rows, columns) which part of that lies on the mask
+):
+    """Average what the model's error adds to the variance, block by block."""
+    height, width, columns = mask.shape[0], mask.shape[1], out_share.shape[1]
+    for block in range(out_share.shape[0] * columns):
+        row, column = block // columns, block % columns
+        x = ti.min(column * step + step // 2, width - 1)
+        first, stop = row * step, ti.min((row + 1) * step, height)
+        excess, share = 0.0, 0.0
+        for y in range(first, stop):
+            if mask[y, x] != 0:
+                over = counted(misfit[y, x])
+                variance = (over - 1.0) / ti.max(divided_by(over) * precision[y, x], LEAST_PRECISION)
+                excess += ti.min(variance, _MOST_VARIANCE)
+                share += 1.0
+        out_excess[row, column] = excess / ti.cast(stop - first, ti.f32)
+        out_share[row, column] = share / ti.cast(stop - first, ti.f32)
+
+
+@cache
+def _count_misfits_kernel(wide: bool) -> Any:
+    """Return the kernel for rows of vectors, or of numbers."""
+
+    def count_misfits_kernel(
+        misfit: planes(wide),  # (H, W)
+        mask: planes(wide, ti.u8),  # (H, W)
+        out: planes(wide),  # (H, W) as far as it counts; 0 off the mask
+    ):
+        height, width = mask.shape[0], width_of(mask, wide)
+        for t in range(height * lane_count(width)):
+            y, place = lanes_at(t, width)
+            misfits = load_lanes(misfit, float_lanes, y, place, width, wide)
+            holds = load_lanes(mask, byte_lanes, y, place, width, wide)
+            for k in range(LANES):
+                misfits[k] = ti.select(holds[k] != 0, counted(misfits[k]), 0.0)
+            store_lanes(out, y, place, width, misfits, wide)
+
+    return kernel(count_misfits_kernel, whole_vectors=wide)
+
+
+@cache
+def _model_variance_kernel(wide: bool) -> Any:
+    """Return the kernel for rows of vectors, or of numbers."""
+
+    def model_variance_kernel(
+        precision: planes(wide),  # (H, W) 1 / rad^2
+        misfit: planes(wide),  # (H, W)
+        total: planes(wide),  # (H, W) of the misfits around
+        count: planes(wide),  # (H, W) of pixels around that are on the mask
+        error: planes(wide),  # (H, W) rad^2, over the balance window
+        out: planes(wide),  # (H, W) rad^2
+    ):
+        height, width = out.shape[0], width_of(out, wide)
+        for t in range(height * lane_count(width)):
+            y, place = lanes_at(t, width)
+            own = load_lanes(misfit, float_lanes, y, place, width, wide)
+            sure = load_lanes(precision, float_lanes, y, place, width, wide)
+            sums = load_lanes(total, float_lanes, y, place, width, wide)
+            counts = load_lanes(count, float_lanes, y, place, width, wide)
+            variance = load_lanes(error, float_lanes, y, place, width, wide)
+            for k in range(LANES):
+                many = ti.max(counts[k], 1e-3)
+                mean = sums[k] / many
+                beyond = ti.select(mean > 1.0 + _BY_CHANCE * _AROUND_PX / ti.sqrt(many), mean - 1.0, 0.0)
+                variance[k] += beyond / (divided_by(own[k]) * ti.max(sure[k], LEAST_PRECISION))
+            store_lanes(out, y, place, width, variance, wide)
+
+    return kernel(model_variance_kernel, whole_vectors=wide)
+
+
+def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out: F32 | None = None) -> F32:
+    """Return the variance that the channels' model leaves, whatever is averaged over.
+
+    Parameters
+    ----------
+    precision : (H, W) float32
+        1 / rad^2, one over the variance that the fit found.
+    misfit : (H, W) float32
+        What it says of the model; see `FittedPhase`.
+    mask : (H, W) uint8
+        Valid pixels.
+    period_px : float
+        Camera px a cycle.
+    out : (H, W) float32, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (H, W) float32
+        rad^2. A buffer of the device if none is given.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    precision = checks.read_array("precision", precision, (None, None), np.float32)
+    shape = (int(precision.shape[0]), int(precision.shape[1]))
+    misfit = checks.read_array("misfit", misfit, shape, np.float32)
+    mask = checks.read_array("mask", mask, shape, np.uint8)
+    out = checks.out_buffer("out", out, shape, np.float32)
+    telling = runtime.empty(shape, np.float32)
+    arrays: tuple[Any, ...] = (misfit, mask, telling)
+    wide = in_vectors(*arrays)
+    _count_misfits_kernel(wide)(*(as_lanes(array, wide) for array in arrays))
+    sums = (_sums_around(telling), _sums_around(mask), _window_error(precision, misfit, mask, period_px))
+    arrays = (precision, misfit, *(runtime.to_device(part) for part in sums), out)
+    wide = in_vectors(*arrays)
+    _model_variance_kernel(wide)(*(as_lanes(array, wide) for array in arrays))
+    return out
+
+
+def _sums_around(values: F32 | U8) -> npt.NDArray[np.float32]:
+    """Return the sums over the pixels around each, (H, W) float32; beyond the image there is nothing."""
+    seen = runtime.to_host(values)  # synchronises
+    sums, side = runtime.empty_on_host(seen.shape, np.float32), (_AROUND_PX, _AROUND_PX)
+    cv2.boxFilter(seen, cv2.CV_32F, side, sums, normalize=False, borderType=cv2.BORDER_CONSTANT)
+    return sums
+
+
+def _window_error(precision: F32, misfit: F32, mask: U8, period_px: float) -> npt.NDArray[np.float32]:
+    """Return the variance that the model leaves over the balance window, (H, W) float32, rad^2."""
+    height, width = (int(length) for length in mask.shape)
+    step = max(1, int(period_px / _BLOCKS_A_CYCLE))
+    blocks = (-(-height // step), -(-width // step))
+    excess, share = runtime.empty(blocks, np.float32), runtime.empty(blocks, np.float32)
+    sum_blocks_kernel(precision, misfit, mask, step, excess, share)
+    along, across = SIGMA_ALONG * period_px / step, SIGMA_ACROSS * period_px / step
+    sums, shares = (
+        cv2.GaussianBlur(runtime.to_host(part), (0, 0), along, sigmaY=across) for part in (excess, share)
+    )  # synchronises
+    error = np.maximum(sums / np.maximum(shares, np.float32(_LEAST_SHARE)), 0)
+    between = runtime.empty_on_host((blocks[0] * step, blocks[1] * step), np.float32)
+    cv2.resize(error, between.shape[::-1], between, interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(between[:height, :width])
