@@ -12,7 +12,7 @@ from tikernels.errors import ShapeError
 from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.hidden_steps import mark_hidden_steps_kernel
 from tikernels.unwrapping.region_placing import choose_starts_kernel, place_regions_kernel
-from tikernels.unwrapping.region_writing import finish_patches_kernel, write_unwrapped_kernel
+from tikernels.unwrapping.region_writing import finish_patches_kernel, write_unwrapped
 from tikernels.unwrapping.surface_borders import Borders
 from tikernels.unwrapping.table_columns import columns_at, first_columns, put_columns
 from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Patch, Region, cells_of, numbers_of
@@ -268,7 +268,7 @@ class Patches:
         cells = (self.cells, cells_of(*self.shape)[1], self.cell_table, self.draft_bits)
         finish_patches_kernel(one_thread_is_faster(self.count), *cells, *tables, self.final)
         mark_hidden_steps_kernel(phase, rates, self.labels, self._seams, self.final)
-        write_unwrapped_kernel(phase, rates, self.labels, self.final, out_unwrapped, out_mask, out_region)
+        write_unwrapped(phase, rates, self.labels, self.final, out_unwrapped, out_mask, out_region)
         return RegionTable(roots, pixels)
 
     def _check_numbers(self, name: str, numbers: npt.NDArray[np.integer]) -> None:

@@ -4,11 +4,27 @@ The last pixel before a step is left out where the step has a pixel that belongs
 orders show it: at the rim of a round object it can pass for the other surface. So are cells that hide a step.
 """
 
-from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, U8Array2, f32, i32, ti
+from functools import cache
+from typing import Any
+
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ti
+from tikernels.arrays import F32, I32, U8
+from tikernels.lanes import (
+    LANES,
+    as_lanes,
+    byte_lanes,
+    float_lanes,
+    in_vectors,
+    integer_lanes,
+    lane_count,
+    lanes_at,
+    load_lanes,
+    planes,
+    store_lanes,
+)
 from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.smoothing import MAX_DEPARTURE
-from tikernels.strips import STRIP, strip_at, strip_count
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.tables import (
     BETWEEN,
@@ -27,9 +43,6 @@ from tikernels.unwrapping.tables import (
     Region,
     patch_number,
 )
-
-strip_of_integers = ti.types.vector(STRIP, ti.i32)
-strip_of_floats = ti.types.vector(STRIP, ti.f32)
 
 
 @ti.func
@@ -132,7 +145,7 @@ def leave_out_steps(
     stop: i32,
     region: Static,
 ):
-    """Take pixels of a strip that lie in one cell out of their regions: all of them, or those beside a step."""
+    """Take pixels of a row that lie in one cell out of their regions: all of them, or those beside a step."""
     if steps == HIDES_STEP:
         for k in range(start, stop):
             region[k] = 0
@@ -142,38 +155,90 @@ def leave_out_steps(
                 region[k] = region[k] * (1 - beside_step(phase, rates, labels, final, y, first + k))
 
 
-@kernel
-def write_unwrapped_kernel(
-    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
-    rates: F32Array2,  # see `frame_rates`
-    labels: I32Array2,  # (H, W)
-    final: I32Array2,  # (3, cells << bits) see `Final`
-    out_unwrapped: F32Array2,  # (H, W) rad; NaN outside the mask
-    out_mask: U8Array2,  # (H, W) 1 inside
-    out_region: I32Array2,  # (H, W) region's number from 1; 0 outside
-):
-    """Write every pixel's phase with its order, unless it lies outside the regions or beside a step."""
-    height, width = phase.shape[0], phase.shape[1]
-    for t in range(height * strip_count(width, STRIP)):
-        y, first, count = strip_at(t, width, STRIP)
-        label, region, unwrapped = strip_of_integers(0), strip_of_integers(0), strip_of_floats(0.0)
-        for k in range(count):
-            label[k] = labels[y, first + k]
-            unwrapped[k] = phase[y, first + k]
-        for k in range(count):
+@ti.func
+def find_regions(label: Static, final: I32Array2, start: Static, count: i32, region: Static):
+    """Find the regions of a row's pixels that lie in one cell, and their orders, which take the place of the labels."""
+    draft, differs = label[start] >> ORDER_BITS, 0
+    for k in range(start, start + CELL_WIDTH):
+        differs |= (label[k] >> ORDER_BITS) ^ draft
+    if differs == 0 and draft >= 0:
+        # Most rows of a cell are one patch's.
+        number, order = final[Final.REGION, draft], final[Final.ORDER, draft]
+        for k in range(start, start + CELL_WIDTH):
+            region[k] = number
+            label[k] = (label[k] & ORDER_MASK) + order
+    else:
+        for k in range(start, ti.min(start + CELL_WIDTH, count)):
             if label[k] >= 0:
-                draft = label[k] >> ORDER_BITS
-                region[k] = final[Final.REGION, draft]
-                label[k] = (label[k] & ORDER_MASK) + final[Final.ORDER, draft]
-        cell = (y // CELL_HEIGHT) * ((width + CELL_WIDTH - 1) // CELL_WIDTH) + first // CELL_WIDTH
-        for c in range((count + CELL_WIDTH - 1) // CELL_WIDTH):
-            start, stop = c * CELL_WIDTH, ti.min((c + 1) * CELL_WIDTH, count)
-            steps = final[Final.STEPS, cell + c]
-            leave_out_steps(phase, rates, labels, final, steps, y, first, start, stop, region)
-        for k in range(STRIP):
-            value = unwrapped[k] + 2.0 * PI * ti.cast(label[k], ti.f32)
-            unwrapped[k] = ti.select(region[k] > 0, value, ti.math.nan)
-        for k in range(count):
-            out_unwrapped[y, first + k] = unwrapped[k]
-            out_mask[y, first + k] = ti.cast(region[k] > 0, ti.u8)
-            out_region[y, first + k] = region[k]
+                own = label[k] >> ORDER_BITS
+                region[k] = final[Final.REGION, own]
+                label[k] = (label[k] & ORDER_MASK) + final[Final.ORDER, own]
+
+
+@cache
+def _write_unwrapped_kernel(wide: bool) -> Any:
+    """Return the kernel for rows of vectors, or of numbers."""
+
+    def write_unwrapped_kernel(
+        phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+        rates: F32Array2,  # see `frame_rates`
+        labels: I32Array2,  # (H, W)
+        final: I32Array2,  # (3, cells << bits) see `Final`
+        phase_rows: planes(wide),  # (H, W) the phase again
+        label_rows: planes(wide, ti.i32),  # (H, W) the labels again
+        out_unwrapped: planes(wide),  # (H, W) rad; NaN outside the mask
+        out_mask: planes(wide, ti.u8),  # (H, W) 1 inside
+        out_region: planes(wide, ti.i32),  # (H, W) region's number from 1; 0 outside
+    ):
+        height, width = phase.shape[0], phase.shape[1]
+        cells = (width + CELL_WIDTH - 1) // CELL_WIDTH
+        for t in range(height * lane_count(width)):
+            y, place = lanes_at(t, width)
+            first, count = place * LANES, ti.min(LANES, width - place * LANES)
+            label = load_lanes(label_rows, integer_lanes, y, place, width, wide)
+            unwrapped = load_lanes(phase_rows, float_lanes, y, place, width, wide)
+            region, inside = integer_lanes(0), byte_lanes(0)
+            cell = (y // CELL_HEIGHT) * cells + first // CELL_WIDTH
+            for c in ti.static(range(LANES // CELL_WIDTH)):
+                if c * CELL_WIDTH < count:
+                    start, stop = c * CELL_WIDTH, ti.min((c + 1) * CELL_WIDTH, count)
+                    find_regions(label, final, c * CELL_WIDTH, count, region)
+                    steps = final[Final.STEPS, cell + c]
+                    leave_out_steps(phase, rates, labels, final, steps, y, first, start, stop, region)
+            for k in range(LANES):
+                value = unwrapped[k] + 2.0 * PI * ti.cast(label[k], ti.f32)
+                unwrapped[k] = ti.select(region[k] > 0, value, ti.math.nan)
+                inside[k] = ti.cast(region[k] > 0, ti.u8)
+            store_lanes(out_unwrapped, y, place, width, unwrapped, wide)
+            store_lanes(out_mask, y, place, width, inside, wide)
+            store_lanes(out_region, y, place, width, region, wide)
+
+    return kernel(write_unwrapped_kernel, whole_vectors=wide)
+
+
+def write_unwrapped(
+    phase: F32, rates: F32, labels: I32, final: I32, out_unwrapped: F32, out_mask: U8, out_region: I32
+) -> None:
+    """Write every pixel's phase with its order, unless it lies outside the regions or beside a step.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad; NO_PHASE outside the mask.
+    rates : (N, 5) float32
+        See `frame_rates`.
+    labels : (H, W) int32
+        Patch and order in it.
+    final : (3, cells << bits) int32
+        See `Final`.
+    out_unwrapped : (H, W) float32
+        rad; NaN outside the mask.
+    out_mask : (H, W) uint8
+        1 inside.
+    out_region : (H, W) int32
+        The region's number from 1; 0 outside.
+    """
+    outputs = (out_unwrapped, out_mask, out_region)
+    wide = in_vectors(phase, labels, *outputs)
+    rows = (as_lanes(array, wide) for array in (phase, labels, *outputs))
+    _write_unwrapped_kernel(wide)(phase, rates, labels, final, *rows)

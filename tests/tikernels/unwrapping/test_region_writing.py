@@ -7,7 +7,7 @@ from support.wrapped_surfaces import flat_rates, join, written
 
 from tikernels import ShapeError, runtime
 from tikernels.phase.wrapped_phase import STEP_PHASE
-from tikernels.unwrapping.region_writing import write_unwrapped_kernel
+from tikernels.unwrapping.region_writing import write_unwrapped
 from tikernels.unwrapping.tables import BETWEEN, HAS_STEPS, HIDES_STEP, NOTHING, ORDER_ZERO, Final
 
 
@@ -18,7 +18,7 @@ def outputs(shape):
 def pixels_of(labels, phase, final):
     """Return the region of every pixel that the kernel writes."""
     outs = outputs(phase.shape)
-    write_unwrapped_kernel(phase, flat_rates(), labels, final, *outs)
+    write_unwrapped(phase, flat_rates(), labels, final, *outs)
     return [np.array(runtime.to_host(out)) for out in outs]
 
 
