@@ -133,14 +133,13 @@ def constant(array: npt.NDArray[Number]) -> npt.NDArray[Number]:
     Returns the array, which can no longer be written.
     """
     array.flags.writeable = False
-    if traffic.on_device:
-        key = id(array)
-        _constants[key] = [weakref.ref(array, lambda _: _constants.pop(key, None)), None]
+    key = id(array)
+    _constants[key] = [weakref.ref(array, lambda _: _constants.pop(key, None)), None]
     return array
 
 
 def is_constant(array: object) -> bool:
-    """Whether an array was declared to be constant, for the device that runs."""
+    """Whether an array was declared to be constant."""
     known = _constants.get(id(array))
     return known is not None and known[0]() is array
 
@@ -160,7 +159,8 @@ def _on_device(argument: Any) -> Any:
 
 def forget() -> None:
     """Let go of everything that belongs to the device; to be called before another one is started."""
-    _constants.clear()
+    for known in _constants.values():
+        known[1] = None
     for kept in _kept:
         kept.clear()
 

@@ -83,7 +83,6 @@ def join_lists(into: i32, other: i32, lists: I32Array2):
 
 @kernel
 def grow_parts_kernel(
-    first: i32,  # contact to begin with
     rounds: i32,  # of loops after which to stop
     contacts: I32Array2,  # (2, C) the patches of each contact, the best supported ones first
     ends: I32Array1,  # (2 S,) patches that step against each other, one after the other
@@ -91,12 +90,12 @@ def grow_parts_kernel(
     pixels: I32Array1,  # (P,) how many each part has
     lists: I32Array2,  # (4, P or 2 S) see `_List`
     parents: I32Array1,  # (P,) a patch of the same part
-    out_next: I32Array1,  # (1,) the contact to go on with
+    following: I32Array1,  # (1,) the contact to begin with, and then the one to go on with
 ):
     """Join patches along their contacts to parts that do not step against each other; in one thread."""
     ti.loop_config(serialize=True)
     for _ in range(1):
-        contact, done = first, 0
+        contact, done = following[0], 0
         while contact < contacts.shape[1] and done < rounds:
             a, b = part_of(parents, contacts[0, contact]), part_of(parents, contacts[1, contact])
             if a != b:
@@ -111,7 +110,7 @@ def grow_parts_kernel(
                     join_lists(low, high, lists)
             done += _ROUNDS_A_CONTACT
             contact += 1
-        out_next[0] = contact
+        following[0] = contact
 
 
 def grow_parts(
@@ -154,10 +153,12 @@ def grow_parts(
     best = runtime.to_device(np.ascontiguousarray(contacts))
     stepping = runtime.to_device(ends), runtime.to_device(px)
     parts = runtime.to_device(pixels.copy()), runtime.to_device(lists)
-    parents, following, first = runtime.to_device(np.arange(count, dtype=np.int32)), runtime.empty((1,), np.int32), 0
-    while first < contacts.shape[1]:
-        grow_parts_kernel(first, rounds_at_once(), best, *stepping, *parts, parents, following)
-        first = int(runtime.to_host(following)[0])  # synchronises
+    parents, following = runtime.to_device(np.arange(count, dtype=np.int32)), runtime.to_device(np.zeros(1, np.int32))
+    calls = -(-_ROUNDS_A_CONTACT * contacts.shape[1] // rounds_at_once())  # at the least
+    while runtime.to_host(following)[0] < contacts.shape[1]:  # synchronises
+        for _ in range(calls):
+            grow_parts_kernel(rounds_at_once(), best, *stepping, *parts, parents, following)
+        calls *= 2
     return settled(runtime.to_host(parents))
 
 

@@ -26,6 +26,9 @@ from tikernels.unwrapping.tables import Contact, Counter, Final, Match, Patch, R
 from tikernels.unwrapping.union_find import rounds_at_once
 from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
 
+# Rounds of joining regions that a GPU does before it is asked whether anything was left: eight are usual.
+_ROUNDS_AT_ONCE = 4
+
 
 class RegionUnwrapper:
     """Buffers to unwrap frames of one size, stripes along the rows.
@@ -130,8 +133,11 @@ class RegionUnwrapper:
     def _merge(self, contacts: int) -> None:
         """Join regions round by round until no contact is left between two of them."""
         tables = (self._table, self._contacts, self._matches, self._counters)
+        # To ask a GPU whether anything is left takes longer than a round in which nothing is.
+        rounds = 1 if runtime.started() == "cpu" else _ROUNDS_AT_ONCE
         while True:
-            merge_patches_kernel(one_thread_is_faster(contacts), self._method.adds_votes, contacts, *tables)
+            for _ in range(rounds):
+                merge_patches_kernel(one_thread_is_faster(contacts), self._method.adds_votes, contacts, *tables)
             if runtime.to_host(self._counters)[Counter.MERGED] == 0:  # synchronises
                 break
             # A GPU passes over spent contacts faster than one of its threads could close the gaps.
