@@ -60,7 +60,7 @@ def sum_patches_kernel(
                     add_pixel(place[0], place[1], u, patch_number(label >> ORDER_BITS, cells, draft_bits), out_sums)
 
 
-def measure_slopes(phase: F32, labels: I32, cells: I32, draft_bits: int) -> npt.NDArray[np.float64]:
+def measure_slopes(phase: F32, labels: I32, cells: I32, draft_bits: int, count: int) -> npt.NDArray[np.float64]:
     """Fit a plane to the phase of every patch.
 
     Parameters
@@ -73,13 +73,14 @@ def measure_slopes(phase: F32, labels: I32, cells: I32, draft_bits: int) -> npt.
         See `Cell`; numbered.
     draft_bits : int
         A cell has places for 2^bits patches.
+    count : int
+        How many patches there are.
 
     Returns
     -------
     (2, P) float64
         Slopes along the rows and down the columns, rad a px.
     """
-    count = int(runtime.to_host(cells)[Cell.PATCHES, -1])  # synchronises
     sums = runtime.empty((count, _SUMS), np.float32)
     sum_patches_kernel(phase, labels, cells, draft_bits, sums)
     n, x, y, u, xx, xy, yy, xu, yu = runtime.to_host(sums).astype(np.float64).T  # synchronises

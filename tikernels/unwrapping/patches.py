@@ -92,6 +92,8 @@ class Patches:
         self._method = method
         self._regions = region_table
         self._seams = seams
+        # What the host has read of the table: nobody but `split` and `shift_orders` changes it from here on.
+        self._read: npt.NDArray[np.int32] | None = None
         #: What the patches' borders show; None: the method measures none.
         self.borders: Borders | None = None
         #: (P,) the patch that stands for the region which each patch's region goes on with most, though not enough to
@@ -106,11 +108,11 @@ class Patches:
 
     def roots(self) -> npt.NDArray[np.int32]:
         """Return (P,) int32: the patch that stands for the region of each patch."""
-        return np.array(first_columns(self.table, self.count)[Patch.ROOT], np.int32)  # synchronises
+        return np.array(self._columns()[Patch.ROOT], np.int32)  # synchronises
 
     def graph(self) -> PatchGraph:
         """Return the patches, and where they touch inside their regions."""
-        table = first_columns(self.table, self.count)  # synchronises
+        table = self._columns()  # synchronises
         cells = runtime.to_host(self.cell_table)
         counts = np.diff(cells[Cell.CONTACTS])
         within = np.arange(cells[Cell.CONTACTS, -1]) - np.repeat(cells[Cell.CONTACTS, :-1], counts)
@@ -140,7 +142,7 @@ class Patches:
         """
         if np.shape(shifts) != (self.count,):
             raise ShapeError(f"shifts has shape {np.shape(shifts)}, expected one for each of {self.count} patches")
-        table = first_columns(self.table, self.count)
+        table = self._columns()
         table[Patch.OFFSET] += shifts
         put_columns(table, self.table)
 
@@ -162,7 +164,7 @@ class Patches:
         if np.shape(roots) != (self.count,):
             raise ShapeError(f"roots has shape {np.shape(roots)}, expected one for each of {self.count} patches")
         self._check_numbers("roots", roots)
-        table = first_columns(self.table, self.count)
+        table = self._columns()
         table[Patch.ROOT] = roots
         if left_out is not None:
             table[Patch.PIXELS][left_out] = 0
@@ -270,6 +272,12 @@ class Patches:
         mark_hidden_steps_kernel(phase, rates, self.labels, self._seams, self.final)
         write_unwrapped(phase, rates, self.labels, self.final, out_unwrapped, out_mask, out_region)
         return RegionTable(roots, pixels)
+
+    def _columns(self) -> npt.NDArray[np.int32]:
+        """Return the table's columns, (12, P): on the CPU a look at them, on a GPU a copy."""
+        if self._read is None:
+            self._read = first_columns(self.table, self.count)  # synchronises
+        return self._read
 
     def _check_numbers(self, name: str, numbers: npt.NDArray[np.integer]) -> None:
         """Refuse what are not the numbers of patches: as indices they would write beyond the patches' rows."""

@@ -5,6 +5,7 @@ surfaces that touch may agree in places, where the step between them is a whole 
 do not. The pixels between are passed over: some see both surfaces, and their phase is neither's.
 """
 
+from enum import IntEnum
 from typing import NamedTuple
 
 import cv2
@@ -18,6 +19,7 @@ from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.unwrapping.continuity import frame_rates
+from tikernels.unwrapping.table_columns import columns_at
 from tikernels.unwrapping.tables import (
     ORDER_BITS,
     ORDER_MASK,
@@ -46,6 +48,16 @@ _AROUND = 2
 _PLACES = 24
 
 Integers = npt.NDArray[np.int64]
+
+
+class _Note(IntEnum):
+    """Rows of what cells note of the pairs of patches that border on each other."""
+
+    LOW = 0  # the patches,
+    HIGH = 1
+    SHIFT = 2  # the shift from the first to the second,
+    GOES_ON = 3  # and the bits of the numbers of pixels over which the surface goes on,
+    STEPS = 4  # and over which it steps, as float32
 
 
 class Borders(NamedTuple):
@@ -116,25 +128,25 @@ def sample_departures_kernel(
 
 
 @ti.func
-def note_border(
-    ends: ivec2, shift: i32, px: f32, steps: i32, cell: i32, count: Static, out_pairs: I32Array2, out_px: F32Array2
-):
+def note_border(ends: ivec2, shift: i32, px: f32, steps: i32, cell: i32, count: Static, out_notes: I32Array2):
     """Add pixels to those of a pair of patches in a cell's notes."""
     low, high = ti.min(ends[0], ends[1]), ti.max(ends[0], ends[1])
     upwards = ti.select(ends[0] == low, shift, -shift)
     place, noted = count, ti.min(count, _PLACES)
-    cells = out_pairs.shape[1] // _PLACES
+    cells = out_notes.shape[1] // _PLACES
     for k in range(noted):
         at = k * cells + cell
-        if out_pairs[0, at] == low and out_pairs[1, at] == high and out_pairs[2, at] == upwards:
-            place = k
+        if out_notes[_Note.LOW, at] == low and out_notes[_Note.HIGH, at] == high:
+            if out_notes[_Note.SHIFT, at] == upwards:
+                place = k
     if place < _PLACES:
         at = place * cells + cell
         if place == count:
-            out_pairs[0, at], out_pairs[1, at], out_pairs[2, at] = low, high, upwards
-            out_px[0, at], out_px[1, at] = 0.0, 0.0
+            out_notes[_Note.LOW, at], out_notes[_Note.HIGH, at], out_notes[_Note.SHIFT, at] = low, high, upwards
+            out_notes[_Note.GOES_ON, at], out_notes[_Note.STEPS, at] = 0, 0
             count += 1
-        out_px[steps, at] = out_px[steps, at] + px
+        seen = ti.bit_cast(out_notes[_Note.GOES_ON + steps, at], ti.f32) + px
+        out_notes[_Note.GOES_ON + steps, at] = ti.bit_cast(seen, ti.i32)
 
 
 @ti.func
@@ -171,8 +183,7 @@ def measure_borders_kernel(
     draft_bits: i32,
     patches: I32Array2,  # (12, capacity) see `Patch`
     limits: F32Array2,  # (4, cells) rad: up to which a surface goes on and from which it steps, along and across
-    out_pairs: I32Array2,  # (3, _PLACES cells), by place: patches, and the shift from the first to the second
-    out_px: F32Array2,  # (2, _PLACES cells) pixels over which the surface goes on, and over which it steps
+    out_notes: I32Array2,  # (5, _PLACES cells), by place: see `_Note`
     out_counts: I32Array1,  # (cells,) how many pairs
 ):
     """Look at the pixels after which another patch begins, to the right and below."""
@@ -196,7 +207,7 @@ def measure_borders_kernel(
                     if there >= 0:
                         here = patch_number(labels[y, x] >> ORDER_BITS, cells, draft_bits)
                         ends = ivec2(here, patch_number(there >> ORDER_BITS, cells, draft_bits))
-                        note_border(ends, shift, px, steps, cell, count, out_pairs, out_px)
+                        note_border(ends, shift, px, steps, cell, count, out_notes)
         out_counts[cell] = count
 
 
@@ -259,13 +270,10 @@ def measure_borders(
     sample = runtime.empty((2, count), np.float32)
     sample_departures_kernel(phase, rates, sample)
     limits = _limits(runtime.to_host(sample), rows, columns)  # synchronises
-    pairs = runtime.empty((3, _PLACES * count), np.int32)
-    px = runtime.empty((2, _PLACES * count), np.float32)
-    counts = runtime.empty((count,), np.int32)
-    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, patches, limits, pairs, px, counts)
+    notes, counts = runtime.empty((len(_Note), _PLACES * count), np.int32), runtime.empty((count,), np.int32)
+    measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, patches, limits, notes, counts)
     number = runtime.to_host(counts)  # synchronises
     place = np.arange(number.sum()) - np.repeat(np.cumsum(number) - number, number)
-    used = place * count + np.repeat(np.arange(count), number)
-    noted = runtime.to_host(pairs)[:, used].astype(np.int64)
-    going_on, stepping = runtime.to_host(px)[:, used].astype(np.float64)
-    return Borders(noted[:2], noted[2], going_on, stepping)
+    used = columns_at(notes, place * count + np.repeat(np.arange(count), number))  # synchronises
+    px = used[_Note.GOES_ON :].view(np.float32).astype(np.float64)
+    return Borders(used[: _Note.SHIFT].astype(np.int64), used[_Note.SHIFT].astype(np.int64), *px)

@@ -107,7 +107,7 @@ class RegionUnwrapper:
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
         patches.borders = measure_borders(phase, quality, rates, *of_patches, patches.table)
         if regions_that_step(patches.roots(), patches.borders).any():
-            slopes = measure_slopes(phase, *of_patches)
+            slopes = measure_slopes(phase, *of_patches, patches.count)
             roots, slivers, beside = part_regions(patches.graph(), patches.borders, slopes)
             patches.split(roots, slivers)
             patches.beside = beside

@@ -15,7 +15,7 @@ def test_slopes_of_a_bent_plane(arch):
     true = 0.5 * y + np.where(x < 64, 0.02, -0.06) * (x - 64)
     phase = reference.wrapped(true).astype(np.float32)
     patches, _ = join(phase, np.ones(SHAPE, np.float32))
-    along, across = measure_slopes(phase, patches.labels, patches.cell_table, patches.draft_bits)
+    along, across = measure_slopes(phase, patches.labels, patches.cell_table, patches.draft_bits, patches.count)
     graph = patches.graph()
     assert len(along) == patches.count
     large, left = graph.pixels >= 100, graph.first % SHAPE[1] < 64
@@ -28,6 +28,6 @@ def test_patches_of_a_pixel_have_no_slope(arch):
     """Noise, whose patches are small."""
     phase = np.random.default_rng(0).uniform(-np.pi, np.pi, SHAPE).astype(np.float32)
     patches, _ = join(phase, np.ones(SHAPE, np.float32))
-    slopes = measure_slopes(phase, patches.labels, patches.cell_table, patches.draft_bits)
+    slopes = measure_slopes(phase, patches.labels, patches.cell_table, patches.draft_bits, patches.count)
     assert np.isfinite(slopes).all()
     np.testing.assert_allclose(slopes[:, patches.graph().pixels == 1], 0, atol=1e-4)
