@@ -113,7 +113,7 @@ class ChannelModel:
         strips = height * -(-columns // _SAMPLES_A_THREAD)
         self._moments = runtime.empty((strips, _MOMENTS), np.float32)
         template_strips = height * -(-columns // (_EVERY * _SAMPLES_A_THREAD))
-        self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS), np.float32)
+        self._normal = runtime.empty((template_strips, _CORNERS + 3 * TERMS + 1), np.float32)
         self._sums = runtime.empty((*blocks, _LINE_SUMS), np.float32)
         self._half = runtime.empty((*grid, _LINE_SUMS), np.float32)
         self._smooth = runtime.empty((*grid, _LINE_SUMS), np.float32)
@@ -209,11 +209,10 @@ class ChannelModel:
         gram = np.zeros((TERMS, TERMS))
         gram[tuple(np.transpose(_UPPER))] = normal[:_CORNERS]
         gram += np.triu(gram, 1).T
-        asked = max(np.count_nonzero(runtime.to_host(self.phases)[:, ::_EVERY] < NO_PHASE), 1)
-        weight = (_SURE if fixed else 1.0) * max(gram[0, 0], 1e-6) / asked
+        weight = (_SURE if fixed else 1.0) * max(gram[0, 0], 1e-6) / max(normal[-1], 1)
         prior = _PRIOR_SAMPLES * weight * np.array([1.0] + [0.5] * (2 * HARMONICS))
         gram += np.diag(prior)
-        right = normal[_CORNERS:].reshape(TERMS, 3) + prior[:, None] * runtime.to_host(known).T
+        right = normal[_CORNERS:-1].reshape(TERMS, 3) + prior[:, None] * runtime.to_host(known).T
         solved = np.linalg.solve(gram, right)
         self.template = constant(np.ascontiguousarray((solved / solved[0]).T, np.float32))
         self.mismatch = template_mismatch(self.template, weights)
@@ -297,7 +296,7 @@ def sum_template_kernel(
     sharpness: F32Array2,  # (Hg, Wg) see `fringe_sharpness.py`
     spacing_px: i32,
     share: f32,
-    out_normal: F32Array2,  # (strips, terms) the normal equations: upper triangle, right sides
+    out_normal: F32Array2,  # (strips, terms) the normal equations: upper triangle, right sides; then the samples
 ):
     """Sum up the normal equations of the template's least squares, strip by strip."""
     columns = strip_count(samples.shape[1], _EVERY)
@@ -309,7 +308,7 @@ def sum_template_kernel(
         # The upper triangle of the symmetric equations, row by row, and the right sides.
         # Taichi compiles vectors of up to 32 numbers well.
         upper, lower = ti.Vector.zero(f32, _HALF), ti.Vector.zero(f32, _CORNERS - _HALF)
-        right = ti.Matrix.zero(f32, TERMS, 3)
+        right, asked = ti.Matrix.zero(f32, TERMS, 3), 0.0
         background_weights = vec3(phase_weights[2, 0], phase_weights[2, 1], phase_weights[2, 2])
         for number in range(first, first + count):
             # Another one from row to row, so that all columns are asked.
@@ -317,9 +316,11 @@ def sum_template_kernel(
             if has_phase(phases[y, j]):
                 ambient = ambient_at(smooth, spacing_px, share, y, j * spacing_px)
                 sharper = sharpness[ti.min(y // spacing_px, sharpness.shape[0] - 1), j]
-                waves = waves_of(equalized_at(phases[y, j], correction, ti.exp(3.0 * sharper)))
-                waves *= sharpening_factors(sharper)
+                factors = sharpening_factors(sharper)
+                waves = waves_of(equalized_at(phases[y, j], correction, factors[2]))
+                waves *= factors
                 light = sample_at(samples, y, j) - ambient
+                asked += 1.0
                 # Each sample with its own brightness: bright ones count more, as they are more certain. The background
                 # tells it whatever the phase, apart from what is known of the response and lateral colour.
                 waves *= light.dot(background_weights) / cycle_at(known, waves).dot(background_weights)
@@ -335,6 +336,7 @@ def sum_template_kernel(
         for a in ti.static(range(TERMS)):
             for k in ti.static(range(3)):
                 out_normal[strip, _CORNERS + 3 * a + k] = right[a, k]
+        out_normal[strip, _CORNERS + 3 * TERMS] = asked
 
 
 @kernel

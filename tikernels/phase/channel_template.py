@@ -123,17 +123,22 @@ def blurred(harmonics: Static, contrast: f32):
 @ti.func
 def sharpening_factors(sharpness: f32):
     """Return what `waves_of` are to be multiplied by, given `FringeSharpness`'s value: see `sharpening_of`."""
-    result = ti.Vector.one(f32, TERMS)
+    result, factors = ti.Vector.one(f32, TERMS), sharpening_of(sharpness)
     for n in ti.static(range(2, HARMONICS + 1)):
-        factor = ti.exp(ti.static(n * n - 1) * sharpness)
-        result[n], result[HARMONICS + n] = factor, factor
+        result[n], result[HARMONICS + n] = factors[n - 1], factors[n - 1]
     return result
 
 
 @ti.func
 def sharpening_of(sharpness: f32):
     """Return (harmonics,) what each harmonic is multiplied by, exp((n^2 - 1) sharpness); see `fringe_sharpness.py`."""
-    return ti.Vector([ti.exp(ti.static(n * n - 1) * sharpness) for n in range(1, HARMONICS + 1)])
+    # From one to the next by exp((2 n + 1) sharpness): an exponential is a call of the C library.
+    result, once = ti.Vector.one(f32, HARMONICS), ti.exp(sharpness)
+    ratio = once * once * once
+    for n in ti.static(range(1, HARMONICS)):
+        result[n] = result[n - 1] * ratio
+        ratio *= once * once
+    return result
 
 
 @ti.func
