@@ -15,7 +15,7 @@ PACKAGES = ("tikernels", "pipeline", "hardware")
 #: The rooms of each package, from the ground up: one imports those to the left of it, and what lies in it.
 FLOORS = {
     "tikernels": (
-        "_taichi traffic launching errors arrays core_binding runtime checks strips transposing raw phase depth "
+        "_taichi traffic launching errors arrays lanes core_binding runtime checks strips transposing raw phase depth "
         "unwrapping order_evidence scene"
     ),
     "pipeline": (

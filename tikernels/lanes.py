@@ -20,12 +20,13 @@ Other rows, and those of a GPU, are arrays of numbers, and copied one by one. Ke
 but lanes: small vectors, as of three channels, would be computed as such.
 """
 
-from typing import Any
+from functools import cache
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from tikernels._taichi import Static, f32, i32, ti
-from tikernels.arrays import Array
+from tikernels.arrays import F32, I32, U8
 
 #: Pixels of a vector.
 LANES = 16
@@ -36,22 +37,27 @@ float_lanes, integer_lanes, byte_lanes = (ti.types.vector(LANES, kind) for kind 
 three_lanes = ti.types.vector(3 * LANES, ti.f32)
 
 
-def planes(wide: bool, kind: Any = ti.f32, ndim: int = 2) -> Any:
+#: What a frame's pixels lie in.
+Rows: TypeAlias = F32 | I32 | U8
+
+
+@cache
+def planes(wide: bool, kind: object = ti.f32, ndim: int = 2, lanes: int = LANES) -> Any:
     """Return the type of a kernel's argument (..., H, W), whose rows are vectors if it is wide."""
-    return ti.types.ndarray(dtype=ti.types.vector(LANES, kind) if wide else kind, ndim=ndim)
+    return ti.types.ndarray(dtype=ti.types.vector(lanes, kind) if wide else kind, ndim=ndim)
 
 
-def in_vectors(*arrays: Array[Any]) -> bool:
+def in_vectors(*arrays: Rows, lanes: int = LANES) -> bool:
     """Whether all rows of these (..., H, W) arrays are whole numbers of vectors; those of a GPU are not."""
     return all(
-        isinstance(array, np.ndarray) and array.shape[-1] % LANES == 0 and array.ctypes.data % VECTOR_BYTES == 0
+        isinstance(array, np.ndarray) and array.shape[-1] % lanes == 0 and array.ctypes.data % VECTOR_BYTES == 0
         for array in arrays
     )
 
 
-def as_lanes(array: Array[Any], wide: bool) -> Any:
-    """Return a contiguous (..., H, W) array as (..., H, W / 16) of vectors, if it is to be wide; else as it is."""
-    return array.reshape(*array.shape[:-1], -1, LANES) if wide and isinstance(array, np.ndarray) else array
+def as_lanes(array: Rows, wide: bool, lanes: int = LANES) -> Rows:
+    """Return a contiguous (..., H, W) array as (..., H, W / lanes) of vectors, if it is to be wide; else as it is."""
+    return array.reshape(*array.shape[:-1], -1, lanes) if wide and isinstance(array, np.ndarray) else array
 
 
 @ti.func

@@ -11,7 +11,7 @@ import functools
 import threading
 import weakref
 from collections.abc import Callable, Iterator
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar, cast, overload
 
 import numpy as np
 import numpy.typing as npt
@@ -33,7 +33,17 @@ _constants: dict[int, list[Any]] = {}
 _lock = threading.Lock()
 
 
-def kernel(function: Function, *, whole_vectors: bool = False) -> Function:
+@overload
+def kernel(function: Function) -> Function: ...
+
+
+@overload
+def kernel(*, whole_vectors: bool) -> Callable[[Function], Function]: ...
+
+
+def kernel(
+    function: Function | None = None, *, whole_vectors: bool = False
+) -> Function | Callable[[Function], Function]:
     """Compile a function as a kernel when it is called for the first time, and launch it quickly from then on.
 
     Parameters
@@ -43,6 +53,12 @@ def kernel(function: Function, *, whole_vectors: bool = False) -> Function:
     whole_vectors : bool
         Whether the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
     """
+    if function is None:
+        return lambda later: _kernel(later, whole_vectors=whole_vectors)
+    return _kernel(function, whole_vectors=whole_vectors)
+
+
+def _kernel(function: Function, *, whole_vectors: bool) -> Function:
     compiled: Any = ti.kernel(function)
 
     @functools.wraps(function)

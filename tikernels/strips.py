@@ -13,21 +13,20 @@ constant length, computes on all of them whether the image goes on that far or n
 
 On Vulkan Taichi 1.7 compiles only one loop of a kernel with such vectors, so a second one is a kernel of its own.
 
-Kernels that add up a strip need no copies. Those that compute little need none either, and still gain by the strip:
+Where a kernel does little but load and store, whole vectors are faster (`lanes.py`). Kernels that add up a strip need
+no copies. Those that compute little need none either, and still gain by the strip:
 row and column of every single pixel would cost a division, by which they take half as long again on a CPU.
 """
 
 from tikernels._taichi import Static, i32, ti, vec3
+from tikernels.lanes import LANES
 
 #: Pixels of a strip where nothing asks for another length.
 STRIP = 32
-#: Samples, or blocks of them, that a thread works on together where it keeps many numbers of each.
-LANES = 16
 #: The CPU gives a thread 512 iterations of a parallel loop or more: of 600 strips one of two threads did nearly all. So
 #: loops over a few hundred strips have as many iterations for each, of which the first one works.
 SPREAD = 16
-#: A number of each, and three channels.
-lanes = ti.types.vector(LANES, ti.f32)
+#: Three channels of samples, or blocks of them, that a thread works on together.
 lanes_of_colors = ti.types.matrix(3, LANES, ti.f32)
 
 

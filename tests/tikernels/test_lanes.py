@@ -30,6 +30,7 @@ from tikernels.launching import kernel
 
 @cache
 def _filter_kernel(wide: bool) -> Any:
+    @kernel(whole_vectors=wide)
     def filter_kernel(
         values: planes(wide),  # (H, W)
         mask: planes(wide, ti.u8),  # (H, W)
@@ -49,7 +50,7 @@ def _filter_kernel(wide: bool) -> Any:
             store_lanes_of(out, 1, y, place, width, kept, wide)
             store_lanes(out_last, y, place, width, load_lanes_of(out, 1, y, place, width, wide), wide)
 
-    return kernel(filter_kernel, whole_vectors=wide)
+    return filter_kernel
 
 
 def filtered(values: np.ndarray, mask: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:

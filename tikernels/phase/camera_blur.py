@@ -60,6 +60,7 @@ def turned_by_blur(before: f32, here: f32, after: f32, dim: f32, bright: f32) ->
 def _undo_camera_blur_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
 
+    @kernel(whole_vectors=wide)
     def undo_camera_blur_kernel(
         phase: planes(wide),  # (H, W) rad, a little beyond +-pi; NO_PHASE outside the mask
         brightness: planes(wide),  # (H, W)
@@ -89,7 +90,7 @@ def _undo_camera_blur_kernel(wide: bool) -> Any:
             store_lanes(out, y, place, width, turned, wide)
             store_lanes(out_misfit, y, place, width, misfit, wide)
 
-    return kernel(undo_camera_blur_kernel, whole_vectors=wide)
+    return undo_camera_blur_kernel
 
 
 def undo_camera_blur(phase: F32, brightness: F32, precision: F32, out: tuple[F32, F32]) -> None:

@@ -29,6 +29,7 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, f32, i32, ti, vec3, vec4
 from tikernels.arrays import F32
+from tikernels.lanes import LANES, float_lanes
 from tikernels.launching import constant, kernel
 from tikernels.phase.channel_template import (
     HARMONICS,
@@ -47,7 +48,7 @@ from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.fringe_sharpness import FringeSharpness, equalized_at
 from tikernels.phase.phase_vector import arctangent, matrix_of, modulation_of
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
-from tikernels.strips import LANES, SPREAD, color_of, lanes, lanes_of_colors, set_color, strip_at, strip_count
+from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
 # Places of a symmetric matrix' upper triangle, row by row.
 _UPPER = tuple((a, b) for a in range(TERMS) for b in range(a, TERMS))
@@ -246,7 +247,7 @@ def recover_samples_kernel(
         y, start, total = strip_at(strip, samples.shape[1], _SAMPLES_A_THREAD)
         weights = matrix_of(phase_weights)
         light, color_gains = lanes_of_colors(0.0), lanes_of_colors(1.0)
-        angle, moments = lanes(0.0), sample_moments(0.0)
+        angle, moments = float_lanes(0.0), sample_moments(0.0)
         for part in range(strip_count(total, LANES)):
             first, count = start + part * LANES, ti.min(LANES, total - part * LANES)
             for k in range(count):
@@ -358,7 +359,7 @@ def sum_model_kernel(
             continue
         i, first, count = strip_at(t // SPREAD, out_sums.shape[1], LANES)
         harmonics = load_harmonics(template)
-        light, phase, ambient, sums = lanes_of_colors(0.0), lanes(0.0), lanes(0.0), line_sums(0.0)
+        light, phase, ambient, sums = lanes_of_colors(0.0), float_lanes(0.0), float_lanes(0.0), line_sums(0.0)
         sharper = lanes_of_colors(1.0)
         for k in range(count):
             ambient[k] = ambient_at(smooth, 2 * rows, share, i * rows, (first + k) * 2 * rows)

@@ -23,6 +23,7 @@ from tikernels import checks, runtime
 from tikernels._taichi import AnyArray3, F32Array2, F32Array3, Static, U8Array2, f32, i32, mat3, ti, vec3
 from tikernels.arrays import F32, LevelsImage, Mask
 from tikernels.errors import ShapeError
+from tikernels.lanes import LANES
 from tikernels.launching import kernel
 from tikernels.phase.balance_window import BalanceWindow
 from tikernels.phase.crosstalk import Crosstalk, unmixed
@@ -30,7 +31,7 @@ from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
 from tikernels.phase.phase_vector import color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import neutral_light, shows_surface, without_ambient
 from tikernels.raw.linearization import LEVEL_TYPES
-from tikernels.strips import LANES, SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
+from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
 # Sums below this hold no colour worth measuring.
 _DARK = 1e-6

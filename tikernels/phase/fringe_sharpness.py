@@ -29,13 +29,14 @@ import numpy.typing as npt
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, Static, f32, i32, ti, vec3, vec4
 from tikernels.arrays import F32
+from tikernels.lanes import LANES, float_lanes
 from tikernels.launching import constant, kernel
 from tikernels.phase.channel_template import HARMONICS, load_harmonics, sharpened_cycle_and_slope, sharpening_of
 from tikernels.phase.color_balance import channels_at, sample_at
 from tikernels.phase.equalization import equalized
 from tikernels.phase.phase_vector import cosine_and_sine
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
-from tikernels.strips import LANES, SPREAD, color_of, lanes, lanes_of_colors, set_color, strip_at, strip_count
+from tikernels.strips import SPREAD, color_of, lanes_of_colors, set_color, strip_at, strip_count
 
 # Tiles both ways, at most, and cycles that each wants; they are averaged with their neighbours.
 _TILES, _CYCLES, _AROUND = 8, 3, 0.7
@@ -93,7 +94,7 @@ def sum_sharpness_kernel(
         first, count = start + i % 2, (total + 1 - i % 2) // 2
         node, harmonics = ti.min(i // 2, nodes.shape[0] - 1), load_harmonics(template)
         seen, colors, ambients = lanes_of_colors(0.0), lanes_of_colors(1.0), lanes_of_colors(0.0)
-        phase, sharper = lanes(NO_PHASE), lanes_of_colors(1.0)
+        phase, sharper = float_lanes(NO_PHASE), lanes_of_colors(1.0)
         sums = sharpness_sums(0.0)
         for k in range(count):
             j = first + 2 * k

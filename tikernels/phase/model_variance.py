@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
-from tikernels.arrays import F32, U8
+from tikernels.arrays import F32, U8, Array, E
 from tikernels.lanes import (
     LANES,
     as_lanes,
@@ -89,6 +89,7 @@ def sum_blocks_kernel(
 def _count_misfits_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
 
+    @kernel(whole_vectors=wide)
     def count_misfits_kernel(
         misfit: planes(wide),  # (H, W)
         mask: planes(wide, ti.u8),  # (H, W)
@@ -103,13 +104,14 @@ def _count_misfits_kernel(wide: bool) -> Any:
                 misfits[k] = ti.select(holds[k] != 0, counted(misfits[k]), 0.0)
             store_lanes(out, y, place, width, misfits, wide)
 
-    return kernel(count_misfits_kernel, whole_vectors=wide)
+    return count_misfits_kernel
 
 
 @cache
 def _model_variance_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
 
+    @kernel(whole_vectors=wide)
     def model_variance_kernel(
         precision: planes(wide),  # (H, W) 1 / rad^2
         misfit: planes(wide),  # (H, W)
@@ -133,7 +135,7 @@ def _model_variance_kernel(wide: bool) -> Any:
                 variance[k] += beyond / (divided_by(own[k]) * ti.max(sure[k], LEAST_PRECISION))
             store_lanes(out, y, place, width, variance, wide)
 
-    return kernel(model_variance_kernel, whole_vectors=wide)
+    return model_variance_kernel
 
 
 def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out: F32 | None = None) -> F32:
@@ -168,9 +170,9 @@ def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out:
     mask = checks.read_array("mask", mask, shape, np.uint8)
     out = checks.out_buffer("out", out, shape, np.float32)
     telling = runtime.empty(shape, np.float32)
-    arrays: tuple[Any, ...] = (misfit, mask, telling)
-    wide = in_vectors(*arrays)
-    _count_misfits_kernel(wide)(*(as_lanes(array, wide) for array in arrays))
+    counting = (misfit, mask, telling)
+    wide = in_vectors(*counting)
+    _count_misfits_kernel(wide)(*(as_lanes(array, wide) for array in counting))
     sums = (_sums_around(telling), _sums_around(mask), _window_error(precision, misfit, mask, period_px))
     arrays = (precision, misfit, *(runtime.to_device(part) for part in sums), out)
     wide = in_vectors(*arrays)
@@ -178,7 +180,7 @@ def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out:
     return out
 
 
-def _sums_around(values: F32 | U8) -> npt.NDArray[np.float32]:
+def _sums_around(values: Array[E]) -> npt.NDArray[np.float32]:
     """Return the sums over the pixels around each, (H, W) float32; beyond the image there is nothing."""
     seen = runtime.to_host(values)  # synchronises
     sums, side = runtime.empty_on_host(seen.shape, np.float32), (_AROUND_PX, _AROUND_PX)

@@ -139,6 +139,7 @@ def quadric_share(a: f32, b: f32, count: f32, squares: f32, fourths: f32) -> f32
 def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
     """Return the kernel that fits `pairs` neighbours on either side along the rows."""
 
+    @kernel(whole_vectors=wide)
     def smooth_rows_kernel(
         phase: planes(wide),  # (H, W) rad, up to 0.6 beyond +-pi; NO_PHASE outside the mask
         precision: planes(wide),  # (H, W) 1 / rad^2: one over the phase's variance
@@ -192,7 +193,7 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
             store_lanes_of(out_rows, _Row.MEAN_VARIANCE, y, place, width, mean_variance, wide)
             store_lanes_of(out_rows, _Row.FIT_VARIANCE, y, place, width, fit_variance, wide)
 
-    return kernel(smooth_rows_kernel, whole_vectors=wide)
+    return smooth_rows_kernel
 
 
 @ti.func
@@ -206,6 +207,7 @@ def change_across(near: f32, far: f32, change: f32, wraps: Static) -> f32:
 def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
     """Return the kernel that fits `pairs` neighbours on either side across the rows, of rows that are smoothed."""
 
+    @kernel(whole_vectors=wide)
     def smooth_columns_kernel(
         phase: planes(wide),  # (H, W) rad, the rows' means; without whole cycles if it `wraps`
         mask: planes(wide, ti.u8),  # (H, W)
@@ -264,7 +266,7 @@ def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
             store_lanes(out, y, place, width, centre, wide)
             store_lanes(out_variance, y, place, width, variance, wide)
 
-    return kernel(smooth_columns_kernel, whole_vectors=wide)
+    return smooth_columns_kernel
 
 
 def _window(pairs: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

@@ -98,6 +98,7 @@ def compare_rows_kernel(
 def _phase_sigma_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
 
+    @kernel(whole_vectors=wide)
     def phase_sigma_kernel(
         precision: planes(wide),  # (H, W) 1 / rad^2
         model: planes(wide),  # (H, W) rad^2, the model's
@@ -121,7 +122,7 @@ def _phase_sigma_kernel(wide: bool) -> Any:
                 sigma[k] = ti.select(holds[k] != 0, total, ti.math.nan)
             store_lanes(out, y, place, width, sigma, wide)
 
-    return kernel(phase_sigma_kernel, whole_vectors=wide)
+    return phase_sigma_kernel
 
 
 def phase_sigma(

@@ -179,6 +179,7 @@ def find_regions(label: Static, final: I32Array2, start: Static, count: i32, reg
 def _write_unwrapped_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
 
+    @kernel(whole_vectors=wide)
     def write_unwrapped_kernel(
         phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
         rates: F32Array2,  # see `frame_rates`
@@ -213,7 +214,7 @@ def _write_unwrapped_kernel(wide: bool) -> Any:
             store_lanes(out_mask, y, place, width, inside, wide)
             store_lanes(out_region, y, place, width, region, wide)
 
-    return kernel(write_unwrapped_kernel, whole_vectors=wide)
+    return write_unwrapped_kernel
 
 
 def write_unwrapped(
