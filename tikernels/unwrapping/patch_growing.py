@@ -8,10 +8,12 @@ where two of its patches touch, they note a contact with its votes (`patch_conta
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3
 from tikernels.arrays import F32, I32
 from tikernels.lanes import as_lanes, in_vectors, planes
-from tikernels.launching import kernel
+from tikernels.launching import constant, kernel
 from tikernels.phase.wrapped_phase import LEAST_STEP_PHASE, has_phase
 from tikernels.unwrapping.continuity import (
     brightness_weight,
@@ -36,6 +38,7 @@ from tikernels.unwrapping.tables import (
     cell_count,
 )
 
+_NO_LABELS = constant(np.zeros((1, 1), np.int32))
 row_of_floats = ti.types.vector(CELL_WIDTH, ti.f32)
 row_of_integers = ti.types.vector(CELL_WIDTH, ti.i32)
 
@@ -227,7 +230,7 @@ def _grow_patches_kernel(wide: bool) -> Any:
         quality: F32Array2,  # (H, W)
         rates: F32Array2,  # see `frame_rates`
         draft_bits: i32,  # a cell has places for 2^bits patches and four times as many contacts
-        phase_rows: planes(wide, lanes=CELL_WIDTH),  # (H, W) the phase again,
+        phase_rows: planes(wide, lanes=CELL_WIDTH),  # (H, W) the phase again, if it is wide,
         quality_rows: planes(wide, lanes=CELL_WIDTH),  # (H, W) the quality,
         label_rows: planes(wide, ti.i32, lanes=CELL_WIDTH),  # (H, W) and the labels
         out_labels: I32Array2,  # (H, W) patch and order inside it; NOTHING, or BETWEEN two surfaces
@@ -306,6 +309,8 @@ def grow_patches(
         See `Cell`.
     """
     wide = in_vectors(phase, quality, out_labels, lanes=CELL_WIDTH)
-    rows = (as_lanes(array, wide, CELL_WIDTH) for array in (phase, quality, out_labels))
+    # A GPU copies NumPy arrays back, each argument by itself: no array that is written may be there twice.
+    again = (phase, quality, out_labels) if wide else (rates, rates, _NO_LABELS)
+    rows = (as_lanes(array, wide, CELL_WIDTH) for array in again)
     tables = (out_labels, out_patches, out_contacts, out_cells)
     _grow_patches_kernel(wide)(phase, quality, rates, draft_bits, *rows, *tables)
