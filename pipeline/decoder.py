@@ -111,7 +111,8 @@ class Decoder:
         Parameters
         ----------
         image : (H, W, 3) uint8, uint16 or float32
-            RGB, levels from 0 to the white level (floats: 0..1); a NumPy array or a Taichi ndarray.
+            RGB, levels from 0 to the white level (floats: 0..1): a NumPy array, a Taichi ndarray, or what another
+            library (PyTorch, JAX: all that speak DLPack) has in the host's memory, which is not copied.
         previous : DecodedFrame, optional
             The frame before in a video, decoded with the same settings. Region by region its orders are carried on
             where no code tells them, as long as a surface's phase changes by less than a third of a cycle and its edges

@@ -13,6 +13,7 @@ from pipeline.settings import DecodeSettings
 from tikernels import checks, runtime
 from tikernels.arrays import LevelsImage
 from tikernels.errors import ShapeError
+from tikernels.foreign_arrays import on_host
 from tikernels.phase.frame_statistics import count_out_of_range
 from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, linearize
@@ -70,6 +71,7 @@ class FrameReader:
         ShapeError, CalibrationError, FootageError
             See `Decoder.decode`.
         """
+        image = on_host("image", image)
         self._check_shape(image)
         dtype = runtime.dtype_name(image)
         if dtype not in WHITE_LEVELS:
