@@ -136,9 +136,8 @@ class SurfaceFinder:
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag) / color
         samples = look.surface_samples(light, np.ones(len(light)), weights, ambient, self._contrast_doubt)
 
-        def left_over(bands: FloatArray) -> float:
-            (matrix,) = predict_matrices((color - ambient)[None], known.matrix * known.white[:, None], bands)
-            return float(np.median(np.abs(residuals(samples, matrix, ambient, known.light))))
-
-        after = left_over(BROAD)
-        return after < _NOISE and after < _BY_FAR * left_over(known.bands)
+        seen, white = (color - ambient)[None], known.matrix * known.white[:, None]
+        matrices = np.concatenate([predict_matrices(seen, white, bands) for bands in (BROAD, known.bands)])
+        left_over = np.abs(residuals(samples, matrices, ambient, known.light))
+        after, otherwise = np.median(left_over, axis=1)
+        return bool(after < _NOISE and after < _BY_FAR * otherwise)

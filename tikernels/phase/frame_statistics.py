@@ -24,6 +24,8 @@ _COLUMNS = 16
 _MIN_SHARE = 0.15
 # What is darker than this share of the brightest does not tell the noise: clipped at zero it would show half of it.
 _DARK_SHARE = 0.06
+# About as many rows tell the noise.
+_NOISE_ROWS = 480
 # Groups of samples, equally bright within each, that tell how the noise grows with the light, and samples of each.
 _NOISE_GROUPS, _LEAST_GROUP = 8, 200
 # Fourth differences leave out tilted stripes, and pixels two apart what demosaicing makes of their neighbours.
@@ -141,8 +143,9 @@ def _noise(
     """Return read noise and gain, given the channels (columns, H, 3), their fourth differences, and a grey level."""
     # Devices round differently; which samples are alike must not depend on that.
     light = np.rint(light * np.float32(2**16)) * np.float32(2**-16)
-    # Grouped by the pixel above, whose own noise is another one.
-    light, changes = light[:, :-1], changes[:, 1:]
+    # Grouped by the pixel above, whose own noise is another one. Of high images some rows tell as much.
+    every = max(1, light.shape[1] // _NOISE_ROWS)
+    light, changes = light[:, :-1:every], changes[:, 1::every]
     telling = (light > _DARK_SHARE * bright) & (light < CLIPPED)
     light, changes = light[telling], changes[telling]
     levels, variances = [], []

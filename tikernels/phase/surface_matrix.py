@@ -150,20 +150,20 @@ class FittedMatrices:
 
 
 def waves(light: _Complexes, phase: _Array, contrast: _Array | None = None) -> tuple[_Array, _Array]:
-    """Return the projector's light and its derivative by the phase, (N, 3).
+    """Return the projector's light and its derivative by the phase, (..., N, 3).
 
     Parameters
     ----------
     light : (3, harmonics) complex128
         From the first on.
-    phase : (N,)
+    phase : (..., N)
         rad.
     contrast : (N,), optional
         By what blur multiplies the first harmonic; the nth by its power of n^2.
     """
     n = np.arange(1, light.shape[1] + 1)
     # Powers of the first: as many exponentials take several times as long.
-    turns = np.cumprod(np.broadcast_to(np.exp(1j * phase)[:, None], (len(phase), light.shape[1])), axis=1)
+    turns = np.cumprod(np.broadcast_to(np.exp(1j * phase)[..., None], (*phase.shape, light.shape[1])), axis=-1)
     if contrast is not None:
         turns *= contrast[:, None] ** n**2
     return 1 + (turns @ light.T).real, (turns * 1j * n @ light.T).real
@@ -282,7 +282,10 @@ def _constant_slope(
 
 
 def residuals(surface: SurfaceSamples, matrix: _Array, ambient: _Array, light: _Complexes) -> _Array:
-    """Return z of a surface's pixels, (N,), in standard deviations, given its matrix, ambient light and the light."""
+    """Return z of a surface's pixels, (..., N), in standard deviations, given matrices, ambient light and the light.
+
+    The matrices are (..., 3, 3): NumPy takes as long for two as for one.
+    """
     weight = 1 / np.sqrt(surface.variance)
     seen = (surface.light - ambient) * weight
     found = _across(surface, seen, matrix, weight, light, surface.phase, _FIRST_TURNS)
@@ -295,36 +298,37 @@ def _contrast_variance(
     """Return the variance of z where a pixel's contrast is not quite the light's."""
     if surface.contrast_doubt == 0:
         return 1.0
-    swing = (surface.waves(light, found.phase)[0] - 1) @ matrix.T * weight
+    swing = (surface.waves(light, found.phase)[0] - 1) @ matrix.swapaxes(-1, -2) * weight
     return np.asarray(1 + (surface.contrast_doubt * found.brightness * _dot(swing, found.normal)) ** 2)
 
 
 class _Across(NamedTuple):
     """Pixels beside their model, in units of noise."""
 
-    phase: _Array  # (N,) rad, what fits best
-    brightness: _Array  # (N,) likewise
-    light: _Array  # (N, 3) K p
-    change: _Array  # (N, 3) its derivative by the phase
-    normal: _Array  # (N, 3) n
-    residual: _Array  # (N,) z
+    phase: _Array  # (..., N) rad, what fits best
+    brightness: _Array  # (..., N) likewise
+    light: _Array  # (..., N, 3) K p
+    change: _Array  # (..., N, 3) its derivative by the phase
+    normal: _Array  # (..., N, 3) n
+    residual: _Array  # (..., N) z
 
 
 def _across(
     surface: SurfaceSamples, seen: _Array, matrix: _Array, weight: _Array, light: _Complexes, phase: _Array, turns: int
 ) -> _Across:
     """Find the phase and the brightness of pixels, and what these leave over."""
+    turned = matrix.swapaxes(-1, -2)
     for turn in range(turns + 1):
         p, change = surface.waves(light, phase)
-        m, d = p @ matrix.T * weight, change @ matrix.T * weight
+        m, d = p @ turned * weight, change @ turned * weight
         square = _dot(m, m)
         brightness = np.maximum(_dot(seen, m) / square, 1e-9)
         if turn < turns:
-            across = d - (_dot(d, m) / square)[:, None] * m
+            across = d - (_dot(d, m) / square)[..., None] * m
             step = _dot(seen, across) / (brightness * _dot(across, across))
             phase = phase + np.clip(step, -_PHASE_STEP, _PHASE_STEP)
-    normal = m[:, (1, 2, 0)] * d[:, (2, 0, 1)] - m[:, (2, 0, 1)] * d[:, (1, 2, 0)]
-    normal /= np.sqrt(_dot(normal, normal))[:, None]
+    normal = m[..., (1, 2, 0)] * d[..., (2, 0, 1)] - m[..., (2, 0, 1)] * d[..., (1, 2, 0)]
+    normal /= np.sqrt(_dot(normal, normal))[..., None]
     return _Across(phase, brightness, m, d, normal, _dot(seen, normal))
 
 
@@ -424,4 +428,4 @@ class _Equations:
 
 
 def _dot(a: _Array, b: _Array) -> _Array:
-    return np.asarray(np.einsum("ni,ni->n", a, b))
+    return np.asarray(np.einsum("...i,...i->...", a, b))
