@@ -38,7 +38,10 @@ from tikernels.unwrapping.tables import (
     cell_count,
 )
 
-_NO_LABELS = constant(np.zeros((1, 1), np.int32))
+# Phase, quality and labels again where they are not wide: nothing. A GPU copies NumPy arrays there and back, each
+# argument by itself, so none may be there twice.
+_NO_FLOATS, _NO_MORE_FLOATS = constant(np.zeros((1, 1), np.float32)), constant(np.zeros((1, 1), np.float32))
+_NO_ROWS: tuple[F32, F32, I32] = (_NO_FLOATS, _NO_MORE_FLOATS, constant(np.zeros((1, 1), np.int32)))
 row_of_floats = ti.types.vector(CELL_WIDTH, ti.f32)
 row_of_integers = ti.types.vector(CELL_WIDTH, ti.i32)
 
@@ -309,8 +312,7 @@ def grow_patches(
         See `Cell`.
     """
     wide = in_vectors(phase, quality, out_labels, lanes=CELL_WIDTH)
-    # A GPU copies NumPy arrays back, each argument by itself: no array that is written may be there twice.
-    again = (phase, quality, out_labels) if wide else (rates, rates, _NO_LABELS)
+    again = (phase, quality, out_labels) if wide else _NO_ROWS
     rows = (as_lanes(array, wide, CELL_WIDTH) for array in again)
     tables = (out_labels, out_patches, out_contacts, out_cells)
     _grow_patches_kernel(wide)(phase, quality, rates, draft_bits, *rows, *tables)

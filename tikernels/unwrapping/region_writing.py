@@ -7,6 +7,8 @@ orders show it: at the rim of a round object it can pass for the other surface. 
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ti
 from tikernels.arrays import F32, I32, U8
 from tikernels.lanes import (
@@ -22,7 +24,7 @@ from tikernels.lanes import (
     planes,
     store_lanes,
 )
-from tikernels.launching import kernel
+from tikernels.launching import constant, kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.continuity import frame_rates
@@ -43,6 +45,9 @@ from tikernels.unwrapping.tables import (
     Region,
     patch_number,
 )
+
+# Phase and labels again where they are not wide: nothing; see `patch_growing.py`.
+_NO_ROWS: tuple[F32, I32] = (constant(np.zeros((1, 1), np.float32)), constant(np.zeros((1, 1), np.int32)))
 
 
 @ti.func
@@ -185,8 +190,8 @@ def _write_unwrapped_kernel(wide: bool) -> Any:
         rates: F32Array2,  # see `frame_rates`
         labels: I32Array2,  # (H, W)
         final: I32Array2,  # (3, cells << bits) see `Final`
-        phase_rows: planes(wide),  # (H, W) the phase again
-        label_rows: planes(wide, ti.i32),  # (H, W) the labels again
+        phase_rows: planes(wide),  # (H, W) the phase again, if it is wide,
+        label_rows: planes(wide, ti.i32),  # (H, W) and the labels
         out_unwrapped: planes(wide),  # (H, W) rad; NaN outside the mask
         out_mask: planes(wide, ti.u8),  # (H, W) 1 inside
         out_region: planes(wide, ti.i32),  # (H, W) region's number from 1; 0 outside
@@ -196,8 +201,12 @@ def _write_unwrapped_kernel(wide: bool) -> Any:
         for t in range(height * lane_count(width)):
             y, place = lanes_at(t, width)
             first, count = place * LANES, ti.min(LANES, width - place * LANES)
-            label = load_lanes(label_rows, integer_lanes, y, place, width, wide)
-            unwrapped = load_lanes(phase_rows, float_lanes, y, place, width, wide)
+            label, unwrapped = integer_lanes(0), float_lanes(0.0)
+            if ti.static(wide):
+                label, unwrapped = label_rows[y, place], phase_rows[y, place]
+            else:
+                label = load_lanes(labels, integer_lanes, y, place, width, wide)
+                unwrapped = load_lanes(phase, float_lanes, y, place, width, wide)
             region, inside = integer_lanes(0), byte_lanes(0)
             cell = (y // CELL_HEIGHT) * cells + first // CELL_WIDTH
             for c in ti.static(range(LANES // CELL_WIDTH)):
@@ -241,5 +250,6 @@ def write_unwrapped(
     """
     outputs = (out_unwrapped, out_mask, out_region)
     wide = in_vectors(phase, labels, *outputs)
-    rows = (as_lanes(array, wide) for array in (phase, labels, *outputs))
+    again = (phase, labels) if wide else _NO_ROWS
+    rows = (as_lanes(array, wide) for array in (*again, *outputs))
     _write_unwrapped_kernel(wide)(phase, rates, labels, final, *rows)
