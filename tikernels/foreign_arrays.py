@@ -4,9 +4,8 @@ PyTorch, JAX, TensorFlow, CuPy and others speak it (Python array API standard 20
 arrays, which speak it too: `torch.from_dlpack(frame.unwrapped_phase)` looks at the same memory.
 """
 
-from typing import Any
-
 import numpy as np
+import numpy.typing as npt
 
 from tikernels import runtime
 from tikernels.errors import ShapeError
@@ -23,7 +22,7 @@ _OTHERS = {
 }
 
 
-def on_host(name: str, array: object) -> Any:
+def on_host(name: str, array: object) -> object:
     """Return an array of another library as a NumPy array that looks at the same memory; anything else as it is.
 
     Raises
@@ -49,7 +48,8 @@ def on_host(name: str, array: object) -> Any:
         kind = int(place()[0])
         if kind in _HOST:
             try:
-                return np.from_dlpack(array)  # type: ignore[arg-type]
+                looked_at: npt.NDArray[np.generic] = np.from_dlpack(array)  # type: ignore[arg-type]
+                return looked_at
             except (BufferError, TypeError, RuntimeError, ValueError) as error:
                 raise ShapeError(f"{name} is a {type(array).__name__} that NumPy cannot look at: {error}") from error
         where = _OTHERS.get(kind, "a device")

@@ -42,22 +42,22 @@ Rows: TypeAlias = F32 | I32 | U8
 
 
 @cache
-def planes(wide: bool, kind: object = ti.f32, ndim: int = 2, lanes: int = LANES) -> Any:
+def planes(wide: bool, kind: object = ti.f32, ndim: int = 2) -> Any:
     """Return the type of a kernel's argument (..., H, W), whose rows are vectors if it is wide."""
-    return ti.types.ndarray(dtype=ti.types.vector(lanes, kind) if wide else kind, ndim=ndim)
+    return ti.types.ndarray(dtype=ti.types.vector(LANES, kind) if wide else kind, ndim=ndim)
 
 
-def in_vectors(*arrays: Rows, lanes: int = LANES) -> bool:
+def in_vectors(*arrays: Rows) -> bool:
     """Whether all rows of these (..., H, W) arrays are whole numbers of vectors; those of a GPU are not."""
     return all(
-        isinstance(array, np.ndarray) and array.shape[-1] % lanes == 0 and array.ctypes.data % VECTOR_BYTES == 0
+        isinstance(array, np.ndarray) and array.shape[-1] % LANES == 0 and array.ctypes.data % VECTOR_BYTES == 0
         for array in arrays
     )
 
 
-def as_lanes(array: Rows, wide: bool, lanes: int = LANES) -> Rows:
-    """Return a contiguous (..., H, W) array as (..., H, W / lanes) of vectors, if it is to be wide; else as it is."""
-    return array.reshape(*array.shape[:-1], -1, lanes) if wide and isinstance(array, np.ndarray) else array
+def as_lanes(array: Rows, wide: bool) -> Rows:
+    """Return a contiguous (..., H, W) array as (..., H, W / 16) of vectors, if it is to be wide; else as it is."""
+    return array.reshape(*array.shape[:-1], -1, LANES) if wide and isinstance(array, np.ndarray) else array
 
 
 @ti.func

@@ -1,7 +1,7 @@
 """From the array that a user hands over to linear light with the stripes along the rows, or a line that refuses it."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -71,7 +71,7 @@ class FrameReader:
         ShapeError, CalibrationError, FootageError
             See `Decoder.decode`.
         """
-        image = on_host("image", image)
+        image = cast(LevelsImage, on_host("image", image))
         self._check_shape(image)
         dtype = runtime.dtype_name(image)
         if dtype not in WHITE_LEVELS:

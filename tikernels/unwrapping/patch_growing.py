@@ -5,15 +5,8 @@ above by a vote over their whole contact (sections 4.1 and 4.2 of Je, Lee and Pa
 where two of its patches touch, they note a contact with its votes (`patch_contacts.py`).
 """
 
-from functools import cache
-from typing import Any
-
-import numpy as np
-
 from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec3
-from tikernels.arrays import F32, I32
-from tikernels.lanes import as_lanes, in_vectors, planes
-from tikernels.launching import constant, kernel
+from tikernels.launching import kernel
 from tikernels.phase.wrapped_phase import LEAST_STEP_PHASE, has_phase
 from tikernels.unwrapping.continuity import (
     brightness_weight,
@@ -38,71 +31,52 @@ from tikernels.unwrapping.tables import (
     cell_count,
 )
 
-# Phase, quality and labels again where they are not wide: nothing. A GPU copies NumPy arrays there and back, each
-# argument by itself, so none may be there twice.
-_NO_FLOATS, _NO_MORE_FLOATS = constant(np.zeros((1, 1), np.float32)), constant(np.zeros((1, 1), np.float32))
-_NO_ROWS: tuple[F32, F32, I32] = (_NO_FLOATS, _NO_MORE_FLOATS, constant(np.zeros((1, 1), np.int32)))
 row_of_floats = ti.types.vector(CELL_WIDTH, ti.f32)
 row_of_integers = ti.types.vector(CELL_WIDTH, ti.i32)
 
 
 @ti.func
 def continue_row(
-    phase: Static,
-    quality: Static,
+    phase: F32Array2,
+    quality: F32Array2,
     usual: vec3,
     y: i32,
-    place: i32,
-    labels: Static,
+    left: i32,
+    out_labels: I32Array2,
     out_patches: I32Array2,
-    wide: Static,
 ) -> i32:
     """Join a cell's whole row to the patch above if its every pixel says so; return 1 where it is done.
 
-    Nearly every row does. Eight pixels are worked on at once; `grow_run` would give the same, only slower. The place is
-    counted in cells.
+    Nearly every row does. Eight pixels are worked on at once; `grow_run` would give the same, only slower.
     """
-    here_phase = cell_row(phase, row_of_floats, y, place, wide)
-    here_quality = cell_row(quality, row_of_floats, y, place, wide)
-    above_phase = cell_row(phase, row_of_floats, y - 1, place, wide)
-    above_quality = cell_row(quality, row_of_floats, y - 1, place, wide)
-    label = cell_row(labels, row_of_integers, y - 1, place, wide)
+    here_phase, above_phase = row_of_floats(0.0), row_of_floats(0.0)
+    here_quality, above_quality = row_of_floats(0.0), row_of_floats(0.0)
+    labels = row_of_integers(0)
+    for k in range(CELL_WIDTH):
+        here_phase[k], here_quality[k] = phase[y, left + k], quality[y, left + k]
+        above_phase[k], above_quality[k] = phase[y - 1, left + k], quality[y - 1, left + k]
+        labels[k] = out_labels[y - 1, left + k]
     sure = 1
     for k in range(CELL_WIDTH):
         difference = here_phase[k] - above_phase[k]
         cycles, departs = cycles_and_departure(difference, usual[1])
-        continues = (label[k] >= 0) & surely_across(departs, here_quality[k], above_quality[k])
-        label[k] += cycles
+        continues = (labels[k] >= 0) & surely_across(departs, here_quality[k], above_quality[k])
+        labels[k] += cycles
         sure &= ti.cast(continues, ti.i32)
     for k in range(1, CELL_WIDTH):
         difference = here_phase[k] - here_phase[k - 1]
         cycles, departs = cycles_and_departure(difference, usual[0])
-        agrees = label[k] == label[k - 1] + cycles
+        agrees = labels[k] == labels[k - 1] + cycles
         agrees &= surely_along(departs, here_quality[k], here_quality[k - 1])
         sure &= ti.cast(agrees, ti.i32)
     if sure == 1:
-        patch = label[0] >> ORDER_BITS
+        patch = labels[0] >> ORDER_BITS
         add_alone(out_patches[Patch.PIXELS, patch], CELL_WIDTH)
         weight = CELL_WIDTH * brightness_weight(here_quality[CELL_WIDTH // 2], usual[2])
         add_alone(out_patches[Patch.WEIGHT, patch], weight)
-        if ti.static(wide):
-            labels[y, place] = label
-        else:
-            for k in range(CELL_WIDTH):
-                labels[y, place * CELL_WIDTH + k] = label[k]
-    return sure
-
-
-@ti.func
-def cell_row(plane: Static, kind: Static, y: i32, place: i32, wide: Static):
-    """Return the eight pixels of a row that lie in a cell, whose place is counted in cells."""
-    values = kind(0)
-    if ti.static(wide):
-        values = plane[y, place]
-    else:
         for k in range(CELL_WIDTH):
-            values[k] = plane[y, place * CELL_WIDTH + k]
-    return values
+            out_labels[y, left + k] = labels[k]
+    return sure
 
 
 @ti.func
@@ -223,96 +197,44 @@ def grow_run(
     return stop
 
 
-@cache
-def _grow_patches_kernel(wide: bool) -> Any:
-    """Return the kernel for rows of vectors, one for each cell, or of numbers."""
-
-    @kernel(whole_vectors=wide)
-    def grow_patches_kernel(
-        phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
-        quality: F32Array2,  # (H, W)
-        rates: F32Array2,  # see `frame_rates`
-        draft_bits: i32,  # a cell has places for 2^bits patches and four times as many contacts
-        phase_rows: planes(wide, lanes=CELL_WIDTH),  # (H, W) the phase again, if it is wide,
-        quality_rows: planes(wide, lanes=CELL_WIDTH),  # (H, W) the quality,
-        label_rows: planes(wide, ti.i32, lanes=CELL_WIDTH),  # (H, W) and the labels
-        out_labels: I32Array2,  # (H, W) patch and order inside it; NOTHING, or BETWEEN two surfaces
-        out_patches: I32Array2,  # (3, cells << bits) see `Patch`
-        out_contacts: I32Array2,  # (5, 4 cells << bits) see `Contact`
-        out_cells: I32Array2,  # (3, cells + 1) see `Cell`
-    ):
-        """Grow the patches of each cell and note where two of them touch inside it."""
-        height, width = phase.shape[0], phase.shape[1]
-        for cell in range(cell_count(height, width)):
-            along, across, mean_quality = frame_rates(rates)
-            usual = vec3(along, across, mean_quality)
-            top, left, bottom, right = cell_bounds(cell, height, width)
-            bounds = ivec4(top, left, bottom, right)
-            # Where they begin, and how many there may be.
-            patch_places = ivec2(cell << draft_bits, 1 << draft_bits)
-            contact_places = patch_places << CONTACT_BITS
-            patch_count, contact_count, steps = 0, 0, 0
-            for y in range(top, bottom):
-                x = left
-                if y > top and right - left == CELL_WIDTH:
-                    if (
-                        continue_row(
-                            phase_rows, quality_rows, usual, y, left // CELL_WIDTH, label_rows, out_patches, wide
-                        )
-                        == 1
-                    ):
-                        x = right
-                while x < right:
-                    if has_phase(phase[y, x]):
-                        x = grow_run(
-                            phase, quality, usual, bounds, y, x, patch_places, contact_places,
-                            out_labels, out_patches, out_contacts, patch_count, contact_count,
-                        )  # fmt: skip
-                    else:
-                        between = phase[y, x] > LEAST_STEP_PHASE
-                        out_labels[y, x] = ti.select(between, BETWEEN, NOTHING)
-                        steps |= ti.cast(between, i32)
-                        x += 1
-            out_cells[Cell.PATCHES, cell] = patch_count
-            out_cells[Cell.CONTACTS, cell] = contact_count
-            out_cells[Cell.STEPS, cell] = steps
-
-    return grow_patches_kernel
-
-
-def grow_patches(
-    phase: F32,
-    quality: F32,
-    rates: F32,
-    draft_bits: int,
-    out_labels: I32,
-    out_patches: I32,
-    out_contacts: I32,
-    out_cells: I32,
-) -> None:
-    """Grow the patches of each cell and note where two of them touch inside it.
-
-    Parameters
-    ----------
-    phase : (H, W) float32
-        rad; NO_PHASE outside the mask.
-    quality : (H, W) float32
-        Larger is better; the modulation.
-    rates : (N, 5) float32
-        What `measure_rates` found.
-    draft_bits : int
-        A cell has places for 2^bits patches and four times as many contacts.
-    out_labels : (H, W) int32
-        Patch and order inside it; NOTHING, or BETWEEN two surfaces.
-    out_patches : (3, cells << bits) int32
-        See `Patch`.
-    out_contacts : (5, 4 cells << bits) int32
-        See `Contact`.
-    out_cells : (3, cells + 1) int32
-        See `Cell`.
-    """
-    wide = in_vectors(phase, quality, out_labels, lanes=CELL_WIDTH)
-    again = (phase, quality, out_labels) if wide else _NO_ROWS
-    rows = (as_lanes(array, wide, CELL_WIDTH) for array in again)
-    tables = (out_labels, out_patches, out_contacts, out_cells)
-    _grow_patches_kernel(wide)(phase, quality, rates, draft_bits, *rows, *tables)
+@kernel
+def grow_patches_kernel(
+    phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
+    quality: F32Array2,  # (H, W)
+    rates: F32Array2,  # see `frame_rates`
+    draft_bits: i32,  # a cell has places for 2^bits patches and four times as many contacts
+    out_labels: I32Array2,  # (H, W) patch and order inside it; NOTHING, or BETWEEN two surfaces
+    out_patches: I32Array2,  # (3, cells << bits) see `Patch`
+    out_contacts: I32Array2,  # (5, 4 cells << bits) see `Contact`
+    out_cells: I32Array2,  # (3, cells + 1) see `Cell`
+):
+    """Grow the patches of each cell and note where two of them touch inside it."""
+    height, width = phase.shape[0], phase.shape[1]
+    for cell in range(cell_count(height, width)):
+        along, across, mean_quality = frame_rates(rates)
+        usual = vec3(along, across, mean_quality)
+        top, left, bottom, right = cell_bounds(cell, height, width)
+        bounds = ivec4(top, left, bottom, right)
+        # Where they begin, and how many there may be.
+        patch_places = ivec2(cell << draft_bits, 1 << draft_bits)
+        contact_places = patch_places << CONTACT_BITS
+        patch_count, contact_count, steps = 0, 0, 0
+        for y in range(top, bottom):
+            x = left
+            if y > top and right - left == CELL_WIDTH:
+                if continue_row(phase, quality, usual, y, left, out_labels, out_patches) == 1:
+                    x = right
+            while x < right:
+                if has_phase(phase[y, x]):
+                    x = grow_run(
+                        phase, quality, usual, bounds, y, x, patch_places, contact_places,
+                        out_labels, out_patches, out_contacts, patch_count, contact_count,
+                    )  # fmt: skip
+                else:
+                    between = phase[y, x] > LEAST_STEP_PHASE
+                    out_labels[y, x] = ti.select(between, BETWEEN, NOTHING)
+                    steps |= ti.cast(between, i32)
+                    x += 1
+        out_cells[Cell.PATCHES, cell] = patch_count
+        out_cells[Cell.CONTACTS, cell] = contact_count
+        out_cells[Cell.STEPS, cell] = steps

@@ -46,7 +46,8 @@ from tikernels.unwrapping.tables import (
     patch_number,
 )
 
-# Phase and labels again where they are not wide: nothing; see `patch_growing.py`.
+# Phase and labels again where they are not wide: nothing. A GPU copies NumPy arrays there and back, each argument by
+# itself, so none may be there twice.
 _NO_ROWS: tuple[F32, I32] = (constant(np.zeros((1, 1), np.float32)), constant(np.zeros((1, 1), np.int32)))
 
 

@@ -12,7 +12,7 @@ from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.edge_reliability import NO_EDGE, weigh_edges_kernel
 from tikernels.unwrapping.patch_contacts import note_borders_kernel
-from tikernels.unwrapping.patch_growing import grow_patches
+from tikernels.unwrapping.patch_growing import grow_patches_kernel
 from tikernels.unwrapping.spanning_forest import grow_trees_kernel
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, Edge, Tree, cells_of
 from tikernels.unwrapping.tree_contacts import join_trees_kernel, note_contacts_kernel, root_trees_kernel
@@ -95,7 +95,7 @@ class VotedRuns(PatchMethod):
     def grow(self, phase: F32, quality: F32, rates: F32, drafts: Drafts) -> None:
         """See `PatchMethod.grow`."""
         growing = (phase, quality, rates, drafts.bits, drafts.labels)
-        grow_patches(*growing, drafts.patches, drafts.contacts, drafts.cell_table)
+        grow_patches_kernel(*growing, drafts.patches, drafts.contacts, drafts.cell_table)
         note_borders_kernel(*growing, drafts.contacts, drafts.cell_table)
 
 

@@ -10,7 +10,7 @@ from support.wrapped_surfaces import cell_of, drafts_and_orders, flat_rates
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.patch_contacts import note_borders_kernel
-from tikernels.unwrapping.patch_growing import grow_patches
+from tikernels.unwrapping.patch_growing import grow_patches_kernel
 from tikernels.unwrapping.tables import GOLDEN, Cell, Contact, cells_of
 
 ACROSS, TILT, BITS = 2 * np.pi / 12, 0.05, 5
@@ -22,7 +22,7 @@ def noted(phase, quality):
     labels = np.empty(phase.shape, np.int32)
     tables = [np.zeros(table.shape, np.int32) for table in (drafts.patches, drafts.contacts, drafts.cell_table)]
     rates = flat_rates(TILT, ACROSS)
-    grow_patches(phase, quality, rates, BITS, labels, *tables)
+    grow_patches_kernel(phase, quality, rates, BITS, labels, *tables)
     before = tables[2][Cell.CONTACTS].copy()
     note_borders_kernel(phase, quality, rates, BITS, labels, *tables[1:])
     after = tables[2][Cell.CONTACTS]

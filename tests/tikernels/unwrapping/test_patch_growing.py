@@ -7,7 +7,7 @@ from support.wrapped_surfaces import cell_of, drafts_and_orders, flat_rates
 
 from tikernels.phase.wrapped_phase import NO_PHASE, STEP_PHASE
 from tikernels.unwrapping.drafts import Drafts
-from tikernels.unwrapping.patch_growing import grow_patches
+from tikernels.unwrapping.patch_growing import grow_patches_kernel
 from tikernels.unwrapping.tables import BETWEEN, NOTHING, Cell, Contact, Patch
 
 ACROSS, TILT = 2 * np.pi / 12, 0.05
@@ -20,7 +20,7 @@ def grown(phase, quality=None, rates=None, bits=4):
     labels = np.full(phase.shape, -9, np.int32)
     tables = [np.full(table.shape, -9, np.int32) for table in (drafts.patches, drafts.contacts, drafts.cell_table)]
     rates = flat_rates(TILT, ACROSS) if rates is None else rates
-    grow_patches(phase.astype(np.float32), quality, rates, bits, labels, *tables)
+    grow_patches_kernel(phase.astype(np.float32), quality, rates, bits, labels, *tables)
     return labels, *tables
 
 
