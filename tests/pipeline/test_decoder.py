@@ -42,7 +42,7 @@ def test_a_gpu_is_asked_little(arch):
     assert traffic.calls <= 50
     if arch != "cpu":
         assert traffic.copied_calls <= 2
-        assert traffic.reads <= 27
+        assert traffic.reads <= 21
         assert traffic.sent_bytes < truth.image.nbytes + 30_000
         assert traffic.read_bytes < results + 1_600_000
 
