@@ -59,6 +59,7 @@ def kernel(
 
 
 def _kernel(function: Function, *, whole_vectors: bool) -> Function:
+    """Do what `kernel` says."""
     compiled: Any = ti.kernel(function)
 
     @functools.wraps(function)
@@ -131,7 +132,7 @@ def _kernel(function: Function, *, whole_vectors: bool) -> Function:
 
 @contextlib.contextmanager
 def _vectors_kept(kept: bool) -> Iterator[None]:
-    """Let the CPU's compiler see vectors as such, and not as so many numbers each on its own, as it does otherwise."""
+    """Let the CPU's compiler keep vectors, instead of taking them apart into numbers first."""
     if not kept or traffic.on_device:
         yield
         return
@@ -175,7 +176,7 @@ def _on_device(argument: Any) -> Any:
 
 def forget() -> None:
     """Let go of everything that belongs to the device; to be called before another one is started."""
-    for known in _constants.values():
+    for known in list(_constants.values()):  # one may go while they are looked at
         known[1] = None
     for kept in _kept:
         kept.clear()
