@@ -5,15 +5,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.array_forms import on_device
 
 from tikernels import runtime
 from tikernels._taichi import ti
 from tikernels.lanes import (
-    LANES,
     VECTOR_BYTES,
+    Lanes,
     as_lanes,
-    byte_lanes,
-    float_lanes,
     in_vectors,
     lane_count,
     lanes_at,
@@ -21,8 +20,10 @@ from tikernels.lanes import (
     load_lanes,
     load_lanes_of,
     planes,
+    put_back,
     store_lanes,
     store_lanes_of,
+    whole_rows,
     width_of,
 )
 from tikernels.launching import kernel
@@ -30,6 +31,8 @@ from tikernels.launching import kernel
 
 @cache
 def _filter_kernel(wide: bool) -> Any:
+    lanes = Lanes.of(wide)
+
     @kernel(whole_vectors=wide)
     def filter_kernel(
         values: planes(wide),  # (H, W)
@@ -38,19 +41,46 @@ def _filter_kernel(wide: bool) -> Any:
         out_last: planes(wide),  # (H, W)
     ):
         height, width = values.shape[0], width_of(values, wide)
-        for t in range(height * lane_count(width)):
-            y, place = lanes_at(t, width)
-            near = load_around(values, float_lanes, y, place, width, -1.0, wide)
-            holds = load_lanes(mask, byte_lanes, y, place, width, wide)
-            differences, kept = float_lanes(0.0), float_lanes(0.0)
-            for k in range(LANES):
-                differences[k] = near[LANES + k + 3] - near[LANES + k - 1]
-                kept[k] = ti.select(holds[k] != 0, near[LANES + k], ti.math.nan)
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
+            near = load_around(values, lanes.three_floats, y, place, width, 3, -1.0, wide)
+            holds = load_lanes(mask, lanes.bytes, y, place, width, wide)
+            differences, kept = lanes.floats(0.0), lanes.floats(0.0)
+            for k in range(lanes.count):
+                differences[k] = near[lanes.count + k + 3] - near[lanes.count + k - 1]
+                kept[k] = ti.select(holds[k] != 0, near[lanes.count + k], ti.math.nan)
             store_lanes_of(out, 0, y, place, width, differences, wide)
             store_lanes_of(out, 1, y, place, width, kept, wide)
-            store_lanes(out_last, y, place, width, load_lanes_of(out, 1, y, place, width, wide), wide)
+            store_lanes(out_last, y, place, width, load_lanes_of(out, lanes.floats, 1, y, place, width, wide), wide)
 
     return filter_kernel
+
+
+@pytest.mark.parametrize("shape", [(3, 32), (3, 40), (2, 3, 17), (1, 1)])
+def test_rows_are_made_whole_and_put_back(cpu, shape):
+    values = np.arange(np.prod(shape), dtype=np.float32).reshape(shape)
+    (rows, more), wide = whole_rows(values, values, beyond=-1.0)
+    assert wide and in_vectors(rows, more)
+    np.testing.assert_array_equal(rows[..., : shape[-1]], values)
+    assert (rows[..., shape[-1] :] == -1).all() and (more[..., shape[-1] :] == 0).all()
+    assert whole_rows(rows)[0][0] is rows
+    rows += 1
+    put_back(rows, values)
+    np.testing.assert_array_equal(values.ravel(), np.arange(1, 1 + values.size))
+
+
+def test_rows_of_a_gpu_stay_as_they_are(arch):
+    """On the CPU an ndarray of the kernel language is copied, too."""
+    values, buffer = np.zeros((3, 17), np.float32), on_device(np.ones((3, 17), np.float32))
+    rows, wide = whole_rows(values, buffer)
+    assert wide == (arch == "cpu")
+    if not wide:
+        assert rows[0] is values and rows[1] is buffer
+        return
+    np.testing.assert_array_equal(rows[1][:, :17], 1)
+    rows[1] += 1
+    put_back(rows[1], buffer)
+    np.testing.assert_array_equal(buffer.to_numpy(), 2)
 
 
 def filtered(values: np.ndarray, mask: np.ndarray) -> tuple[bool, np.ndarray, np.ndarray]:

@@ -19,16 +19,16 @@ from tikernels import checks
 from tikernels._taichi import f32, ti
 from tikernels.arrays import F32
 from tikernels.lanes import (
-    LANES,
+    Lanes,
     as_lanes,
-    float_lanes,
-    in_vectors,
     lane_count,
     lanes_at,
     load_around,
     load_lanes,
     planes,
+    put_back,
     store_lanes,
+    whole_rows,
     width_of,
 )
 from tikernels.launching import kernel
@@ -59,6 +59,7 @@ def turned_by_blur(before: f32, here: f32, after: f32, dim: f32, bright: f32) ->
 @cache
 def _undo_camera_blur_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
+    lanes = Lanes.of(wide)
 
     @kernel(whole_vectors=wide)
     def undo_camera_blur_kernel(
@@ -69,20 +70,20 @@ def _undo_camera_blur_kernel(wide: bool) -> Any:
         out_misfit: planes(wide),  # (H, W) in units of the precision's variance; added to
     ):
         height, width = phase.shape[0], width_of(phase, wide)
-        for t in range(height * lane_count(width)):
-            y, place = lanes_at(t, width)
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
-            here = load_around(phase, float_lanes, y, place, width, NO_PHASE, wide)
-            light = load_around(brightness, float_lanes, y, place, width, 0.0, wide)
-            upper = load_lanes(phase, float_lanes, above, place, width, wide)
-            lower = load_lanes(phase, float_lanes, below, place, width, wide)
-            light_above = load_lanes(brightness, float_lanes, above, place, width, wide)
-            light_below = load_lanes(brightness, float_lanes, below, place, width, wide)
-            sure = load_lanes(precision, float_lanes, y, place, width, wide)
-            misfit = load_lanes(out_misfit, float_lanes, y, place, width, wide)
-            turned = float_lanes(0.0)
-            for k in range(LANES):
-                x = LANES + k
+            here = load_around(phase, lanes.three_floats, y, place, width, 1, NO_PHASE, wide)
+            light = load_around(brightness, lanes.three_floats, y, place, width, 1, 0.0, wide)
+            upper = load_lanes(phase, lanes.floats, above, place, width, wide)
+            lower = load_lanes(phase, lanes.floats, below, place, width, wide)
+            light_above = load_lanes(brightness, lanes.floats, above, place, width, wide)
+            light_below = load_lanes(brightness, lanes.floats, below, place, width, wide)
+            sure = load_lanes(precision, lanes.floats, y, place, width, wide)
+            misfit = load_lanes(out_misfit, lanes.floats, y, place, width, wide)
+            turned = lanes.floats(0.0)
+            for k in range(lanes.count):
+                x = lanes.count + k
                 turn = turned_by_blur(upper[k], here[x], lower[k], light_above[k], light_below[k])
                 turn += turned_by_blur(here[x - 1], here[x], here[x + 1], light[x - 1], light[x + 1])
                 turned[k] = here[x] - ti.select(has_phase(here[x]), VARIANCE_PX * turn, 0.0)
@@ -120,6 +121,7 @@ def undo_camera_blur(phase: F32, brightness: F32, precision: F32, out: tuple[F32
         checks.out_buffer(name, buffer, shape, np.float32)
         for name, buffer in zip(("corrected phase", "misfit"), out, strict=True)
     )
-    arrays = (phase, brightness, precision, corrected, misfit)
-    wide = in_vectors(*arrays)
-    _undo_camera_blur_kernel(wide)(*(as_lanes(array, wide) for array in arrays))
+    rows, wide = whole_rows(phase, brightness, precision, corrected, misfit, beyond=NO_PHASE)
+    _undo_camera_blur_kernel(wide)(*(as_lanes(array, wide) for array in rows))
+    put_back(rows[3], corrected)
+    put_back(rows[4], misfit)

@@ -19,16 +19,15 @@ from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Array, E
 from tikernels.lanes import (
-    LANES,
+    Lanes,
     as_lanes,
-    byte_lanes,
-    float_lanes,
-    in_vectors,
     lane_count,
     lanes_at,
     load_lanes,
     planes,
+    put_back,
     store_lanes,
+    whole_rows,
     width_of,
 )
 from tikernels.launching import kernel
@@ -88,6 +87,7 @@ def sum_blocks_kernel(
 @cache
 def _count_misfits_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
+    lanes = Lanes.of(wide)
 
     @kernel(whole_vectors=wide)
     def count_misfits_kernel(
@@ -96,11 +96,11 @@ def _count_misfits_kernel(wide: bool) -> Any:
         out: planes(wide),  # (H, W) as far as it counts; 0 off the mask
     ):
         height, width = mask.shape[0], width_of(mask, wide)
-        for t in range(height * lane_count(width)):
-            y, place = lanes_at(t, width)
-            misfits = load_lanes(misfit, float_lanes, y, place, width, wide)
-            holds = load_lanes(mask, byte_lanes, y, place, width, wide)
-            for k in range(LANES):
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
+            misfits = load_lanes(misfit, lanes.floats, y, place, width, wide)
+            holds = load_lanes(mask, lanes.bytes, y, place, width, wide)
+            for k in range(lanes.count):
                 misfits[k] = ti.select(holds[k] != 0, counted(misfits[k]), 0.0)
             store_lanes(out, y, place, width, misfits, wide)
 
@@ -110,6 +110,7 @@ def _count_misfits_kernel(wide: bool) -> Any:
 @cache
 def _model_variance_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
+    lanes = Lanes.of(wide)
 
     @kernel(whole_vectors=wide)
     def model_variance_kernel(
@@ -121,14 +122,14 @@ def _model_variance_kernel(wide: bool) -> Any:
         out: planes(wide),  # (H, W) rad^2
     ):
         height, width = out.shape[0], width_of(out, wide)
-        for t in range(height * lane_count(width)):
-            y, place = lanes_at(t, width)
-            own = load_lanes(misfit, float_lanes, y, place, width, wide)
-            sure = load_lanes(precision, float_lanes, y, place, width, wide)
-            sums = load_lanes(total, float_lanes, y, place, width, wide)
-            counts = load_lanes(count, float_lanes, y, place, width, wide)
-            variance = load_lanes(error, float_lanes, y, place, width, wide)
-            for k in range(LANES):
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
+            own = load_lanes(misfit, lanes.floats, y, place, width, wide)
+            sure = load_lanes(precision, lanes.floats, y, place, width, wide)
+            sums = load_lanes(total, lanes.floats, y, place, width, wide)
+            counts = load_lanes(count, lanes.floats, y, place, width, wide)
+            variance = load_lanes(error, lanes.floats, y, place, width, wide)
+            for k in range(lanes.count):
                 many = ti.max(counts[k], 1e-3)
                 mean = sums[k] / many
                 beyond = ti.select(mean > 1.0 + _BY_CHANCE * _AROUND_PX / ti.sqrt(many), mean - 1.0, 0.0)
@@ -170,13 +171,13 @@ def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out:
     mask = checks.read_array("mask", mask, shape, np.uint8)
     out = checks.out_buffer("out", out, shape, np.float32)
     telling = runtime.empty(shape, np.float32)
-    counting = (misfit, mask, telling)
-    wide = in_vectors(*counting)
+    counting, wide = whole_rows(misfit, mask, telling)
     _count_misfits_kernel(wide)(*(as_lanes(array, wide) for array in counting))
+    put_back(counting[2], telling)
     sums = (_sums_around(telling), _sums_around(mask), _window_error(precision, misfit, mask, period_px))
-    arrays = (precision, misfit, *(runtime.to_device(part) for part in sums), out)
-    wide = in_vectors(*arrays)
-    _model_variance_kernel(wide)(*(as_lanes(array, wide) for array in arrays))
+    rows, wide = whole_rows(precision, misfit, *(runtime.to_device(part) for part in sums), out)
+    _model_variance_kernel(wide)(*(as_lanes(array, wide) for array in rows))
+    put_back(rows[-1], out)
     return out
 
 

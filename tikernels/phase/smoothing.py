@@ -26,18 +26,18 @@ from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
 from tikernels.lanes import (
     LANES,
+    Lanes,
     as_lanes,
-    byte_lanes,
-    float_lanes,
-    in_vectors,
     lane_count,
     lanes_at,
     load_around,
     load_lanes,
     load_lanes_of,
     planes,
+    put_back,
     store_lanes,
     store_lanes_of,
+    whole_rows,
     width_of,
 )
 from tikernels.launching import kernel
@@ -138,6 +138,9 @@ def quadric_share(a: f32, b: f32, count: f32, squares: f32, fourths: f32) -> f32
 @cache
 def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
     """Return the kernel that fits `pairs` neighbours on either side along the rows."""
+    reach = max(pairs, 1)
+
+    lanes = Lanes.of(wide)
 
     @kernel(whole_vectors=wide)
     def smooth_rows_kernel(
@@ -149,21 +152,21 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
     ):
         height, width = phase.shape[0], width_of(phase, wide)
         last = rates.shape[0] - 1
-        for t in range(height * lane_count(width)):
-            y, place = lanes_at(t, width)
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
             above, below = ti.max(y - 1, 0), ti.min(y + 1, height - 1)
             rate_along, rate_across = rates[last, RATE_ALONG], rates[last, RATE_ACROSS]
-            values = load_around(phase, float_lanes, y, place, width, NO_PHASE, wide)
-            upper = load_lanes(phase, float_lanes, above, place, width, wide)
-            lower = load_lanes(phase, float_lanes, below, place, width, wide)
-            certainty = load_lanes(precision, float_lanes, y, place, width, wide)
-            mean, bend = float_lanes(0.0), float_lanes(0.0)
-            mean_variance, fit_variance = float_lanes(0.0), float_lanes(0.0)
-            for k in range(LANES):
-                centre = values[LANES + k]
+            values = load_around(phase, lanes.three_floats, y, place, width, reach, NO_PHASE, wide)
+            upper = load_lanes(phase, lanes.floats, above, place, width, wide)
+            lower = load_lanes(phase, lanes.floats, below, place, width, wide)
+            certainty = load_lanes(precision, lanes.floats, y, place, width, wide)
+            mean, bend = lanes.floats(0.0), lanes.floats(0.0)
+            mean_variance, fit_variance = lanes.floats(0.0), lanes.floats(0.0)
+            for k in range(lanes.count):
+                centre = values[lanes.count + k]
                 # Without a neighbour the differences stay far beyond any phase.
-                to_left = ti.abs(wrap(values[LANES + k - 1] - centre) + rate_along)
-                to_right = ti.abs(wrap(values[LANES + k + 1] - centre) - rate_along)
+                to_left = ti.abs(wrap(values[lanes.count + k - 1] - centre) + rate_along)
+                to_right = ti.abs(wrap(values[lanes.count + k + 1] - centre) - rate_along)
                 to_upper = departure(centre - upper[k], rate_across)
                 to_lower = departure(lower[k] - centre, rate_across)
                 to_upper = ti.select(above == y, 2.0 * NO_NEIGHBOUR, to_upper)
@@ -174,8 +177,8 @@ def _smooth_rows_kernel(pairs: int, wide: bool) -> Any:
                 total, total_2, count, squares, fourths = 0.0, 0.0, 1.0, 0.0, 0.0
                 for tap in ti.static(range(1, pairs + 1)):
                     change = change_over(rate_along, tap)
-                    one = wrap(values[LANES + k - tap] - centre + change)
-                    other = wrap(values[LANES + k + tap] - centre - change)
+                    one = wrap(values[lanes.count + k - tap] - centre + change)
+                    other = wrap(values[lanes.count + k + tap] - centre - change)
                     counts = pair_counts(one, other, per_bend)
                     both = ti.select(counts > 0.0, counts * (one + other), 0.0)
                     total, total_2 = total + both, total_2 + tap * tap * both
@@ -206,6 +209,7 @@ def change_across(near: f32, far: f32, change: f32, wraps: Static) -> f32:
 @cache
 def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
     """Return the kernel that fits `pairs` neighbours on either side across the rows, of rows that are smoothed."""
+    lanes = Lanes.of(wide)
 
     @kernel(whole_vectors=wide)
     def smooth_columns_kernel(
@@ -218,30 +222,30 @@ def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
     ):
         height, width = out.shape[0], width_of(out, wide)
         last = rates.shape[0] - 1
-        for t in range(height * lane_count(width)):
-            y, place = lanes_at(t, width)
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
             rate = rates[last, RATE_ACROSS]
-            centre = load_lanes(phase, float_lanes, y, place, width, wide)
-            holds = load_lanes(mask, byte_lanes, y, place, width, wide)
-            bend = load_lanes_of(rows, _Row.BEND, y, place, width, wide)
-            variance = load_lanes_of(rows, _Row.MEAN_VARIANCE, y, place, width, wide)
-            count, squares, fourths = float_lanes(1.0), float_lanes(0.0), float_lanes(0.0)
-            total, total_2, total_bend = float_lanes(0.0), float_lanes(0.0), float_lanes(0.0)
-            for k in range(LANES):
+            centre = load_lanes(phase, lanes.floats, y, place, width, wide)
+            holds = load_lanes(mask, lanes.bytes, y, place, width, wide)
+            bend = load_lanes_of(rows, lanes.floats, _Row.BEND, y, place, width, wide)
+            variance = load_lanes_of(rows, lanes.floats, _Row.MEAN_VARIANCE, y, place, width, wide)
+            count, squares, fourths = lanes.floats(1.0), lanes.floats(0.0), lanes.floats(0.0)
+            total, total_2, total_bend = lanes.floats(0.0), lanes.floats(0.0), lanes.floats(0.0)
+            for k in range(lanes.count):
                 centre[k] = ti.select(holds[k] != 0, centre[k], _FAR)
             for tap in ti.static(range(1, pairs + 1)):
                 if y >= tap and y + tap < height:
                     change = change_over(rate, tap) if ti.static(wraps) else tap * rate
                     above, below = y - tap, y + tap
-                    upper = load_lanes(phase, float_lanes, above, place, width, wide)
-                    lower = load_lanes(phase, float_lanes, below, place, width, wide)
-                    holds_above = load_lanes(mask, byte_lanes, above, place, width, wide)
-                    holds_below = load_lanes(mask, byte_lanes, below, place, width, wide)
-                    bends = load_lanes_of(rows, _Row.BEND, above, place, width, wide)
-                    bends += load_lanes_of(rows, _Row.BEND, below, place, width, wide)
-                    others = load_lanes_of(rows, _Row.MEAN_VARIANCE, above, place, width, wide)
-                    others += load_lanes_of(rows, _Row.MEAN_VARIANCE, below, place, width, wide)
-                    for k in range(LANES):
+                    upper = load_lanes(phase, lanes.floats, above, place, width, wide)
+                    lower = load_lanes(phase, lanes.floats, below, place, width, wide)
+                    holds_above = load_lanes(mask, lanes.bytes, above, place, width, wide)
+                    holds_below = load_lanes(mask, lanes.bytes, below, place, width, wide)
+                    bends = load_lanes_of(rows, lanes.floats, _Row.BEND, above, place, width, wide)
+                    bends += load_lanes_of(rows, lanes.floats, _Row.BEND, below, place, width, wide)
+                    others = load_lanes_of(rows, lanes.floats, _Row.MEAN_VARIANCE, above, place, width, wide)
+                    others += load_lanes_of(rows, lanes.floats, _Row.MEAN_VARIANCE, below, place, width, wide)
+                    for k in range(lanes.count):
                         high = ti.select(holds_above[k] != 0, upper[k], _NO_ROW)
                         low = ti.select(holds_below[k] != 0, lower[k], _NO_ROW)
                         one = change_across(centre[k], high, -change, wraps)
@@ -253,8 +257,8 @@ def _smooth_columns_kernel(pairs: int, wraps: bool, wide: bool) -> Any:
                         total_bend[k] += weight * bends[k]
                         count[k], squares[k] = count[k] + 2.0 * weight, squares[k] + 2.0 * tap * tap * weight
                         fourths[k] += 2.0 * tap**4 * weight
-            fit_variance = load_lanes_of(rows, _Row.FIT_VARIANCE, y, place, width, wide)
-            for k in range(LANES):
+            fit_variance = load_lanes_of(rows, lanes.floats, _Row.FIT_VARIANCE, y, place, width, wide)
+            for k in range(lanes.count):
                 a, b = quadric_weights(count[k], squares[k], fourths[k])
                 fitted = centre[k] + a * total[k] - b * total_2[k] + (bend[k] + total_bend[k]) / count[k]
                 # A row's mean and what its quadric adds to it are uncorrelated.
@@ -312,7 +316,7 @@ class Smoother:
     def __init__(self, height: int, width: int, pairs: int) -> None:
         self.shape = (height, width)
         self._pairs = pairs
-        self._rows = runtime.empty((len(_Row), height, width), np.float32)
+        self._rows = runtime.empty((len(_Row), height, -(-width // LANES) * LANES), np.float32)
 
     def along(self, phase: F32, precision: F32, rates: F32, out: F32 | None = None) -> F32:
         """Average the phase along the rows, keep what its bend adds, and mark the pixels between two surfaces.
@@ -342,10 +346,10 @@ class Smoother:
         precision = checks.read_array("precision", precision, self.shape, np.float32)
         rates = checks.read_array("rates", rates, rates_shape(self.shape[0]), np.float32)
         out = checks.out_buffer("out", out, self.shape, np.float32)
-        wide = in_vectors(phase, precision, out, self._rows)
-        seen = [as_lanes(array, wide) for array in (phase, precision)]
-        written = [as_lanes(array, wide) for array in (out, self._rows)]
-        _smooth_rows_kernel(self._pairs, wide)(*seen, rates, *written)
+        rows, wide = whole_rows(phase, precision, out, beyond=NO_PHASE)
+        seen, means = [as_lanes(array, wide) for array in rows[:2]], as_lanes(rows[2], wide)
+        _smooth_rows_kernel(self._pairs, wide)(*seen, rates, means, as_lanes(self._rows, wide))
+        put_back(rows[2], out)
         return out
 
     def across(
@@ -390,10 +394,11 @@ class Smoother:
         smoothed, variance = (None, None) if out is None else out
         smoothed = checks.out_buffer("out[0]", smoothed, self.shape, np.float32)
         variance = checks.out_buffer("out[1]", variance, self.shape, np.float32)
-        wide = in_vectors(phase, mask, self._rows, smoothed, variance)
-        seen = [as_lanes(array, wide) for array in (phase, mask, self._rows)]
-        written = [as_lanes(array, wide) for array in (smoothed, variance)]
-        _smooth_columns_kernel(self._pairs, wraps, wide)(*seen, rates, *written)
+        rows, wide = whole_rows(phase, mask, smoothed, variance)
+        seen = [as_lanes(array, wide) for array in (*rows[:2], self._rows)]
+        _smooth_columns_kernel(self._pairs, wraps, wide)(*seen, rates, *(as_lanes(array, wide) for array in rows[2:]))
+        put_back(rows[2], smoothed)
+        put_back(rows[3], variance)
         return smoothed, variance
 
 

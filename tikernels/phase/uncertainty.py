@@ -26,16 +26,15 @@ from tikernels._taichi import F32Array2, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Mask
 from tikernels.errors import ShapeError
 from tikernels.lanes import (
-    LANES,
+    Lanes,
     as_lanes,
-    byte_lanes,
-    float_lanes,
-    in_vectors,
     lane_count,
     lanes_at,
     load_lanes,
     planes,
+    put_back,
     store_lanes,
+    whole_rows,
     width_of,
 )
 from tikernels.launching import kernel
@@ -97,6 +96,7 @@ def compare_rows_kernel(
 @cache
 def _phase_sigma_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
+    lanes = Lanes.of(wide)
 
     @kernel(whole_vectors=wide)
     def phase_sigma_kernel(
@@ -109,14 +109,14 @@ def _phase_sigma_kernel(wide: bool) -> Any:
         out: planes(wide),  # (H, W) rad; NaN outside the mask
     ):
         height, width = out.shape[0], width_of(out, wide)
-        for t in range(height * lane_count(width)):
-            y, place = lanes_at(t, width)
-            sure = load_lanes(precision, float_lanes, y, place, width, wide)
-            wrong = load_lanes(model, float_lanes, y, place, width, wide)
-            sigma = load_lanes(smoothed, float_lanes, y, place, width, wide)
-            holds = load_lanes(mask, byte_lanes, y, place, width, wide)
-            missing = load_lanes(empty, float_lanes, y, place, width, wide)
-            for k in range(LANES):
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
+            sure = load_lanes(precision, lanes.floats, y, place, width, wide)
+            wrong = load_lanes(model, lanes.floats, y, place, width, wide)
+            sigma = load_lanes(smoothed, lanes.floats, y, place, width, wide)
+            holds = load_lanes(mask, lanes.bytes, y, place, width, wide)
+            missing = load_lanes(empty, lanes.floats, y, place, width, wide)
+            for k in range(lanes.count):
                 noise = scatter * scatter * smoothed_noise(sure[k], sigma[k], 1.0)
                 total = ti.sqrt(noise + wrong[k] + _EDGE_ERROR * _EDGE_ERROR * missing[k])
                 sigma[k] = ti.select(holds[k] != 0, total, ti.math.nan)
@@ -164,10 +164,10 @@ def phase_sigma(
     mask = checks.read_array("mask", mask, shape, np.uint8)
     empty = checks.read_array("empty", empty, shape, np.float32)
     out = checks.out_buffer("out", out, shape, np.float32)
-    arrays = (precision, model, smoothed, mask, empty)
-    wide = in_vectors(*arrays, out)
-    seen = (as_lanes(array, wide) for array in arrays)
-    _phase_sigma_kernel(wide)(*seen, scatter, as_lanes(out, wide))
+    rows, wide = whole_rows(precision, model, smoothed, mask, empty, out)
+    seen = (as_lanes(array, wide) for array in rows[:-1])
+    _phase_sigma_kernel(wide)(*seen, scatter, as_lanes(rows[-1], wide))
+    put_back(rows[-1], out)
     return out
 
 

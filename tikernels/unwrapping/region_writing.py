@@ -12,12 +12,9 @@ import numpy as np
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ti
 from tikernels.arrays import F32, I32, U8
 from tikernels.lanes import (
-    LANES,
+    Lanes,
     as_lanes,
-    byte_lanes,
-    float_lanes,
     in_vectors,
-    integer_lanes,
     lane_count,
     lanes_at,
     load_lanes,
@@ -181,9 +178,30 @@ def find_regions(label: Static, final: I32Array2, start: Static, count: i32, reg
                 label[k] = (label[k] & ORDER_MASK) + final[Final.ORDER, own]
 
 
+@ti.func
+def write_cell(
+    phase: F32Array2,
+    rates: F32Array2,
+    labels: I32Array2,
+    final: I32Array2,
+    cell: i32,
+    c: Static,
+    y: i32,
+    first: i32,
+    count: i32,
+    label: Static,
+    region: Static,
+):
+    """Find the regions and orders of a row's pixels that lie in the c-th cell from `cell` on; none at steps."""
+    find_regions(label, final, c * CELL_WIDTH, count, region)
+    steps, stop = final[Final.STEPS, cell + c], ti.min((c + 1) * CELL_WIDTH, count)
+    leave_out_steps(phase, rates, labels, final, steps, y, first, c * CELL_WIDTH, stop, region)
+
+
 @cache
 def _write_unwrapped_kernel(wide: bool) -> Any:
     """Return the kernel for rows of vectors, or of numbers."""
+    lanes = Lanes.of(wide)
 
     @kernel(whole_vectors=wide)
     def write_unwrapped_kernel(
@@ -199,24 +217,24 @@ def _write_unwrapped_kernel(wide: bool) -> Any:
     ):
         height, width = phase.shape[0], phase.shape[1]
         cells = (width + CELL_WIDTH - 1) // CELL_WIDTH
-        for t in range(height * lane_count(width)):
-            y, place = lanes_at(t, width)
-            first, count = place * LANES, ti.min(LANES, width - place * LANES)
-            label, unwrapped = integer_lanes(0), float_lanes(0.0)
+        for t in range(height * lane_count(width, wide)):
+            y, place = lanes_at(t, width, wide)
+            first, count = place * lanes.count, ti.min(lanes.count, width - place * lanes.count)
+            label, unwrapped = lanes.integers(0), lanes.floats(0.0)
             if ti.static(wide):
                 label, unwrapped = label_rows[y, place], phase_rows[y, place]
             else:
-                label = load_lanes(labels, integer_lanes, y, place, width, wide)
-                unwrapped = load_lanes(phase, float_lanes, y, place, width, wide)
-            region, inside = integer_lanes(0), byte_lanes(0)
+                label = load_lanes(labels, lanes.integers, y, place, width, wide)
+                unwrapped = load_lanes(phase, lanes.floats, y, place, width, wide)
+            region, inside = lanes.integers(0), lanes.bytes(0)
             cell = (y // CELL_HEIGHT) * cells + first // CELL_WIDTH
-            for c in ti.static(range(LANES // CELL_WIDTH)):
-                if c * CELL_WIDTH < count:
-                    start, stop = c * CELL_WIDTH, ti.min((c + 1) * CELL_WIDTH, count)
-                    find_regions(label, final, c * CELL_WIDTH, count, region)
-                    steps = final[Final.STEPS, cell + c]
-                    leave_out_steps(phase, rates, labels, final, steps, y, first, start, stop, region)
-            for k in range(LANES):
+            if ti.static(wide):
+                for c in ti.static(range(lanes.count // CELL_WIDTH)):
+                    write_cell(phase, rates, labels, final, cell, c, y, first, count, label, region)
+            else:
+                for c in range((count + CELL_WIDTH - 1) // CELL_WIDTH):
+                    write_cell(phase, rates, labels, final, cell, c, y, first, count, label, region)
+            for k in range(lanes.count):
                 value = unwrapped[k] + 2.0 * PI * ti.cast(label[k], ti.f32)
                 unwrapped[k] = ti.select(region[k] > 0, value, ti.math.nan)
                 inside[k] = ti.cast(region[k] > 0, ti.u8)
