@@ -38,7 +38,9 @@ class OnGpu:
 class OfNumba:
     """What only says where it lies on a CUDA GPU."""
 
-    __cuda_array_interface__ = {"shape": (4, 4, 3), "typestr": "|u1", "data": (0, False), "version": 3}  # noqa: RUF012
+    @property
+    def __cuda_array_interface__(self):
+        return {"shape": (4, 4, 3), "typestr": "|u1", "data": (0, False), "version": 3}
 
 
 def test_the_hosts_memory_is_looked_at(cpu):
