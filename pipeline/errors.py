@@ -17,6 +17,10 @@ class OutputError(OSError):
     """A result cannot be written where it was asked for."""
 
 
+class DamageError(OSError):
+    """What is stored is not as it was written."""
+
+
 class RenderError(RuntimeError):
     """The machine cannot draw: a graphics library is missing or broken."""
 

@@ -51,6 +51,37 @@ def write_atomically(path: str | Path, content: bytes | Callable[[BinaryIO], Non
         raise OutputError(f"cannot write {path}: {explain(error)}") from error
 
 
+def sync(*paths: Path) -> None:
+    """Return when files, or the names in folders, are on the disk: they are there after a power cut.
+
+    Raises
+    ------
+    OSError
+        One is not there, or the disk refuses.
+    """
+    for path in paths:
+        if path.is_dir() and os.name == "nt":
+            continue  # Windows keeps its folders' names by itself, and opens none
+        descriptor = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those that it is in, as far as they are missing; their names are on the disk, too.
+
+    Raises
+    ------
+    OSError
+        It cannot be made.
+    """
+    missing = [folder for folder in (path, *path.parents) if not folder.exists()]
+    path.mkdir(parents=True, exist_ok=True)
+    sync(*(folder.parent for folder in reversed(missing)))
+
+
 def replace_file(path: Path, content: bytes | Callable[[BinaryIO], None], *, safe: bool = False) -> None:
     """Write a file through a temporary one in the same folder; see `write_atomically`.
 

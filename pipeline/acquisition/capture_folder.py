@@ -242,6 +242,7 @@ class CaptureFolder:
         try:
             for paired in burst.frames:
                 self._recorder.add(paired.image)
+            self._log.save()  # first: no frame is without its line
             self._recorder.commit()
         except BaseException:
             self._log.take_back()

@@ -9,7 +9,39 @@ from typing import Any
 
 from hardware.rig import Burst, Rejected
 from pipeline.errors import OutputError
-from pipeline.files import explain
+from pipeline.files import explain, write_atomically
+
+
+def end_log(path: Path, n_frames: int) -> None:
+    """End the log of a capture that was killed with the last frame that its recording holds.
+
+    Parameters
+    ----------
+    path : Path
+        The log.
+    n_frames : int
+        How many frames there are.
+
+    Raises
+    ------
+    OutputError
+        It cannot be read or written.
+    """
+    kept = []
+    try:
+        for line in path.read_bytes().splitlines():
+            try:
+                event = json.loads(line)
+                ahead = event["event"] == "frame" and event["frame"] >= n_frames
+                ahead |= event["event"] == "burst" and event["first_frame"] >= n_frames
+            except (ValueError, KeyError, TypeError):
+                ahead = True  # the last line, cut off
+            if not ahead:
+                kept.append(line)
+    except OSError as error:
+        raise OutputError(f"cannot read {path}: {error.strerror or error}") from None
+    end = {"event": "end", "time": time.time(), "frames": n_frames, "error": "the program was killed"}
+    write_atomically(path, b"\n".join([*kept, json.dumps(end).encode()]) + b"\n")
 
 
 class CaptureLog:
@@ -94,6 +126,19 @@ class CaptureLog:
         """Remove what was written last: that burst is not in the recording."""
         os.ftruncate(self._file.fileno(), self._whole)
         self._file.seek(self._whole)
+
+    def save(self) -> None:
+        """Return when it is on the disk.
+
+        Raises
+        ------
+        OutputError
+            The disk refuses.
+        """
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise OutputError(f"cannot write {self._path}: {explain(error)}") from None
 
     def close(self) -> None:
         """Let go of the file."""

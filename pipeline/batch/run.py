@@ -1,14 +1,18 @@
 """Decode footage into a store: what is missing of it, here or on a cluster."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from pipeline.batch.job import Job, chains
 from pipeline.batch.local_processes import decode_in_processes, usable_cores
 from pipeline.batch.worker import Chain, Outcome, Worker
-from pipeline.errors import FootageError, SettingsError
+from pipeline.errors import DamageError, FootageError, OutputError, SettingsError
+from pipeline.files import explain, make_folder
 from pipeline.footage.source import BadFrame, Source
-from pipeline.output.store import ResultStore, read_attributes
+from pipeline.locking import locked
+from pipeline.output.store import ResultStore, is_there
 from tikernels import runtime
 
 # A process starts in the time that it takes to decode about as many frames.
@@ -24,6 +28,7 @@ class DecodeSummary:
     bad: list[BadFrame] = field(default_factory=list)
     warned: dict[int, tuple[str, ...]] = field(default_factory=dict)  # by number
     notes: tuple[str, ...] = ()  # of the footage as a whole
+    damaged: dict[int, str] = field(default_factory=dict)  # frames that were done and not whole: decoded again
 
 
 class Stopped(KeyboardInterrupt):
@@ -70,16 +75,52 @@ def decode_footage(
     FootageError
         The footage cannot be read, or `strict` and a frame is bad.
     OutputError
-        The store holds frames that were made otherwise, cannot be written, or has lost frames.
+        The store holds frames that were made otherwise, cannot be written, has lost frames, or is being written by
+        another run.
     ClusterError
         There is no cluster, or its workers or the processes here die.
     """
     source = job.open()
-    job = job.with_transfer_of(source)
-    wanted = _wanted(source, start, stop, job.step)
+    try:
+        job = job.with_transfer_of(source)
+        wanted = _wanted(source, start, stop, job.step)
+        with _one_writer(job.store):
+            return _decode_missing(job, source, wanted, tell, strict=strict, workers=workers, cluster=cluster)
+    finally:
+        source.close()
+
+
+@contextmanager
+def _one_writer(store: str) -> Iterator[None]:
+    """Keep other runs from writing to a store; behind a URL nothing does."""
+    if "://" in store:
+        yield
+        return
+    try:
+        make_folder(Path(store).parent)
+    except OSError as error:
+        raise OutputError(f"cannot write {store}: {explain(error)}") from error
+    with locked(Path(store)):
+        yield
+
+
+def _decode_missing(
+    job: Job,
+    source: Source,
+    wanted: range,
+    tell: Callable[[int, int], None],
+    *,
+    strict: bool,
+    workers: int | None,
+    cluster: str | None,
+) -> DecodeSummary:
+    """Decode the frames that are missing, or damaged, in a store that nobody else writes to."""
     store, notes = _ready_store(job, source)
-    missing = set(wanted) - store.done()
-    summary = DecodeSummary(len(wanted), len(wanted) - len(missing), notes=notes)
+    there = store.done() & set(wanted)
+    damaged = store.faults(there)
+    store.unmark(damaged)
+    missing = set(wanted) - (there - damaged.keys())
+    summary = DecodeSummary(len(wanted), len(wanted) - len(missing), notes=notes, damaged=damaged)
     done, stored = summary.n_before, set[int]()
 
     def note(report: Outcome) -> None:
@@ -105,8 +146,6 @@ def decode_footage(
         raise Stopped(
             f"stopped: {n_done} of {len(wanted)} frames are done; the same command goes on from there"
         ) from None
-    finally:
-        source.close()
     store.remove_leftovers()  # of workers that died
     store.check(stored)
     summary.bad.sort(key=lambda frame: frame.number)
@@ -126,7 +165,11 @@ def _wanted(source: Source, start: int, stop: int | None, step: int) -> range:
 def _ready_store(job: Job, source: Source) -> tuple[ResultStore, tuple[str, ...]]:
     """Open the store, a new one with what the footage tells of itself; and return what the user should know."""
     notes, light, rims = source.notes, None, None
-    if read_attributes(job.store) is None:
+    try:
+        there = is_there(job.store)
+    except DamageError as error:
+        there, notes = False, (*notes, f"{error}; it is written anew")
+    if not there:
         runtime.init(job.arch)
         light, rims, doubts = job.learn(source)
         notes += doubts

@@ -1,7 +1,9 @@
 """One process's share of the work: reading, decoding and writing overlap, and memory stays flat."""
 
+import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -15,6 +17,7 @@ from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, FootageError
 from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
+from pipeline.output.store import ResultStore, WrittenFrame
 from tikernels import runtime
 
 # Frames read ahead; more of them only take memory.
@@ -22,6 +25,9 @@ _AHEAD = 4
 # Threads that write results. They mostly wait for the interpreter, which kernels keep to themselves while they run:
 # with four, storing all fields was 5 % faster than with two.
 _WRITERS = 4
+# Frames are marked together once in this time, because their folders' names are written to the disk first: a power cut
+# loses what was decoded since.
+_COMMIT_S = 0.5
 # Results in hand: the one being decoded, the one before, and one for each thread that writes.
 _RESULTS = 2 + _WRITERS
 
@@ -90,12 +96,13 @@ class Worker:
             warnings.catch_warnings(),
         ):
             warnings.simplefilter("ignore", DecodeWarning)  # they are stored, and told
+            marks = _Marks(self._store, writers, tell)
             try:
                 for stored in frames:
                     if stored.number in starts:
                         previous = None
                     result = self._results[turn % _RESULTS]
-                    result.finish(tell)
+                    result.finish(marks)
                     try:
                         frame = self._decode(stored, previous, result.frame)
                     except FootageError as error:
@@ -106,13 +113,15 @@ class Worker:
                     turn += 1
                     if stored.number in missing:
                         frame.fetch(self._job.fields)
-                        result.number = stored.number
                         result.written = writers.submit(self._store.write, stored.number, frame)
                 for k in range(_RESULTS):
-                    self._results[(turn + k) % _RESULTS].finish(tell)
+                    self._results[(turn + k) % _RESULTS].finish(marks)
+                marks.finish()
             finally:
                 # What has been decoded is stored, whatever has happened to the rest.
-                wait([result.written for result in self._results if result.written is not None])
+                in_hand = [result.written for result in self._results if result.written is not None]
+                wait(in_hand)
+                marks.save(future.result() for future in in_hand if future.exception() is None)
                 for result in self._results:
                     result.written = None
 
@@ -130,21 +139,58 @@ class _Result:
     """A frame's buffers, which are used again once what they hold is written."""
 
     frame: DecodedFrame | None = None
-    number: int = 0
-    written: "Future[None] | None" = None
+    written: "Future[WrittenFrame] | None" = None
 
-    def finish(self, tell: Callable[[Outcome], None]) -> None:
+    def finish(self, marks: "_Marks") -> None:
         if self.written is not None and self.frame is not None:
-            self.written.result()
+            frame = self.written.result()
             self.written = None
-            tell(GoodFrame(self.number, self.frame.warnings))
+            marks.add(frame, self.frame.warnings)
 
 
-def _frames_of(source: Source, ranges: Sequence[range]) -> Frames:
-    """Yield the frames of one range of numbers after another."""
-    for numbers in ranges:
-        with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
-            yield from frames
+class _Marks:
+    """Mark the frames that are written, some at a time, and tell of them then; from one thread."""
+
+    def __init__(self, store: ResultStore, writers: ThreadPoolExecutor, tell: Callable[[Outcome], None]) -> None:
+        self._store, self._writers, self._tell = store, writers, tell
+        self._written: list[WrittenFrame] = []
+        self._told: list[GoodFrame] = []  # of those that are written, in their order
+        self._at_s = time.monotonic()
+        self._in_hand: deque[tuple[Future[None], list[GoodFrame]]] = deque()
+
+    def add(self, frame: WrittenFrame, warnings: tuple[str, ...]) -> None:
+        """Have a frame marked, soon."""
+        self._written.append(frame)
+        self._told.append(GoodFrame(frame.number, warnings))
+        if time.monotonic() - self._at_s >= _COMMIT_S:
+            self._commit()
+        while self._in_hand and self._in_hand[0][0].done():
+            self._tell_first()
+
+    def finish(self) -> None:
+        """Return when all are marked, and told of."""
+        self._commit()
+        while self._in_hand:
+            self._tell_first()
+
+    def save(self, more: Iterable[WrittenFrame]) -> None:
+        """Mark all that is written, and what is added; nobody is told."""
+        wait([future for future, _ in self._in_hand])
+        if remaining := [*self._written, *more]:
+            self._store.commit(remaining)
+            self._written = []
+
+    def _commit(self) -> None:
+        if self._written:
+            self._in_hand.append((self._writers.submit(self._store.commit, self._written), self._told))
+        self._written, self._told = [], []
+        self._at_s = time.monotonic()
+
+    def _tell_first(self) -> None:
+        committed, frames = self._in_hand.popleft()
+        committed.result()
+        for frame in frames:
+            self._tell(frame)
 
 
 @contextmanager
@@ -182,3 +228,10 @@ def _read_ahead(source: Source, ranges: Sequence[range]) -> Iterator[Iterator[St
             except Empty:
                 pass
         thread.join()
+
+
+def _frames_of(source: Source, ranges: Sequence[range]) -> Frames:
+    """Yield the frames of one range of numbers after another."""
+    for numbers in ranges:
+        with closing(source.frames(numbers.start, numbers.stop, numbers.step)) as frames:
+            yield from frames

@@ -30,6 +30,9 @@ from pipeline.calibration import Calibration
 from pipeline.errors import DecodeWarning, OutputError, SettingsError
 from pipeline.settings import DecodeSettings
 
+#: Exit code where some frames are bad, or damaged, and the rest is not.
+SOME_ARE_BAD = 3
+
 Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
 
 #: Results, and what is said beside them. Names of files may look like markup.

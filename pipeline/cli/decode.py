@@ -13,20 +13,28 @@ from cyclopts import Parameter
 from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import DecodeSummary, decode_footage
 from pipeline.calibration import Calibration
-from pipeline.cli.console import Arch, bounded, counted, read_calibration, read_settings, remark, say, steps
+from pipeline.cli.console import (
+    SOME_ARE_BAD,
+    Arch,
+    bounded,
+    counted,
+    read_calibration,
+    read_settings,
+    remark,
+    say,
+    steps,
+)
 from pipeline.cli.results import write_meshes
 from pipeline.errors import SettingsError
 from pipeline.footage.image_folder import IMAGE_SUFFIXES
 from pipeline.footage.source import StoredAs
-from pipeline.output.folder import refuse_others
+from pipeline.output.folder import STORE, refuse_others
 from pipeline.output.report import depth_in_words
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import MeshKind, StoredResult, mesh_fields
 from pipeline.settings import DecodeSettings
 
-#: Exit code where some frames are bad and the rest is done.
-SOME_ARE_BAD = 3
-_STORE, _MESHES = "result.zarr", "meshes"
+_MESHES = "meshes"
 _DIGITS = re.compile("[0-9]{1,6}")
 _SHOWN = 10  # bad frames that are named
 
@@ -169,13 +177,13 @@ def _decode_video(
         step=options.step,
         first=options.start % options.step,
         fields=chosen_fields(options.fields, in_mm=in_mm),
-        store=f"{out.rstrip('/')}/{_STORE}",
+        store=f"{out.rstrip('/')}/{STORE}",
         arch=arch,
     )
     if options.export is not None:
         _check_meshes(out, job, in_mm=in_mm)
     if "://" not in out and Path(out).is_dir() and not force:
-        refuse_others(Path(out), (_STORE, _MESHES))
+        refuse_others(Path(out), (STORE, _MESHES))
     with counted("decoding") as show:
         summary = decode_footage(
             job,
@@ -221,6 +229,9 @@ def _say_whether_relative(location: str) -> None:
 def _say_summary(summary: DecodeSummary, store: str) -> None:
     for note in summary.notes:
         remark(f"note: {note}")
+    if summary.damaged:
+        number, fault = min(summary.damaged.items())
+        remark(f"{len(summary.damaged)} frames were damaged and are decoded again; frame {number}: {fault}")
     for bad in summary.bad[:_SHOWN]:
         remark(f"frame {bad.number} is bad: {bad.reason}")
     if len(summary.bad) > _SHOWN:

@@ -14,6 +14,7 @@ from pipeline.cli.devices import devices
 from pipeline.cli.inspect import inspect
 from pipeline.cli.project import pattern, project, projector
 from pipeline.cli.results import export, render
+from pipeline.cli.verify import verify
 
 app = App(
     name="colorphase",
@@ -23,7 +24,9 @@ app = App(
     suppress_keyboard_interrupt=False,  # `run` says what it has stopped
     error_formatter=lambda error: Text(f"error: {' '.join(str(error).split())}", style="red"),
 )
-for command in (demo, calibrate, capture, project, projector, pattern, decode, inspect, render, export, devices):
+_MAKING = (demo, calibrate, capture, project, projector, pattern)
+_USING = (decode, inspect, render, export, verify, devices)
+for command in (*_MAKING, *_USING):
     app.command(command)
 
 

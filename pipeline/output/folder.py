@@ -1,5 +1,10 @@
-"""The folder that decoding fills: made whole, or not at all."""
+"""The folder that decoding fills: made whole, or not at all, and without losing what is not ours.
 
+Ours is what `report.json` names with the SHA-256 that it still has, `report.json` itself, and a ``result.zarr`` that
+says so. A mesh that was edited and kept its name is its user's.
+"""
+
+import hashlib
 import json
 import shutil
 import tempfile
@@ -10,25 +15,22 @@ from typing import Any
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.errors import FootageError, OutputError
-from pipeline.files import explain
+from pipeline.errors import DamageError, FootageError, OutputError
+from pipeline.files import explain, sync
+from pipeline.locking import LOCK, locked
 from pipeline.output.mesh_files import write_mesh
 from pipeline.output.range_image import shade_range, write_png, write_range_image
-from pipeline.output.store import holds_footage, write_store
+from pipeline.output.store import holds_footage, is_there, write_store
 from pipeline.output.surface_mesh import frame_mesh
 from pipeline.settings import DecodeSettings
 
-#: What decoding puts into an output folder, and may therefore replace.
-NAMES = (
-    "result.zarr",
-    "mesh.ply",
-    "range.png",
-    "shaded.png",
-    "report.json",
-    "frame.png",
-    "render.png",
-    "calibration.json",
-)
+#: The result in an output folder.
+STORE = "result.zarr"
+_REPORT = "report.json"
+# What a report says of the files beside it: the SHA-256 of each, by name.
+_FILES = "files_sha256"
+# More is no report of ours, bytes.
+_MOST_REPORT = 2**20
 
 
 @contextmanager
@@ -54,8 +56,8 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     try:
         if path.is_dir():
             if not force:
-                refuse_others(path, NAMES)
-            if holds_footage(path / "result.zarr"):
+                _refuse_foreign(path)
+            if _is_store(path / STORE) and holds_footage(path / STORE):
                 raise OutputError(f"{path} holds the frames of footage: choose another folder")
         elif path.exists():
             raise OutputError(f"{path} is a file: choose a folder")
@@ -64,11 +66,10 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
         work = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
         yield work
         path.mkdir(exist_ok=True)
-        for entry in work.iterdir():
-            target = path / entry.name
-            if target.is_dir() and not target.is_symlink():
-                shutil.rmtree(target)
-            entry.replace(target)
+        with locked(path / STORE):
+            if not force:
+                _refuse_foreign(path)  # what has come meanwhile
+            _move(work, path)
     except (FootageError, OutputError):  # OSErrors too, but not about this folder
         raise
     except OSError as error:
@@ -76,6 +77,84 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
     finally:
         if work is not None:
             shutil.rmtree(work, ignore_errors=True)
+
+
+def _move(work: Path, path: Path) -> None:
+    """Move what was written into the output folder, and return when it is on the disk; the report comes last."""
+    if (work / _REPORT).exists():
+        report = json.loads((work / _REPORT).read_bytes())
+        kept = {name: digest for name, digest in _reported(path).items() if _digest(path / name) == digest}
+        new = {entry.name: _digest(entry) for entry in work.iterdir() if entry.is_file() and entry.name != _REPORT}
+        text = json.dumps({**report, _FILES: {**kept, **new}}, indent=1) + "\n"
+        (work / _REPORT).write_text(text, encoding="utf-8")
+    sync(*(entry for entry in work.iterdir() if entry.is_file()))  # a store is there already
+    for entry in sorted(work.iterdir(), key=lambda entry: entry.name == _REPORT):
+        target = path / entry.name
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target)
+        entry.replace(target)
+    sync(path, path.parent)
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Refuse a folder that holds what decoding a picture has not written.
+
+    Raises
+    ------
+    OutputError
+        It does.
+    """
+    reported = _reported(path)
+    for entry in sorted(path.iterdir()):
+        if entry.name == STORE and entry.is_dir():
+            is_ours = _is_store(entry)
+        elif entry.name == _REPORT:
+            is_ours = bool(reported)
+        else:
+            is_ours = entry.name in reported and _digest(entry) == reported[entry.name]
+        if not is_ours and not _is_lock(entry):
+            edited = " has been changed since we wrote it" if entry.name in reported else " is not ours"
+            raise OutputError(
+                f"{path} holds something else ({entry.name}{edited}): choose another folder, or add --force"
+            )
+
+
+def changed_files(path: Path) -> list[str]:
+    """Return the names of the files that a folder's report names, and which are not as they were written."""
+    return [name for name, digest in _reported(path).items() if _digest(path / name) != digest]
+
+
+def _reported(path: Path) -> dict[str, str]:
+    """Return the files that a folder's report names, and their SHA-256; none where there is no report of ours."""
+    try:
+        with (path / _REPORT).open("rb") as file:
+            report = json.loads(file.read(_MOST_REPORT))
+        files = report[_FILES]
+        return {name: digest for name, digest in files.items() if isinstance(digest, str)}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return {}
+
+
+def _digest(file: Path) -> str | None:
+    """Return a file's SHA-256; None where there is no file."""
+    try:
+        with file.open("rb") as opened:
+            return hashlib.file_digest(opened, "sha256").hexdigest()
+    except OSError:
+        return None
+
+
+def _is_store(folder: Path) -> bool:
+    try:
+        return is_there(folder)
+    except DamageError:
+        return True
+    except OutputError:
+        return False
+
+
+def _is_lock(entry: Path) -> bool:
+    return entry.name.startswith(".") and entry.name.endswith(LOCK)
 
 
 def refuse_others(folder: Path, names: Collection[str]) -> None:
@@ -86,7 +165,7 @@ def refuse_others(folder: Path, names: Collection[str]) -> None:
     OutputError
         It does.
     """
-    others = sorted(entry.name for entry in folder.iterdir() if entry.name not in names)
+    others = sorted(entry.name for entry in folder.iterdir() if entry.name not in names and not _is_lock(entry))
     if others:
         raise OutputError(f"{folder} holds something else ({others[0]}): choose another folder, or add --force")
 

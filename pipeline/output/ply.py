@@ -7,11 +7,13 @@ References
 G. Turk, The PLY polygon file format, 1994.
 """
 
+import re
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.limits import MAX_PIXELS, max_pixels
 from pipeline.output.mesh import COLOR, NOT_METRIC, POSITION, Mesh
 
 _TYPES = dict(
@@ -21,6 +23,8 @@ _TYPES = dict(
         strict=True,
     )
 )
+# A line for each property, and comments: others' have some 1,000 bytes.
+_LONGEST_HEAD = 2**16
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 
 
@@ -59,12 +63,18 @@ def decode_ply(data: bytes) -> Mesh:
     ValueError
         It is truncated, or holds something else.
     """
-    head, _, body = data.partition(b"end_header")
+    head, _, body = data[:_LONGEST_HEAD].partition(b"end_header")
+    body = data[len(head) + len(b"end_header") :]
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
     (vertex_count, vertex), (face_count, face) = _parse_header(lines)
     names = vertex.names or ()
     if not {*POSITION} <= {*names} or "corners" not in (face.names or ()):
         raise ValueError("its vertices have no x, y and z, or its faces no corners")
+    if vertex_count > max_pixels() or face_count > 2 * max_pixels():  # a pixel is a vertex, and four make two triangles
+        raise ValueError(
+            f"it has {vertex_count} vertices and {face_count} faces, and {max_pixels()} pixels make fewer: "
+            f"set {MAX_PIXELS} to a larger number if your camera has that many"
+        )
     if ["format", "ascii", "1.0"] in lines:
         vertex, face = _as_doubles(vertex), _as_doubles(face)
         body = np.array(body.split(), np.float64).tobytes()
@@ -77,13 +87,30 @@ def decode_ply(data: bytes) -> Mesh:
     faces = np.frombuffer(body, face, face_count, vertex_count * vertex.itemsize)
     if (faces["count"] != 3).any():
         raise ValueError("it has faces other than triangles: triangulate them first")
+    colored = {*COLOR} <= {*names}
     return Mesh(
-        vertices=np.stack([vertices[name] for name in POSITION], axis=1).astype(np.float32),
-        faces=faces["corners"].astype(np.int32),
-        colors=np.stack([vertices[name] for name in COLOR], axis=1).astype(np.uint8) if "red" in names else None,
-        properties={name: vertices[name].astype(np.float32) for name in names if name not in POSITION + COLOR},
+        vertices=_columns(vertices, POSITION, np.float32),
+        faces=_whole(faces["corners"], "corners", np.int32),
+        colors=_whole(_columns(vertices, COLOR), "colours", np.uint8) if colored else None,
+        properties={
+            name: _columns(vertices, (name,), np.float32)[:, 0] for name in names if name not in POSITION + COLOR
+        },
         unit="rad" if ["comment", "unit", "rad"] in lines else "mm",
     )
+
+
+def _columns(vertices: npt.NDArray[Any], names: tuple[str, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+    """Return properties of the vertices beside each other; beyond the type's largest number they become infinite."""
+    with np.errstate(over="ignore"):
+        return np.stack([vertices[name] for name in names], axis=1).astype(dtype)
+
+
+def _whole(values: npt.NDArray[Any], what: str, dtype: type[np.integer[Any]]) -> npt.NDArray[Any]:
+    """Return whole numbers in a type that holds them, where they are such numbers."""
+    limits = np.iinfo(dtype)
+    if values.size and not ((values >= 0) & (values <= limits.max) & (values == np.floor(values))).all():
+        raise ValueError(f"its {what} are not whole numbers from 0 to {limits.max}")
+    return values.astype(dtype)
 
 
 def _as_doubles(layout: np.dtype) -> np.dtype:
@@ -98,7 +125,7 @@ def _parse_header(lines: list[list[str]]) -> list[tuple[int, np.dtype]]:
         match line:
             case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS:
                 order = _BYTE_ORDERS[encoding]
-            case ["element", name, count] if count.isdigit():
+            case ["element", name, count] if re.fullmatch("[0-9]{1,18}", count):
                 elements.append((name, int(count), []))
             case ["property", "list", count, corner, _] if elements and {count, corner} <= _TYPES.keys():
                 record = [("count", order + _TYPES[count]), ("corners", order + _TYPES[corner], 3)]

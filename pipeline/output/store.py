@@ -1,14 +1,14 @@
 """``result.zarr``: the fields of every frame, in a form that other programs read (Zarr v3); see `docs/video.md`.
 
-A frame's chunks are written first, its mark last: what has a mark is whole, whatever happened to the program.
+A frame's chunks are written first, its mark last, once they are on the disk: what has a mark is whole, whatever
+happened to the program or the machine.
 """
 
-import errno
 import json
-import os
-import re
-from collections.abc import Iterator, Sequence, Set
-from contextlib import contextmanager
+from collections.abc import Iterable, Sequence, Set
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,21 +17,16 @@ import numpy as np
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.frame import FIELDS, DecodedFrame
-from pipeline.errors import OutputError, SettingsError
-from pipeline.files import LEFTOVER, explain, replace_file
+from pipeline.errors import DamageError, OutputError, SettingsError
+from pipeline.files import make_folder
+from pipeline.output.store_files import StoreFiles
+from pipeline.output.store_marks import FrameMark, OtherFrame, frame_fault, identity_digest, marked_frames, read_mark
+from pipeline.output.store_metadata import DONE, LEVEL, new_metadata, read_metadata
 from pipeline.settings import DecodeSettings
-from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codec, chunk_key, encode_chunk
+from pipeline.zarr_chunks import chunk_key, encode_chunk
 
-#: The array that holds the marks.
-DONE = "done"
-
-# Of the compressor.
-_LEVEL = 5
-# A mark is its frame's record as JSON, padded with blanks: whoever finds another length finds a mark cut off.
-_MARK_BYTES = 1024
-_BLANK = 0x20
-_MARK_KEY = re.compile(r"c\.(\d+)\.0")
-_LEFTOVERS = (LEFTOVER, ".partial")  # what we, and what zarr, call a file while it is written
+# Threads that look whether frames are whole: reading and checksums leave the interpreter alone.
+_READERS = 4
 
 
 def result_attributes(settings: DecodeSettings, calibration: Calibration | None) -> dict[str, Any]:
@@ -61,6 +56,14 @@ def chosen_fields(names: Sequence[str] | None, *, in_mm: bool) -> tuple[str, ...
     return tuple(name for name in there if names is None or name in names)
 
 
+@dataclass(frozen=True)
+class WrittenFrame:
+    """A frame whose chunks are written, and which has no mark yet."""
+
+    number: int
+    mark: FrameMark
+
+
 class ResultStore:
     """The frames of one footage, each written once and marked when it is safe; never made by being opened.
 
@@ -81,17 +84,22 @@ class ResultStore:
     Raises
     ------
     OutputError
-        It is not there, or holds something else.
+        It is not there, is damaged, or holds something else.
     """
 
     def __init__(self, location: str | Path, identity: dict[str, Any], fields: Sequence[str]) -> None:
-        self.location, self._folder, self._files = _place(location)
+        self._files = StoreFiles(location)
         self._fields = tuple(fields)
-        found = read_attributes(location)
+        whole = _whole_identity(identity, fields)
+        try:
+            found = read_metadata(self._files)
+        except DamageError as error:
+            raise OutputError(f"{error}: run again, which mends it") from None
         if found is None:
             raise OutputError(f"{location} is not there: every worker must see it under this name")
-        _refuse_mixing(self.location, found, _whole_identity(identity, fields))
-        self.attributes = found
+        self.attributes = found[0]
+        _refuse_mixing(self._files.name, self.attributes, whole)
+        self._identity = identity_digest(whole)
 
     @classmethod
     def make(
@@ -103,7 +111,7 @@ class ResultStore:
         size_px: tuple[int, int],
         also: dict[str, Any] | None = None,
     ) -> "ResultStore":
-        """Make what is missing of a store, and open it.
+        """Make a store, or write a damaged one's metadata anew; and open it.
 
         Parameters
         ----------
@@ -119,43 +127,47 @@ class ResultStore:
         OutputError
             The place cannot be written, or holds something else.
         """
-        import zarr  # slow to import, and only needed here
-
-        name, folder, _ = _place(location)
-        identity = _whole_identity(identity, fields)
-        found = read_attributes(location)
-        if found is not None:
-            _refuse_mixing(name, found, identity)
-        lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3, "record": _MARK_BYTES}
-        axes: tuple[str, ...]
-        fill: float
-        with _explained(name, folder):
-            group = zarr.open_group(name, mode="a", attributes={**identity, **(also or {})})
-            for field in (*fields, DONE):
-                if field in group:
-                    continue
-                if field == DONE:
-                    axes, dtype, fill, codec = ("record",), np.dtype(np.uint8), _BLANK, None
-                else:
-                    axes, dtype, codec = FIELDS[field].axes, np.dtype(FIELDS[field].dtype), chunk_codec(_LEVEL)
-                    fill = np.nan if dtype.kind == "f" else 0
-                shape = tuple(lengths[axis] for axis in axes)
-                group.create_array(
-                    field,
-                    shape=(n_frames, *shape),
-                    chunks=(1, *shape),
-                    dtype=dtype,
-                    fill_value=fill,
-                    compressors=codec,
-                    chunk_key_encoding=CHUNK_KEYS,
-                    dimension_names=("frame", *axes),
-                )
+        files, whole = StoreFiles(location), _whole_identity(identity, fields)
+        try:
+            there = read_metadata(files) is not None
+        except DamageError:
+            there = False
+            _refuse_others(files, identity_digest(whole))
+        if not there:
+            with files.explained():
+                content = new_metadata({**whole, **(also or {})}, fields, n_frames, size_px)
+                for key, text in content.items():  # the group's comes last: who has it has all of them
+                    folder = key.rpartition("/")[0]
+                    if files.folder is not None:
+                        make_folder(files.folder / folder)
+                    files.put(key, text)
+                    files.sync_folder(folder)
         return cls(location, identity, fields)
 
     def done(self) -> set[int]:
-        """Return the numbers of the frames that are whole."""
-        with _explained(self.location, self._folder):
-            return done_frames(self.location)
+        """Return the numbers of the frames that have a mark."""
+        with self._files.explained():
+            return marked_frames(self._files)
+
+    def faults(self, numbers: Iterable[int]) -> dict[int, str]:
+        """Look whether frames that have a mark are whole, and return what is wrong, by number.
+
+        Behind a URL, where reading all may cost more than decoding it anew, it is only looked whether all is there.
+        """
+        numbers = sorted(numbers)
+        if self._files.folder is None:
+            with self._files.explained():
+                names = {name: self._files.sizes(name).keys() for name in self._fields}
+            keys = {name: len(FIELDS[name].axes) for name in self._fields}
+            return {
+                number: f"{name} is missing"
+                for number in numbers
+                for name in self._fields
+                if chunk_key(number, keys[name]) not in names[name]
+            }
+        with ThreadPoolExecutor(_READERS, "check") as readers:
+            found = readers.map(lambda number: frame_fault(self._files, number, self._fields, self._identity), numbers)
+            return {number: fault for number, fault in zip(numbers, found, strict=True) if fault is not None}
 
     def check(self, numbers: Set[int]) -> None:
         """Look whether frames that were stored are still there.
@@ -168,94 +180,91 @@ class ResultStore:
         lost = numbers - self.done()
         if lost:
             frames = "a frame has" if len(lost) == 1 else f"{len(lost)} frames have"
-            raise OutputError(f"{self.location}: {frames} vanished after being stored: run again")
+            raise OutputError(f"{self._files.name}: {frames} vanished after being stored: run again")
 
-    def write(self, number: int, frame: DecodedFrame) -> None:
-        """Write a frame's chunks and, once they are safe, its mark; may be called again, and from several threads.
+    def write(self, number: int, frame: DecodedFrame) -> WrittenFrame:
+        """Write a frame's chunks; may be called again, and from several threads.
+
+        Returns
+        -------
+        WrittenFrame
+            For `commit`, which makes it part of the store.
 
         Raises
         ------
         OutputError
             The disk is full, or the store is gone.
         """
-        with _explained(self.location, self._folder):
+        chunks = {}
+        with self._files.explained():
             for name in self._fields:
                 values = np.asarray(getattr(frame, name))
                 values = FIELDS[name].rounded(values, frame.noise_levels, in_mm=frame.calibrated)
+                chunks[name] = encode_chunk(values, LEVEL)
                 # Unlike zarr never into a store that is gone.
-                self._put(name, chunk_key(number, values.ndim), encode_chunk(values, _LEVEL))
-            self._put(DONE, chunk_key(number, 1), _mark(frame))
+                self._files.put(f"{name}/{chunk_key(number, values.ndim)}", chunks[name])
+        return WrittenFrame(number, FrameMark.of(frame, self._identity, chunks))
 
-    def _put(self, name: str, key: str, content: bytes) -> None:
-        if self._folder is None:
-            fs, path = self._files
-            fs.pipe_file(f"{path}/{name}/{key}", content)
-        else:
-            # File systems keep the order in which names appear: the mark's comes after its chunks', power cut or not.
-            replace_file(self._folder / name / key, content, safe=True)
+    def commit(self, frames: Iterable[WrittenFrame]) -> None:
+        """Mark frames whose chunks are written, once those are there whatever happens; from any thread.
+
+        Raises
+        ------
+        OutputError
+            The disk is full, or the store is gone.
+        """
+        with self._files.explained():
+            self._files.sync_folder(*self._fields)  # the chunks' content is on the disk, now their names are, too
+            for frame in frames:
+                self._files.put(f"{DONE}/{chunk_key(frame.number, 1)}", frame.mark.encoded())
+            self._files.sync_folder(DONE)
+
+    def unmark(self, numbers: Iterable[int]) -> None:
+        """Take the marks of frames away, which are not whole.
+
+        Raises
+        ------
+        OutputError
+            The store cannot be written.
+        """
+        with self._files.explained():
+            for number in numbers:
+                self._files.remove(f"{DONE}/{chunk_key(number, 1)}")
 
     def remove_leftovers(self) -> None:
         """Remove the files that a writer who was killed left half-written; while nobody writes."""
-        if self._folder is None:
-            return  # elsewhere nothing appears before it is whole
-        with _explained(self.location, self._folder):
-            for folder in (self._folder, *(self._folder / name for name in (*self._fields, DONE))):
-                for name in os.listdir(folder):
-                    if name.endswith(_LEFTOVERS):
-                        (folder / name).unlink(missing_ok=True)
+        with self._files.explained():
+            self._files.remove_leftovers("", *self._fields, DONE)
 
 
-def done_frames(location: str | Path) -> set[int]:
-    """Return the numbers of a store's frames that are whole.
+def is_there(location: str | Path) -> bool:
+    """Whether a store is there.
 
     Raises
     ------
-    OSError
-        The store cannot be read; each remote file system has errors of its own.
+    DamageError
+        It is, but its metadata is not as it was written.
+    OutputError
+        Something else is there, or it cannot be read.
     """
-    _, folder, files = _place(location)
-    if folder is not None:
-        with os.scandir(folder / DONE) as entries:
-            sizes = {entry.name: entry.stat().st_size for entry in entries}
-    else:
-        fs, path = files
-        fs.invalidate_cache()
-        listed = fs.ls(f"{path}/{DONE}", detail=True)
-        sizes = {entry["name"].rpartition("/")[2]: entry["size"] for entry in listed}
-    keys = (_MARK_KEY.fullmatch(name) for name, size in sizes.items() if size == _MARK_BYTES)
-    return {int(key[1]) for key in keys if key is not None}
+    return read_metadata(StoreFiles(location)) is not None
 
 
-def read_attributes(location: str | Path) -> dict[str, Any] | None:
-    """Return what a store says of how its frames were decoded; None where there is none yet.
+def holds_footage(location: Path) -> bool:
+    """Whether a store holds more than a picture's result.
 
     Raises
     ------
     OutputError
-        Something else is there.
+        Something else is there, or it cannot be read.
     """
-    name, folder, files = _place(location)
+    files = StoreFiles(location)
     try:
-        if folder is not None:
-            text = (folder / "zarr.json").read_bytes()
-        else:
-            fs, path = files
-            text = fs.cat_file(f"{path}/zarr.json")
-        attributes: dict[str, Any] = json.loads(text)["attributes"]
-    except (FileNotFoundError, NotADirectoryError):
-        if folder is not None and folder.exists() and (folder.is_file() or _holds_others(folder)):
-            raise OutputError(f"{name} is not a result of ours: choose another folder") from None
-        return None
-    except OSError as error:
-        raise OutputError(f"cannot read {name}: {error.strerror or error}") from None
-    except (ValueError, KeyError, TypeError):
-        raise OutputError(f"{name} is not a result of ours: choose another folder") from None
-    return attributes
-
-
-def holds_footage(location: Path) -> bool:
-    """Whether a store holds more than a picture's result."""
-    return location.is_dir() and "footage" in (read_attributes(location) or {})
+        found = read_metadata(files)
+    except DamageError:
+        with files.explained():
+            return len(marked_frames(files)) > 1
+    return found is not None and "footage" in found[0]
 
 
 def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calibration: Calibration | None) -> None:
@@ -277,31 +286,8 @@ def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calib
     """
     height, width = frame.mask.shape
     fields = chosen_fields(None, in_mm=frame.calibrated)
-    ResultStore.make(path, result_attributes(settings, calibration), fields, 1, (width, height)).write(0, frame)
-
-
-def _place(location: str | Path) -> tuple[str, Path | None, Any]:
-    """Return a location's name, and its folder or else its file system and path there.
-
-    Raises
-    ------
-    OutputError
-        No file system for such URLs is installed.
-    """
-    name = str(location)
-    if "://" not in name:
-        return name, Path(location), None
-    try:
-        from fsspec.core import url_to_fs  # of the extra `cluster`
-
-        return name, None, url_to_fs(name)
-    except (ImportError, ValueError) as error:
-        raise OutputError(f"cannot write to {name}: {' '.join(str(error).split())}") from None
-
-
-def _holds_others(folder: Path) -> bool:
-    """Whether a folder holds more than what is left of a store whose making was interrupted."""
-    return any(not name.endswith(_LEFTOVERS) for name in os.listdir(folder))
+    store = ResultStore.make(path, result_attributes(settings, calibration), fields, 1, (width, height))
+    store.commit([store.write(0, frame)])
 
 
 def _whole_identity(identity: dict[str, Any], fields: Sequence[str]) -> dict[str, Any]:
@@ -310,27 +296,23 @@ def _whole_identity(identity: dict[str, Any], fields: Sequence[str]) -> dict[str
     return whole
 
 
-@contextmanager
-def _explained(name: str, folder: Path | None) -> Iterator[None]:
-    """Turn what a file system raises into one line; no folder: a remote one."""
-    try:
-        yield
-    except OutputError:
-        raise
-    except OSError as error:
-        gone = error.errno == errno.ENOENT
-        what = "it has vanished: bring its disk back, and run again" if gone else explain(error)
-        raise OutputError(f"cannot write {name}: {what}") from error
-    except Exception as error:
-        if folder is not None:
-            raise
-        # Each remote file system has errors of its own.
-        raise OutputError(f"cannot write {name}: {' '.join(str(error).split())}") from error
+def _refuse_others(files: StoreFiles, identity: str) -> None:
+    """Refuse to mend a store whose frames were decoded otherwise, as far as their marks can be read."""
+    numbers: set[int] = set()
+    with files.explained(), suppress(FileNotFoundError):
+        numbers = marked_frames(files)
+    for number in sorted(numbers):
+        try:
+            read_mark(files, number, identity)
+        except OtherFrame:
+            raise OutputError(
+                f"{files.name} is damaged and holds frames made otherwise: choose another folder, or run as before"
+            ) from None
+        except DamageError:
+            continue
 
 
 def _refuse_mixing(name: str, found: dict[str, Any], identity: dict[str, Any]) -> None:
-    if "settings" not in found:
-        raise OutputError(f"{name} is not a result of ours: choose another folder")
     there, here = _flat({key: found.get(key) for key in identity}), _flat(identity)
     for key in {**here, **there}:  # what is null on one side has no key of its own on the other
         if there.get(key) != here.get(key):
@@ -346,16 +328,3 @@ def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     for key, value in values.items():
         flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value})
     return flat
-
-
-def _mark(frame: DecodedFrame) -> bytes:
-    """Return what is known of a frame as a whole, as JSON."""
-    record = {
-        "period_px": None if frame.period_px is None else float(frame.period_px),
-        "noise_levels": float(frame.noise_levels),
-        "constant_known": bool(frame.constant_known),
-    }
-    warnings = list(frame.warnings)
-    while len(text := json.dumps({**record, "warnings": warnings}).encode()) > _MARK_BYTES:
-        warnings.pop()
-    return text.ljust(_MARK_BYTES)

@@ -9,12 +9,15 @@ import numpy.typing as npt
 
 from pipeline.decoding.frame import FIELDS
 from pipeline.decoding.front_side import RimVotes
-from pipeline.errors import FootageError, OutputError
+from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.files import explain
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import write_mesh
-from pipeline.output.store import DONE, done_frames
+from pipeline.output.store_files import StoreFiles
+from pipeline.output.store_marks import FrameMark, frame_fault, identity_digest, marked_frames, read_chunk, read_mark
+from pipeline.output.store_metadata import DONE, read_metadata
 from pipeline.output.surface_mesh import surface_mesh
+from pipeline.zarr_chunks import decode_chunk
 
 MeshKind = Literal["ply", "glb"]
 
@@ -48,20 +51,22 @@ class StoredResult:
     """
 
     def __init__(self, location: str | Path) -> None:
-        import zarr  # slow to import, and only needed here
-
         self.name = str(location)
         try:
-            # Arrays of an older format may name codecs that run what they hold.
-            self._group: Any = zarr.open_group(self.name, mode="r", zarr_format=3)
-            self.attributes: dict[str, Any] = self._group.attrs.asdict()
-            arrays = frozenset(self._group.array_keys())
-            self.done = tuple(sorted(done_frames(location))) if DONE in arrays else ()
-        except Exception as error:  # each file system has errors of its own
+            self._files = StoreFiles(location)
+            found = read_metadata(self._files)
+            self.done = () if found is None else tuple(sorted(marked_frames(self._files)))
+        except DamageError as error:
+            raise FootageError(f"{error}: run colorphase decode again as before, which mends it") from None
+        except OSError as error:
             raise FootageError(f"{self.name} is not a result.zarr that can be read: decode first") from error
-        self.fields = arrays - {DONE}
-        if "settings" not in self.attributes or DONE not in arrays or not self.fields:
-            raise FootageError(f"{self.name} is not a result of colorphase decode")
+        if found is None:
+            raise FootageError(f"{self.name} is not a result.zarr that can be read: decode first")
+        self.attributes: dict[str, Any] = found[0]
+        self._shapes = found[1]
+        self._identity = identity_digest(self.attributes)
+        self.fields = frozenset(self._shapes) - {DONE}
+        self._mark: tuple[int, FrameMark] | None = None  # of the frame that was read last
 
     @property
     def in_mm(self) -> bool:
@@ -92,9 +97,21 @@ class StoredResult:
         if name not in self.fields:
             raise FootageError(f"{self.name} holds no {name}: decode with that field")
         try:
-            return np.asarray(self._group[name][number])
-        except Exception as error:  # each codec has errors of its own
-            raise FootageError(f"{self.name}: {name} of frame {number} is damaged: decode again") from error
+            chunk = read_chunk(self._files, number, name, self._read_mark(number))
+            return decode_chunk(chunk, FIELDS[name].dtype, self._shapes[name][1:])
+        except DamageError as error:
+            raise FootageError(
+                f"{self.name}: frame {number}: {error}: decode again as before, which mends it"
+            ) from None
+
+    def fault(self, number: int) -> str | None:
+        """Return what is wrong with a frame that is done; None: all of it is as it was written."""
+        return frame_fault(self._files, number, sorted(self.fields), self._identity)
+
+    def _read_mark(self, number: int) -> FrameMark:
+        if self._mark is None or self._mark[0] != number:
+            self._mark = number, read_mark(self._files, number, self._identity)
+        return self._mark[1]
 
     def mesh(self, number: int, fields: Collection[str] | None = None) -> Mesh:
         """Return a frame as a mesh, with what is known of its vertices: if it is stored, and among `fields`.

@@ -19,6 +19,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.errors import DamageError
+from pipeline.files import sync
 from pipeline.footage.recording_tags import RecordingTags
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
@@ -97,6 +99,7 @@ class MatroskaWriter:
         try:
             self._append(self._head)
             self.commit(0)
+            sync(path.parent)
         except OSError:
             self._file.close()
             path.unlink()
@@ -123,9 +126,11 @@ class MatroskaWriter:
         return len(cluster)
 
     def commit(self, n_frames: int) -> None:
-        """Make the file end with what has been written."""
+        """Make the file end with what has been written, on the disk: first the frames, then the length."""
         head, _ = self._head_of(n_frames, self._n_bytes, None)
+        os.fsync(self._file.fileno())
         _write(self._file, 0, head)
+        os.fsync(self._file.fileno())
         self.n_frames, self._end = n_frames, self._n_bytes
 
     def close(self) -> None:
@@ -194,6 +199,38 @@ class MatroskaWriter:
         begin = _EBML_HEAD + _SEGMENT
         segment = len(begin) + 8
         return begin + _size(max(end - segment, len(content))) + content, segment
+
+
+def cut_off(path: Path) -> int:
+    """Cut off what a program that was killed had written and not committed; return how many frames stay.
+
+    Raises
+    ------
+    DamageError
+        It is no file of ours.
+    OSError
+        It cannot be written.
+    """
+    begin = _EBML_HEAD + _SEGMENT
+    with path.open("r+b") as file:
+        head = file.read(len(begin) + 8)
+        if not head.startswith(begin) or len(head) < len(begin) + 8:
+            raise DamageError(f"{path.name} does not begin as a recording does")
+        end = len(head) + int.from_bytes(head[len(begin) + 1 :], "big")
+        file.truncate(end)
+        os.fsync(file.fileno())
+        n_frames, place = 0, len(head)
+        while place < end:
+            file.seek(place)
+            element = file.read(12)
+            # An element's first byte tells how long its name is; ours have lengths of eight bytes.
+            id_bytes = 9 - element[0].bit_length() if element and element[0] else 12
+            n_frames += element.startswith(_CLUSTER)
+            length = int.from_bytes(element[id_bytes + 1 : id_bytes + 8], "big")
+            if len(element) < id_bytes + 8:
+                raise DamageError(f"{path.name} is damaged at byte {place}")
+            place += id_bytes + 8 + length
+    return n_frames
 
 
 def _size(n_bytes: int) -> bytes:

@@ -1,21 +1,24 @@
 """Lossless recordings: FFV1 in Matroska, or Zarr; `docs/footage.md` defines both."""
 
 import os
-import secrets
 import shutil
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from fractions import Fraction
 from pathlib import Path
 
 from pipeline.errors import OutputError
-from pipeline.files import explain
+from pipeline.files import explain, sync
 from pipeline.footage.recording_tags import RecordingTags
+from pipeline.locking import locked
 from pipeline.models import ImageArray
 from pipeline.recording.matroska import MatroskaWriter
 from pipeline.recording.writing_threads import FrameWriter, WritingThreads
 from pipeline.recording.zarr_writer import ZarrWriter
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
+
+#: What a recording's name has before its ending until it is finished.
+PART = ".part"
 
 
 class Recorder:
@@ -63,7 +66,12 @@ class Recorder:
         if self._path.exists():
             raise OutputError(f"cannot record to {path}: it exists, choose another name")
         self._format = format
-        self._temporary = self._path.with_name(f".{secrets.token_hex(8)}.part{suffix}")
+        self._temporary = self._path.with_name(f"{self._path.stem}{PART}{suffix}")
+        if self._temporary.exists():
+            raise OutputError(
+                f"cannot record to {path}: {self._temporary.name} is there, of a program that was killed: colorphase "
+                f"verify {self._path.parent} finishes it; or choose another name"
+            )
         self._new_writer = writers[suffix]
         self._tags = RecordingTags(
             Fraction(rate_hz), transfer, format.bayer if format.layout == "bayer" else None, format.bits
@@ -71,6 +79,7 @@ class Recorder:
         self._shape: tuple[int, ...] = ()
         self._threads: WritingThreads | None = None
         self._ended = False
+        self._lock = ExitStack()
 
     def __enter__(self) -> "Recorder":
         return self
@@ -107,7 +116,8 @@ class Recorder:
         ShapeError
             It has another shape or type than the format says, or than the first frame.
         OutputError
-            The disk is full or has gone, or the folder cannot be written: the recording has ended.
+            The disk is full or has gone, the folder cannot be written, or somebody else records under this name: the
+            recording has ended.
         """
         shape = self._format.plane_shapes(*frame.shape[:2])[0] if frame.ndim >= 2 else ()
         if frame.shape != (self._shape or shape) or frame.dtype != self._format.dtype:
@@ -117,11 +127,15 @@ class Recorder:
             raise OutputError(f"cannot record to {self._path}: the recording has ended")
         try:
             if self._threads is None:
+                self._lock.enter_context(locked(self._path))
                 place = (self._temporary, frame.shape[1::-1], self._format, self._tags)
                 self._threads = WritingThreads(lambda: self._new_writer(*place), self._new_writer.most_threads, frame)
                 self._threads.start()
                 self._shape = frame.shape
             self._threads.add(frame)
+        except OutputError:
+            self.stop()
+            raise
         except OSError as error:
             raise self._ended_by(error) from error
 
@@ -174,6 +188,7 @@ class Recorder:
             raise OutputError(f"cannot finish {self._path}, see {self._temporary}: {explain(error)}") from error
         finally:
             self._ended = True
+            self._lock.close()
 
     def _ended_by(self, error: OSError) -> OutputError:
         """Finish with what was committed, and return what to raise."""
@@ -187,6 +202,7 @@ class Recorder:
             if self._threads.n_committed:
                 if self._temporary.exists():
                     os.replace(self._temporary, self._path)
+                    sync(self._path.parent)
                 return
         if self._temporary.is_dir():
             shutil.rmtree(self._temporary, ignore_errors=True)

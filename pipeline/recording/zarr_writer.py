@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.files import replace_file
+from pipeline.errors import DamageError
+from pipeline.files import LEFTOVER, replace_file, sync
 from pipeline.footage.recording_tags import VERSION, RecordingTags
 from pipeline.footage.zarr_recording import ATTRIBUTE, FRAMES
 from pipeline.models import ImageArray
-from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codec, chunk_key, encode_chunk
+from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codecs, chunk_key, encode_chunk
 from tikernels.raw.pixel_format import PixelFormat
 
 _KEY = re.compile(r"c\.(\d+)[.0]*")
@@ -44,9 +45,7 @@ class ZarrWriter:
     most_threads = min(_MOST_THREADS, os.cpu_count() or 1)
 
     def __init__(self, path: Path, size_px: tuple[int, int], format: PixelFormat, tags: RecordingTags) -> None:
-        import google_crc32c
         import zarr  # slow to import, and only needed here
-        from zarr.codecs import Crc32cCodec
 
         about: dict[str, Any] = {
             "version": VERSION,
@@ -63,14 +62,13 @@ class ZarrWriter:
             shape=(0, *shape),
             chunks=(1, *shape),
             dtype=np.dtype(format.dtype),
-            # A checksum, because one wrong bit would change the rest of a chunk.
-            compressors=[chunk_codec(_LEVEL), Crc32cCodec()],
+            compressors=chunk_codecs(_LEVEL),
             chunk_key_encoding=CHUNK_KEYS,
         )
+        sync(path / FRAMES, path / "zarr.json", path, path.parent)
         self._folder = path / FRAMES
         self._metadata = self._folder / "zarr.json"
         self._says = json.loads(self._metadata.read_bytes())
-        self._checksum = google_crc32c.value
         self.n_frames = 0  # of those committed
 
     def write(self, number: int, frame: ImageArray) -> int:
@@ -78,18 +76,44 @@ class ZarrWriter:
         chunk = encode_chunk(frame, _LEVEL)  # of black frames, too: one that is not there is a frame that is missing
         with (self._folder / chunk_key(number, frame.ndim)).open("xb") as file:
             file.write(chunk)
-            file.write(self._checksum(chunk).to_bytes(4, "little"))
-        return len(chunk) + 4
+            file.flush()
+            os.fsync(file.fileno())  # here, where several threads wait for the disk at once
+        return len(chunk)
 
     def commit(self, n_frames: int) -> None:
-        """Make the array end with what has been written."""
+        """Make the array end with what has been written, on the disk: first the chunks' names, then its length."""
         self._says["shape"][0] = n_frames
-        replace_file(self._metadata, json.dumps(self._says, indent=2).encode())
+        sync(self._folder)
+        replace_file(self._metadata, json.dumps(self._says, indent=2).encode(), safe=True)
+        sync(self._folder)
         self.n_frames = n_frames
 
     def close(self) -> None:
         """Remove what was not committed; a second call does nothing."""
-        for name in os.listdir(self._folder):
-            key = _KEY.fullmatch(name)
-            if key is not None and int(key[1]) >= self.n_frames:
-                (self._folder / name).unlink()
+        _remove_from(self._folder, self.n_frames)
+
+
+def cut_off(path: Path) -> int:
+    """Remove what a program that was killed had written and not committed; return how many frames stay.
+
+    Raises
+    ------
+    DamageError
+        It is no recording of ours.
+    OSError
+        It cannot be written.
+    """
+    try:
+        n_frames = int(json.loads((path / FRAMES / "zarr.json").read_bytes())["shape"][0])
+    except (FileNotFoundError, NotADirectoryError, ValueError, KeyError, TypeError, IndexError):
+        raise DamageError(f"{path.name} does not say how many frames it holds") from None
+    _remove_from(path / FRAMES, n_frames)
+    return n_frames
+
+
+def _remove_from(folder: Path, n_frames: int) -> None:
+    """Remove the chunks of frames from a number on, and half-written files."""
+    for name in os.listdir(folder):
+        key = _KEY.fullmatch(name)
+        if (key is not None and int(key[1]) >= n_frames) or name.endswith(LEFTOVER):
+            (folder / name).unlink()

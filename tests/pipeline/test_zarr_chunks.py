@@ -6,7 +6,7 @@ from support.numbered_frames import RGB8, frame_of
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from pipeline.recording.recorder import Recorder
-from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codec, chunk_key, encode_chunk
+from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codecs, chunk_key, encode_chunk
 from tikernels.raw.pixel_format import PixelFormat
 
 RGB12 = PixelFormat("rgb", 12)
@@ -42,7 +42,7 @@ def test_a_chunk_is_little_endian_whatever_the_array_is(tmp_path):
         shape=(1, 3, 4),
         chunks=(1, 3, 4),
         dtype="<u2",
-        compressors=chunk_codec(1),
+        compressors=chunk_codecs(1),
         chunk_key_encoding=CHUNK_KEYS,
     )
     (tmp_path / "a.zarr" / chunk_key(0, 2)).write_bytes(chunk)

@@ -7,6 +7,7 @@ import av
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.footage.opening import open_source
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -63,3 +64,15 @@ def rgb(planes, format):
     if format.channels == "gbr":
         return np.stack([planes[2], planes[0], planes[1]], axis=-1)
     return planes[0][..., 2::-1] if format.channels == "bgr0" else planes[0]
+
+
+def held(path):
+    """Return how many frames a recording holds, having compared each with what was recorded."""
+    source = open_source(path)
+    assert source.notes == ()
+    frames = list(source.frames())
+    assert [frame.number for frame in frames] == list(range(len(source)))
+    for frame in frames:
+        levels = frame.planes[0][..., 2::-1] if frame.format.channels == "bgr0" else frame.planes[0]
+        np.testing.assert_array_equal(levels, frame_of(frame.number))
+    return len(frames)

@@ -1,11 +1,10 @@
 """Stores of a plane's frames, written as a run over footage writes them."""
 
+from types import SimpleNamespace
+
 import numpy as np
-import pytest
-import zarr
 
-pytestmark = pytest.mark.usefixtures("cpu")
-
+from pipeline.output.store import ResultStore, chosen_fields
 
 HEIGHT, WIDTH = 60, 80
 
@@ -21,42 +20,29 @@ def plane(distance_mm):
 
 def store(path, distances, missing=(), in_mm=True, step=1, leave_out=()):
     """Write a store as a run over footage does; None stands for a frame without any surface."""
-    n_frames = len(distances)
-    group = zarr.open_group(
-        path, mode="w", attributes={"settings": {}, "step": step, "range_unit": "mm" if in_mm else "rad"}
-    )
-    arrays = {}
-
-    def put(name, number, values):
-        if name in leave_out:
-            return
-        if name not in arrays:
-            fill = np.nan if values.dtype.kind == "f" else 0
-            arrays[name] = group.create_array(
-                name, shape=(n_frames, *values.shape), chunks=(1, *values.shape), dtype=values.dtype, fill_value=fill
-            )
-        arrays[name][number] = values
-
-    done = group.create_array(
-        "done",
-        shape=(n_frames, 1024),
-        chunks=(1, 1024),
-        dtype="u1",
-        fill_value=0x20,
-        compressors=None,
-        chunk_key_encoding={"name": "default", "separator": "."},
-    )
+    fields = ["mask", "modulation", "phase_sigma", "range_image", *(["points", "point_sigma"] if in_mm else [])]
+    fields = chosen_fields([name for name in fields if name not in leave_out], in_mm=in_mm)
+    identity = {"colorphase_version": "1", "settings": {}, "step": step, "range_unit": "mm" if in_mm else "rad"}
+    written = ResultStore.make(path, identity, fields, len(distances), (WIDTH, HEIGHT))
     for number, distance in enumerate(distances):
-        if number in missing:
-            continue
-        points, mask = plane(distance or 400.0)
-        mask &= distance is not None
-        put("mask", number, mask)
-        put("modulation", number, np.where(mask, np.float32(50), np.float32(0)))
-        put("phase_sigma", number, np.where(mask, np.float32(0.02), np.float32(np.nan)))
-        put("range_image", number, points[..., 2] if in_mm else points[..., 2] / 100)
-        if in_mm:
-            put("points", number, points)
-            put("point_sigma", number, np.where(mask, np.float32(0.1), np.float32(np.nan)))
-        done[number] = np.frombuffer(b"{}".ljust(1024), np.uint8)
+        if number not in missing:
+            written.commit([written.write(number, _frame(distance, in_mm))])
     return path
+
+
+def _frame(distance, in_mm):
+    points, mask = plane(distance or 400.0)
+    mask &= distance is not None
+    return SimpleNamespace(
+        period_px=12.0,
+        noise_levels=1.0,
+        constant_known=True,
+        warnings=(),
+        calibrated=in_mm,
+        mask=mask,
+        modulation=np.where(mask, np.float32(50), np.float32(0)),
+        phase_sigma=np.where(mask, np.float32(0.02), np.float32(np.nan)),
+        range_image=points[..., 2] if in_mm else points[..., 2] / 100,
+        points=points,
+        point_sigma=np.where(mask, np.float32(0.1), np.float32(np.nan)),
+    )

@@ -199,6 +199,50 @@ def test_leftovers_and_marks_cut_off(job, undisturbed):
     assert contents(store) == undisturbed
 
 
+def test_damaged_frames_are_decoded_again(job, undisturbed):
+    """By the run that goes on, which says which they were."""
+    decode_footage(job)
+    store = Path(job.store)
+    (store / "mask" / "c.3.0.0").unlink()
+    chunk = bytearray((store / "range_image" / "c.9.0.0").read_bytes())
+    chunk[len(chunk) // 2] ^= 8
+    (store / "range_image" / "c.9.0.0").write_bytes(chunk)
+    summary = decode_footage(job, stop=8)
+    assert summary.damaged == {3: "mask is missing"} and summary.n_before == 7
+    summary = decode_footage(job)
+    assert summary.damaged.keys() == {9} and summary.n_before == N_FRAMES - 1
+    assert contents(store) == undisturbed
+
+
+@pytest.mark.parametrize("damage", [b"", b"{}", b"not JSON"])
+def test_damaged_metadata_is_written_anew(job, undisturbed, damage):
+    decode_footage(job)
+    (Path(job.store) / "zarr.json").write_bytes(damage)
+    summary = decode_footage(job)
+    assert summary.n_before == N_FRAMES and "it is written anew" in summary.notes[-1]
+    assert contents(Path(job.store)) == undisturbed
+
+
+def test_arrays_of_another_making_do_not_pass(job, undisturbed):
+    """Another shape, type or codec: what others have put there is written anew."""
+    decode_footage(job, stop=3)
+    zarr.create_array(f"{job.store}/mask", shape=(N_FRAMES, 48, 64), dtype="f4", overwrite=True)
+    summary = decode_footage(job)
+    assert summary.damaged == {number: "mask is missing" for number in range(3)}
+    assert contents(Path(job.store)) == undisturbed
+
+
+def test_two_runs_do_not_write_to_one_store(job, undisturbed):
+    def second(done, of):
+        if done == 3:
+            with pytest.raises(OutputError, match=r"is being written by another run \(process \d+ on .*: wait until"):
+                decode_footage(job)
+
+    decode_footage(job, tell=second)
+    assert contents(Path(job.store)) == undisturbed
+    assert [entry.name for entry in Path(job.store).parent.iterdir()] == ["result.zarr"]
+
+
 def test_a_store_half_made_is_completed(job, undisturbed):
     decode_footage(job, stop=1)
     store = Path(job.store)
@@ -238,6 +282,7 @@ def test_other_footage_and_other_rigs_do_not_mix(job, rig, tmp_path):
     decode_footage(job, stop=1)
     with pytest.raises(OutputError, match="calibration_sha256"):
         decode_footage(replace(job, calibration=rig))
+    (tmp_path / "other").mkdir()
     record(tmp_path / "other" / "film.zarr", 3)
     with pytest.raises(OutputError, match=r"footage\.frames is 14 there, 3 here"):
         decode_footage(replace(job, footage=str(tmp_path / "other" / "film.zarr")))
@@ -327,11 +372,12 @@ def test_dark_frames_leave_nothing_in_the_buffers(tmp_path, folder, rig, job, ca
     assert not group["mask"][5].any() and np.isnan(group["phase_sigma"][5]).all()
 
 
-def test_ctrl_c_keeps_what_is_done(job, undisturbed):
+def test_ctrl_c_keeps_what_is_done(job, undisturbed, monkeypatch):
     def stop(done, of):
         if done == 6:
             raise KeyboardInterrupt
 
+    monkeypatch.setattr("pipeline.batch.worker._COMMIT_S", 0.0)
     with pytest.raises(Stopped, match=r"stopped: \d+ of 14 frames are done; the same command goes on"):
         decode_footage(job, tell=stop)
     assert 6 <= len(marked(job.store)) < N_FRAMES
@@ -365,10 +411,11 @@ def test_a_full_disk(job, undisturbed, monkeypatch):
     def full(file):
         nonlocal n_calls
         n_calls += 1
-        if n_calls > 100:
+        if n_calls > 200:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
+        patch.setattr("pipeline.batch.worker._COMMIT_S", 0.0)
         patch.setattr(os, "fsync", full)
         with pytest.raises(OutputError, match=r"cannot write .*: the disk is full: free some space"):
             decode_footage(job)

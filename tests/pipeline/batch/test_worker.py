@@ -10,7 +10,8 @@ from pipeline.batch.job import Job
 from pipeline.batch.worker import GoodFrame, Worker
 from pipeline.errors import OutputError
 from pipeline.footage.source import BadFrame, StoredAs
-from pipeline.output.store import done_frames
+from pipeline.output.store_files import StoreFiles
+from pipeline.output.store_marks import marked_frames
 
 N_FRAMES = 6
 
@@ -35,7 +36,7 @@ def test_only_what_is_missing_is_stored_and_bad_frames_are_told(job, tmp_path):
     (tmp_path / "film.zarr" / "frames" / "c.4.0.0.0").unlink()
     told = []
     Worker(job).decode([(range(0, 3), frozenset({0, 2})), (range(4, 6), frozenset({4, 5}))], told.append)
-    assert done_frames(job.store) == {0, 2, 5}
+    assert marked_frames(StoreFiles(job.store)) == {0, 2, 5}
     assert sorted(each.number for each in told if isinstance(each, GoodFrame)) == [0, 2, 5]
     (bad,) = (each for each in told if isinstance(each, BadFrame))
     assert bad.number == 4 and "missing" in bad.reason

@@ -65,6 +65,46 @@ def test_every_error_of_the_packages_is_one_line(module, monkeypatch, capsys):
         assert capsys.readouterr().err == "error: no [red] lamp :smile: is on: switch one on\n"
 
 
+HOSTILE = "a\x1b[31m\x1b]0;title\x07b\nerror: c\r\td\x7f\x9b2J\u202ee\u2066f\u2028g\u061c\u200fh\x00"
+
+
+def test_control_characters_from_outside_are_not_printed(monkeypatch, capsys):
+    """In a result, a remark, an error, a warning, a table's cell and title."""
+    from rich.table import Table
+
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+
+    def command():
+        warnings.warn(HOSTILE, DecodeWarning, stacklevel=1)
+        raise OutputError(HOSTILE)
+
+    console.say(HOSTILE)
+    console.remark(HOSTILE)
+    with warnings.catch_warnings(), pytest.raises(SystemExit):
+        warnings.simplefilter("always")
+        console.run(command)
+    told = capsys.readouterr()
+    assert told.out == "a[31m]0;titleb error: c  d2Jef gh\n"
+    assert [line.partition(": ")[0] for line in told.err.splitlines()] == ["a[31m]0;titleb error", "warning", "error"]
+    table = Table(HOSTILE, title=HOSTILE)
+    table.add_row(HOSTILE)
+    console.stdout.print(table)
+    with console.steps() as step:
+        step(HOSTILE)
+    table_text = capsys.readouterr().out
+    assert "title" in table_text
+    assert all(character.isprintable() for character in table_text.replace("\n", ""))
+
+
+def test_a_terminal_keeps_the_consoles_own_colours(monkeypatch):
+    from io import StringIO
+
+    shown = StringIO()
+    monkeypatch.setattr(console, "stderr", console._Printed(file=shown, force_terminal=True, color_system="standard"))
+    console.remark("red\x1b[31m")
+    assert shown.getvalue() == "\x1b[33mred[31m\x1b[0m\n"
+
+
 def test_other_errors_are_not_hidden(monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
     with pytest.raises(ZeroDivisionError):

@@ -1,4 +1,4 @@
-"""`colorphase render` and `export` as their user meets them; films and meshes themselves have tests of their own."""
+"""`colorphase render` and `export` as their user meets them; what they do has tests of its own."""
 
 import pytest
 from support.command_line import colorphase

@@ -1,10 +1,14 @@
 """The folder that decoding fills: whole or not at all, and nothing of the user's is lost."""
 
+import json
+
 import numpy as np
 import pytest
+import zarr
+from support.stored_planes import store
 
 from pipeline.errors import OutputError
-from pipeline.output.folder import output_folder
+from pipeline.output.folder import changed_files, output_folder
 
 
 def names(folder):
@@ -21,27 +25,84 @@ def test_what_is_written_appears_together_at_the_end(tmp_path):
 
 
 def test_an_error_leaves_what_was_there(tmp_path):
-    (tmp_path / "mesh.ply").write_text("old")
+    written(tmp_path, "old")
     with pytest.raises(RuntimeError), output_folder(tmp_path) as work:
         (work / "mesh.ply").write_text("half")
         raise RuntimeError
     assert (tmp_path / "mesh.ply").read_text() == "old"
-    assert names(tmp_path) == ["mesh.ply"]
+    assert names(tmp_path) == ["mesh.ply", "report.json", "result.zarr"] and changed_files(tmp_path) == []
+
+
+def written(folder, mesh="mesh", **options):
+    with output_folder(folder, **options) as work:
+        (work / "mesh.ply").write_text(mesh)
+        (work / "report.json").write_text('{"source": "a.png"}')
+        store(work / "result.zarr", [400.0])
 
 
 def test_an_earlier_result_is_replaced_and_the_rest_of_it_stays(tmp_path):
-    (tmp_path / "result.zarr").mkdir()
-    (tmp_path / "result.zarr" / "zarr.json").write_text('{"attributes": {}}')
-    (tmp_path / "report.json").write_text("old")
+    written(tmp_path)
     with output_folder(tmp_path) as work:
-        (work / "result.zarr").mkdir()
-        (work / "result.zarr" / "new").write_text("")
-    assert names(tmp_path / "result.zarr") == ["new"] and (tmp_path / "report.json").read_text() == "old"
+        (work / "mesh.ply").write_text("another mesh")
+        (work / "range.png").write_text("range")
+        (work / "report.json").write_text("{}")
+    assert names(tmp_path) == ["mesh.ply", "range.png", "report.json", "result.zarr"]
+    assert (tmp_path / "mesh.ply").read_text() == "another mesh"
+    assert changed_files(tmp_path) == []
+    written(tmp_path)
+    assert names(tmp_path) == ["mesh.ply", "range.png", "report.json", "result.zarr"]
+
+
+@pytest.mark.parametrize("name", ["mesh.ply", "report.json", "range.png", "calibration.json", "result.zarr"])
+def test_a_file_of_the_same_name_that_is_not_ours_stays(tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(
+        OutputError, match=rf"holds something else \({name} is not ours\): choose another folder, or add"
+    ):
+        written(tmp_path)
+    assert names(tmp_path) == [name] and (tmp_path / name).read_text() == "mine"
+    if name == "result.zarr":
+        return
+    written(tmp_path, force=True)
+    assert {"mesh.ply", "report.json", "result.zarr"} <= set(names(tmp_path))
+
+
+def test_a_foreign_group_is_not_a_result(tmp_path):
+    zarr.open_group(tmp_path / "result.zarr", mode="w", attributes={"mine": True})
+    with pytest.raises(OutputError, match=r"result\.zarr is not ours"):
+        written(tmp_path)
+    assert zarr.open_group(tmp_path / "result.zarr", mode="r").attrs["mine"]
+
+
+def test_a_mesh_that_its_user_has_edited_stays(tmp_path):
+    written(tmp_path)
+    (tmp_path / "mesh.ply").write_text("cleaned by hand")
+    assert changed_files(tmp_path) == ["mesh.ply"]
+    with pytest.raises(OutputError, match=r"mesh\.ply has been changed since we wrote it"):
+        written(tmp_path)
+    assert (tmp_path / "mesh.ply").read_text() == "cleaned by hand"
+    written(tmp_path, force=True)
+    assert (tmp_path / "mesh.ply").read_text() == "mesh"
+
+
+def test_what_comes_while_a_result_is_made_stays(tmp_path):
+    with pytest.raises(OutputError, match="is not ours"), output_folder(tmp_path) as work:
+        (work / "mesh.ply").write_text("mesh")
+        (tmp_path / "mesh.ply").write_text("mine")
+    assert names(tmp_path) == ["mesh.ply"] and (tmp_path / "mesh.ply").read_text() == "mine"
+
+
+def test_the_frames_of_footage_stay(tmp_path):
+    store(tmp_path / "result.zarr", [400.0, 401.0])
+    about = json.loads((tmp_path / "result.zarr" / "zarr.json").read_text())
+    with pytest.raises(OutputError, match="holds the frames of footage: choose another folder"):
+        (tmp_path / "result.zarr" / "zarr.json").write_text(json.dumps({**about, "damaged": 1, "attributes": {}}))
+        written(tmp_path)
 
 
 def test_something_else_stays_unless_that_is_wanted(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
-    with pytest.raises(OutputError, match=r"holds something else \(thesis\.tex\): choose another folder, or add"):
+    with pytest.raises(OutputError, match=r"holds something else \(thesis\.tex is not ours\): choose another folder"):
         with output_folder(tmp_path):
             pass
     with output_folder(tmp_path, force=True) as work:

@@ -11,29 +11,17 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from support.numbered_frames import BURST, RGB8, add, frame_of
+from support.numbered_frames import BURST, RGB8, add, frame_of, held
 
 from pipeline.errors import OutputError
-from pipeline.footage.opening import open_source
 from pipeline.recording import writing_threads
+from pipeline.recording.finishing import finish_recording, unfinished
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat
 
 RGB12 = PixelFormat("rgb", 12)
 
 both = pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
-
-
-def held(path):
-    """Return how many frames a recording holds, having compared each with what was recorded."""
-    source = open_source(path)
-    assert source.notes == ()
-    frames = list(source.frames())
-    assert [frame.number for frame in frames] == list(range(len(source)))
-    for frame in frames:
-        levels = frame.planes[0][..., 2::-1] if frame.format.channels == "bgr0" else frame.planes[0]
-        np.testing.assert_array_equal(levels, frame_of(frame.number))
-    return len(frames)
 
 
 def parts(path):
@@ -151,7 +139,7 @@ def test_ctrl_c_at_any_moment(tmp_path, suffix):
                 stopped += 1
             signal.setitimer(signal.ITIMER_REAL, 0)
             recorder.stop()  # between a block and the first line of __exit__ Python itself leaves a gap
-            left = [name for name in os.listdir(tmp_path) if name.startswith(".")]
+            left = [name for name in os.listdir(tmp_path) if ".part" in name]
             assert left == []
             n_frames = held(path) if path.exists() else 0
             # Stopped in a commit, that one may be kept, or not.
@@ -181,17 +169,18 @@ while True:
 @both
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_killed_program_leaves_what_it_had_committed(tmp_path, suffix, seed):
-    """Under its temporary name, which the user may change; nothing of it needs repair."""
+    """Under a temporary name; to finish it is to cut off the rest."""
     arguments = [sys.executable, "-c", RECORD_FOR_EVER, tmp_path / f"a{suffix}", *sys.path]
     with subprocess.Popen(arguments, stdout=subprocess.PIPE) as process:
         process.stdout.readline()
         time.sleep(random.Random(seed).uniform(0.01, 0.2))
         process.kill()
         said = process.stdout.read().split()
-    (left,) = tmp_path.iterdir()
-    assert left.name.endswith(f".part{suffix}")
-    os.rename(left, tmp_path / f"a{suffix}")
-    n_frames = held(tmp_path / f"a{suffix}")
+    (left,) = unfinished(tmp_path)
+    assert left.name == f"a.part{suffix}"
+    path, n_frames = finish_recording(left)
+    assert [entry.name for entry in tmp_path.iterdir()] == [path.name] == [f"a{suffix}"]
+    assert n_frames == held(path)
     assert n_frames % BURST == 0
     assert n_frames >= int(said[-1]) if said else BURST
 
@@ -242,7 +231,7 @@ def test_a_disk_that_never_answers(tmp_path, suffix, monkeypatch):
     monkeypatch.setattr(recorder._threads._writer, "write", lambda number, frame: may_go.wait(20))
     with pytest.raises(OutputError, match=r"cannot finish .*a\.\w+, see .*\.part\.\w+: the disk does not answer"):
         add(recorder, 2 * writing_threads._MOST_IN_HAND)
-    (left,) = tmp_path.iterdir()
+    (left,) = unfinished(tmp_path)
     assert held(left) == BURST
     recorder.close()
     may_go.set()

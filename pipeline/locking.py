@@ -1,0 +1,94 @@
+"""One writer at a time: a lock that says who holds it, and that the system takes away from a program that dies."""
+
+import getpass
+import json
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import OutputError
+from pipeline.files import explain
+
+if os.name == "nt":
+    import msvcrt
+
+    # Beyond what is written there, so that others can read who holds it.
+    _BYTE = 2**30
+
+    def _take(file: int) -> None:
+        os.lseek(file, _BYTE, os.SEEK_SET)
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+
+else:
+    import fcntl
+
+    def _take(file: int) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+#: How the name of a lock's file ends.
+LOCK = ".lock"
+# More is not what we have written.
+_MOST_BYTES = 1000
+
+
+@contextmanager
+def locked(target: Path) -> Iterator[None]:
+    """Keep others from writing to a place; its folder must be there.
+
+    The lock is held by an open file beside it, ``.NAME.lock``, so that nothing is locked any more once this program has
+    ended, killed or not; what a killed one leaves is an unlocked file, which the next one takes over.
+
+    Raises
+    ------
+    OutputError
+        Somebody else writes there, or the folder cannot be written.
+    """
+    path = target.with_name(f".{target.name}{LOCK}")
+    file = _open_and_take(path, target)
+    try:
+        about = {"pid": os.getpid(), "host": socket.gethostname(), "since": time.strftime("%Y-%m-%d %H:%M:%S")}
+        with suppress(OSError, KeyError, ImportError):  # some accounts have no name
+            about["user"] = getpass.getuser()
+        with suppress(OSError):  # the disk may be full: the lock holds all the same
+            os.ftruncate(file, 0)
+            os.lseek(file, 0, os.SEEK_SET)
+            os.write(file, json.dumps(about).encode())
+        yield
+    finally:
+        with suppress(OSError):
+            path.unlink()  # while it is held: whoever has opened it meanwhile sees that it is gone
+        os.close(file)
+
+
+def _open_and_take(path: Path, target: Path) -> int:
+    """Return the lock's file, open and locked."""
+    while True:
+        try:
+            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise OutputError(f"cannot write {target}: {explain(error)}") from error
+        try:
+            _take(file)
+            if os.path.samestat(os.fstat(file), os.stat(path)):
+                return file
+        except FileNotFoundError:
+            pass
+        except OSError:
+            os.close(file)
+            raise OutputError(f"{target} is being written by another run{_holder(path)}: wait until it ends") from None
+        # Who held it has just removed it.
+        os.close(file)
+
+
+def _holder(path: Path) -> str:
+    """Return who holds a lock, as far as its file tells."""
+    try:
+        about: Any = json.loads(path.read_bytes()[:_MOST_BYTES])
+        return f" (process {about['pid']} on {about['host']}, since {about['since']})"
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""

@@ -1,0 +1,115 @@
+"""Read all that is stored and say what is whole: results, recordings, captures."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.acquisition.capture_folder import LOG
+from pipeline.acquisition.capture_log import end_log
+from pipeline.errors import FootageError
+from pipeline.footage.opening import open_source
+from pipeline.footage.source import BadFrame
+from pipeline.output.folder import STORE, changed_files
+from pipeline.output.stored_result import StoredResult
+from pipeline.recording.finishing import finish_recording, unfinished
+
+Tell = Callable[[int, int], None]
+_RECORDINGS = ("recording.mkv", "recording.zarr")
+
+
+@dataclass(frozen=True)
+class Verified:
+    """What became of one thing that was looked at."""
+
+    name: str
+    n_whole: int  # frames
+    faults: dict[int, str]  # what is wrong with the others, by their numbers
+    notes: tuple[str, ...] = ()  # what else there is to know
+    damage: tuple[str, ...] = ()  # and what is wrong beside the frames
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.faults and not self.damage
+
+
+def verify(location: str, tell: Tell = lambda done, of: None) -> list[Verified]:
+    """Look at a result, the folder that it is in, a capture, or a recording; finish a capture that was killed.
+
+    Parameters
+    ----------
+    location : str
+        A ``result.zarr``, which may be an fsspec URL; or a folder or file here.
+    tell : callable
+        Told how many of how many frames have been looked at.
+
+    Raises
+    ------
+    FootageError
+        There is nothing of ours, or it cannot be read at all.
+    OutputError
+        Somebody is writing it.
+    """
+    path = Path(location)
+    if "://" in location or _is_result(path):
+        return [_verify_result(location, tell)]
+    if not path.is_dir() or path.suffix == ".zarr":
+        return [_verify_recording(path, tell)]
+    found = [*_finish(path)]
+    if (path / STORE).is_dir():
+        result = _verify_result(str(path / STORE), tell)
+        changed = tuple(f"{name} has been changed since it was written" for name in changed_files(path))
+        found.append(Verified(result.name, result.n_whole, result.faults, result.notes, (*result.damage, *changed)))
+    found += [_verify_recording(path / name, tell) for name in _RECORDINGS if (path / name).exists()]
+    if not found:
+        raise FootageError(f"{location} holds no result and no recording: give one of them, or a folder that holds one")
+    return found
+
+
+def _is_result(path: Path) -> bool:
+    return path.is_dir() and (path.name == STORE or (path / "done").is_dir())
+
+
+def _verify_result(location: str, tell: Tell) -> Verified:
+    """Look at every frame of a result that is done, while others go on writing it or not."""
+    try:
+        result = StoredResult(location)
+    except FootageError as error:
+        return Verified(location, 0, {}, damage=(str(error),))
+    faults = {}
+    for i, number in enumerate(result.done):
+        fault = result.fault(number)
+        if fault is not None:
+            faults[number] = fault
+        tell(i + 1, len(result.done))
+    missing = len(result.wanted) - len(result.done)
+    notes = (f"{missing} frames between the first and the last have not been decoded",) if missing > 0 else ()
+    return Verified(location, len(result.done) - len(faults), faults, notes)
+
+
+def _verify_recording(path: Path, tell: Tell) -> Verified:
+    """Read every frame of a recording, or of other footage."""
+    source = open_source(path)
+    faults = {}
+    try:
+        for frame in source.frames():
+            if isinstance(frame, BadFrame):
+                faults[frame.number] = frame.reason
+            tell(frame.number + 1, len(source))
+        return Verified(str(path), len(source) - len(faults), faults, source.notes)
+    finally:
+        source.close()
+
+
+def _finish(folder: Path) -> Iterator[Verified]:
+    """Finish recordings that were killed; a capture's log then ends with the last frame, too."""
+    for part in unfinished(folder):
+        try:
+            path, n_frames = finish_recording(part)
+        except FootageError as error:
+            yield Verified(str(part), 0, {}, damage=(str(error),))
+            continue
+        if (folder / LOG).exists():
+            end_log(folder / LOG, n_frames)
+        held = f"{path.name} now holds the {n_frames} frames" if n_frames else "no frame"
+        yield Verified(str(path), n_frames, {}, notes=(f"its program was killed: {held} that were whole",))
