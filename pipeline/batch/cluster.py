@@ -123,7 +123,8 @@ def _client(address: str) -> Iterator[tuple[Any, Any]]:
             asyncio.run(_shake_hands(address))
         except (Exception, CancelledError):  # whatever Dask makes of another protocol
             raise ClusterError(
-                f"what listens at {address} is no Dask scheduler: give the scheduler's address"
+                f"what listens at {address} is no Dask scheduler, or one that does not know us: give the scheduler's "
+                "address, and for tls:// the certificates of docs/video.md"
             ) from None
         try:
             client: Any = distributed.Client(address, timeout=_TIMEOUT_S, set_as_default=False)

@@ -1,5 +1,7 @@
 """One frame through the decoder: accuracy against exact truth, inputs of every kind, and what it refuses."""
 
+import threading
+
 import cv2
 import numpy as np
 import pytest
@@ -421,3 +423,32 @@ def test_what_the_light_gives_away(arch):
     wrong = calibration.model_copy(update={"crosstalk_matrix": np.eye(3)})
     with pytest.warns(DecodeWarning, match="calibrate the light anew"):
         Decoder(DecodeSettings(), wrong, arch=arch).decode(truth.image)
+
+
+def test_one_decoder_may_be_called_from_several_threads(arch):
+    """And what it gives may be looked at from any, whenever that is."""
+    fields = ("unwrapped_phase", "mask", "modulation", "region", "phase_sigma", "points", "point_sigma")
+    rig = simulated_rig((160, 120), period_px=2 * 768 / 44)
+    light = SimulationSettings()
+    images = [np.roll(simulate_frame(rig, light).image, 9 * number, axis=1) for number in range(3)]
+    decoder = Decoder(DecodeSettings(crosstalk_matrix=light.crosstalk_matrix), rig, arch=arch)
+    alone = [{name: np.array(getattr(decoder.decode(image), name)) for name in fields} for image in images]
+    wrong, failures = [], []
+
+    def decode_some(seed):
+        rng = np.random.default_rng(seed)
+        try:
+            for number in rng.integers(len(images), size=8):
+                frame = decoder.decode(images[number])
+                for name in rng.permutation(fields):
+                    if not np.array_equal(getattr(frame, name), alone[number][name], equal_nan=name != "mask"):
+                        wrong.append((number, name))
+        except Exception as error:
+            failures.append(error)
+
+    threads = [threading.Thread(target=decode_some, args=(seed,)) for seed in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert (wrong, failures) == ([], [])

@@ -5,8 +5,8 @@ from contextlib import contextmanager
 
 
 @contextmanager
-def local_cluster(n_workers):
-    """Start this many workers, and give the cluster."""
+def local_cluster(n_workers, **options):
+    """Start this many workers, with further options of Dask's, and give the cluster."""
     import distributed
 
     with distributed.LocalCluster(
@@ -19,6 +19,7 @@ def local_cluster(n_workers):
         scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
         memory_limit=0,
         silence_logs=logging.CRITICAL,
+        **options,
     ) as cluster:
         cluster.scale(n_workers)
         cluster.wait_for_workers(n_workers, 120)

@@ -1,6 +1,8 @@
 """Real processes of Dask distributed: the same bytes as here."""
 
+import shutil
 import socket
+import subprocess
 import threading
 
 import pytest
@@ -25,6 +27,31 @@ def test_the_same_bytes_as_here(folder, here, tmp_path):
     store = tmp_path / "result.zarr"
     with local_cluster(2) as cluster:
         decode_footage(job_of(folder, store), cluster=cluster.scheduler_address)
+    assert contents(store) == here
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the keys")
+def test_by_tls(folder, here, tmp_path):
+    """As `docs/video.md` says: who has no certificate of the run's own is not let in."""
+    import dask
+
+    keys = {"cert": str(tmp_path / "cert.pem"), "key": str(tmp_path / "key.pem")}
+    made = ("req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=colorphase")
+    arguments = ["openssl", *made, "-keyout", keys["key"], "-out", keys["cert"]]
+    subprocess.run(arguments, check=True, capture_output=True)
+    tls = {"distributed.comm.tls.ca-file": keys["cert"], "distributed.comm.require-encryption": True}
+    tls |= {
+        f"distributed.comm.tls.{who}.{name}": keys[name] for who in ("scheduler", "worker", "client") for name in keys
+    }
+    store = tmp_path / "result.zarr"
+    with dask.config.set(tls):
+        with local_cluster(1, protocol="tls") as cluster:
+            address = cluster.scheduler_address
+            assert address.startswith("tls://")
+            decode_footage(job_of(folder, store), cluster=address)
+            with pytest.raises(ClusterError, match="one that does not know us"):
+                decode_footage(job_of(folder, tmp_path / "other.zarr"), cluster=address.replace("tls", "tcp"))
     assert contents(store) == here
 
 

@@ -228,7 +228,7 @@ def test_arrays_of_another_making_do_not_pass(job, undisturbed):
     decode_footage(job, stop=3)
     zarr.create_array(f"{job.store}/mask", shape=(N_FRAMES, 48, 64), dtype="f4", overwrite=True)
     summary = decode_footage(job)
-    assert summary.damaged == {number: "mask is missing" for number in range(3)}
+    assert summary.damaged == dict.fromkeys(range(3), "mask is missing")
     assert contents(Path(job.store)) == undisturbed
 
 
