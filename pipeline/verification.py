@@ -7,6 +7,7 @@ from pathlib import Path
 from pipeline.acquisition.capture_folder import LOG
 from pipeline.acquisition.capture_log import end_log
 from pipeline.errors import FootageError
+from pipeline.files import LEFTOVER
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame
 from pipeline.output.folder import STORE, changed_files
@@ -61,6 +62,8 @@ def verify(location: str, tell: Tell = lambda done, of: None) -> list[Verified]:
         changed = tuple(f"{name} has been changed since it was written" for name in changed_files(path))
         found.append(Verified(result.name, result.n_whole, result.faults, result.notes, (*result.damage, *changed)))
     found += [_verify_recording(path / name, tell) for name in _RECORDINGS if (path / name).exists()]
+    if left := tuple(f"{name} was left by a program that was killed, and may be removed" for name in _left(path)):
+        found.append(Verified(location, 0, {}, notes=left))
     if not found:
         raise FootageError(f"{location} holds no result and no recording: give one of them, or a folder that holds one")
     return found
@@ -99,6 +102,12 @@ def _verify_recording(path: Path, tell: Tell) -> Verified:
         return Verified(str(path), len(source) - len(faults), faults, source.notes)
     finally:
         source.close()
+
+
+def _left(folder: Path) -> Iterator[str]:
+    """Yield the names of half-written files in a folder, and of those that were to become it; they may be removed."""
+    yield from (entry.name for entry in sorted(folder.iterdir()) if entry.name.endswith(LEFTOVER))
+    yield from (str(work) for work in sorted(folder.parent.glob(f".{folder.name}.*")) if work.is_dir())
 
 
 def _finish(folder: Path) -> Iterator[Verified]:

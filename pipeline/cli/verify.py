@@ -33,6 +33,7 @@ def verify(input: str, /) -> None:
         for line in each.damage:
             remark(line)
         damaged = f", {len(each.faults)} are damaged" if each.faults else ""
-        say(f"{each.name}: {each.n_whole} frames are whole{damaged}")
+        if each.n_whole or damaged or not each.notes:
+            say(f"{each.name}: {each.n_whole} frames are whole{damaged}")
     if not all(each.whole for each in found):
         sys.exit(SOME_ARE_BAD)

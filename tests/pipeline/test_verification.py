@@ -100,6 +100,18 @@ def test_a_capture_that_was_killed(tmp_path, suffix, n_frames):
         assert found.whole and found.n_whole == 4 and found.notes == ()
 
 
+def test_what_a_killed_program_leaves_is_named(tmp_path):
+    store(tmp_path / "out" / "result.zarr", [400.0])
+    (tmp_path / "out" / ".0123.part").write_bytes(b"half")
+    (tmp_path / ".out.abc").mkdir()
+    result, left = verify(str(tmp_path / "out"))
+    assert result.whole and left.whole
+    assert left.notes == (
+        ".0123.part was left by a program that was killed, and may be removed",
+        f"{tmp_path / '.out.abc'} was left by a program that was killed, and may be removed",
+    )
+
+
 def test_what_is_not_ours(tmp_path):
     (tmp_path / "thesis.tex").write_text("mine")
     with pytest.raises(FootageError, match="holds no result and no recording: give one of them"):
