@@ -1,9 +1,9 @@
 """Kill decoding and capturing at random moments: python tests/benchmarks/kills.py [KILLS [SEED]], 20 by default.
 
 Half of them are runs of `colorphase decode` over one footage, which then finishes: the store must have the same keys
-and bytes as that of an undisturbed run, and no frame that was done is written again. The others are captures of a simulated
-rig, in either format; `colorphase verify` finishes what they leave: every frame of the recording must be whole and have
-its line in the log, and the log no line more.
+and bytes as that of an undisturbed run, and no frame that was done is written again. The others are captures of a
+simulated rig, in either format; `colorphase verify` finishes what they leave: every frame of the recording must be
+whole and have its line in the log, and the log no line more.
 """
 
 import json
