@@ -2,7 +2,7 @@
 
 A frame's pulse is its place in the burst, never the order of its arrival alone: as many frames as pulses, every one
 whole, numbered without a gap by the camera, a period apart by the camera's clock, none like the one before; and, where
-the camera's exposures are wired back, one of them to every pulse.
+the camera's exposures are wired back, one of them to every pulse. When a frame arrives says least, and is asked last.
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from hardware.protocols import CameraFrame, Levels, Strobe, TriggerStatus
 from hardware.pulses import PulseTrain
+from hardware.run_start import Lateness, Start, lateness, start_of
 
 # How far two frames' distance may be off the period, as a fraction of it: clocks are off by some 0.0001, timestamps by
 # some microseconds, and what is further off was exposed by something else, or under the light of another period.
@@ -29,6 +30,7 @@ _TRIGGER = "check the camera's trigger cable"
 _NOISE = "check the shields of the camera's cables"
 _SOFTWARE = "the camera or this machine is too slow; make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
+_IGNORED = "make the period longer, or check the shields of the camera's cables"
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,7 @@ class Fault:
 
     reason: str
     pulse: int | None = None
+    may_pass: bool = False  # what comes after may show that the computer was busy, and no more
 
     def __str__(self) -> str:
         return self.reason if self.pulse is None else f"pulse {self.pulse}: {self.reason}"
@@ -52,21 +55,56 @@ class Evidence:
     count: int  # pulses it has
     exposure_s: float
     jitter_s: float  # of the pulses
-    fired_at_s: float  # time.monotonic() before the burst was started, as far as clocks keep pace: no pulse came before
+    fired_at_s: tuple[float, float]  # time.monotonic() before and after the start command, as far as clocks keep pace
+    quickest_s: float  # the least time that a start command has taken
     clock: float  # how far the clocks of trigger source and this machine may be off each other, as a fraction
-    latencies_s: Sequence[float] | None  # of a burst just before that was counted up; None: so is this one
+    counted: Start | None  # of a burst just before that was counted up; None: so is this one
     frames: Sequence[CameraFrame]  # in the order of arrival
+    ahead: Sequence[CameraFrame]  # those of the pulses after these, as far as they were waited for
     previous: CameraFrame | None  # the frame of the pulse before the first
+    least_arrival_s: float | None  # from a pulse to its frame, in bursts before that were whole; None: not known yet
     armed: TriggerStatus  # before the burst
     ended: TriggerStatus  # now
     strobe_wired: bool  # whether the trigger source sees exposures
     strobes: Sequence[Strobe] | None  # of these pulses; None: not wired, or too many to be remembered one by one
+    strobe_delay_s: float | None  # from a pulse's period to its exposure, in bursts before; None: not known yet
     picture_a_pulse: bool  # whether the projector reports every picture that a pulse made it show
 
     @property
     def tolerance(self) -> float:
         """How far two frames' distance may be off the period, in periods."""
         return min(_TOLERANCE + 2 * self.jitter_s / self.train.period_s, _MOST_TOLERANCE)
+
+    @property
+    def lateness(self) -> Lateness:
+        """By how much frames come later than in the burst that was counted up before, if there was one."""
+        if self.counted is None or not self.frames:
+            return Lateness(0.0)
+        now = start_of((*self.frames, *self.ahead), self.first_pulse, self.train.period_s, self.fired_at_s)
+        return lateness(
+            now, self.counted, self.train.period_s, self.quickest_s, exposures_counted=self.exposures_counted
+        )
+
+    @property
+    def exposures_counted(self) -> bool:
+        """Whether one exposure to every pulse was reported."""
+        pulses = list(range(self.first_pulse, self.first_pulse + self.count))
+        return self.strobes is not None and [strobe.pulse for strobe in self.strobes] == pulses
+
+    def is_next(self, frame: CameraFrame, before: CameraFrame) -> bool:
+        """Whether nothing speaks against a frame being the next pulse's after another's."""
+        if frame.device_time_s is not None and before.device_time_s is not None:
+            step = (frame.device_time_s - before.device_time_s) / self.train.period_s
+            return abs(step - 1) <= self.tolerance
+        if frame.frame_id is not None and before.frame_id is not None:
+            return frame.frame_id == before.frame_id + 1
+        return not is_same_image(frame.image, before.image)
+
+    @property
+    def numbered(self) -> bool:
+        """Whether the camera's numbers and its counted exposures show that none is missing between two frames."""
+        frames = self.frames if self.previous is None else (self.previous, *self.frames)
+        return self.exposures_counted and all(frame.frame_id is not None for frame in frames)
 
 
 def find_faults(seen: Evidence) -> list[Fault]:
@@ -97,9 +135,8 @@ def _trigger_faults(seen: Evidence) -> list[Fault]:
     found += [Fault(f"the trigger source says: {complaint}") for complaint in seen.ended.complaints]
     if not restarted and seen.train.count is not None and seen.ended.pulses not in (None, seen.train.count):
         found.append(Fault(f"the trigger source made {seen.ended.pulses} pulses instead of {seen.train.count}"))
-    # While pulses run on, the projector may not have answered the last one yet.
-    n, vsyncs, running = seen.ended.pulses, seen.ended.vsyncs, seen.train.count is None
-    if seen.picture_a_pulse and n is not None and vsyncs is not None and not n - running <= vsyncs <= n + running:
+    n, vsyncs = seen.ended.pulses, seen.ended.vsyncs
+    if seen.picture_a_pulse and n is not None and vsyncs is not None and vsyncs != n:
         found.append(Fault(f"the projector reported {vsyncs} pictures to {n} pulses: check its trigger cable"))
     return found
 
@@ -119,7 +156,8 @@ def _count_faults(seen: Evidence) -> list[Fault]:
     if n == seen.count:
         return []
     if seen.strobes is not None:
-        return [Fault(f"only {n} frames of {seen.count} exposures arrived: {_DATA}", _first_gap(seen))]
+        came = f"only {n} frames" if n else "no frame"
+        return [Fault(f"{came} of {seen.count} exposures arrived: {_DATA}", _first_gap(seen))]
     if n == 0:
         look = _DATA if seen.by_software else f"{_TRIGGER}, and that its trigger line is the one in use"
         return [Fault(f"no frame came: {look}", seen.first_pulse)]
@@ -129,8 +167,7 @@ def _count_faults(seen: Evidence) -> list[Fault]:
 
 def _strobe_count_faults(seen: Evidence) -> list[Fault]:
     pulses, strobes = seen.ended.pulses or 0, seen.ended.strobes or 0
-    # While pulses run on, the last one's exposure may be still to come.
-    if pulses - (seen.train.count is None) <= strobes <= pulses:
+    if strobes == pulses:
         return []
     return [Fault(f"{strobes} exposures to {pulses} pulses: {_TRIGGER if strobes < pulses else _NOISE}")]
 
@@ -142,7 +179,12 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
     without = [pulse for pulse in pulses if pulse not in with_exposure]
     if n >= seen.count:
         if without or n > seen.count:
-            return [Fault(f"{n} exposures, and not one to every one of {seen.count} pulses: {_NOISE}", *without[:1])]
+            return [
+                Fault(
+                    f"{n} exposures, and not one to every one of {seen.count} pulses: {_NOISE}",
+                    without[0] if without else None,
+                )
+            ]
         return _strobe_time_faults(seen)
     gaps = set(np.diff(without).tolist())
     if n == 0 and not seen.frames:
@@ -159,7 +201,9 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
 def _strobe_time_faults(seen: Evidence) -> list[Fault]:
     """Return which exposure did not follow its pulse as the others did theirs: something else made it."""
     delays_s = np.array([strobe.time_s - strobe.pulse * seen.train.period_s for strobe in seen.strobes or ()])
-    off = np.abs(delays_s - np.median(delays_s)) / seen.train.period_s
+    # A single one has no others: only bursts before tell.
+    usual_s = np.median(delays_s) if seen.strobe_delay_s is None else seen.strobe_delay_s
+    off = np.abs(delays_s - usual_s) / seen.train.period_s
     for strobe, periods in zip(seen.strobes or (), off, strict=True):
         if periods > seen.tolerance:
             return [Fault(f"its exposure is off by {periods:.2f} periods: {_NOISE}", strobe.pulse)]
@@ -168,6 +212,8 @@ def _strobe_time_faults(seen: Evidence) -> list[Fault]:
 
 def _first_gap(seen: Evidence) -> int | None:
     """Return the pulse whose frame is the first that is missing; None: nothing tells."""
+    if not seen.frames:
+        return seen.first_pulse
     steps = _steps(seen)
     for i, step in enumerate(steps):
         if step is None:
@@ -182,9 +228,10 @@ def _first_gap(seen: Evidence) -> int | None:
 
 
 def _late_s(seen: Evidence) -> npt.NDArray[np.float64]:
-    """Return how long after its pulse was due each frame came."""
-    pulses = seen.first_pulse + np.arange(len(seen.frames))
-    return np.array([frame.host_time_s for frame in seen.frames]) - seen.fired_at_s - pulses * seen.train.period_s
+    """Return how long after its pulse was due each frame came, those ahead included."""
+    frames = (*seen.frames, *seen.ahead)
+    pulses = seen.first_pulse + np.arange(len(frames))
+    return np.array([frame.host_time_s for frame in frames]) - seen.fired_at_s[0] - pulses * seen.train.period_s
 
 
 def _exposed_s(seen: Evidence) -> float:
@@ -216,7 +263,11 @@ def _frame_faults(seen: Evidence) -> list[Fault]:
         if before is not None:
             if frame.frame_id is not None and before.frame_id is not None and frame.frame_id != before.frame_id + 1:
                 found.append(Fault(f"frame {frame.frame_id} follows frame {before.frame_id}: {_DATA}", pulse))
-            if _same(before.image, frame.image):
+            elif frame.triggers is not None and before.triggers is not None:
+                ignored = frame.triggers - before.triggers - 1
+                if ignored:
+                    found.append(Fault(f"the camera ignored {ignored} triggers before it: {_IGNORED}", pulse))
+            if is_same_image(before.image, frame.image):
                 found.append(
                     Fault("its frame is the one before once more, to the last bit: is the lens covered?", pulse)
                 )
@@ -224,7 +275,7 @@ def _frame_faults(seen: Evidence) -> list[Fault]:
     return found
 
 
-def _same(one: Levels | None, other: Levels | None) -> bool:
+def is_same_image(one: Levels | None, other: Levels | None) -> bool:
     """Whether two frames are the same to the last bit, which noise keeps exposures from being."""
     if one is None or other is None or one.shape != other.shape:
         return False
@@ -237,48 +288,56 @@ def _time_faults(seen: Evidence) -> list[Fault]:
         if step is not None and abs(step - 1) > seen.tolerance:
             likely = _SOFTWARE if seen.by_software else _TRIGGER if step > 1 else _NOISE
             return [Fault(f"its frame is {step:.2f} periods after the one before: {likely}", pulse)]
+    return _arrival_faults(seen, steps) or _start_faults(seen, steps)
+
+
+def _arrival_faults(seen: Evidence, steps: Sequence[float | None]) -> list[Fault]:
+    """Return what the times of arrival say, where nothing better tells of a frame."""
     late_s = _late_s(seen)
+    # Between pulses that run on, a frame whose distance from the one before is known needs no other proof.
+    followed = [seen.previous is not None and (step is not None or seen.numbered) for step in steps]
     # Timestamps are taken some time after the fact.
     least_s = _exposed_s(seen) - 1e-3 - seen.clock * np.arange(1, len(steps) + 1) * seen.train.period_s
-    early = np.flatnonzero(late_s < least_s)
+    early = np.flatnonzero((late_s[: len(steps)] < least_s) & ~np.array(followed, bool))
     if len(early):
         reason = f"its frame came before it can have been exposed: {_NOISE}"
         return [Fault(reason, seen.first_pulse + int(early[0]))]
     # Where exposures are counted, a burst that has ended has as many frames as exposures.
     ongoing = seen.train.count is None
-    if None in steps and (ongoing or not seen.strobe_wired):
+    if None in steps and (ongoing or not seen.strobe_wired) and not seen.numbered:
         # What is merely slow catches up again; what was lost does not.
         since = np.minimum.accumulate(late_s[::-1])[::-1][1:]
         until = np.minimum.accumulate(late_s)[:-1]
-        lost = np.flatnonzero(since - until > _ARRIVAL_TOLERANCE * seen.train.period_s)
+        limit_s = _ARRIVAL_TOLERANCE * seen.train.period_s
+        is_lost = since - until > limit_s
+        if not ongoing and seen.least_arrival_s is not None:
+            # All frames are there: if one was lost, one before came of a trigger too many, and too soon.
+            is_lost &= until < seen.least_arrival_s - limit_s
+        lost = np.flatnonzero(is_lost[: len(steps)])
         if len(lost):
+            pulse = seen.first_pulse + min(int(lost[0]) + 1, len(steps) - 1)
             reason = f"from here on frames are late by a period: {_likely(seen)}"
-            return [Fault(reason, seen.first_pulse + int(lost[0]) + 1)]
-    # Pulses that run on are never counted up against frames: only that the first frame came in its time shows that it
-    # was the first. By the camera's clock the others follow it.
-    if seen.latencies_s is not None and seen.frames and (seen.previous is None or None in steps):
-        latencies = latencies_s(seen.frames, seen.first_pulse, seen.train.period_s, seen.fired_at_s)
-        pairs = zip(latencies, seen.latencies_s, strict=False)
-        # The line may have been busy, or the camera's clock have been set to zero: never does it move both by a period.
-        late = min(((now_s - before_s) / seen.train.period_s for now_s, before_s in pairs), key=abs)
-        if abs(late) > _ARRIVAL_TOLERANCE:
-            reason = f"frames come {abs(late):.1f} periods {'later' if late > 0 else 'sooner'} than before"
-            return [Fault(f"{reason}: {_likely(seen)}", seen.first_pulse)]
+            return [Fault(reason, pulse, may_pass=True)]
     return []
 
 
-def latencies_s(frames: Sequence[CameraFrame], first_pulse: int, period_s: float, fired_at_s: float) -> list[float]:
-    """Return the shortest time from a pulse to its frame: to its arrival; and by the camera's clock, if it has one.
+def _start_faults(seen: Evidence, steps: Sequence[float | None]) -> list[Fault]:
+    """Say where pulses run on, and their frames are not theirs but another pulse's.
 
-    The camera's clock has an origin of its own: of two bursts, only the difference means something.
+    They are never counted up against frames. Where the camera's clock or its numbers tell, it is enough to look at the
+    first one: the others follow it.
     """
-    since_s = [fired_at_s + pulse * period_s for pulse in range(first_pulse, first_pulse + len(frames))]
-    found = [min(frame.host_time_s - pulse_s for frame, pulse_s in zip(frames, since_s, strict=True))]
-    timed = [(frame.device_time_s, pulse_s) for frame, pulse_s in zip(frames, since_s, strict=True)]
-    by_camera = [time_s - pulse_s for time_s, pulse_s in timed if time_s is not None]
-    if len(by_camera) == len(frames):
-        found.append(min(by_camera))
-    return found
+    if seen.previous is not None and (None not in steps or seen.numbered):
+        return []
+    late = seen.lateness
+    if late.in_doubt and seen.previous is None:
+        took_s = max(seen.fired_at_s[1] - seen.fired_at_s[0], seen.counted.fire_s if seen.counted else 0.0)
+        reason = f"the start took {took_s:.3f} s, which may hide a lost trigger: make the period longer"
+        return [Fault(reason, seen.first_pulse, may_pass=late.by_arrival)]
+    if abs(late.periods) > (0.0 if seen.previous is None else _ARRIVAL_TOLERANCE):
+        reason = f"frames come {abs(late.periods):.1f} periods {'later' if late.periods > 0 else 'sooner'} than before"
+        return [Fault(f"{reason}: {_likely(seen)}", seen.first_pulse, may_pass=late.by_arrival)]
+    return []
 
 
 def _likely(seen: Evidence) -> str:

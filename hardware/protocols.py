@@ -108,6 +108,7 @@ class CameraFrame:
     frame_id: int | None = None  # the camera's number, counting on where it wraps; None: it has none
     device_time_s: float | None = None  # by the camera's clock; None: it has none
     temperature_c: float | None = None  # of the sensor, where it is told
+    triggers: int | None = None  # the camera's count of triggers, also of those it ignored, from when it was armed
     fault: str | None = None  # why it is not whole
 
 

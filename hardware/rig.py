@@ -2,37 +2,52 @@
 
 import time
 from collections.abc import Callable, Generator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hardware.alternating_pictures import Alternation
-from hardware.colour_cycle import check_exposure
 from hardware.drivers import SOFTWARE
-from hardware.errors import BurstError, CameraError, RigError, TriggerError
-from hardware.pairing import Evidence, Fault, find_faults, latencies_s
+from hardware.errors import BurstError, CameraError, TriggerError
+from hardware.pairing import Evidence, Fault, find_faults
 from hardware.protocols import Camera, CameraFrame, Levels, Strobe, Trigger, TriggerStatus
-from hardware.pulses import Pulse, PulseTrain
+from hardware.pulse_run import CLOCK, Run, is_left_over, repeats
+from hardware.pulses import PulseTrain
+from hardware.run_start import Lateness, Start, start_of
 from hardware.settings import RigSettings
+from hardware.timing import check_timing, train_of
 
 #: How often a burst is tried before it is given up.
 TRIES = 3
 # How long a frame may take to us after its readout: USB and Ethernet repeat lost packets for a while.
 _TRANSPORT_S = 0.5
-# How far the trigger source's clock may be off the computer's: a resonator, as on an Arduino Uno, by half of it.
-_CLOCK = 1e-2
 # How often the trigger source is asked while pulses run; the box stops by itself after seconds without a question.
 _POLL_S = 0.25
 # How often it is asked for the end of a burst.
 _SHORT_POLL_S = 0.01
+# While pulses run on, their counts are read up to so often until those of all that is wired back agree, at a different
+# place of the period each time: a picture is shown some time after its pulse.
+_POLLS = 16
+_POLL_PERIODS = 0.382
 # Behind the camera by more than this, this machine is blamed for lost frames, and not a cable.
 _BEHIND_S = 0.1
 # How long an instrument may stay away: a board starts for three seconds, a cable is put back in somewhat more.
 _REOPEN_S = 5.0
 # Frames from which on two clocks are compared.
 _LEAST_FOR_CLOCK = 5
-# Frames by which the rig learns which of two pictures the projector shows, and how long a frame takes to us.
+# Frames by which the rig learns which of two pictures the projector shows, and how frames follow their pulses.
 _SYNC_FRAMES = 4
+# Where only arrival tells how long a frame takes to us, two bursts must say the same to within this, in periods.
+_AGREEMENT = 0.25
+# Frames that are waited for, where those before them came late and may catch up.
+_AHEAD = 4
+# How often such a burst, or a start in doubt, is repeated.
+_REPEATS = 5
+# Start commands by which the time that they take at least is known; and that are remembered.
+_LEAST_STARTS = 4
+_STARTS = 100
+# Pulses that run on are checked this many at a time at least: what exposed a single frame, no other frame tells.
+_LEAST_RUNNING_ON = 2
 
 
 @dataclass(frozen=True)
@@ -75,28 +90,8 @@ class _Refused(Exception):
         self.faults = tuple(found)
 
 
-@dataclass
-class _Run:
-    """Pulses that were fired, and how far their frames were taken."""
-
-    train: PulseTrain
-    armed: TriggerStatus  # before the first
-    fired_at_s: tuple[float, float]  # time.monotonic() before and after the command, as far as clocks keep pace
-    latencies_s: Sequence[float] | None  # of the burst before; None: it does not matter
-    next_pulse: int = 0
-    strobes: list[Strobe] = field(default_factory=list)  # that were told, of pulses that are to be taken
-    n_strobes: int = 0  # that were told in all
-    previous: CameraFrame | None = None  # the frame of the pulse before
-
-    def take(self, frames: Sequence[CameraFrame]) -> None:
-        """Go on behind frames that were whole, by a start that keeps pace with this machine's clock."""
-        if self.latencies_s is not None:
-            most_s = _CLOCK * len(frames) * self.train.period_s
-            latency_s, *_ = latencies_s(frames, self.next_pulse, self.train.period_s, self.fired_at_s[0])
-            drift_s = min(max(latency_s - self.latencies_s[0], -most_s), most_s)
-            self.fired_at_s = self.fired_at_s[0] + drift_s, self.fired_at_s[1] + drift_s
-        self.next_pulse += len(frames)
-        self.previous = frames[-1]
+class _InDoubt(Exception):
+    """Nothing is known to be wrong with a run, but it does not show which frame was its first: it is fired again."""
 
 
 class Rig:
@@ -181,7 +176,7 @@ class Rig:
         TriggerError, CameraError
             An instrument was lost, and could not be opened again, or refuses.
         """
-        run: _Run | None = None
+        run: Run | None = None
         number = failures = 0
         try:
             while True:
@@ -189,13 +184,18 @@ class Rig:
                     if run is None:
                         run = self._fire(endless=endless)
                     burst = self._take(run, number)
+                except _InDoubt:
+                    run = None
+                    self._stop()
+                    continue
                 except (_Refused, TriggerError, CameraError) as error:
                     run = None
+                    self._doubts = 0
                     failures += 1
                     self._throw_away(number, failures, error)
                     number += endless
                     continue
-                failures = 0
+                failures = self._doubts = 0
                 yield burst
                 if not endless:
                     run = None
@@ -218,6 +218,12 @@ class Rig:
     def _open(self) -> None:
         self.trigger, self.camera = self._open_instruments()
         self._is_open = True
+        self._doubts = 0  # runs in a row that were fired again
+        self._clock_restarts = False  # the camera's, whenever it is armed
+        self._starts_s: list[float] = []  # how long the last start commands took
+        self._strobe_delay_s: float | None = None  # from a pulse's period to its exposure; None: not known yet
+        self._least_arrival_s: float | None = None  # from a pulse to its frame; None: not known yet
+        self._last: CameraFrame | None = None  # that came
 
     def _reopen(self) -> None:
         deadline = time.monotonic() + _REOPEN_S
@@ -264,43 +270,69 @@ class Rig:
             except (TriggerError, CameraError):
                 self.close()
 
-    def _fire(self, *, endless: bool) -> _Run:
+    def _fire(self, *, endless: bool) -> Run:
         if not self._is_open:
             self._reopen()
         train = train_of(self.settings)
-        if not endless and (self._alternation is None or self._alternation.known):
+        # What exposed a single frame, no other frame tells: when exposures come after their pulses is learned first.
+        is_lone = train.count == 1 and self.settings.trigger.strobe and self._strobe_delay_s is None
+        if not endless and not is_lone and (self._alternation is None or self._alternation.known):
             return self._start(train)
+        counted = self._counted(train)
+        if not endless:
+            return self._start(train)
+        numbered = self.settings.trigger.strobe and counted.frame_ids is not None
+        if (counted.device_s is None or self._clock_restarts) and not numbered:
+            counted = self._agreeing(train, counted)
+        return self._start(replace(train, count=None), counted)
+
+    def _counted(self, train: PulseTrain) -> Start:
+        """Fire some pulses, and return how their frames follow them."""
         sync = self._start(replace(train, count=_SYNC_FRAMES))
         frames = [paired.frame for paired in self._whole(sync, _SYNC_FRAMES).frames]
         if self._alternation is not None:
             found = self._alternation.start(frames)
             if found:
                 raise _Refused(found)
-        if not endless:
-            return self._start(train)
-        latencies = latencies_s(frames, 0, sync.train.period_s, sync.fired_at_s[0])
-        return self._start(replace(train, count=None), latencies)
+        return start_of(frames, 0, sync.train.period_s, sync.fired_at_s)
 
-    def _start(self, asked: PulseTrain, latencies: Sequence[float] | None = None) -> _Run:
+    def _agreeing(self, train: PulseTrain, counted: Start) -> Start:
+        """Fire some pulses again until their frames take as long as before, which busy machines make them do late."""
+        for _ in range(_REPEATS):
+            again = self._counted(train)
+            agree = abs(again.arrival_s - counted.arrival_s) < _AGREEMENT * train.period_s
+            counted = min(counted, again, key=lambda start: start.arrival_s)
+            if agree:
+                return counted
+        reason = (
+            "frames take now longer and now shorter to this machine, by a quarter of a period: make the period longer"
+        )
+        raise _Refused([Fault(reason)])
+
+    def _start(self, asked: PulseTrain, counted: Start | None = None) -> Run:
         train = self._configure(asked)
         self.camera.arm(train.count)
         self.trigger.arm()
         armed = self.trigger.status()
         before_s = time.monotonic()
         self.trigger.fire()
-        return _Run(train, armed, (before_s, time.monotonic()), latencies)
+        after_s = time.monotonic()
+        self._starts_s = [*self._starts_s[-_STARTS:], after_s - before_s]
+        return Run(train, armed, (before_s, after_s), counted)
 
-    def _take(self, run: _Run, number: int) -> Burst:
+    def _take(self, run: Run, number: int) -> Burst:
         """Return the next frames of a run once they are whole."""
-        first = run.next_pulse
-        burst = self._whole(run, self.settings.timing.frames, number)
+        first, count = run.next_pulse, self.settings.timing.frames
+        if run.train.count is None:
+            count = max(count, _LEAST_RUNNING_ON)
+        burst = self._whole(run, count, number)
         if self._alternation is not None:
             found = self._alternation.check([paired.frame for paired in burst.frames], first)
             if found:
                 raise _Refused(found)
         return burst
 
-    def _whole(self, run: _Run, count: int, number: int = 0) -> Burst:
+    def _whole(self, run: Run, count: int, number: int = 0) -> Burst:
         train, first = run.train, run.next_pulse
         behind_s = time.monotonic() - run.fired_at_s[1] - first * train.period_s - self.camera.limits.min_period_s
         frames, n_repeated = self._collect(run, count)
@@ -308,26 +340,32 @@ class Rig:
         if train.count is not None:
             n_repeated += self._surplus(run, frames)
         strobes = self._exposures(run, first + count, status) if self.settings.trigger.strobe else None
-        found = find_faults(
-            Evidence(
-                train=train,
-                by_software=self.settings.trigger.driver == SOFTWARE,
-                first_pulse=first,
-                count=count,
-                exposure_s=self.camera.exposure_s,
-                jitter_s=self.trigger.limits.jitter_s,
-                fired_at_s=run.fired_at_s[0],
-                clock=_CLOCK,
-                latencies_s=run.latencies_s,
-                frames=frames,
-                previous=run.previous,
-                armed=run.armed,
-                ended=status,
-                strobe_wired=self.settings.trigger.strobe,
-                strobes=strobes,
-                picture_a_pulse=self.settings.trigger.vsync == "per-pulse",
-            )
+        seen = Evidence(
+            train=train,
+            by_software=self.settings.trigger.driver == SOFTWARE,
+            first_pulse=first,
+            count=count,
+            exposure_s=self.camera.exposure_s,
+            jitter_s=self.trigger.limits.jitter_s,
+            fired_at_s=run.fired_at_s,
+            quickest_s=min(self._starts_s) if len(self._starts_s) >= _LEAST_STARTS else 0.0,
+            clock=CLOCK,
+            counted=run.counted,
+            frames=frames,
+            ahead=run.ahead,
+            previous=run.previous,
+            least_arrival_s=self._least_arrival_s,
+            armed=run.armed,
+            ended=status,
+            strobe_wired=self.settings.trigger.strobe,
+            strobes=strobes,
+            strobe_delay_s=self._strobe_delay_s,
+            picture_a_pulse=self.settings.trigger.vsync == "per-pulse",
         )
+        seen, found, n_again = self._wait_for_those_ahead(run, seen)
+        n_repeated += n_again
+        if run.previous is None and self._doubts < _REPEATS:
+            self._check_start(seen.lateness, found, ended=train.count is not None)
         if found and behind_s > _BEHIND_S:
             slow = f"this machine is {behind_s:.1f} s behind the camera: record fewer frames a second, or to .zarr"
             found.insert(0, Fault(slow, first))
@@ -338,6 +376,10 @@ class Rig:
         run.take(frames)
         if train.count is not None:
             self.camera.disarm()
+            arrival_s = start_of(frames, 0, train.period_s, run.fired_at_s).arrival_s
+            self._least_arrival_s = min(arrival_s, self._least_arrival_s or arrival_s)
+        if strobes:
+            self._strobe_delay_s = float(np.median([each.time_s - each.pulse * train.period_s for each in strobes]))
         by_pulse = {strobe.pulse: strobe.time_s for strobe in strobes or ()}
         fields, paired = self.settings.projector.fields, []
         for pulse, frame in enumerate(frames, first):
@@ -349,11 +391,21 @@ class Rig:
             paired.append(PairedFrame(pulse, frame.image, frame, pulse_s, strobe_s, started_s + exposed_s))
         return Burst(number, tuple(paired), status, n_repeated, _camera_ppm(paired))
 
-    def _collect(self, run: _Run, count: int) -> tuple[list[CameraFrame], int]:
+    def _check_start(self, late: Lateness, found: Sequence[Fault], *, ended: bool) -> None:
+        """Have a run fired again whose start is in doubt."""
+        learned = late.clock_restarted and not self._clock_restarts
+        self._clock_restarts |= late.clock_restarted  # then it takes two bursts to know how late frames come
+        # How late frames usually are may not be known yet.
+        may_be_slow = ended and bool(found) and all(fault.may_pass for fault in found)
+        if learned or late.in_doubt or may_be_slow:
+            self._doubts += 1
+            raise _InDoubt
+
+    def _collect(self, run: Run, count: int) -> tuple[list[CameraFrame], int]:
         """Wait for `count` frames; fewer where they do not come in time. Second: how many came twice."""
-        frames: list[CameraFrame] = []
+        frames, run.ahead = run.ahead[:count], run.ahead[count:]
         n_repeated = 0
-        pulses_s = (run.next_pulse + count * (1 + _CLOCK)) * run.train.period_s
+        pulses_s = (run.next_pulse + count * (1 + CLOCK)) * run.train.period_s
         due_s = run.fired_at_s[1] + pulses_s + self.camera.exposure_s + self.camera.limits.min_period_s
         deadline = due_s + _TRANSPORT_S
         poll_s = min(time.monotonic() + _POLL_S, due_s)
@@ -367,27 +419,64 @@ class Rig:
                 if self.settings.trigger.strobe and not status.running and status.strobes == len(frames):
                     break
             frame = self.camera.frame(min(deadline, poll_s) - now_s)
-            if frame is not None and _repeats(frame, frames[-1] if frames else run.previous):
-                n_repeated += 1
-            elif frame is not None:
+            if frame is not None and self._is_new(frame, frames[-1] if frames else run.previous):
                 frames.append(frame)
+            elif frame is not None:
+                n_repeated += 1
         return frames, n_repeated
 
-    def _surplus(self, run: _Run, frames: list[CameraFrame]) -> int:
+    def _wait_for_those_ahead(self, run: Run, seen: Evidence) -> tuple[Evidence, list[Fault], int]:
+        """Wait for the next frames as long as they may show that those before were late, and none is missing.
+
+        Return what is known then, what speaks against it, and how many frames came twice.
+        """
+        found = at_first = find_faults(seen)
+        n_repeated = 0
+        give_up_s = time.monotonic() + _TRANSPORT_S + _AHEAD * run.train.period_s
+        while run.train.count is None and found and all(fault.may_pass for fault in found):
+            if time.monotonic() > give_up_s:
+                break
+            before = run.ahead[-1] if run.ahead else seen.frames[-1]
+            frame = self.camera.frame(_SHORT_POLL_S)
+            if frame is None:
+                continue
+            if not self._is_new(frame, before):
+                n_repeated += 1
+                continue
+            run.ahead.append(frame)
+            if not seen.is_next(frame, before):  # then those behind it tell nothing
+                break
+            seen = replace(seen, ahead=run.ahead)
+            found = find_faults(seen)
+        if not found and at_first and self.settings.trigger.strobe and not self._one_exposure_each(run, seen):
+            found = at_first
+        return seen, found, n_repeated
+
+    def _one_exposure_each(self, run: Run, seen: Evidence) -> bool:
+        """Whether the pulses whose frames were waited for made an exposure each, and no other was made."""
+        self._ask_for_exposures(run)
+        first = seen.first_pulse + seen.count
+        last = first + len(seen.ahead)
+        return [strobe.pulse for strobe in run.strobes if strobe.pulse < last] == list(range(first, last))
+
+    def _surplus(self, run: Run, frames: list[CameraFrame]) -> int:
         """Add a frame that comes after the last one, if any does; return how many came twice."""
         n_repeated = 0
         while (frame := self.camera.frame(self.camera.limits.min_period_s + _SHORT_POLL_S)) is not None:
-            if not _repeats(frame, frames[-1] if frames else run.previous):
+            if self._is_new(frame, frames[-1] if frames else run.previous):
                 frames.append(frame)
                 break
             n_repeated += 1
         return n_repeated
 
-    def _exposures(self, run: _Run, last: int, status: TriggerStatus) -> list[Strobe] | None:
+    def _is_new(self, frame: CameraFrame, before: CameraFrame | None) -> bool:
+        """Whether a frame was not delivered before: in this run, or in the one before this."""
+        last, self._last = self._last, frame
+        return not repeats(frame, before) and not (before is None and is_left_over(frame, last))
+
+    def _exposures(self, run: Run, last: int, status: TriggerStatus) -> list[Strobe] | None:
         """Return the exposures of the pulses up to the last one; None: the trigger source has forgotten some."""
-        told = self.trigger.strobes()
-        run.n_strobes += len(told)
-        run.strobes += told
+        self._ask_for_exposures(run)
         taken = [strobe for strobe in run.strobes if strobe.pulse < last]
         run.strobes = [strobe for strobe in run.strobes if strobe.pulse >= last]
         if run.n_strobes < (status.strobes or 0):
@@ -395,23 +484,37 @@ class Rig:
             return None
         return taken
 
-    def _settled(self, run: _Run, last: int) -> TriggerStatus:
+    def _ask_for_exposures(self, run: Run) -> None:
+        told = self.trigger.strobes()
+        run.n_strobes += len(told)
+        run.strobes += told
+
+    def _settled(self, run: Run, last: int) -> TriggerStatus:
         """Return the trigger source's status once a burst has ended."""
-        deadline = run.fired_at_s[1] + last * run.train.period_s * (1 + _CLOCK) + _TRANSPORT_S
+        deadline = run.fired_at_s[1] + last * run.train.period_s * (1 + CLOCK) + _TRANSPORT_S
+        polls = 0
         while True:
             status = self.trigger.status()
-            if run.train.count is None or not status.running:
-                return status
             if status.boot != run.armed.boot or status.complaints:
+                return status
+            if run.train.count is None:
+                polls += 1
+                if polls == _POLLS or not self._may_be_reported(status):
+                    return status
+                time.sleep(_POLL_PERIODS * run.train.period_s)
+                continue
+            if not status.running:
                 return status
             if time.monotonic() > deadline:
                 raise TriggerError("the trigger source does not end its burst: switch it off and on, and start anew")
             time.sleep(_SHORT_POLL_S)
 
-
-def _repeats(frame: CameraFrame, before: CameraFrame | None) -> bool:
-    """Whether a frame was delivered twice: its number, and so its exposure, is that of the one before."""
-    return before is not None and frame.frame_id is not None and frame.frame_id == before.frame_id
+    def _may_be_reported(self, status: TriggerStatus) -> bool:
+        """Whether the last pulse's exposure or picture is missing, as both are for some time in every period."""
+        wired = self.settings.trigger
+        counts = [status.strobes] * wired.strobe + [status.vsyncs] * (wired.vsync == "per-pulse")
+        off = [abs(status.pulses - count) for count in counts if count is not None and status.pulses is not None]
+        return max(off, default=0) == 1
 
 
 def _camera_ppm(paired: Sequence[PairedFrame]) -> float | None:
@@ -422,42 +525,3 @@ def _camera_ppm(paired: Sequence[PairedFrame]) -> float | None:
     trigger_s = [each.pulse_s if each.strobe_s is None else each.strobe_s for each in paired]
     slope = np.polyfit(trigger_s, np.array(camera_s, np.float64) - (camera_s[0] or 0.0), 1)[0]
     return float(1e6 * (slope - 1))
-
-
-def train_of(settings: RigSettings) -> PulseTrain:
-    """Return the burst that a rig's file asks for."""
-    timing = settings.timing
-    return PulseTrain(
-        period_s=timing.period_s,
-        count=timing.frames,
-        projector=Pulse(timing.projector_delay_s, timing.projector_width_s),
-        camera=Pulse(timing.camera_delay_s, timing.camera_width_s),
-    )
-
-
-def check_timing(settings: RigSettings, trigger: Trigger, camera: Camera) -> None:
-    """Refuse what can never make whole bursts.
-
-    Raises
-    ------
-    RigError
-        The message names what contradicts what, and a value that would do.
-    """
-    timing, projector = settings.timing, settings.projector
-    if projector.colour_cycle_s is not None:
-        check_exposure(camera.exposure_s, projector.colour_cycle_s)
-    if timing.period_s < camera.limits.min_period_s:
-        raise RigError(
-            f"timing.period_s is {timing.period_s:g}, but a frame takes the camera {camera.limits.min_period_s:.6g} s, "
-            "exposure and readout: make the period that long, or the exposure shorter"
-        )
-    if (settings.trigger.driver == SOFTWARE) != (settings.camera.trigger == "software"):
-        raise RigError('trigger.driver and camera.trigger must both be "software", or neither')
-    if settings.trigger.strobe and not trigger.limits.counts_strobes:
-        raise RigError(f"{trigger.identity} counts no exposures: leave trigger.strobe away")
-    if settings.trigger.vsync and not trigger.limits.counts_vsyncs:
-        raise RigError(f"{trigger.identity} counts no pictures: leave trigger.vsync away")
-    if projector.alternating and timing.frames < 2:
-        raise RigError("alternating pictures are told apart by two frames or more: make timing.frames 2 or more")
-    if projector.alternating and timing.camera_delay_s < timing.projector_delay_s:
-        raise RigError("the camera would expose before the projector's pulse: make timing.camera_delay_s longer")

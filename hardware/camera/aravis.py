@@ -20,6 +20,7 @@ from hardware.camera.genicam import (
     wait_until_ready,
 )
 from hardware.camera.opened_camera import OpenedCamera, let_go_within
+from hardware.camera.trigger_counter import TriggerCounter
 from hardware.errors import CameraError, RigError
 from hardware.protocols import CameraFrame, Identity
 from hardware.settings import CameraSettings
@@ -66,7 +67,7 @@ class AravisCamera(OpenedCamera):
         # Without this look around, a network camera can be reached and sends no frames.
         found = _found()
         device_id, self._identity = found[choose(settings.serial, [(one.serial, one.model) for _, one in found])]
-        self._camera = self._device = self._stream = 0
+        self._camera = self._device = self._stream = self._chunks = 0
         try:
             with self._told("cannot be opened"):
                 self._device = self._aravis.arv_open_device(device_id.encode())
@@ -77,6 +78,9 @@ class AravisCamera(OpenedCamera):
             with self._told("refuses"):
                 self._features = _AravisFeatures(self._device)
                 self._setup = set_up(self._features, settings)
+                self._counter = TriggerCounter(self._features, settings.trigger)
+                if self._counter.chunk is not None:
+                    self._chunks = self._aravis.arv_camera_create_chunk_parser(self._camera)
                 # Without a rate of its own, Aravis hands out this machine's time.
                 self._has_clock = (
                     not is_gige or self._aravis.arv_gv_device_get_timestamp_tick_frequency(self._device) > 0
@@ -96,6 +100,7 @@ class AravisCamera(OpenedCamera):
         with self._told("cannot be armed"):
             self._temperature_c = sensor_temperature_c(self._features)
             self._numbers = FrameNumbers()
+            self._counter.start()
             payload = self._aravis.arv_camera_get_payload(self._camera)
             self._stream = self._aravis.arv_camera_create_stream(self._camera, None, None)
             for _ in range(buffers_for(count, payload)):
@@ -127,7 +132,7 @@ class AravisCamera(OpenedCamera):
             raise CameraError(f"camera {self._identity.serial} is not armed")
         with self._told("cannot be triggered"):
             wait_until_ready(self._features, self.exposure_s)
-            self._aravis.arv_device_execute_command(self._device, b"TriggerSoftware")
+            self._features.execute("TriggerSoftware")
 
     def disarm(self) -> None:
         """Stop; harmless at any time."""
@@ -145,14 +150,14 @@ class AravisCamera(OpenedCamera):
         """Stop and let go of the camera; idempotent, and never raises."""
         if not self._device:
             return
-        stream, camera, device = self._stream, self._camera, self._device
-        self._stream = self._camera = self._device = 0
+        stream, chunks, camera, device = self._stream, self._chunks, self._camera, self._device
+        self._stream = self._chunks = self._camera = self._device = 0
 
         def let_go() -> None:
             if stream:
                 with suppress(CameraError):  # it is gone: there is nothing left to stop
                     self._aravis.arv_camera_stop_acquisition(camera)
-            for instance in (stream, camera, device):
+            for instance in (stream, chunks, camera, device):
                 if instance:
                     self._aravis.g_object_unref(instance)
 
@@ -185,8 +190,18 @@ class AravisCamera(OpenedCamera):
             frame_id=self._numbers.count_on(frame_id) if numbered else None,
             device_time_s=time_ns * 1e-9 if time_ns else None,
             temperature_c=self._temperature_c,
+            triggers=self._triggers_of(buffer),
             fault=fault,
         )
+
+    def _triggers_of(self, buffer: int) -> int | None:
+        """Return how many triggers had come by a frame."""
+        if self._counter.chunk is None or not self._aravis.arv_buffer_has_chunks(buffer):
+            return None
+        chunk = self._counter.chunk.encode()
+        with suppress(CameraError):  # a frame that is not whole has none
+            return int(self._aravis.arv_chunk_parser_get_integer_value(self._chunks, buffer, chunk))
+        return None
 
     @contextmanager
     def _told(self, what: str) -> Iterator[None]:
@@ -220,6 +235,9 @@ class _AravisFeatures:
             raise CameraError(f"{name} cannot be set to {value}: it is a {kind}")
         sent = value.encode() if isinstance(value, str) else float(value) if kind == "float" else int(value)
         getattr(self._aravis, f"arv_device_set_{kind}_feature_value")(self._device, name.encode(), sent)
+
+    def execute(self, name: str) -> None:
+        self._aravis.arv_device_execute_command(self._device, name.encode())
 
     def options(self, name: str) -> tuple[str, ...]:
         count = ctypes.c_uint()

@@ -21,6 +21,7 @@ from hardware.camera.genicam import (
     wait_until_ready,
 )
 from hardware.camera.opened_camera import OpenedCamera, let_go_within
+from hardware.camera.trigger_counter import TriggerCounter
 from hardware.errors import CameraError, RigError
 from hardware.protocols import CameraFrame, Identity
 from hardware.settings import CameraSettings
@@ -73,6 +74,7 @@ class BaslerCamera(OpenedCamera):
             with self._told("refuses"):
                 self._features = _PylonFeatures(self._genicam, self._camera.GetNodeMap())
                 self._setup = set_up(self._features, settings)
+                self._counter = TriggerCounter(self._features, settings.trigger)
                 # Network cameras say how fast they count; USB ones count nanoseconds.
                 rate = "GevTimestampTickFrequency"
                 self._tick_s = 1 / float(self._features.get(rate)) if self._features.has(rate) else 1e-9
@@ -91,6 +93,7 @@ class BaslerCamera(OpenedCamera):
             self._temperature_c = sensor_temperature_c(self._features)
             self._numbers = FrameNumbers()
             self._camera.MaxNumBuffer.Value = buffers_for(count, frame_bytes(self.limits))
+            self._counter.start()
             # Never the latest only: that loses frames in silence (pypylon issue 332).
             self._camera.StartGrabbing(self._pylon.GrabStrategy_OneByOne)
             wait_until_ready(self._features, self.exposure_s)
@@ -158,8 +161,16 @@ class BaslerCamera(OpenedCamera):
             frame_id=self._numbers.count_on(block) if numbered else None,
             device_time_s=ticks * self._tick_s if ticks else None,
             temperature_c=self._temperature_c,
+            triggers=self._triggers_of(result),
             fault=fault,
         )
+
+    def _triggers_of(self, result: Any) -> int | None:
+        """Return how many triggers had come by a frame."""
+        if self._counter.chunk is None or not result.IsChunkDataAvailable():
+            return None
+        node = result.GetChunkDataNodeMap().GetNode(self._counter.chunk)
+        return int(node.Value) if self._genicam.IsReadable(node) else None
 
     def _told(self, what: str) -> AbstractContextManager[None]:
         return _told(self._genicam, f"camera {self._identity.serial} {what}")
@@ -186,6 +197,10 @@ class _PylonFeatures:
             if isinstance(value, str) != isinstance(node.Value, str):
                 raise CameraError(f"{name} cannot be set to {value}: it is {node.Value}")
             node.Value = type(node.Value)(value)
+
+    def execute(self, name: str) -> None:
+        with _told(self._genicam, f"{name} is refused"):
+            self._map.GetNode(name).Execute()
 
     def options(self, name: str) -> tuple[str, ...]:
         with _told(self._genicam, f"{name} cannot be read"):

@@ -43,6 +43,9 @@ class Features(Protocol):
     def set(self, name: str, value: Value) -> None:
         """Change it."""
 
+    def execute(self, name: str) -> None:
+        """Give a command."""
+
     def options(self, name: str) -> tuple[str, ...]:
         """Return the entries of an enumeration that can be chosen at present."""
 
@@ -251,13 +254,13 @@ def storable(pixel_format: str) -> FrameFormat | None:
 
 def _release(features: Features) -> None:
     """Stop whatever an earlier program left on that could forbid the rest."""
-    _require(features, "AcquisitionMode", "Continuous")
-    for _ in _each(features, "TriggerSelector"):
+    require(features, "AcquisitionMode", "Continuous")
+    for _ in each(features, "TriggerSelector"):
         if features.has("TriggerMode"):
             features.set("TriggerMode", "Off")
     for name in ("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"):
         if features.has(name):
-            _require(features, name, False)
+            require(features, name, False)
 
 
 def _set_pixel_format(features: Features, asked: str | None) -> tuple[str, FrameFormat]:
@@ -272,14 +275,14 @@ def _set_pixel_format(features: Features, asked: str | None) -> tuple[str, Frame
         asked = max(formats, key=lambda name: (formats[name].bits, formats[name].layout == "bayer"))
     if asked not in formats:
         raise RigError(f"the camera has no pixel_format {asked} that can be stored; it has {', '.join(formats)}")
-    _require(features, "PixelFormat", asked)
+    require(features, "PixelFormat", asked)
     return asked, formats[asked]
 
 
 def _set_size(features: Features, asked: tuple[int, int] | None) -> tuple[int, int]:
     for name, value in _GEOMETRY:
         if features.has(name) and features.get(name) != value:
-            _require(features, name, value)
+            require(features, name, value)
     sides = []
     for axis, (size, offset) in enumerate((("Width", "OffsetX"), ("Height", "OffsetY"))):
         if features.has(offset):
@@ -291,7 +294,7 @@ def _set_size(features: Features, asked: tuple[int, int] | None) -> tuple[int, i
             raise RigError(
                 f"size_px says a {size.lower()} of {side}: this camera's is {least} to {most} px in steps of {step}"
             )
-        _require(features, size, side)
+        require(features, size, side)
         if features.has(offset):
             # Even, so that the mosaic begins with the same colour.
             grid = lcm(features.step(offset), 2)
@@ -322,20 +325,20 @@ def _fix_gamma(features: Features, unlocked: list[str]) -> None:
     _fix(features, "GammaEnable", False, harm, unlocked)
     if not features.has("GammaEnable") or features.get("GammaEnable"):
         _fix(features, "Gamma", 1.0, harm, unlocked)
-    for _ in _each(features, "LUTSelector"):
+    for _ in each(features, "LUTSelector"):
         _fix(features, "LUTEnable", False, harm, unlocked)
 
 
 def _fix_balance(features: Features, unlocked: list[str]) -> None:
     """All colours alike: what the projector and the sensor make of them is measured by the calibration."""
-    for colour in _each(features, "BalanceRatioSelector"):
+    for colour in each(features, "BalanceRatioSelector"):
         for ratio in ("BalanceRatio", "BalanceRatioAbs"):
             _fix(features, ratio, 1.0, f"{colour.lower()} is scaled by the camera", unlocked)
 
 
 def _set_exposure(features: Features, exposure_s: float) -> str:
     if features.has("ExposureMode"):
-        _require(features, "ExposureMode", "Timed")
+        require(features, "ExposureMode", "Timed")
     name = _first(features, "ExposureTime", "ExposureTimeAbs")
     if name is None:
         raise CameraError("the camera's exposure cannot be set or read: take another camera")
@@ -400,34 +403,34 @@ def _set_lines(features: Features, settings: CameraSettings) -> None:
             f"strobe_line {settings.strobe_line} cannot tell of exposures, only {', '.join(sources) or 'nothing'}: "
             "take another line, or leave strobe_line out"
         )
-    _require(features, "LineSource", "ExposureActive")
+    require(features, "LineSource", "ExposureActive")
 
 
 def _set_line(features: Features, mode: str, line: str) -> None:
     if features.has("LineMode") and features.get("LineMode") != mode:
         if mode not in features.options("LineMode"):
             raise RigError(f"{line} cannot be an {mode.lower()} of this camera: choose another line")
-        _require(features, "LineMode", mode)
+        require(features, "LineMode", mode)
     if features.has("LineInverter"):
-        _require(features, "LineInverter", False)
+        require(features, "LineInverter", False)
 
 
 def _set_trigger(features: Features, trigger: str) -> None:
     """Expose for each rising edge; on only now that all else is set."""
     if not features.has("TriggerSelector") or "FrameStart" not in features.options("TriggerSelector"):
         raise CameraError("the camera cannot be triggered frame by frame: take another camera")
-    _require(features, "TriggerSelector", "FrameStart")
+    require(features, "TriggerSelector", "FrameStart")
     source = "Software" if trigger == "software" else trigger
     sources = features.options("TriggerSource")
     if source not in sources:
         raise RigError(f"the camera has no trigger {trigger}; it has {', '.join(sources)}")
-    _require(features, "TriggerSource", source)
+    require(features, "TriggerSource", source)
     if trigger != "software" and features.has("TriggerActivation"):
-        _require(features, "TriggerActivation", "RisingEdge")
+        require(features, "TriggerActivation", "RisingEdge")
     for name in ("TriggerDelay", "TriggerDelayAbs"):
         if features.has(name):
-            _require(features, name, 0.0)
-    _require(features, "TriggerMode", "On")
+            require(features, name, 0.0)
+    require(features, "TriggerMode", "On")
 
 
 def _min_period_s(features: Features, exposure_s: float, unlocked: list[str]) -> float:
@@ -450,7 +453,7 @@ def _min_period_s(features: Features, exposure_s: float, unlocked: list[str]) ->
     return (1 / most_hz if most_hz > 0 else 0.0) + exposure_s
 
 
-def _each(features: Features, selector: str) -> Iterator[str]:
+def each(features: Features, selector: str) -> Iterator[str]:
     """Select each entry in turn; where there is no selector, there is one of what it would select."""
     if not features.has(selector):
         yield "it"
@@ -460,7 +463,8 @@ def _each(features: Features, selector: str) -> Iterator[str]:
         yield entry
 
 
-def _require(features: Features, name: str, value: Value) -> None:
+def require(features: Features, name: str, value: Value) -> None:
+    """Change a feature, and see that it is changed."""
     features.set(name, value)
     found = features.get(name)
     if found != value:

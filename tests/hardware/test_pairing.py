@@ -32,15 +32,19 @@ def evidence(frames=None, strobes=None, **changed):
             "count": COUNT,
             "exposure_s": EXPOSURE_S,
             "jitter_s": 0.0,
-            "fired_at_s": 100.0,
+            "fired_at_s": (100.0, 100.001),
+            "quickest_s": 0.001,
             "clock": 1e-4,
-            "latencies_s": None,
+            "counted": None,
             "frames": frames,
+            "ahead": [],
             "previous": None,
+            "least_arrival_s": None,
             "armed": TriggerStatus(False, boot=1),
             "ended": TriggerStatus(False, COUNT, len(strobes), boot=1),
             "strobe_wired": True,
             "strobes": strobes,
+            "strobe_delay_s": None,
             "picture_a_pulse": False,
             **changed,
         }
@@ -110,3 +114,44 @@ def test_jitter_widens_what_is_allowed_but_not_to_a_period():
     assert evidence().tolerance == pytest.approx(0.05)
     assert evidence(jitter_s=1e-3).tolerance == pytest.approx(0.15)
     assert evidence(jitter_s=1.0).tolerance == pytest.approx(0.45)
+
+
+@pytest.mark.parametrize("count", [1, 5])
+def test_exposures_without_a_single_frame_name_the_data_cable(count):
+    """Bursts of one frame are the default."""
+    strobes = [Strobe(number, number * PERIOD_S + 1e-3) for number in range(count)]
+    seen = evidence([], strobes, train=replace(TRAIN, count=count), count=count)
+    seen = replace(seen, ended=TriggerStatus(False, count, count, boot=1))
+    assert said(seen) == [
+        f"pulse 0: no frame of {count} exposures arrived: check the camera's data cable and its bandwidth"
+    ]
+
+
+def test_a_single_exposure_that_comes_later_than_in_bursts_before():
+    seen = evidence([frame_of(0)], [Strobe(0, 1e-3 + 0.4 * PERIOD_S)], train=replace(TRAIN, count=1), count=1)
+    seen = replace(seen, ended=TriggerStatus(False, 1, 1, boot=1))
+    assert said(seen) == []
+    (fault,) = said(replace(seen, strobe_delay_s=1e-3))
+    assert fault.startswith("pulse 0: its exposure is off by 0.40 periods: check the shields")
+
+
+def test_triggers_that_the_camera_ignored():
+    frames = [frame_of(number, triggers=1 + number + 2 * (number > 2)) for number in range(COUNT)]
+    (fault,) = said(evidence(frames))
+    assert fault.startswith("pulse 3: the camera ignored 2 triggers before it: make the period longer, or check the")
+
+
+@pytest.mark.parametrize("strobes", [True, False])
+def test_frames_that_arrive_late_are_followed_by_their_numbers_where_exposures_are_counted(strobes):
+    """Pulses run on, the camera has no clock, and the last two frames come a period late."""
+    frames = [
+        frame_of(number, device_time_s=None, host_time_s=frame_of(number).host_time_s + PERIOD_S * (number > 2))
+        for number in range(COUNT)
+    ]
+    seen = evidence(frames, train=replace(TRAIN, count=None), **({} if strobes else {"strobe_wired": False}))
+    seen = seen if strobes else replace(seen, strobes=None)
+    faults = find_faults(seen)
+    assert [fault.may_pass for fault in faults] == ([] if strobes else [True])
+    # Frames that come after in their time show that nothing was lost.
+    ahead = [frame_of(COUNT, device_time_s=None)]
+    assert find_faults(replace(seen, ahead=ahead)) == []
