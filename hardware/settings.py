@@ -8,9 +8,16 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=1)]
+# An hour: longer than any trigger source waits, or camera exposes.
+_LONGEST_S = 3600.0
+Positive = Annotated[float, Field(gt=0, le=_LONGEST_S)]
+NonNegative = Annotated[float, Field(ge=0, le=_LONGEST_S)]
+# A hundred thousand times; cameras have 48 dB.
+_MOST_GAIN_DB = 100.0
+# What instruments and their libraries count in.
+Count = Annotated[int, Field(ge=1, lt=2**31)]
+# The largest area sensors have sides of some 19,000 px.
+_Side = Annotated[int, Field(ge=1, le=2**15)]
 _OWN_DRIVER = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")  # module:Class
 
 
@@ -71,10 +78,10 @@ class CameraSettings(_Section):
     serial: Annotated[str | None, Field(coerce_numbers_to_str=True)] = None
     """Its serial number, or for opencv its number; None: the only one there."""
     exposure_s: Positive
-    gain_db: NonNegative = 0.0
+    gain_db: Annotated[float, Field(ge=0, le=_MOST_GAIN_DB)] = 0.0
     pixel_format: str | None = None
     """As GenICam spells it, as BayerRG12 or RGB8; None: the camera's deepest colour format that can be stored."""
-    size_px: tuple[Count, Count] | None = None
+    size_px: tuple[_Side, _Side] | None = None
     """Width and height of a part in the middle; None: all of the sensor."""
     trigger: str = "Line1"
     """The line that the trigger source is wired to, or "software"."""

@@ -10,12 +10,18 @@ import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core import core_schema
 
+from pipeline.limits import read_text
+
 FloatArray = npt.NDArray[np.float64]
 #: Levels in any element type that cameras and files give: a colour image (H, W, 3), or one plane of a stored frame.
 ImageArray = npt.NDArray[np.uint8] | npt.NDArray[np.uint16] | npt.NDArray[np.float32]
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
+#: Nothing in a rig's files is as large, whatever its unit; and its fourth power still is a float32.
+LARGEST = 1e9
+Positive = Annotated[float, Field(gt=0, le=LARGEST)]
+NonNegative = Annotated[float, Field(ge=0, le=LARGEST)]
+#: A number with a sign.
+Signed = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 
 
 class Model(BaseModel):
@@ -32,6 +38,7 @@ class ArrayOf:
     """Annotate a field as a read-only float64 array of this shape, a nested list in the file."""
 
     shape: tuple[int, ...]
+    largest: float = LARGEST  # of what it holds, whatever the sign
 
     def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
         to_list = core_schema.plain_serializer_function_ser_schema(lambda array: array.tolist())
@@ -41,12 +48,14 @@ class ArrayOf:
         """Turn numbers into the array, or say what they should be."""
         try:
             array = np.array(value, dtype=np.float64)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError, RecursionError) as error:
             raise ValueError(f"must be {'x'.join(map(str, self.shape))} numbers") from error
         if array.shape != self.shape:
             raise ValueError(f"must have shape {self.shape}, got {array.shape}")
         if not np.isfinite(array).all():
             raise ValueError("must be finite")
+        if np.abs(array).max() > self.largest:
+            raise ValueError(f"must lie from {-self.largest:g} to {self.largest:g}")
         array.setflags(write=False)
         return array
 
@@ -59,7 +68,7 @@ class CameraState(Model):
     """How the camera was set; what a calibration holds of it, and settings of the footage."""
 
     exposure_s: Positive | None = None
-    gain: float | None = None
+    gain: Signed | None = None
     white_balance: Vector3 | None = None
     transfer: Literal["linear", "srgb", "bt709"] | Annotated[FloatArray, ArrayOf((256,))] | None = None
     """How the camera encodes light; or, measured, the linear light of 256 levels, from 0 to 1."""
@@ -95,11 +104,11 @@ def read_file(path: str | Path, model: type[M], parse: Callable[[str], Any], err
         The given error type, with one line that names the file and the key.
     """
     try:
-        values = parse(Path(path).read_text(encoding="utf-8"))
+        values = parse(read_text(path))
     except OSError as fault:
         raise error(f"cannot read {path}: {fault.strerror or fault}") from None
-    except UnicodeDecodeError:
-        raise error(f"{path} is not what it should be: it is no text file") from None
-    except ValueError as fault:  # JSON, TOML and UTF-8 all raise one
+    except RecursionError:
+        raise error(f"{path} is not what it should be: its values are nested too deep") from None
+    except ValueError as fault:  # JSON and TOML raise one, too
         raise error(f"{path} is not what it should be: {str(fault).splitlines()[0]}") from None
     return build(model, values, error, str(path))

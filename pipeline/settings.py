@@ -7,12 +7,21 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 
 from pipeline.errors import SettingsError
-from pipeline.models import CameraState, Matrix3, Model, NonNegative, Positive, Vector3, build, read_file
+from pipeline.models import ArrayOf, CameraState, FloatArray, Matrix3, Model, build, read_file
 from tikernels.errors import ShapeError
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX
 from tikernels.phase.smoothing import MAX_SMOOTHING_PX
 from tikernels.unwrapping import METHODS
+
+# The tallest sensors have 14,200 rows, and a cycle and a half is the least that a frame shows of a fringe.
+_MAX_PERIOD_PX = 10_000
+# Up to here float32 counts every level; and floats from 0 to 1 may have been scaled down, but not to where their
+# noise's squares are too small for it.
+_MIN_WHITE, _MAX_WHITE = 2.0**-10, float(2**24)
+# Colours of one picture lie within a cycle of the projector, which is a few frames of the fastest cameras.
+_MOST_FRAMES_APART = 10.0
+_Level = Annotated[float, Field(ge=0, le=_MAX_WHITE)]
 
 
 def _odd_or_zero(value: int) -> int:
@@ -33,7 +42,7 @@ class DecodeSettings(Model):
     Thresholds and noise are grey levels of the input, in linear light (a sRGB frame's after its transfer is undone).
     """
 
-    camera_period_px: Annotated[float, Field(ge=MIN_PERIOD_PX)] | None = None
+    camera_period_px: Annotated[float, Field(ge=MIN_PERIOD_PX, le=_MAX_PERIOD_PX)] | None = None
     """Camera px a cycle, roughly; None: measured from the frame."""
     stripes: Literal["horizontal", "vertical"] = "horizontal"
     """"horizontal" where the phase changes from row to row; stripes may be tilted by 20 degrees."""
@@ -61,17 +70,17 @@ class DecodeSettings(Model):
     code: Literal["contrast"] | None = None
     """The pattern's code, by which orders become absolute; a calibration's pattern wins. "contrast": the modulation of
     each cycle tells which one it is, as in what `colorphase pattern` makes."""
-    field_times: Vector3 | None = None
+    field_times: Annotated[FloatArray, ArrayOf((3,), _MOST_FRAMES_APART)] | None = None
     """When the projector shows red, green and blue where it shows them one after another: the middle of each, in times
     from frame to frame. Then `previous` tells what moved in between. None: all at once."""
-    noise: tuple[NonNegative, NonNegative] | None = None
+    noise: tuple[_Level, _Level] | None = None
     """Read noise's standard deviation s and gain g, in grey levels: a channel's variance is s^2 + g times its level.
     None: estimated from the frame."""
-    white_level: Positive | None = None
-    """Full scale of the input; None: the type's (1.0 for floats)."""
-    min_intensity: NonNegative | None = None
+    white_level: Annotated[float, Field(ge=_MIN_WHITE, le=_MAX_WHITE)] | None = None
+    """Full scale of the input, from 2^-10 to 2^24; None: the type's (1.0 for floats)."""
+    min_intensity: _Level | None = None
     """Darkest mean of the three channels that counts; None: chosen from the frame."""
-    min_modulation: NonNegative | None = None
+    min_modulation: _Level | None = None
     """Smallest amplitude of the fringe that counts; None: chosen from the frame."""
 
     @model_validator(mode="after")

@@ -19,12 +19,12 @@ FLOORS = {
         "raw phase depth unwrapping order_evidence scene"
     ),
     "pipeline": (
-        "errors models settings robust files processes zarr_chunks footage recording calibration pattern decoding "
-        "orders decoder simulation output diagnosis batch acquisition cli"
+        "errors limits models settings robust files locking processes zarr_chunks footage recording calibration "
+        "pattern decoding orders decoder simulation output diagnosis batch acquisition verification cli"
     ),
     "hardware": (
-        "errors drivers settings pulses protocols link display colour_cycle pairing alternating_pictures simulated "
-        "camera trigger projector instruments rig"
+        "errors drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "
+        "alternating_pictures timing simulated camera trigger projector instruments rig"
     ),
 }
 #: Modules without a test of their name, and where what they do is tested.

@@ -78,6 +78,11 @@ class _Refused(TriggerError):
     """The box understood and said no."""
 
 
+def _is_number(word: str) -> bool:
+    """Whether a word is a number of 32 bits, which are all that the box counts in."""
+    return word.isdecimal() and len(word) <= 10 and int(word) < 2**32
+
+
 @dataclass(frozen=True)
 class _Answer:
     """What the box said after OK."""
@@ -94,14 +99,14 @@ class _Answer:
     def number(self, name: str) -> int:
         """Return the value of a word ``name=value`` that is a number."""
         value = self.text(name)
-        if not value.isdecimal():
+        if not _is_number(value):
             raise self._nonsense(name)
         return int(value)
 
     def pairs(self) -> list[tuple[int, int]]:
         """Return the words ``number,number``."""
         pairs = [word.partition(",") for word in self.words if "=" not in word]
-        if not all(first.isdecimal() and second.isdecimal() for first, _, second in pairs):
+        if not all(_is_number(first) and _is_number(second) for first, _, second in pairs):
             raise self._nonsense("pairs of numbers")
         return [(int(first), int(second)) for first, _, second in pairs]
 
@@ -322,6 +327,8 @@ class TriggerBox(PortTrigger):
     def _asked_limits(self) -> TriggerLimits:
         said = self._ask("LIMITS")
         tick_ns = said.number("tick_ns")
+        if tick_ns == 0:
+            raise TriggerError(f"{self._link.url}: the trigger box says its tick is nothing: flash its firmware anew")
 
         def seconds(name: str) -> float:
             return said.number(name) * tick_ns / 1e9

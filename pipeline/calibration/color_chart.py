@@ -21,6 +21,7 @@ from pipeline.calibration.captures import PictureSequence, full_scale
 from pipeline.calibration.model import Calibration
 from pipeline.calibration.radiometry import PRIMARIES
 from pipeline.errors import CalibrationError
+from pipeline.limits import read_text
 from pipeline.models import FloatArray, ImageArray
 
 #: Patches of the chart, along and down.
@@ -84,7 +85,7 @@ def read_spectra(path: Path) -> FloatArray:
         The file cannot be read, or is no such table.
     """
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        lines = read_text(path, "utf-8-sig").splitlines()
         # Headings and remarks do not begin with a number.
         rows = [line.replace(",", " ").split() for line in lines if line.strip()[:1].isdigit()]
         table = np.array([[float(cell) for cell in row] for row in rows])

@@ -11,13 +11,27 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from pipeline.errors import CalibrationError, OutputError, SettingsError
+from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
-from pipeline.models import ArrayOf, CameraState, FloatArray, Matrix3, Model, Positive, Vector3, build, read_file
+from pipeline.limits import check_size
+from pipeline.models import (
+    LARGEST,
+    ArrayOf,
+    CameraState,
+    FloatArray,
+    Matrix3,
+    Model,
+    NonNegative,
+    Positive,
+    Vector3,
+    build,
+    read_file,
+)
 from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
-Distortion = Annotated[FloatArray, ArrayOf((5,))]
+# Long lenses see a tenth of their distance to either side, the sixth power of which k3 counts with.
+Distortion = Annotated[FloatArray, ArrayOf((5,), 1e4)]
 Shift = Annotated[FloatArray, ArrayOf((3, 2))]
 Response = Annotated[FloatArray, ArrayOf((3, 256))]
 
@@ -29,17 +43,23 @@ MAX_CONDITION = 100.0
 DEFAULT_PROJECTOR_PX = (1024, 768)
 DEFAULT_PERIOD_PX = 768 / 44
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
+# No picture format that is read has longer sides.
+_Side = Annotated[int, Field(gt=0, lt=2**20)]
 
 
 class Lens(Model):
     """A pinhole with distortion, for the camera as for the projector (OpenCV's model)."""
 
-    size_px: tuple[Annotated[int, Field(gt=0)], Annotated[int, Field(gt=0)]]  # width, height
+    size_px: tuple[_Side, _Side]  # width, height
     matrix: Matrix3  # px
     distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # k1 k2 p1 p2 k3
 
     @model_validator(mode="after")
     def _check(self) -> "Lens":
+        try:
+            check_size("the lens", *self.size_px)
+        except FootageError as error:
+            raise ValueError(str(error)) from None
         m = self.matrix
         if m[0, 0] <= 0 or m[1, 1] <= 0 or np.any(m[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or m[2, 2] != 1:
             raise ValueError("matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
@@ -57,6 +77,11 @@ class Lens(Model):
         -------
         (H, W, 2) float32
             x and y of each ray at unit depth.
+
+        Raises
+        ------
+        CalibrationError
+            A ray has no direction, so the lens is none.
         """
         width, height = self.size_px
         grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
@@ -65,13 +90,15 @@ class Lens(Model):
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
         distortion = self.distortion if self.distortion.any() else None  # without one nothing is iterated
         rays = cv2.undistortPoints(grid, self.matrix, distortion, criteria=criteria)
+        if not np.abs(rays).max() < LARGEST:
+            raise CalibrationError("no lens bends light like this one: its matrix or distortion is wrong, recalibrate")
         return np.asarray(rays, np.float32).reshape(height, width, 2)
 
 
 class Pattern(Model):
     """What the projector shows."""
 
-    period_px: Annotated[float, Field(ge=4)]  # projector px a cycle
+    period_px: Annotated[float, Field(ge=4, le=LARGEST)]  # projector px a cycle
     stripes: Literal["horizontal", "vertical"] = "horizontal"
     code: Literal["contrast"] | None = None  # "contrast": the modulation of each cycle tells which one it is
     compensated: bool | None = None  # whether the projector's response is undone in it; None: unknown
@@ -93,8 +120,8 @@ class Uncertainty(Model):
     projector: Vector9 | None = None
     rotation_deg: Vector3 | None = None
     translation_mm: Vector3 | None = None
-    reprojection_px: tuple[float, float] | None = None  # RMS distance of corners from the model: camera, projector
-    depth_bias_mm: Annotated[float, Field(ge=0)] | None = None  # to be expected at the middle of the board's places
+    reprojection_px: tuple[NonNegative, NonNegative] | None = None  # RMS of corners' distances: camera, projector
+    depth_bias_mm: NonNegative | None = None  # to be expected at the middle of the board's places
 
 
 @dataclass(frozen=True)
@@ -127,6 +154,8 @@ class Geometry:
 
     def pattern_cycles(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Return the pattern's phase, in cycles, at points (N, 3) in the camera's frame, mm."""
+        if len(points) == 0:  # OpenCV then returns nothing
+            return np.zeros(0)
         turn, lens = cv2.Rodrigues(self.rotation)[0], self.projector
         pixels = cv2.projectPoints(points, turn, self.translation_mm, lens.matrix, lens.distortion)[0]
         return np.asarray(pixels[:, 0, self.phase_axis] / self.pattern.period_px)
@@ -163,7 +192,7 @@ class Calibration(Model):
     response: Response | None = None  # linear light for each projector code
     wavelengths_nm: Matrix3 | None = None  # where camera channel i (row) sees primary j
     color_shift_px: ColorShift | None = None
-    depth_range_mm: tuple[Positive, float] | None = None
+    depth_range_mm: tuple[Positive, Positive] | None = None
     capture: CameraState | None = None
     uncertainty: Uncertainty | None = None
 

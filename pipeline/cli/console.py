@@ -1,5 +1,6 @@
 """What all commands share: two consoles, one progress bar, bounds of options, and how a mistake is told."""
 
+import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator
@@ -8,7 +9,7 @@ from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -21,6 +22,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.segment import Segment
 from rich.text import Text
 
 import hardware.errors
@@ -35,9 +37,35 @@ SOME_ARE_BAD = 3
 
 Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
 
+# What moves the cursor, colours, rings or ends a line on a terminal (C0, C1, DEL, separators of lines), and what turns
+# the order of the letters around (Unicode's bidirectional controls).
+_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
+
+
+def without_controls(text: str) -> str:
+    """Return a text without its control characters; those that part words are blanks.
+
+    What comes from outside (names of files and instruments, tags of footage) may hold them.
+    """
+    return _CONTROLS.sub(lambda control: " " if control[0].isspace() else "", text)
+
+
+class _Printed(Console):
+    """A console whose control characters are its own: texts have none, whoever made them."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """Render what is to be printed."""
+        for segment in super().render(renderable, options):
+            if segment.control or segment.text.isprintable():
+                yield segment
+            else:
+                lines = "\n".join(without_controls(line) for line in segment.text.split("\n"))
+                yield Segment(lines, segment.style)
+
+
 #: Results, and what is said beside them. Names of files may look like markup.
-stdout = Console(markup=False, emoji=False)
-stderr = Console(stderr=True, markup=False, emoji=False)
+stdout = _Printed(markup=False, emoji=False)
+stderr = _Printed(stderr=True, markup=False, emoji=False)
 
 #: Every error that a user can cause; each message is one line.
 USER_ERRORS: tuple[type[Exception], ...] = tuple(
@@ -50,12 +78,16 @@ USER_ERRORS: tuple[type[Exception], ...] = tuple(
 
 def say(line: str) -> None:
     """Print a line of the result, however long."""
-    stdout.print(line, highlight=False, soft_wrap=True)
+    stdout.print(without_controls(line), highlight=False, soft_wrap=True)
 
 
 def remark(line: str) -> None:
     """Print a line beside the result, in yellow, on standard error."""
-    stderr.print(line, style="yellow", highlight=False, soft_wrap=True)
+    _tell(line, "yellow")
+
+
+def _tell(line: str, style: str) -> None:
+    stderr.print(without_controls(line), style=style, highlight=False, soft_wrap=True)
 
 
 @contextmanager
@@ -164,8 +196,8 @@ def run(command: Callable[[], object]) -> None:
     try:
         command()
     except USER_ERRORS as error:
-        stderr.print(f"error: {error}", style="red", highlight=False, soft_wrap=True)
+        _tell(f"error: {error}", "red")
         sys.exit(1)
     except KeyboardInterrupt as stopped:
-        stderr.print(str(stopped) or "interrupted", style="red", highlight=False, soft_wrap=True)
+        _tell(str(stopped) or "interrupted", "red")
         sys.exit(130)

@@ -51,7 +51,8 @@ def inspect(
     with steps() as step:
         found = inspect_footage(input, stored_as, chosen, arch, step)
     if json:
-        say(dumps(found.as_json(), indent=1))
+        for line in dumps(found.as_json(), indent=1).splitlines():
+            say(line)
     else:
         _show(found, str(input))
     if found.grade == "spoils":

@@ -7,7 +7,7 @@ from rich.text import Text
 
 from pipeline.cli.calibrate import calibrate
 from pipeline.cli.capture import capture
-from pipeline.cli.console import run
+from pipeline.cli.console import run, without_controls
 from pipeline.cli.decode import decode
 from pipeline.cli.demo import demo
 from pipeline.cli.devices import devices
@@ -22,7 +22,7 @@ app = App(
     version=lambda: version("colorphase"),
     version_flags=["--version"],
     suppress_keyboard_interrupt=False,  # `run` says what it has stopped
-    error_formatter=lambda error: Text(f"error: {' '.join(str(error).split())}", style="red"),
+    error_formatter=lambda error: Text(without_controls(f"error: {' '.join(str(error).split())}"), style="red"),
 )
 _MAKING = (demo, calibrate, capture, project, projector, pattern)
 _USING = (decode, inspect, render, export, verify, devices)

@@ -146,6 +146,13 @@ def _series(phase: _Singles, coefficients: _Singles) -> _Singles:
     return np.asarray(total.real)
 
 
+def _median_change(phase: _Singles, axis: int) -> float:
+    """Return by how much neighbours along an axis differ; 0 where no two neighbours have a phase."""
+    changes = np.abs(np.diff(phase, axis=axis))
+    changes = changes[np.isfinite(changes)]
+    return float(np.median(changes)) if changes.size else 0.0
+
+
 class _Frame:
     """Samples of one frame, and local averages over them."""
 
@@ -153,7 +160,7 @@ class _Frame:
         self, image: ImageArray, white_level: float, phase: _Singles, mask: npt.NDArray[np.bool_], period_px: float
     ) -> None:
         valid = mask.astype(bool) & np.isfinite(phase)
-        change = [np.nanmedian(np.abs(np.diff(np.where(valid, phase, np.nan), axis=axis))) for axis in (0, 1)]
+        change = [_median_change(np.where(valid, phase, np.nan), axis) for axis in (0, 1)]
         # Skip pixels, mostly along the stripes: averaging them would dampen the harmonics. More samples than
         # _SAMPLES only cost time.
         across = max(1, int(period_px / 16))

@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,15 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
+from pipeline.footage.jpeg_decoder import JpegDecoder
+from pipeline.footage.picture_size import picture_size
+from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, max_pixels
 from pipeline.models import ImageArray
 
 # How each kind of file begins and how a whole one ends; OpenCV decodes the rest of a truncated one as grey.
 _PNG = b"\x89PNG\r\n\x1a\n"
-_ENDS = {_PNG: b"IEND\xaeB`\x82", b"\xff\xd8\xff": b"\xff\xd9"}
+_JPEG = b"\xff\xd8\xff"
+_ENDS = {_PNG: b"IEND\xaeB`\x82", _JPEG: b"\xff\xd9"}
 
 
 def read_bytes(path: Path) -> bytes:
@@ -23,13 +28,23 @@ def read_bytes(path: Path) -> bytes:
     Raises
     ------
     FootageError
-        It cannot be read.
+        It cannot be read, or is larger than a picture with as many pixels as are read.
     """
+    most = BYTES_A_PIXEL * max_pixels()
     try:
+        if path.exists() and not path.is_file():  # a pipe may never end
+            what = "it is a folder, give one picture" if path.is_dir() else "it is no file"
+            raise FootageError(f"cannot read {path}: {what}")
+        if path.stat().st_size > most:
+            raise FootageError(
+                f"{path} is larger than a picture of {max_pixels()} pixels, which are read at most: "
+                f"set {MAX_PIXELS} to a larger number if your camera has that many"
+            )
         return path.read_bytes()
+    except FootageError:
+        raise
     except OSError as error:
-        what = "it is a folder, give one picture" if path.is_dir() else error.strerror or str(error)
-        raise FootageError(f"cannot read {path}: {what}") from None
+        raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
 
 
 def check_whole(path: Path, data: bytes) -> None:
@@ -55,18 +70,31 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
     """
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     image: npt.NDArray[Any] | None = None
-    try:
-        if data:
-            data = _only_pixels(path, data) if data.startswith(_PNG) else data
+    size_px = picture_size(data)
+    if size_px is not None:
+        check_size(str(path), *size_px)
+        if data.startswith(_PNG):
+            data = _only_pixels(path, data)
+        elif data.startswith(_JPEG):
+            _check_jpeg(path, data)
+        with suppress(cv2.error):  # the message below says it in one line
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        pass  # the message below says it in one line
     if image is None:
         raise FootageError(f"{path} is not a picture that can be read: give a PNG, TIFF or JPEG file")
+    if image.shape[1::-1] != size_px:
+        raise FootageError(f"{path} is damaged: copy it again")
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         raise FootageError(f"{path} holds {image.dtype} values: save it with 8 or 16 bits")
     levels: npt.NDArray[Any] = image
     return levels
+
+
+def _check_jpeg(path: Path, data: bytes) -> None:
+    """Check a JPEG for damage, which OpenCV only prints, past everything that could catch it."""
+    try:
+        JpegDecoder().decode(data)
+    except FootageError as error:
+        raise FootageError(f"{path}: {error}") from None
 
 
 def _only_pixels(path: Path, data: bytes) -> bytes:

@@ -3,16 +3,14 @@
 import os
 import re
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 import cv2
 
 from pipeline.errors import FootageError
-from pipeline.footage.ffmpeg_messages import caught_messages
 from pipeline.footage.ffmpeg_planes import stored_planes
 from pipeline.footage.image_file import check_whole, decode_levels, read_bytes
+from pipeline.footage.jpeg_decoder import JpegDecoder
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
@@ -58,7 +56,7 @@ class ImageFolder:
         self._folder = folder
         self.names = names
         self._says = says
-        self._jpeg_decoder: Any = None
+        self._jpeg_decoder = JpegDecoder()
         self.notes: tuple[str, ...] = ()
         reason = ""
         for number in range(len(names)):
@@ -129,15 +127,5 @@ class ImageFolder:
 
     def _read_jpeg(self, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat]:
         """Read a JPEG's planes: libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)."""
-        import av  # slow to import, and only needed here
-
-        if self._jpeg_decoder is None:
-            self._jpeg_decoder = av.CodecContext.create("mjpeg", "r")
-        frames = []
-        with caught_messages() as said, suppress(av.error.FFmpegError):
-            frames = self._jpeg_decoder.decode(av.Packet(data))
-        if said or not frames:
-            self._jpeg_decoder = None  # what it made of this one may stay in its state
-            raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
-        planes, format, _ = stored_planes(frames[0], "mjpeg", self._says)
+        planes, format, _ = stored_planes(self._jpeg_decoder.decode(data), "mjpeg", self._says)
         return planes, format

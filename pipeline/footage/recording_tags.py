@@ -26,9 +26,9 @@ def rate_of(text: str) -> Fraction:
     ValueError
         It is no fraction.
     """
-    # Of 1e999999999 Fraction would make a number of that many digits.
-    if re.fullmatch(r"[0-9]+(/0*[1-9][0-9]*)?", text) is None:
-        raise ValueError(f"rate {text!r} is no fraction")
+    # Of 1e999999999 Fraction would make a number of that many digits; cameras' rates have ten.
+    if re.fullmatch(r"[0-9]{1,20}(/0{0,20}[1-9][0-9]{0,20})?", text) is None:
+        raise ValueError(f"rate {text[:40]!r} is no fraction")
     return Fraction(text)
 
 
@@ -69,8 +69,10 @@ class RecordingTags:
         if version != VERSION:
             raise FootageError(f"it is a recording of version {version}, this program reads {VERSION}: update it")
         try:
-            rate_hz, bits = rate_of(tags[f"{_PREFIX}RATE"]), int(tags[f"{_PREFIX}BITS"])
-            return cls(rate_hz, tags.get(f"{_PREFIX}TRANSFER"), tags.get(f"{_PREFIX}BAYER"), bits)
+            rate_hz, bits = rate_of(tags[f"{_PREFIX}RATE"]), tags[f"{_PREFIX}BITS"]
+            if not re.fullmatch("[0-9]{1,2}", bits):
+                raise ValueError(f"bits {bits[:40]!r} is no number of bits")
+            return cls(rate_hz, tags.get(f"{_PREFIX}TRANSFER"), tags.get(f"{_PREFIX}BAYER"), int(bits))
         except (KeyError, ValueError) as error:
             raise FootageError(f"its tags are not those of a recording ({error}): remux it with all its tags") from None
 

@@ -10,9 +10,11 @@ from typing import Any
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_messages import caught_messages
 from pipeline.footage.ffmpeg_planes import stored_planes, transfer_of
+from pipeline.footage.recording_clusters import check_cluster
 from pipeline.footage.recording_tags import RecordingTags
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first
 from pipeline.footage.video_index import index_frames
+from pipeline.limits import check_size, ffmpeg_limits
 from tikernels.raw.pixel_format import PixelFormat
 
 # A file counts as unreadable when its first frames are damaged, this many of them: ten seconds of most footage.
@@ -58,6 +60,7 @@ class VideoFile:
             if recording is not None:
                 self._says = recording.completing(says)
                 self.transfer = recording.transfer
+            self._is_recording = recording is not None
             self._index = index_frames(container, stream, recording)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
             self._note_missing_end(container, stream)
@@ -110,9 +113,10 @@ class VideoFile:
         import av  # slow to import, and only needed here
 
         with caught_messages():
+            # A file may not make FFmpeg open anything but files, nor take memory for larger pictures than any camera's.
+            options = {"protocol_whitelist": "file", **ffmpeg_limits()}
             try:
-                # A file may not make FFmpeg open anything but files.
-                container = av.open(self._url, options={"protocol_whitelist": "file"}, metadata_errors="replace")
+                container = av.open(self._url, options=options, metadata_errors="replace")
             except av.error.FFmpegError as error:
                 raise FootageError(
                     f"{self.name} is not a video that can be read ({error.strerror}): it may be cut off or damaged"
@@ -124,6 +128,9 @@ class VideoFile:
                 raise FootageError(f"{self.name} holds no video: give the file with the pictures")
             if stream.codec_context is None:
                 raise FootageError(f"{self.name} has a codec that is not known: convert it with ffmpeg -c:v ffv1")
+            if stream.codec_context.width:  # the first frame may be the one that tells
+                check_size(self.name, stream.codec_context.width, stream.codec_context.height)
+            stream.codec_context.options = ffmpeg_limits()
             yield container, stream
 
     def _decoded(
@@ -144,7 +151,8 @@ class VideoFile:
         n_came = 0
         while True:
             with caught_messages() as said:
-                frames, failure = [], None
+                frames: list[Any] = []
+                failure = fault = None
                 try:
                     position, packet = next(packets, _END)
                 except av.error.FFmpegError:
@@ -157,10 +165,12 @@ class VideoFile:
                         continue
                     else:
                         packet.pts = packet.dts = position  # comes out with the frame
+                        fault = self._fault(packet)
                 try:
-                    frames = context.decode(packet)
+                    frames = context.decode(packet) if fault is None else []
                 except av.error.FFmpegError as error:
                     failure = error.strerror
+            failure = failure or fault
             if at_once and not frames:
                 failure = failure or "nothing can be decoded"
             if packet is not None and (failure or said) and number >= index.numbers[begin]:
@@ -183,6 +193,17 @@ class VideoFile:
                 yield number, frame
             if packet is None or (damaged and index.intra_only):
                 return
+
+    def _fault(self, packet: Any) -> str | None:
+        """Return what is wrong with a recording's packet, which has a checksum of its own; other files have none."""
+        if not self._is_recording:
+            return None
+        try:
+            with open(self._url.removeprefix("file:"), "rb") as file:
+                check_cluster(file, packet.pos, packet.size)
+        except OSError as error:
+            return error.strerror or str(error)
+        return None
 
     def _packets(self, container: Any, stream: Any, begin: int) -> Iterator[tuple[int, Any]]:
         """Yield packets with their positions, from one position on where the file can be entered there."""

@@ -9,6 +9,9 @@ from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_messages import caught_messages
 from pipeline.footage.recording_tags import RecordingTags
 
+# Every frame of a recording has the checksums of 16 slices, and the length of each: as many bytes, at least.
+_FRAME_BYTES = 16 * 8
+
 
 @dataclass(frozen=True)
 class VideoIndex:
@@ -60,10 +63,10 @@ def index_frames(container: Any, stream: Any, recording: RecordingTags | None) -
     """
     if recording is not None:
         n_frames = recording.n_frames(container.duration or 0)
-        if n_frames > container.size:  # each takes some bytes
-            raise FootageError(f"its head says that it holds {n_frames} frames, but it is too short: copy it again")
+        _check_count(n_frames, _FRAME_BYTES, container)
         stamps = [recording.stamp(number) for number in range(n_frames)]
         return VideoIndex(stamps, stamps, "pts", range(n_frames), range(n_frames))
+    _check_count(max(stream.frames, len(stream.index_entries)), 1, container)
     entries = list(stream.index_entries)
     stamps = [entry.timestamp for entry in entries]
     everything = len(entries) == stream.frames > 0 and len(set(stamps)) == len(stamps)
@@ -71,6 +74,12 @@ def index_frames(container: Any, stream: Any, recording: RecordingTags | None) -
         # AVI counts its packets for time stamps: where one is lost only the place in the file still tells.
         return VideoIndex(stamps, [entry.pos for entry in entries], "pos", range(len(stamps)), range(len(stamps)))
     return _index_by_reading(container, stream)
+
+
+def _check_count(n_frames: int, frame_bytes: int, container: Any) -> None:
+    """Check that there is room in a file for as many frames as its head says."""
+    if n_frames * frame_bytes > container.size:
+        raise FootageError(f"its head says that it holds {n_frames} frames, but it is too short: copy it again")
 
 
 def _index_by_reading(container: Any, stream: Any) -> VideoIndex:

@@ -1,18 +1,27 @@
 """Recordings in a Zarr group, a chunk a frame, as a source of frames; `recording.zarr_writer` writes them."""
 
+import math
+import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.errors import FootageError
+from pipeline.errors import DamageError, FootageError
 from pipeline.footage.recording_tags import VERSION, RecordingTags, rate_of
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame
+from pipeline.limits import check_size, read_text
+from pipeline.zarr_chunks import chunk_key, decode_chunk
 from tikernels.raw.pixel_format import PixelFormat
 
 #: Attribute of the group that says how its frames are stored, and the name of their array.
 ATTRIBUTE = "colorphase_recording"
 FRAMES = "frames"
+# Chunks of noise are a head of 16 bytes and a checksum longer than the noise.
+_MOST_OVERHEAD = 64
+# A recording that has lost this many of its frames for each that is there is not worth looking for them; of fewer
+# frames than the second number nobody waits for the list of those that are missing.
+_MOST_MISSING, _FEW = 100, 10_000
 
 
 class ZarrRecording:
@@ -39,26 +48,32 @@ class ZarrRecording:
         self.name = str(path)
         self._path = path
         try:
+            for head in (path / "zarr.json", path / FRAMES / "zarr.json"):
+                read_text(head)  # which no recording makes long
             # Arrays of an older format may name codecs that run what they hold.
             group: Any = zarr.open_group(path, mode="r", zarr_format=3)
             about = group.attrs[ATTRIBUTE]
-            version = about["version"]
-        except (KeyError, TypeError, ValueError, OSError):
+            version, array = about["version"], group.get(FRAMES)
+        except Exception:  # zarr checks little of what a damaged file says, and fails in many ways
             raise FootageError(
                 f"{path} is not a recording of frames: give a video, a folder of pictures or a recording"
             ) from None
         if version != VERSION:
-            raise FootageError(f"{path} is a recording of version {version}, this program reads {VERSION}: update it")
+            raise FootageError(
+                f"{path} is a recording of version {str(version)[:40]}, this program reads {VERSION}: update it"
+            )
         try:
             layout, bayer = about["layout"], about["bayer"]
             tags = RecordingTags(rate_of(about["rate_hz"]), about["transfer"], bayer, int(about["bits"]))
             format = PixelFormat(layout, tags.bits, **({"bayer": bayer} if layout == "bayer" else {}))
-            self._array = group[FRAMES]
-            height, width = self._array.shape[1:3]
-            if self._array.shape[1:] != format.plane_shapes(height, width)[0] or self._array.dtype != format.dtype:
-                raise ValueError(f"its frames are {self._array.shape[1:]} {self._array.dtype}")
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            self._n_frames, height, width = (int(size) for size in array.shape[:3])
+            (self._shape,) = format.plane_shapes(height, width)
+            self._dtype = np.dtype(format.dtype)
+            if array.shape[1:] != self._shape or array.dtype != self._dtype:
+                raise ValueError(f"its frames are {array.shape[1:]} {array.dtype}")
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FootageError(f"{path} is damaged: {error}") from None
+        self._check_claims(width, height)
         self.transfer = tags.transfer
         if len(self) == 0:
             raise FootageError(f"{path} holds no frames")
@@ -66,7 +81,7 @@ class ZarrRecording:
         self.format = says.applied_to(format)
 
     def __len__(self) -> int:
-        return int(self._array.shape[0])
+        return self._n_frames
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield frames by number; see `Source`."""
@@ -76,12 +91,26 @@ class ZarrRecording:
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""
 
+    def _check_claims(self, width: int, height: int) -> None:
+        """Check that the head says what a camera can have taken, and what is there."""
+        if self._n_frames:
+            check_size(str(self._path), width, height)
+        if self._n_frames > _FEW:
+            n_there = sum(entry.name.startswith("c.") for entry in os.scandir(self._path / FRAMES))
+            if self._n_frames > _MOST_MISSING * (n_there + 1):
+                raise FootageError(
+                    f"{self._path} says that it holds {self._n_frames} frames, but {n_there} are there: copy it again"
+                )
+
     def _read(self, number: int) -> StoredFrame | BadFrame:
-        chunk = self._path / FRAMES / self._array.metadata.encode_chunk_key((number, *(0,) * (self._array.ndim - 1)))
-        if not chunk.exists():
+        chunk = self._path / FRAMES / chunk_key(number, len(self._shape))
+        if not chunk.is_file():
             return BadFrame(number, "it is missing: its chunk is not there")
         try:
-            levels = np.asarray(self._array[number])
-        except Exception as error:  # each codec has errors of its own
-            return BadFrame(number, f"it is damaged: {' '.join(str(error).split())}")
+            most = self._dtype.itemsize * math.prod(self._shape) + _MOST_OVERHEAD
+            if chunk.stat().st_size > most:
+                raise DamageError("its chunk is longer than a frame")
+            levels = decode_chunk(chunk.read_bytes(), self._dtype, self._shape)
+        except (DamageError, OSError) as error:
+            return BadFrame(number, f"it is damaged: {error}")
         return StoredFrame(number, (levels,), self.format)

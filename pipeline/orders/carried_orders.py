@@ -146,6 +146,8 @@ def choose_motion(
     taken_with : (N,) float
         The change that each is taken with now, cycles.
     """
+    if len(roots) == 0:  # of a frame without patches nobody votes
+        return votes, expected
     voting = votes[:, PATCH] >= 0
     root = roots[np.maximum(votes[:, PATCH], 0)]
     lacking = votes[:, LACKING] + votes[:, REST] / RESTS_A_CYCLE - expected

@@ -43,6 +43,8 @@ _MIN_CODED = 0.5
 # A part that is a smaller share of the frame, and whose likeliest order is wrong with a higher probability, may have
 # any depth, and is left out: a nose's tip that its shadow cuts off would stand somewhere before the face.
 _MIN_GUESSED, _MAX_GUESS = 0.01, 0.5
+# Patterns have some hundreds of cycles; float32 tells the phase of this many to a hundredth of a radian.
+_MOST_CYCLES = 1e4
 # At least one part in as many is not the surface that the frame before saw there, whatever the votes say.
 _LEAST_CARRIED_ERROR = 1e-3
 
@@ -188,6 +190,8 @@ class OrderFinder:
         self._depth_range_mm = depth_range_mm
         #: Where the object is expected, mm; regions that nothing places are put nearest to it.
         self.expected_depth_mm = None if geometry is None else _expected_depth(geometry, depth_range_mm)
+        if geometry is not None and self.expected_depth_mm is not None:
+            _check_view(geometry, self.expected_depth_mm)
 
     def ask_for_no_code(self) -> None:
         """Do not look in the first frame for a code that nobody has told of."""
@@ -289,7 +293,7 @@ class OrderFinder:
         found = self._find_absolute(seen, patches, graph, None)
         absolute = found.absolute
         sure = absolute.error_probability(absolute.offsets) < MAX_ABSOLUTE_ERROR
-        share = graph.pixels[np.isin(found.roots, absolute.parts[sure])].sum() / graph.pixels.sum()
+        share = graph.pixels[np.isin(found.roots, absolute.parts[sure])].sum() / max(graph.pixels.sum(), 1)
         return found.readable and bool(share > _MIN_CODED)
 
     def _find_absolute(
@@ -332,6 +336,18 @@ class OrderFinder:
             ends = np.sort([self._geometry.pattern_cycles(z * directions) for z in self._depth_range_mm], axis=0)
             least, most = np.maximum(least, ends[0]), np.minimum(most, ends[1])
         return OrderRange(least - here, most - here, self._depth_range_mm is not None)
+
+
+def _check_view(geometry: Geometry, depth_mm: float) -> None:
+    """Check that the pattern is anywhere near what the camera sees at a depth."""
+    right, bottom = geometry.camera.size_px
+    corners = np.array([[0, 0, 1], [right, 0, 1], [0, bottom, 1], [right, bottom, 1], [right / 2, bottom / 2, 1]])
+    cycles = geometry.pattern_cycles(depth_mm * corners @ np.linalg.inv(geometry.camera.matrix).T)
+    if not np.abs(cycles).max() < _MOST_CYCLES:
+        raise CalibrationError(
+            f"at {depth_mm:.4g} mm, where the object is expected, the camera looks far past the pattern: check "
+            "depth_range_mm, translation_mm and the lenses' matrices, or recalibrate"
+        )
 
 
 def _expected_depth(geometry: Geometry, depth_range_mm: tuple[float, float] | None) -> float:

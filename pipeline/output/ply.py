@@ -63,8 +63,10 @@ def decode_ply(data: bytes) -> Mesh:
     ValueError
         It is truncated, or holds something else.
     """
-    head, _, body = data[:_LONGEST_HEAD].partition(b"end_header")
-    body = data[len(head) + len(b"end_header") :]
+    head, end, _ = data[:_LONGEST_HEAD].partition(b"end_header")
+    if not end:
+        raise ValueError(f"its header has no end within {_LONGEST_HEAD} bytes")
+    body = data[len(head) + len(end) :]
     lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
     (vertex_count, vertex), (face_count, face) = _parse_header(lines)
     names = vertex.names or ()

@@ -11,7 +11,6 @@ Matroska: RFC 9559. EBML: RFC 8794. FFV1: RFC 9043.
 import os
 import struct
 from array import array
-from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ import numpy.typing as npt
 
 from pipeline.errors import DamageError
 from pipeline.files import sync
+from pipeline.footage.recording_clusters import CLUSTER, cluster, element, length
 from pipeline.footage.recording_tags import RecordingTags
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
@@ -38,14 +38,11 @@ _LACING, _DEFAULT_DURATION, _CODEC_ID, _CODEC_PRIVATE = (bytes.fromhex(id) for i
 _VIDEO, _WIDTH, _HEIGHT, _INTERLACED = (bytes.fromhex(id) for id in ("E0", "B0", "BA", "9A"))
 _TAGS, _TAG, _TARGETS, _SIMPLE_TAG = (bytes.fromhex(id) for id in ("1254C367", "7373", "63C0", "67C8"))
 _TAG_NAME, _TAG_STRING = (bytes.fromhex(id) for id in ("45A3", "4487"))
-_CLUSTER, _TIMESTAMP, _SIMPLE_BLOCK = (bytes.fromhex(id) for id in ("1F43B675", "E7", "A3"))
 _CUES, _CUE_POINT, _CUE_TIME = (bytes.fromhex(id) for id in ("1C53BB6B", "BB", "B3"))
 _CUE_PLACE, _CUE_TRACK, _CUE_CLUSTER = (bytes.fromhex(id) for id in ("B7", "F7", "F1"))
 
 _VIDEO_TYPE, _PROGRESSIVE = 1, 2
 _NS_A_MS = 1_000_000
-# Track 1, at its cluster's time, a key frame.
-_BLOCK_HEAD = bytes.fromhex("81000080")
 
 
 class MatroskaWriter:
@@ -120,10 +117,9 @@ class MatroskaWriter:
         coded.time_base, coded.pts = Fraction(1, 1000), self._tags.stamp(number)
         (packet,) = self._encoder.encode(coded)
         self._clusters.append(self._n_bytes - self._segment)
-        block = _element(_SIMPLE_BLOCK, _BLOCK_HEAD + bytes(packet))
-        cluster = _element(_CLUSTER, [_element(_TIMESTAMP, self._tags.stamp(number)), block])
-        self._append(cluster)
-        return len(cluster)
+        coded = cluster(self._tags.stamp(number), bytes(packet))
+        self._append(coded)
+        return len(coded)
 
     def commit(self, n_frames: int) -> None:
         """Make the file end with what has been written, on the disk: first the frames, then the length."""
@@ -140,7 +136,7 @@ class MatroskaWriter:
         try:
             os.truncate(self._file.fileno(), self._end)
             del self._clusters[self.n_frames :]
-            cues = _element(_CUES, map(self._cue, range(self.n_frames)))
+            cues = element(_CUES, map(self._cue, range(self.n_frames)))
             try:
                 _write(self._file, self._end, cues)
                 head, _ = self._head_of(self.n_frames, self._end + len(cues), self._end - self._segment)
@@ -151,8 +147,8 @@ class MatroskaWriter:
             self._file.close()
 
     def _cue(self, number: int) -> bytes:
-        place = [_element(_CUE_TRACK, 1), _element(_CUE_CLUSTER, self._clusters[number])]
-        return _element(_CUE_POINT, [_element(_CUE_TIME, self._tags.stamp(number)), _element(_CUE_PLACE, place)])
+        place = [element(_CUE_TRACK, 1), element(_CUE_CLUSTER, self._clusters[number])]
+        return element(_CUE_POINT, [element(_CUE_TIME, self._tags.stamp(number)), element(_CUE_PLACE, place)])
 
     def _append(self, data: bytes) -> None:
         _write(self._file, self._n_bytes, data)
@@ -161,44 +157,44 @@ class MatroskaWriter:
     def _head_of(self, n_frames: int, end: int, cues: int | None) -> tuple[bytes, int]:
         """Return the head of a file that ends there, and where its segment's content begins; always of one size."""
         tags = [
-            _element(_SIMPLE_TAG, [_element(_TAG_NAME, name.encode()), _element(_TAG_STRING, value.encode())])
+            element(_SIMPLE_TAG, [element(_TAG_NAME, name.encode()), element(_TAG_STRING, value.encode())])
             for name, value in self._tags.write().items()
         ]
-        seek = _element(_SEEK_HEAD, [_element(_SEEK, [_element(_SEEK_ID, _CUES), _element(_SEEK_POSITION, cues or 0)])])
+        seek = element(_SEEK_HEAD, [element(_SEEK, [element(_SEEK_ID, _CUES), element(_SEEK_POSITION, cues or 0)])])
         if cues is None:
-            seek = _element(_VOID, bytes(len(seek) - len(_VOID) - 8))
+            seek = element(_VOID, bytes(len(seek) - len(_VOID) - 8))
         info = [
-            _element(_TIMESTAMP_SCALE, _NS_A_MS),
-            _element(_DURATION, struct.pack(">d", self._tags.stamp(n_frames))),
-            _element(_MUXING_APP, b"colorphase"),
-            _element(_WRITING_APP, b"colorphase"),
+            element(_TIMESTAMP_SCALE, _NS_A_MS),
+            element(_DURATION, struct.pack(">d", self._tags.stamp(n_frames))),
+            element(_MUXING_APP, b"colorphase"),
+            element(_WRITING_APP, b"colorphase"),
         ]
         video = [
-            _element(_WIDTH, self._encoder.width),
-            _element(_HEIGHT, self._encoder.height),
-            _element(_INTERLACED, _PROGRESSIVE),
+            element(_WIDTH, self._encoder.width),
+            element(_HEIGHT, self._encoder.height),
+            element(_INTERLACED, _PROGRESSIVE),
         ]
         track = [
-            _element(_TRACK_NUMBER, 1),
-            _element(_TRACK_UID, 1),
-            _element(_TRACK_TYPE, _VIDEO_TYPE),
-            _element(_LACING, 0),
-            _element(_DEFAULT_DURATION, round(1000 * _NS_A_MS / self._tags.rate_hz)),
-            _element(_CODEC_ID, b"V_FFV1"),
-            _element(_CODEC_PRIVATE, bytes(self._encoder.extradata)),
-            _element(_VIDEO, video),
+            element(_TRACK_NUMBER, 1),
+            element(_TRACK_UID, 1),
+            element(_TRACK_TYPE, _VIDEO_TYPE),
+            element(_LACING, 0),
+            element(_DEFAULT_DURATION, round(1000 * _NS_A_MS / self._tags.rate_hz)),
+            element(_CODEC_ID, b"V_FFV1"),
+            element(_CODEC_PRIVATE, bytes(self._encoder.extradata)),
+            element(_VIDEO, video),
         ]
         content = b"".join(
             [
                 seek,
-                _element(_INFO, info),
-                _element(_TRACKS, [_element(_TRACK_ENTRY, track)]),
-                _element(_TAGS, [_element(_TAG, [_element(_TARGETS, []), *tags])]),
+                element(_INFO, info),
+                element(_TRACKS, [element(_TRACK_ENTRY, track)]),
+                element(_TAGS, [element(_TAG, [element(_TARGETS, []), *tags])]),
             ]
         )
         begin = _EBML_HEAD + _SEGMENT
         segment = len(begin) + 8
-        return begin + _size(max(end - segment, len(content))) + content, segment
+        return begin + length(max(end - segment, len(content))) + content, segment
 
 
 def cut_off(path: Path) -> int:
@@ -222,36 +218,21 @@ def cut_off(path: Path) -> int:
         n_frames, place = 0, len(head)
         while place < end:
             file.seek(place)
-            element = file.read(12)
+            head = file.read(12)
             # An element's first byte tells how long its name is; ours have lengths of eight bytes.
-            id_bytes = 9 - element[0].bit_length() if element and element[0] else 12
-            n_frames += element.startswith(_CLUSTER)
-            length = int.from_bytes(element[id_bytes + 1 : id_bytes + 8], "big")
-            if len(element) < id_bytes + 8:
+            id_bytes = 9 - head[0].bit_length() if head and head[0] else 12
+            n_frames += head.startswith(CLUSTER)
+            if len(head) < id_bytes + 8:
                 raise DamageError(f"{path.name} is damaged at byte {place}")
-            place += id_bytes + 8 + length
+            place += id_bytes + 8 + int.from_bytes(head[id_bytes + 1 : id_bytes + 8], "big")
     return n_frames
-
-
-def _size(n_bytes: int) -> bytes:
-    """Return an element's length, in the eight bytes that any length has room in."""
-    return (1 << 56 | n_bytes).to_bytes(8, "big")
-
-
-def _element(id: bytes, content: int | bytes | Iterable[bytes]) -> bytes:
-    """Return an element; numbers take eight bytes, so that none changes the length."""
-    if isinstance(content, int):
-        content = content.to_bytes(8, "big")
-    elif not isinstance(content, bytes):
-        content = b"".join(content)
-    return id + _size(len(content)) + content
 
 
 # Of the fourth version of Matroska, to be read by whoever knows the second.
 _EBML_FIELDS: dict[str, int | bytes] = {
     "4286": 1, "42F7": 1, "42F2": 4, "42F3": 8, "4282": b"matroska", "4287": 4, "4285": 2,
 }  # fmt: skip
-_EBML_HEAD = _element(_EBML, [_element(bytes.fromhex(id), value) for id, value in _EBML_FIELDS.items()])
+_EBML_HEAD = element(_EBML, [element(bytes.fromhex(id), value) for id, value in _EBML_FIELDS.items()])
 
 
 def _write(file: Any, position: int, data: bytes) -> None:

@@ -1,5 +1,6 @@
 """Threads that compress and write frames, a few frames behind the one that hands them over."""
 
+import _thread
 import errno
 import threading
 import time
@@ -92,8 +93,9 @@ class WritingThreads:
 
     def start(self) -> None:
         """Return when there is a writer; raise what keeps it from being there."""
-        # Daemons: a disk that never answers keeps no program from ending.
-        threading.Thread(target=self._run, daemon=True).start()
+        # Not by `Thread.start`, which holds a lock while it waits, where Ctrl-C may come. Either way a disk that never
+        # answers keeps no program from ending.
+        _thread.start_new_thread(self._run, ())
         self._wait(lambda: self._writer is not None)
 
     def add(self, frame: ImageArray) -> None:

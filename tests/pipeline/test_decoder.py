@@ -381,6 +381,26 @@ def test_the_constant_says_how_far_it_may_be_off(arch, leak, bound):
     assert (abs(constant) > 0.008) == (leak > 0)
 
 
+@pytest.mark.parametrize("white", [1.0, 255.0, 2.0**24])
+def test_a_frame_said_to_be_free_of_noise_has_a_sigma(white):
+    truth, _ = simulated()
+    image = (truth.image * np.float32(white / 255)).astype(np.float32)
+    frame = Decoder(DecodeSettings(noise=(0, 0), white_level=white), arch="cpu").decode(image)
+    assert frame.mask.mean() > 0.5
+    sigma = frame.phase_sigma[frame.mask]
+    assert np.isfinite(sigma).all() and sigma.min() > 0
+    assert np.median(sigma) < 0.02  # rad
+
+
+def test_a_frame_in_which_nothing_counts_may_follow_another_one():
+    truth, _ = simulated()
+    decoder = Decoder(DecodeSettings(min_modulation=200.0), arch="cpu")
+    first = decoder.decode(truth.image)
+    with pytest.warns(DecodeWarning, match="before"):
+        second = decoder.decode(truth.image, previous=first)
+    assert not first.mask.any() and not second.mask.any()
+
+
 def test_without_crosstalk_the_constant_is_open(arch):
     truth, calibration = simulated("plane", "horizontal")
     known = calibration.model_copy(update={"crosstalk_matrix": None})

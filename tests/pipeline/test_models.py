@@ -1,6 +1,7 @@
 """Models of users' files: arrays with their shapes, unknown keys refused, one line that names the key."""
 
 import json
+import tomllib
 from typing import Annotated
 
 import numpy as np
@@ -44,6 +45,9 @@ def test_arrays_are_float64_and_read_only_and_survive_json():
         ({"colour": [1, 2]}, "lamp.toml: colour: must have shape (3,), got (2,)"),
         ({"colour": [1, 2, "x"]}, "lamp.toml: colour: must be 3 numbers"),
         ({"colour": [1, 2, float("nan")]}, "lamp.toml: colour: must be finite"),
+        ({"colour": [1, 2, 1e300]}, "lamp.toml: colour: must lie from -1e+09 to 1e+09"),
+        ({"colour": [1, 2, 10**400]}, "lamp.toml: colour: must be 3 numbers"),
+        ({"watts": 1e10}, "lamp.toml: watts: Input should be less than or equal to 1000000000"),
         ({"watts": -1, "volts": 3}, "lamp.toml: watts: Input should be greater than 0 (and 1 more)"),
     ],
 )
@@ -53,6 +57,24 @@ def test_one_line_names_the_key(changed, message):
 
 def test_what_is_missing_is_named():
     assert refused({"watts": 5}) == "lamp.toml: colour: is missing"
+
+
+@pytest.mark.parametrize(
+    ("parse", "content", "message"),
+    [
+        (json.loads, "[" * 100_000, "nested too deep"),
+        (tomllib.loads, "a = " + "[" * 100_000, "nested too deep"),
+        (tomllib.loads, "a." * 100_000 + "a = 1", "nested too deep"),  # takes minutes, and all memory
+        (json.loads, '{"watts": ' + "9" * 5000 + "}", "a number in it has more than 400 digits"),
+        (json.loads, " " * 2**21, "larger than 1 MB"),
+        (json.loads, '{"watts": 1, "colour": ' + "[" * 300 + "]" * 300 + "}", "colour: must be 3 numbers|colour: must"),
+    ],
+)
+def test_files_that_would_take_all_memory_or_time(tmp_path, parse, content, message):
+    (tmp_path / "lamp").write_text(content)
+    with pytest.raises(SettingsError, match=message) as raised:
+        read_file(tmp_path / "lamp", Lamp, parse, SettingsError)
+    assert "\n" not in str(raised.value)
 
 
 def test_files_that_cannot_be_read(tmp_path):

@@ -23,6 +23,12 @@ def test_settings_from_toml(tmp_path):
         ("camera_period_px = 2.0", "camera_period_px"),
         ("unwrap_method = 'magic'", "unwrap_method"),
         ("crosstalk_matrix = [[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "crosstalk_matrix cannot be inverted"),
+        ("camera_period_px = 1e6", "camera_period_px: Input should be less than or equal to 10000"),
+        ("white_level = 1e30", "white_level: Input should be less than or equal to 16777216"),
+        ("white_level = 1e-6", "white_level: Input should be greater than or equal to 0.000976"),
+        ("noise = [1e300, 0.0]", "noise.0: Input should be less than or equal to 16777216"),
+        ("min_modulation = 1e39", "min_modulation"),
+        ("field_times = [0.1, 0.2, 1e9]", "field_times: must lie from -10 to 10"),
         ("a = [", "not what it should be"),
     ],
 )

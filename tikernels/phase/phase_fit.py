@@ -176,8 +176,10 @@ def fitted_step(light: vec3, model: vec3, change: vec3, swing: vec3, contrast_do
     reciprocal = 1.0 / (curvature * variance * brightness * square)
     step = light.dot(estimator) * variance * square * reciprocal
     residual = light.dot(model.cross(of_phase))
-    misfit = residual * residual / ti.max(model.dot(model), 1e-12) * curvature * brightness * reciprocal
-    precision = brightness * brightness * brightness * curvature * curvature * square * reciprocal
+    # In this order, as the products of what is free of noise are too large for float32.
+    share = curvature * reciprocal * brightness
+    misfit = residual * residual / ti.max(model.dot(model), 1e-12) * share
+    precision = share * curvature * square * brightness * brightness
     return step, precision, misfit, brightness
 
 

@@ -187,6 +187,8 @@ def test_a_lost_answer_is_asked_for_once_more():
         ),
         ([("ID", "OK some-other-box protocol=1")], "this is 'some-other-box protocol=1', not a colorphase-trigger-box"),
         ([("ID", "OK colorphase-trigger-box firmware=1.0.0")], "instead of protocol: flash its firmware anew"),
+        ([("ID", NAME), ("LIMITS", LIMITS.replace("=500", "=0"))], "its tick is nothing: flash its firmware anew"),
+        ([("ID", NAME), ("LIMITS", LIMITS.replace("=400", "=" + "9" * 400))], "instead of min_period: flash its"),
         ([("ID", NAME), ("LIMITS", LIMITS.replace("100 ", "x "))], "instead of min_width: flash its firmware anew"),
         ([("ID", "ERR COMMAND unknown")], "refuses 'ID': COMMAND unknown"),
         ([("ID", "")], "no trigger box answers: is it in, flashed"),

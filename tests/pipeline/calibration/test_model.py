@@ -12,6 +12,8 @@ from pipeline.calibration.model import choose_pattern
 from pipeline.errors import CalibrationError, SettingsError
 from pipeline.simulation import simulated_rig
 
+LENS = simulated_rig().model_dump(mode="json")["camera"]
+
 
 def values():
     return json.loads(simulated_rig().model_dump_json())
@@ -37,6 +39,11 @@ def test_a_calibration_survives_its_file(tmp_path):
         ({"rotation": [[1, 0], [0, 1]]}, r"rotation: must have shape \(3, 3\), got \(2, 2\)"),
         ({"translation_mm": [0, 0, "x"]}, "translation_mm: must be 3 numbers"),
         ({"translation_mm": [0, 0, 0]}, "translation_mm must not be zero"),
+        ({"translation_mm": [0, 1e300, 0]}, r"translation_mm: must lie from -1e\+09 to 1e\+09"),
+        ({"depth_range_mm": [500, 1e300]}, r"depth_range_mm\.1: Input should be less than"),
+        ({"camera": LENS | {"distortion": [0, 0, 1e8, 0, 0]}}, r"camera\.distortion: must lie from -10000 to 10000"),
+        ({"camera": LENS | {"size_px": [10**5, 10**5]}}, "camera: the lens has 100000x100000 px, .* are read at most"),
+        ({"camera": LENS | {"size_px": [10**30, 1]}}, r"camera\.size_px\.0: "),
         ({"crosstalk_matrix": [[1, 0, 0], [1, 0, 0], [0, 0, 1]]}, "crosstalk_matrix cannot be inverted"),
         ({"depth_range_mm": [900, 700]}, "depth_range_mm"),
         ({"response": [[0] * 256] * 3}, "response must rise"),
@@ -127,3 +134,14 @@ def test_the_pattern_that_was_named_wins_over_the_calibrations():
     assert choose_pattern(coded, None, None, "none").code is None
     with pytest.raises(SettingsError, match="period_px"):
         choose_pattern(None, 1, None)
+
+
+def test_a_lens_without_directions_is_refused():
+    lens = simulated_rig((64, 48)).camera
+    short = lens.model_validate(lens.model_dump() | {"matrix": [[1e-9, 0, 31.5], [0, 1e-9, 23.5], [0, 0, 1]]})
+    with pytest.raises(CalibrationError, match="no lens bends light like this one"):
+        short.rays()
+
+
+def test_no_points_have_no_cycles():
+    assert simulated_rig().geometry().pattern_cycles(np.zeros((0, 3))).shape == (0,)

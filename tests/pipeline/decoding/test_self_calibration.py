@@ -90,6 +90,13 @@ def test_nothing_to_win_is_not_lost():
     assert own < 1.05 * plain
 
 
+def test_pixels_that_have_no_phase_say_nothing():
+    """And nothing is warned of beside that."""
+    image = np.full((64, 64, 3), 0.5, np.float32)
+    with pytest.raises(CalibrationError, match="0 pixels of smooth surface"):
+        estimate_light([image], 1.0, [np.full((64, 64), np.nan, np.float32)], [np.ones((64, 64), bool)], 12.0)
+
+
 def test_too_small_an_object_says_nothing():
     image = np.full((40, 40, 3), 128, np.uint8)
     with pytest.raises(CalibrationError, match="hardly a pixel"):

@@ -31,6 +31,8 @@ def test_another_video_has_none():
         ({"COLORPHASE_RECORDING": "2"}, "version 2, this program reads 1: update it"),
         ({"COLORPHASE_RATE": "fast"}, "rate 'fast' is no fraction"),
         ({"COLORPHASE_BITS": "many"}, "remux it with all its tags"),
+        ({"COLORPHASE_BITS": "9" * 5000}, r"bits '9{40}' is no number of bits\): remux"),
+        ({"COLORPHASE_RATE": "9" * 5000}, r"rate '9{40}' is no fraction\): remux"),
     ],
 )
 def test_tags_that_are_wrong(changed, message):

@@ -10,6 +10,7 @@ from support.video_files import H264, MJPEG, encode, erase, moving_planes, packe
 from pipeline.errors import FootageError
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame, StoredAs, StoredFrame
+from pipeline.limits import MAX_PIXELS
 from tikernels.raw.pixel_format import PixelFormat
 
 YUV420 = PixelFormat("yuv", subsampling=(2, 2))
@@ -359,3 +360,13 @@ def test_any_name(tmp_path, folder, name):
 def test_no_such_file(tmp_path):
     with pytest.raises(FootageError, match="there is no such file"):
         open_source(tmp_path / "absent.mp4")
+
+
+@pytest.mark.parametrize("codec", [MJPEG, H264])
+def test_frames_larger_than_any_cameras_are_refused_before_one_is_decoded(tmp_path, monkeypatch, codec):
+    path = encode(tmp_path / "film.mkv", moving_planes(3, YUV420), *codec)
+    monkeypatch.setenv(MAX_PIXELS, "3071")
+    with pytest.raises(FootageError, match=r"film\.mkv"):
+        open_source(path)
+    monkeypatch.setenv(MAX_PIXELS, "3072")
+    assert len(open_source(path)) == 3

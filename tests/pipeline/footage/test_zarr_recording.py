@@ -1,5 +1,6 @@
 """Recordings in Zarr, read again: what is damaged, missing, or not such a recording."""
 
+import json
 import shutil
 
 import numpy as np
@@ -47,6 +48,55 @@ def test_frames_of_another_shape(tmp_path):
             group.create_array("frames", shape=shape, dtype="u1")
         with pytest.raises(FootageError, match=rf"{name}\.zarr is damaged"):
             open_source(path)
+
+
+def claimed(path, **claims):
+    """Record frames, and let the head of their array say something else."""
+    record(path)
+    head = path / "frames" / "zarr.json"
+    head.write_text(json.dumps({**json.loads(head.read_text()), **claims}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("claims", "message"),
+    [
+        ({"shape": [10**12, 22, 34, 3]}, "says that it holds 1000000000000 frames, but 9 are there: copy it again"),
+        ({"shape": [9, 10**6, 10**6, 3]}, "has 1000000x1000000 px, and 67108864 pixels are read at most"),
+        ({"shape": [9, 0, 34, 3]}, "says that it has 34x0 px"),
+        ({"note": "x" * 2**20}, "is not a recording of frames"),
+    ],
+)
+def test_heads_that_claim_more_than_there_is(tmp_path, claims, message):
+    with pytest.raises(FootageError, match=message):
+        open_source(claimed(tmp_path / "a.zarr", **claims))
+
+
+def test_a_head_nested_without_an_end(tmp_path):
+    record(tmp_path / "a.zarr")
+    for head in (tmp_path / "a.zarr" / "frames" / "zarr.json", tmp_path / "a.zarr" / "zarr.json"):
+        head.write_text("[" * 100_000)
+        with pytest.raises(FootageError, match="is not a recording of frames"):
+            open_source(tmp_path / "a.zarr")
+
+
+@pytest.mark.parametrize("bits", [float("inf"), 10**400, "many", [8], None])
+def test_bits_that_are_none(tmp_path, bits):
+    record(tmp_path / "a.zarr")
+    head = tmp_path / "a.zarr" / "zarr.json"
+    about = json.loads(head.read_text())
+    about["attributes"]["colorphase_recording"]["bits"] = bits
+    head.write_text(json.dumps(about))
+    with pytest.raises(FootageError, match=r"is damaged|is not a recording"):
+        open_source(tmp_path / "a.zarr")
+
+
+def test_a_chunk_longer_than_a_frame_is_not_read(tmp_path):
+    record(tmp_path / "a.zarr")
+    with (tmp_path / "a.zarr" / "frames" / "c.2.0.0.0").open("ab") as file:
+        file.truncate(2**40)
+    (frame,) = open_source(tmp_path / "a.zarr").frames(2, 3)
+    assert frame == BadFrame(2, "it is damaged: its chunk is longer than a frame")
 
 
 def test_an_older_zarr_is_no_recording(tmp_path):

@@ -113,6 +113,14 @@ def test_what_did_not_go_on_as_expected_is_taken_at_rest():
     assert carried.error_probability[0] < 0.01 < carried.error_probability[1] < 0.5
 
 
+def test_a_frame_without_patches_has_no_votes():
+    """As one that is too dark, after another that is not."""
+    votes, roots, expected = votes_of((40, -1, 0, 0, 1)), np.zeros(0, np.int32), np.zeros(40)
+    chosen, taken_with = choose_motion(votes, roots, expected)
+    np.testing.assert_array_equal(taken_with, expected)
+    assert not count_votes(chosen, roots, taken_with, expected).same_scene
+
+
 def test_only_sound_votes_count_where_there_are_enough():
     """Beside a moving edge pixels vote for what was there before, however many of them there are."""
     votes = np.concatenate([votes_of((20, 0, 3, 0, 1)), votes_of((90, 0, 2, 0, 2), sound=0)])

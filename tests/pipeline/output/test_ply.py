@@ -66,6 +66,37 @@ def test_what_is_no_mesh_is_refused_in_one_line(tmp_path: Path, content: bytes, 
     assert "\n" not in str(caught.value)
 
 
+def ascii_ply(vertex: str = "0 0 0 1 2 3", face: str = "3 0 0 0", n_vertices: int = 1) -> bytes:
+    names = "".join(f"property float {name}\n" for name in ("x", "y", "z", "red", "green", "blue"))
+    return (
+        f"ply\nformat ascii 1.0\nelement vertex {n_vertices}\n{names}element face 1\n"
+        f"property list uchar uint vertex_indices\nend_header\n{vertex}\n{face}\n"
+    ).encode()
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (ascii_ply(face="3 0 0 4294967296"), "corners are not whole numbers from 0 to 2147483647"),
+        (ascii_ply(face="3 0 0 nan"), "corners are not whole"),
+        (ascii_ply(face="3 0 0 0.5"), "corners are not whole"),
+        (ascii_ply(vertex="0 0 0 1 2 300"), "colours are not whole numbers from 0 to 255"),
+        (ascii_ply(vertex="1e300 0 0 1 2 3"), "some are not finite"),
+        (ascii_ply(n_vertices=10**17), "set COLORPHASE_MAX_PIXELS to a larger number"),
+        (ascii_ply(n_vertices=10**4000), "its header says 'element vertex 1000"),
+        (b"ply\nformat ascii 1.0\n" + b"comment\n" * 10_000 + ascii_ply()[21:], "its header has no end"),
+    ],
+)
+def test_numbers_that_no_mesh_holds_are_not_cut_to_fit(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / "broken.ply"
+    path.write_bytes(ascii_ply())
+    assert len(read_mesh(path).vertices) == 1
+    path.write_bytes(content)
+    with pytest.raises(FootageError, match=reason) as caught:
+        read_mesh(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_a_ply_cut_anywhere_is_refused(tmp_path: Path, mesh: Mesh) -> None:
     path = tmp_path / "mesh.ply"
     write_mesh(mesh, path)

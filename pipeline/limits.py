@@ -1,0 +1,89 @@
+"""How large what is read may be: a small file can claim more than any machine holds."""
+
+import os
+import re
+from pathlib import Path
+
+from pipeline.errors import FootageError, SettingsError
+
+#: The environment variable by which users of larger cameras allow more.
+MAX_PIXELS = "COLORPHASE_MAX_PIXELS"
+# The largest colour cameras for machine vision have 65 megapixels; decoding one such frame takes 8 GB.
+_MAX_PIXELS = 2**26
+# Above this OpenCV reads no picture.
+_MOST_PIXELS = 2**30
+#: Bytes of a picture's file for each of its pixels, at most: four channels of float32, not compressed.
+BYTES_A_PIXEL = 16
+# Ten times a calibration with all that it can hold.
+_TEXT_BYTES = 2**20
+# The largest float, written out, has 309.
+_MOST_DIGITS = 400
+_LONG_NUMBER = re.compile(rf"[0-9_]{{{_MOST_DIGITS + 1}}}")
+# A calibration's keys are three deep. Of a.a.a... TOML's reader makes a table each: its time grows as their square.
+_DEEP_KEY = re.compile(r"""(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){20}""")
+
+
+def max_pixels() -> int:
+    """Return how many pixels a frame may have.
+
+    Raises
+    ------
+    SettingsError
+        The environment variable holds no such number.
+    """
+    said = os.environ.get(MAX_PIXELS, "").strip()
+    if not said:
+        return _MAX_PIXELS
+    if not re.fullmatch("[0-9]{1,10}", said) or not 0 < int(said) <= _MOST_PIXELS:
+        raise SettingsError(f"{MAX_PIXELS} is {said[:40]!r}: give a number of pixels from 1 to {_MOST_PIXELS}")
+    return int(said)
+
+
+def ffmpeg_limits() -> dict[str, str]:
+    """Return the options by which FFmpeg refuses frames that are larger than their file's head says.
+
+    It counts whole blocks, which reach beyond a picture's edges, so it gets twice as many.
+    """
+    return {"max_pixels": str(2 * max_pixels())}
+
+
+def check_size(what: str, width: int, height: int) -> None:
+    """Check that a picture's size is one that a camera can have, before memory is taken for it.
+
+    Raises
+    ------
+    FootageError
+        It is not.
+    """
+    if width < 1 or height < 1:
+        raise FootageError(f"{what} says that it has {width}x{height} px: copy it again")
+    if width * height > max_pixels():
+        raise FootageError(
+            f"{what} has {width}x{height} px, and {max_pixels()} pixels are read at most: "
+            f"set {MAX_PIXELS} to a larger number if your camera has that many"
+        )
+
+
+def read_text(path: str | Path, encoding: str = "utf-8") -> str:
+    """Return what a text file holds.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    ValueError
+        It is no text, or longer than any file that a rig needs, or holds what takes its reader too long.
+    """
+    with Path(path).open("rb") as file:
+        data = file.read(_TEXT_BYTES + 1)
+    if len(data) > _TEXT_BYTES:
+        raise ValueError(f"it is larger than {_TEXT_BYTES // 2**20} MB")
+    try:
+        text = data.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+    except UnicodeDecodeError:
+        raise ValueError("it is no text file") from None
+    if _LONG_NUMBER.search(text):
+        raise ValueError(f"a number in it has more than {_MOST_DIGITS} digits")
+    if _DEEP_KEY.search(text):
+        raise ValueError("its tables are nested too deep")
+    return text

@@ -1,0 +1,64 @@
+"""Bounds of what is read: one line when they are passed, and a variable for larger cameras."""
+
+import json
+import os
+
+import pytest
+
+from pipeline import limits
+from pipeline.errors import FootageError, SettingsError
+
+
+def test_the_largest_cameras_are_allowed_and_more_by_a_variable(monkeypatch):
+    monkeypatch.delenv(limits.MAX_PIXELS, raising=False)
+    limits.check_size("a.png", 9344, 7000)
+    with pytest.raises(FootageError, match=r"^a\.png has 16000x16000 px, .* at most: set COLORPHASE_MAX_PIXELS"):
+        limits.check_size("a.png", 16000, 16000)
+    with pytest.raises(FootageError, match="says that it has 0x9 px"):
+        limits.check_size("a.png", 0, 9)
+    monkeypatch.setenv(limits.MAX_PIXELS, "256000000")
+    limits.check_size("a.png", 16000, 16000)
+
+
+@pytest.mark.parametrize("said", ["0", "-5", "many", "1e9", "99999999999999", "1073741825"])
+def test_the_variable_holds_a_number_of_pixels(monkeypatch, said):
+    monkeypatch.setenv(limits.MAX_PIXELS, said)
+    with pytest.raises(SettingsError, match=f"^COLORPHASE_MAX_PIXELS is '{said}': give a number of pixels from 1"):
+        limits.max_pixels()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"x" * (2**20 + 1), "larger than 1 MB"),
+        (b"\xff\xfe", "no text file"),
+        (b"9" * 401, "more than 400 digits"),
+        (b"a." * 30 + b"a = 1", "nested too deep"),
+        (b"'a b' . " * 30 + b"a = 1", "nested too deep"),
+        (b'["a" . ' + b'"b".' * 30, "nested too deep"),
+    ],
+)
+def test_texts_that_no_rig_needs(tmp_path, content, message):
+    (tmp_path / "a.toml").write_bytes(content)
+    with pytest.raises(ValueError, match=message):
+        limits.read_text(tmp_path / "a.toml")
+
+
+def test_texts_are_read_as_they_are(tmp_path):
+    text = "a = [1.5, 2.25,\r\n3.125]\r# 10.0.0.5\n" + ", ".join(256 * ["0.123456789012345678"])
+    (tmp_path / "a.toml").write_bytes(text.encode())
+    assert limits.read_text(tmp_path / "a.toml") == text.replace("\r\n", "\n").replace("\r", "\n")
+    with pytest.raises(OSError, match="No such file"):
+        limits.read_text(tmp_path / "none")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/zero"), reason="this system has no endless file")
+def test_an_endless_file_is_not_read_to_its_end():
+    with pytest.raises(ValueError, match="larger than"):
+        limits.read_text("/dev/zero")
+
+
+def test_a_calibration_with_all_that_it_can_hold_is_a_tenth_of_the_longest_text():
+    response = [[i / 255 + 1e-9 for i in range(256)] for _ in range(3)]
+    whole = {"response": response, "uncertainty": {"response": response}, "capture": {"transfer": response[0]}}
+    assert len(json.dumps(whole, indent=1)) < 2**20 / 10
