@@ -46,6 +46,7 @@ from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import (
     CalibrationError,
     ClusterError,
+    DamageError,
     DecodeWarning,
     FootageError,
     OutputError,
@@ -69,6 +70,7 @@ __all__ = [
     "CalibrationError",
     "CameraError",
     "ClusterError",
+    "DamageError",
     "DecodeSettings",
     "DecodeWarning",
     "DecodedFrame",

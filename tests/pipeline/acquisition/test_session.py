@@ -10,6 +10,7 @@ from support.command_line import command
 from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
 
 from hardware.errors import BurstError, CameraError, RigError
+from pipeline.acquisition import session
 from pipeline.acquisition.capture_folder import CapturePlan
 from pipeline.acquisition.session import capture_bursts
 from pipeline.acquisition.stopping import Stopping
@@ -25,7 +26,9 @@ one = frozenset({2})
 
 def captured(bench, folder, plan, **kwargs):
     arguments = {"calibration": None, "decoding": DecodeSettings(), "stopping": Stopping(), **kwargs}
-    return capture_bursts(bench.settings, bench.open, folder, plan, **arguments)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(session, "Rig", bench.repeating(session.Rig))
+        return capture_bursts(bench.settings, bench.open, folder, plan, **arguments)
 
 
 def log_of(folder):

@@ -23,12 +23,12 @@ def test_any_rate(tmp_path, rate_hz):
 
 
 def test_one_wrong_bit_is_found(tmp_path):
-    """FFmpeg conceals it; the checksum of each slice tells."""
+    """FFmpeg conceals it; the checksum of each frame tells."""
     record(tmp_path / "a.mkv")
     flip(tmp_path / "a.mkv", 5)
     frames = list(open_source(tmp_path / "a.mkv").frames())
     assert [frame.number for frame in frames if isinstance(frame, BadFrame)] == [5]
-    assert "CRC" in frames[5].reason
+    assert "checksum" in frames[5].reason
 
 
 def test_a_recording_that_was_cut_off_still_knows_its_numbers(tmp_path):
