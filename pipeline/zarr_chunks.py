@@ -76,7 +76,7 @@ def without_checksum(content: bytes) -> bytes:
     """
     inside, checksum = content[:-_CHECKSUM_BYTES], content[-_CHECKSUM_BYTES:]
     if len(content) < _CHECKSUM_BYTES or google_crc32c.value(inside).to_bytes(_CHECKSUM_BYTES, "little") != checksum:
-        raise DamageError("it is not what was written: its checksum is another one")
+        raise DamageError("its checksum is another one")
     return inside
 
 

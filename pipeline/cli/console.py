@@ -81,6 +81,15 @@ def say(line: str) -> None:
     stdout.print(without_controls(line), highlight=False, soft_wrap=True)
 
 
+def frames(count: int) -> str:
+    """Return the begin of a sentence about some frames.
+
+    >>> frames(1), frames(2)
+    ('1 frame is', '2 frames are')
+    """
+    return "1 frame is" if count == 1 else f"{count} frames are"
+
+
 def remark(line: str) -> None:
     """Print a line beside the result, in yellow, on standard error."""
     _tell(line, "yellow")

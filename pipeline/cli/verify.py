@@ -2,7 +2,7 @@
 
 import sys
 
-from pipeline.cli.console import SOME_ARE_BAD, counted, remark, say
+from pipeline.cli.console import SOME_ARE_BAD, counted, frames, remark, say
 from pipeline.verification import verify as verify_all
 
 _SHOWN = 10  # frames that are named
@@ -29,11 +29,11 @@ def verify(input: str, /) -> None:
         for number, fault in list(each.faults.items())[:_SHOWN]:
             remark(f"frame {number}: {fault}")
         if len(each.faults) > _SHOWN:
-            remark(f"and {len(each.faults) - _SHOWN} more frames are damaged")
+            remark(f"and {frames(len(each.faults) - _SHOWN)} damaged, too")
         for line in each.damage:
             remark(line)
-        damaged = f", {len(each.faults)} are damaged" if each.faults else ""
+        damaged = f", {len(each.faults)} damaged" if each.faults else ""
         if each.n_whole or damaged or not each.notes:
-            say(f"{each.name}: {each.n_whole} frames are whole{damaged}")
+            say(f"{each.name}: {frames(each.n_whole)} whole{damaged}")
     if not all(each.whole for each in found):
         sys.exit(SOME_ARE_BAD)

@@ -5,6 +5,7 @@ The drawing library ends the whole process where the machine has no graphics lib
 
 import os
 import queue
+import re
 import subprocess
 import sys
 import tempfile
@@ -36,6 +37,8 @@ _GRAPHICS_CURE = (
     "on Debian or Ubuntu run 'apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri' or 'apt-get install libosmesa6', "
     "elsewhere install a working OpenGL driver"
 )
+# What a traceback's last line has before the message of an error of ours.
+_OUR_ERRORS = re.compile(r"^(pipeline|tikernels)\.errors\.\w+: ")
 _GRAPHICS_WORDS = ("opengl", "libgl", "egl", "glx", "osmesa", "x server", "shared object")
 
 
@@ -121,7 +124,7 @@ def draw_apart(
         last_line = (errors.strip().splitlines() or [""])[-1]
         crashed = code not in (0, 1)
         if last_line and not crashed and not any(word in last_line.lower() for word in _GRAPHICS_WORDS):
-            raise RenderError(f"cannot draw: {last_line}")
+            raise RenderError(f"cannot draw: {_OUR_ERRORS.sub('', last_line)}")
     raise RenderError(f"cannot draw, the graphics library (OpenGL) is missing or broken: {_GRAPHICS_CURE}")
 
 

@@ -15,7 +15,7 @@ def test_a_result(command, tmp_path):
     (path / "mask" / "c.1.0.0").unlink()
     code, said, complained = command("verify", str(path))
     assert (code, complained) == (3, "frame 1: mask is missing\n")
-    assert said == f"{path}: 1 frames are whole, 1 are damaged\n"
+    assert said == f"{path}: 1 frame is whole, 1 damaged\n"
 
 
 def test_a_recording(command, tmp_path):
@@ -25,8 +25,8 @@ def test_a_recording(command, tmp_path):
     for number in range(12):
         (tmp_path / "a.zarr" / "frames" / f"c.{number}.0.0.0").write_bytes(b"")
     code, said, complained = command("verify", str(tmp_path / "a.zarr"))
-    assert code == 3 and said.endswith("18 frames are whole, 12 are damaged\n")
-    assert complained.startswith("frame 0: it is damaged") and complained.endswith("and 2 more frames are damaged\n")
+    assert code == 3 and said.endswith("18 frames are whole, 12 damaged\n")
+    assert complained.startswith("frame 0: it is damaged") and complained.endswith("and 2 frames are damaged, too\n")
 
 
 def test_what_is_not_there(command, tmp_path):
