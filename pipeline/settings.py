@@ -51,8 +51,9 @@ class DecodeSettings(Model):
     reflectance_bands: Literal["broad", "narrow"] | None = None
     """Where a surface's colour acts: "broad" on the camera's channels, after the crosstalk, "narrow" on the projector's
     primaries, before it. Real surfaces are between the two; None: found in the frame, surface by surface."""
-    transfer: Literal["linear", "srgb", "bt709"] = "linear"
-    """How the camera encoded light; undone before anything else. Left out, a calibration's is used."""
+    transfer: Literal["linear", "srgb", "bt709"] | None = None
+    """How the camera encoded light; undone before anything else. None: as the calibration has measured it, else as the
+    file says, of which a JPEG that says nothing is sRGB; else, and for arrays, linear."""
     capture: CameraState | None = None
     """How the camera was set for this footage; compared with the calibration's."""
     equalize: bool = True

@@ -111,12 +111,8 @@ class Job:
         return source.size_px if self.crop is None else (self.crop.width, self.crop.height)
 
     def with_transfer_of(self, source: Source) -> "Job":
-        """Return the same with the light as the container says that it is encoded, where nobody knows better."""
-        capture = None if self.calibration is None else self.calibration.capture
-        measured = capture is not None and capture.transfer is not None
-        if "transfer" in self.settings.model_fields_set or measured or source.transfer is None:
-            return self
-        return replace(self, settings=self.settings.model_copy(update={"transfer": source.transfer}))
+        """Return the same with the light as the footage says that it is encoded, where nobody knows better."""
+        return replace(self, settings=with_transfer_of(source, self.settings, self.calibration)[0])
 
     def identity(self, source: Source) -> dict[str, Any]:
         """Return all that a frame's result depends on, except its number, as JSON."""
@@ -214,6 +210,23 @@ class Job:
             if light_told and not decoder.asks_rims:
                 break
         return light, rims, notes
+
+
+def with_transfer_of(
+    source: Source, settings: DecodeSettings, calibration: Calibration | None
+) -> tuple[DecodeSettings, str]:
+    """Return settings that say how light is encoded, as they did, by the calibration or by the footage; and by which.
+
+    Where the calibration has measured a curve of its own, they leave it to that.
+    """
+    capture = None if calibration is None else calibration.capture
+    measured = None if capture is None else capture.transfer
+    if settings.transfer is not None:
+        return settings, "the settings say so"
+    if measured is not None:
+        known = settings.model_copy(update={"transfer": measured}) if isinstance(measured, str) else settings
+        return known, "the calibration has measured it"
+    return settings.model_copy(update={"transfer": source.transfer or "linear"}), source.transfer_because
 
 
 def chains(wanted: range, missing: set[int]) -> Iterator[tuple[range, frozenset[int]]]:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.batch.job import with_transfer_of
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
@@ -66,14 +67,18 @@ def decode_picture(
     """
     with output_folder(out, force=force) as folder:
         tell("reading")
-        (stored,) = open_source(picture, **vars(stored_as)).frames()
+        source = open_source(picture, **vars(stored_as))
+        settings, transfer_because = with_transfer_of(source, settings, calibration)
+        (stored,) = source.frames()
         if isinstance(stored, BadFrame):
             raise FootageError(stored.reason)
         tell("decoding")
         decoder = Decoder(settings, calibration, arch=arch)
         frame = decoder.decode(develop(stored.planes, stored.format, stripes=settings.stripes))
         tell("writing")
-        write_frame(folder, frame, settings, calibration, frame_report(frame, settings, calibration, picture.name))
+        report = frame_report(frame, settings, calibration, picture.name)
+        report["transfer_because"] = transfer_because
+        write_frame(folder, frame, settings, calibration, report)
     return frame
 
 

@@ -53,7 +53,7 @@ class LightPath:
     """
 
     def __init__(self, settings: DecodeSettings, calibration: Calibration | None) -> None:
-        self.transfer: Transfer = settings.transfer
+        self.transfer: Transfer = settings.transfer or "linear"
         self.camera_shift_px: FloatArray | None = None
         self._lag: FloatArray | None = None
         self._bands = settings.reflectance_bands
@@ -169,8 +169,8 @@ class LightPath:
 def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
     """Return how the camera encodes light, and warn where it stands otherwise than at calibration."""
     before, now = calibration.capture or CameraState(), settings.capture or CameraState()
-    chosen: Transfer = settings.transfer
-    if before.transfer is not None and "transfer" not in settings.model_fields_set:
+    chosen: Transfer = settings.transfer or "linear"
+    if before.transfer is not None and settings.transfer is None:
         chosen = before.transfer
     differ = [
         (name, getattr(before, name), getattr(now, name))

@@ -73,8 +73,8 @@ def gather_evidence(
     tell : callable
         Is told what is being done.
     """
-    if source.transfer is not None and "transfer" not in settings.model_fields_set:
-        settings = settings.model_copy(update={"transfer": source.transfer})
+    if settings.transfer is None:
+        settings = settings.model_copy(update={"transfer": source.transfer or "linear"})
     gatherer = _Gatherer(source, says, settings, arch, tell)
     runs = _runs(len(source))
     middle, total = max(runs, key=len), sum(map(len, runs))
@@ -176,7 +176,7 @@ class _Gatherer:
 
     def _diagnose(self, stored: StoredFrame, kept: KeptFrame) -> None:
         """Diagnose one frame's ripple, and where its colours sit."""
-        matrix, transfer = _known_crosstalk(self._decoder), self.seen.settings.transfer
+        matrix, transfer = _known_crosstalk(self._decoder), self.seen.settings.transfer or "linear"
         self.seen.diagnosis = diagnose(kept.encoded, 1.0, kept.unwrapped_phase, kept.mask, matrix, transfer)
         if self._source.format.subsampling[0] == 2 and self._says.siting is None:
             self._tell("where the colours sit")

@@ -66,7 +66,8 @@ def as_light(image: LevelsImage, settings: DecodeSettings) -> tuple[npt.NDArray[
     levels = np.array(runtime.to_host(image))
     white = settings.white_level or WHITE_LEVELS[levels.dtype.name]
     encoded = np.clip(levels.astype(np.float32) / np.float32(white), 0, 1)
-    light = encoded if settings.transfer == "linear" else runtime.to_host(linearize(encoded, settings.transfer))
+    transfer = settings.transfer or "linear"
+    light = encoded if transfer == "linear" else runtime.to_host(linearize(encoded, transfer))
     return encoded, light
 
 

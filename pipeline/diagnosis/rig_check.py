@@ -153,7 +153,9 @@ class _Reader:
         if calibration.pattern is not None and "stripes" not in said:
             settings = settings.model_copy(update={"stripes": calibration.pattern.stripes})
         at_calibration = None if calibration.capture is None else calibration.capture.transfer
-        self.transfer = settings.transfer if "transfer" in said or at_calibration is None else at_calibration
+        self.transfer: Transfer = settings.transfer or "linear"
+        if settings.transfer is None and at_calibration is not None:
+            self.transfer = at_calibration
         self._calibration = calibration
         self._decoder = Decoder(settings, calibration, arch=arch)
 

@@ -4,7 +4,7 @@ import struct
 import zlib
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pipeline.errors import FootageError
 from pipeline.footage.jpeg_decoder import JpegDecoder
 from pipeline.footage.picture_size import picture_size
+from pipeline.footage.picture_tags import read_tags, upright
 from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, max_pixels
 from pipeline.models import ImageArray
 
@@ -81,7 +82,8 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None:
         raise FootageError(f"{path} is not a picture that can be read: give a PNG, TIFF or JPEG file")
-    if image.shape[1::-1] != size_px:
+    turned = (size_px[1], size_px[0]) if data[:2] in (b"II", b"MM") else size_px  # OpenCV turns TIFF by its orientation
+    if image.shape[1::-1] not in (size_px, turned):
         raise FootageError(f"{path} is damaged: copy it again")
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         raise FootageError(f"{path} holds {image.dtype} values: save it with 8 or 16 bits")
@@ -156,7 +158,7 @@ def read_image(path: str | Path) -> ImageArray:
     Returns
     -------
     (H, W, 3) uint8, uint16 or float32
-        The levels as they are stored.
+        The levels as they are stored, turned as the camera was held (Exif).
 
     Raises
     ------
@@ -171,4 +173,5 @@ def read_image(path: str | Path) -> ImageArray:
         raise FootageError(f"{path} is grey: the phase is in the colours, give a colour picture")
     if image.shape[2] != 3:
         raise FootageError(f"{path} has {image.shape[2]} channels: save it without transparency")
-    return np.ascontiguousarray(image[..., ::-1])
+    upright_image = upright(image[..., ::-1], read_tags(data).orientation)
+    return cast(ImageArray, np.ascontiguousarray(upright_image))

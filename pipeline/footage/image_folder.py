@@ -3,18 +3,22 @@
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import cv2
+import numpy as np
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_planes import stored_planes
 from pipeline.footage.image_file import check_whole, decode_levels, read_bytes
 from pipeline.footage.jpeg_decoder import JpegDecoder
+from pipeline.footage.picture_tags import PictureTags, read_tags, upright
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
-from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
+from tikernels.raw.pixel_format import FLOAT_BITS, Bayer, PixelFormat
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
 #: How the names of image files end.
@@ -49,8 +53,6 @@ class ImageFolder:
         None of them can be read.
     """
 
-    transfer: str | None = None  # image files do not say
-
     def __init__(self, name: str, folder: Path, names: Sequence[str], says: StoredAs) -> None:
         self.name = name
         self._folder = folder
@@ -59,12 +61,15 @@ class ImageFolder:
         self._jpeg_decoder = JpegDecoder()
         self.notes: tuple[str, ...] = ()
         reason = ""
+        self.transfer: str | None = None
+        self.transfer_because = ""
         for number in range(len(names)):
             try:
-                planes, self.format = self._read(number)
+                planes, self.format, tags = self._read(number)
             except FootageError as error:
                 reason = reason or str(error)
                 continue
+            self.transfer, self.transfer_because = tags.transfer, tags.because
             self.size_px = (planes[0].shape[1], planes[0].shape[0])
             return
         what = "" if len(names) == 1 else f"none of its {len(names)} pictures can be; the first: "
@@ -92,7 +97,7 @@ class ImageFolder:
         """Yield frames by number; see `Source`."""
         for number in range(len(self))[start:stop:step]:
             try:
-                planes, format = self._read(number)
+                planes, format, _ = self._read(number)
             except FootageError as error:
                 yield BadFrame(number, str(error))
                 continue
@@ -106,10 +111,16 @@ class ImageFolder:
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""
 
-    def _read(self, number: int) -> tuple[tuple[ImageArray, ...], PixelFormat]:
+    def _read(self, number: int) -> tuple[tuple[ImageArray, ...], PixelFormat, PictureTags]:
+        """Return a picture's planes as it is to be seen, how they are stored, and what its file says."""
         path = self._folder / self.names[number]
         data = read_bytes(path)
         check_whole(path, data)
+        tags = read_tags(data)
+        planes, format = self._read_stored(path, data)
+        return (*_turned(planes, format, tags.orientation), tags)
+
+    def _read_stored(self, path: Path, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat]:
         try:
             if data.startswith(b"\xff\xd8\xff"):
                 return self._read_jpeg(data)
@@ -129,3 +140,22 @@ class ImageFolder:
         """Read a JPEG's planes: libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)."""
         planes, format, _ = stored_planes(self._jpeg_decoder.decode(data), "mjpeg", self._says)
         return planes, format
+
+
+def _turned(
+    planes: tuple[ImageArray, ...], format: PixelFormat, orientation: int
+) -> tuple[tuple[ImageArray, ...], PixelFormat]:
+    """Return planes as they are to be seen, and how they are stored then."""
+    if orientation == 1:
+        return planes, format
+    across, down = format.subsampling
+    if orientation in (5, 6, 7, 8):
+        format = replace(format, subsampling=(down, across))
+    if format.layout == "bayer":
+        height, width = planes[0].shape
+        # A mosaic of as many pixels more than two as the picture has more than an even number.
+        mosaic = np.tile(np.array(list(format.bayer)).reshape(2, 2), (2, 2))[: 2 + height % 2, : 2 + width % 2]
+        corner = upright(mosaic, orientation)[:2, :2]
+        format = replace(format, bayer=cast(Bayer, "".join(corner.ravel())))
+    turned = tuple(np.ascontiguousarray(upright(plane, orientation)) for plane in planes)
+    return cast(tuple[ImageArray, ...], turned), format

@@ -50,7 +50,11 @@ class Source(Protocol):
 
     @property
     def transfer(self) -> str | None:
-        """How light is encoded ("linear", "srgb", "bt709"), where the container says so; None where it does not."""
+        """How light is encoded ("linear", "srgb", "bt709"), where the file says so; None where it does not."""
+
+    @property
+    def transfer_because(self) -> str:
+        """What tells the transfer, or that nothing does."""
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -50,6 +50,7 @@ class VideoFile:
         self._url = f"file:{path.absolute()}"
         self._says = says
         self.transfer: str | None = None
+        self.transfer_because = "nothing in the file says otherwise"
         self.notes: tuple[str, ...] = ()
         self.size_px = (0, 0)
         self.format = PixelFormat("rgb")
@@ -60,6 +61,7 @@ class VideoFile:
             if recording is not None:
                 self._says = recording.completing(says)
                 self.transfer = recording.transfer
+                self.transfer_because = "the recording says so" if self.transfer else "the recording does not say"
             self._is_recording = recording is not None
             self._index = index_frames(container, stream, recording)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
@@ -253,8 +255,8 @@ class VideoFile:
     def _learn(self, frame: Any, assumed: tuple[str, ...]) -> None:
         """Note what the first good frame says of all."""
         transfer, not_undone = transfer_of(frame)
-        if self.transfer is None:
-            self.transfer = transfer
+        if self.transfer is None and transfer is not None:
+            self.transfer, self.transfer_because = transfer, "the file says so"
         notes = []
         if assumed:
             notes.append(f"the file does not say it, so this is assumed: {', '.join(assumed)}")

@@ -75,6 +75,7 @@ class ZarrRecording:
             raise FootageError(f"{path} is damaged: {error}") from None
         self._check_claims(width, height)
         self.transfer = tags.transfer
+        self.transfer_because = "the recording says so" if tags.transfer else "the recording does not say"
         if len(self) == 0:
             raise FootageError(f"{path} holds no frames")
         self.size_px = (width, height)

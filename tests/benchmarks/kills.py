@@ -57,7 +57,7 @@ def main() -> None:
 
 def kill_decoding(folder: Path, kills: int, seed: int) -> bool:
     """Kill runs over one footage; say whether the result is that of an undisturbed run."""
-    record(folder / "film.mkv", max(200, 4 * kills))
+    record(folder / "film.mkv", max(200, 25 * kills))
     killed = kill_again_and_again(folder / "film.mkv", folder / "killed", kills, seed)
     for out in ("killed", "whole"):
         subprocess.run(command("decode", folder / "film.mkv", "--out", folder / out, "--arch", "cpu"), check=True)

@@ -3,7 +3,6 @@
 import hashlib
 import os
 import random
-import signal
 import subprocess
 import time
 from pathlib import Path
@@ -58,7 +57,7 @@ def run_and_kill(arguments: list[str], marks: Path, n_more: int, delay_s: float)
             time.sleep(0.001)
         time.sleep(delay_s)
         killed = process.poll() is None
-        os.kill(process.pid, signal.SIGKILL)
+        process.kill()
         process.wait()
     return killed
 

@@ -80,12 +80,57 @@ def test_a_frame_without_fringes(folder, command):
     assert json.loads((folder / "none" / "report.json").read_text())["valid_fraction"] == 0
 
 
+def test_a_jpeg_that_says_nothing_is_srgb_and_a_png_linear(folder, command):
+    """And the report says why; settings overrule that."""
+    light = cv2.imread(str(folder / "frame.png")).astype(np.float64) / 255
+    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    high_quality = [cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, 0x111111]
+    jpeg = cv2.imencode(".jpg", np.rint(255 * encoded).astype(np.uint8), high_quality)[1]
+    (folder / "encoded.jpg").write_bytes(jpeg.tobytes())
+    (folder / "linear.toml").write_text('transfer = "linear"')
+    said, depth = {}, {}
+    for name, picture, *settings in (
+        ("png", "frame.png"),
+        ("srgb", "encoded.jpg"),
+        ("wrong", "encoded.jpg", "--settings", "linear.toml"),
+    ):
+        done = command(
+            *(
+                "decode",
+                picture,
+                "--out",
+                f"by {name}",
+                "--calibration",
+                "calibration.json",
+                "--arch",
+                "cpu",
+                *settings,
+            ),
+            cwd=folder,
+        )
+        assert done.returncode == 0, done.stderr
+        report = json.loads((folder / f"by {name}" / "report.json").read_text())
+        said[name] = report["settings"]["transfer"], report["transfer_because"]
+        depth[name] = zarr.open_group(folder / f"by {name}" / "result.zarr", mode="r")["wrapped_phase"][0]
+    assert said == {
+        "png": ("linear", "nothing in the file says otherwise"),
+        "srgb": ("srgb", "a JPEG that says nothing else is sRGB"),
+        "wrong": ("linear", "the settings say so"),
+    }
+    off = {
+        name: np.nanmedian(np.abs(np.angle(np.exp(1j * (depth[name] - depth["png"]))))) for name in ("srgb", "wrong")
+    }
+    assert off["srgb"] < 0.5 * off["wrong"]
+
+
 def test_a_jpeg_is_read_as_footage_is(folder, command):
     """From its planes, which costs less than the RGB that libraries make of them; and damage is told."""
     jpeg = cv2.imencode(".jpg", cv2.imread(str(folder / "frame.png")))[1].tobytes()
     (folder / "frame.jpg").write_bytes(jpeg)
     (folder / "broken.jpg").write_bytes(jpeg[:5000] + bytes(2000) + jpeg[7000:])
-    done = command("decode", "frame.jpg", "--out", "jpeg", "--calibration", "calibration.json", cwd=folder)
+    (folder / "linear.toml").write_text('transfer = "linear"')
+    options = ("--calibration", "calibration.json", "--settings", "linear.toml")
+    done = command("decode", "frame.jpg", "--out", "jpeg", *options, cwd=folder)
     assert done.returncode == 0, done.stderr
     decoder = Decoder(DecodeSettings(), Calibration.read(folder / "calibration.json"), arch="cpu")
     expected = decoder.decode(read_image(folder / "frame.png"))

@@ -43,4 +43,4 @@ def test_light_is_linear_and_of_full_scale_one():
 
 def test_a_decoder_of_light_has_no_thresholds_in_levels():
     settings = DecodeSettings(transfer="srgb", white_level=1023, noise=(2, 0.1), min_modulation=5, stripes="vertical")
-    assert decoder_settings(settings) == DecodeSettings(stripes="vertical")
+    assert decoder_settings(settings) == DecodeSettings(stripes="vertical", transfer="linear")

@@ -1,0 +1,153 @@
+"""What pictures as people bring them say of themselves."""
+
+import io
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image, ImageCms  # of matplotlib's own dependencies
+
+from pipeline.footage.image_file import read_image
+from pipeline.footage.opening import open_source
+from pipeline.footage.picture_tags import PictureTags, read_tags
+from tikernels import runtime
+from tikernels.raw.development import develop
+
+ORIENTATION, COLOR_SPACE, EXIF = 274, 40961, 34665
+HEIGHT, WIDTH = 48, 64
+
+
+def picture(seed=1):
+    """Return colours that change slowly, which JPEG keeps, and differ in every corner."""
+    corners = np.random.default_rng(seed).integers(30, 220, (3, 4, 3)).astype(np.uint8)
+    return cv2.resize(corners, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+
+
+def saved(kind, **options):
+    file = io.BytesIO()
+    Image.fromarray(picture()).save(file, kind, **options)
+    return file.getvalue()
+
+
+def exif(orientation=1, color_space=None):
+    tags = Image.Exif()
+    tags[ORIENTATION] = orientation
+    if color_space is not None:
+        tags.get_ifd(EXIF)[COLOR_SPACE] = color_space
+    return tags
+
+
+def profile(name):
+    return ImageCms.ImageCmsProfile(ImageCms.createProfile(name)).tobytes()
+
+
+def stored(shown, orientation):
+    """Return the levels that, turned as Exif says, are these."""
+    turn = {
+        2: "FLIP_LEFT_RIGHT",
+        3: "ROTATE_180",
+        4: "FLIP_TOP_BOTTOM",
+        5: "TRANSPOSE",
+        6: "ROTATE_90",
+        7: "TRANSVERSE",
+    }
+    turn[8] = "ROTATE_270"
+    return Image.fromarray(shown).transpose(getattr(Image.Transpose, turn[orientation])) if orientation > 1 else shown
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "WEBP"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_pictures_are_turned_as_the_camera_was_held(tmp_path, cpu, kind, orientation):
+    path = tmp_path / f"a.{kind.lower()}"
+    shown = picture()
+    lossless = {"WEBP": {"lossless": True}, "JPEG": {"quality": 98, "subsampling": "4:2:2"}}.get(kind, {})
+    Image.fromarray(np.asarray(stored(shown, orientation))).save(path, kind, exif=exif(orientation), **lossless)
+    assert read_tags(path.read_bytes()).orientation == (1 if kind == "TIFF" else orientation)
+    error = 12 if kind == "JPEG" else 0
+    read = read_image(path)
+    assert read.shape == shown.shape
+    assert np.abs(read.astype(int) - shown).max() <= error
+    source = open_source(path)
+    (frame,) = source.frames()
+    assert source.size_px == (WIDTH, HEIGHT)
+    developed = runtime.to_host(develop(frame.planes, frame.format))
+    scale = 255 if developed.dtype == np.float32 else 1
+    assert np.abs(scale * developed.astype(float) - shown).max() <= error
+
+
+@pytest.mark.parametrize("size", [(48, 64), (49, 65)])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_mosaics_are_turned_with_their_pattern(tmp_path, orientation, size):
+    """Every pixel keeps its colour, also where sides are odd."""
+    levels = {"r": 200, "g": 120, "b": 60}
+    taken = np.tile(np.array([[levels[color] for color in row] for row in ("rg", "gb")], np.uint8), (25, 33))
+    Image.fromarray(taken[: size[0], : size[1]]).save(tmp_path / "a.png", exif=exif(orientation))
+    source = open_source(tmp_path / "a.png", bayer="rggb")
+    (frame,) = source.frames()
+    mosaic = np.array([levels[color] for color in frame.format.bayer]).reshape(2, 2)
+    height, width = frame.planes[0].shape
+    np.testing.assert_array_equal(frame.planes[0], np.tile(mosaic, (33, 33))[:height, :width])
+
+
+def test_a_jpeg_is_srgb_and_a_png_is_not():
+    assert read_tags(saved("JPEG")) == PictureTags(1, "srgb", "a JPEG that says nothing else is sRGB")
+    assert read_tags(saved("WEBP")).transfer == "srgb"
+    for kind in ("PNG", "TIFF", "BMP", "PPM"):
+        assert read_tags(saved(kind)).transfer is None
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "WEBP"])
+def test_profiles(kind):
+    tags = read_tags(saved(kind, icc_profile=profile("sRGB")))
+    assert (tags.transfer, tags.because) == ("srgb", "its colour profile says so")
+    damaged = read_tags(saved(kind, icc_profile=profile("sRGB")[:150]))
+    assert damaged.transfer == ("srgb" if kind in ("JPEG", "WEBP") else None)
+
+
+def curve(kind, *numbers, count=None):
+    if kind == "curv":
+        body = b"curv\0\0\0\0" + len(numbers).to_bytes(4, "big") + np.array(numbers, ">u2").tobytes()
+    else:
+        body = (
+            b"para\0\0\0\0"
+            + count.to_bytes(2, "big")
+            + b"\0\0"
+            + np.rint(65536 * np.array(numbers)).astype(">i4").tobytes()
+        )
+    head = bytes(128) + (1).to_bytes(4, "big")
+    return head + b"rTRC" + (144).to_bytes(4, "big") + len(body).to_bytes(4, "big") + body
+
+
+@pytest.mark.parametrize(
+    ("trc", "transfer"),
+    [
+        (curve("curv"), "linear"),
+        (curve("curv", 256), "linear"),
+        (curve("curv", 563), "srgb"),  # AdobeRGB: a gamma of 2.2
+        (curve("curv", 461), None),  # ProPhoto: 1.8
+        (curve("curv", *np.rint(65535 * np.linspace(0, 1, 50))), "linear"),
+        (curve("para", 2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045, count=3), "srgb"),
+        (curve("para", 1 / 0.45, 1 / 1.099, 0.099 / 1.099, 1 / 4.5, 0.081, count=3), "bt709"),
+        (curve("para", 1.0, count=0), "linear"),
+    ],
+)
+def test_curves_of_profiles(trc, transfer):
+    tags = read_tags(saved("PNG", icc_profile=trc))
+    assert tags.transfer == transfer
+    assert (transfer is None) == ("which is another curve" in tags.because)
+
+
+def test_exif_says_srgb():
+    assert read_tags(saved("PNG", exif=exif(color_space=1))).because == "its Exif data say sRGB"
+    assert read_tags(saved("PNG", exif=exif(color_space=0xFFFF))).transfer is None
+
+
+def test_nonsense_says_nothing():
+    whole = saved("JPEG", exif=exif(6), icc_profile=profile("sRGB"))
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        damaged = bytearray(whole)
+        for place in rng.integers(2, min(len(whole), 900), 6):
+            damaged[place] = rng.integers(256)
+        assert 1 <= read_tags(bytes(damaged)).orientation <= 8
+    assert read_tags(b"") == read_tags(b"nonsense") == PictureTags()
