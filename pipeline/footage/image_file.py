@@ -80,9 +80,10 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
             _check_jpeg(path, data)
         with suppress(cv2.error):  # the message below says it in one line
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    if image is None:
+    if image is None or size_px is None:
         raise FootageError(f"{path} is not a picture that can be read: give a PNG, TIFF or JPEG file")
-    turned = (size_px[1], size_px[0]) if data[:2] in (b"II", b"MM") else size_px  # OpenCV turns TIFF by its orientation
+    # OpenCV turns TIFF by its orientation.
+    turned = size_px[::-1] if data[:2] in (b"II", b"MM") else size_px
     if image.shape[1::-1] not in (size_px, turned):
         raise FootageError(f"{path} is damaged: copy it again")
     if image.dtype not in (np.uint8, np.uint16, np.float32):

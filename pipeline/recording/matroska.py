@@ -210,21 +210,27 @@ def cut_off(path: Path) -> int:
     begin = _EBML_HEAD + _SEGMENT
     with path.open("r+b") as file:
         head = file.read(len(begin) + 8)
-        if not head.startswith(begin) or len(head) < len(begin) + 8:
+        if len(head) < len(begin) + 8 and begin.startswith(head[: len(begin)]):
+            return 0  # it was killed while it made this
+        if not head.startswith(begin):
             raise DamageError(f"{path.name} does not begin as a recording does")
         end = len(head) + int.from_bytes(head[len(begin) + 1 :], "big")
-        file.truncate(end)
-        os.fsync(file.fileno())
         n_frames, place = 0, len(head)
         while place < end:
             file.seek(place)
-            head = file.read(12)
+            element_head = file.read(12)
             # An element's first byte tells how long its name is; ours have lengths of eight bytes.
-            id_bytes = 9 - head[0].bit_length() if head and head[0] else 12
-            n_frames += head.startswith(CLUSTER)
-            if len(head) < id_bytes + 8:
-                raise DamageError(f"{path.name} is damaged at byte {place}")
-            place += id_bytes + 8 + int.from_bytes(head[id_bytes + 1 : id_bytes + 8], "big")
+            id_bytes = 9 - element_head[0].bit_length() if element_head and element_head[0] else 12
+            if len(element_head) < id_bytes + 8:
+                break
+            n_frames += element_head.startswith(CLUSTER)
+            place += id_bytes + 8 + int.from_bytes(element_head[id_bytes + 1 : id_bytes + 8], "big")
+        size = file.seek(0, os.SEEK_END)
+        if n_frames and (place != end or end > size):
+            raise DamageError(f"{path.name} is damaged at byte {min(place, size)}")
+        if n_frames:
+            file.truncate(end)
+            os.fsync(file.fileno())
     return n_frames
 
 

@@ -103,9 +103,14 @@ def cut_off(path: Path) -> int:
     OSError
         It cannot be written.
     """
+    chunks = any(_KEY.fullmatch(file.name) for file in (path / FRAMES).glob("c.*"))
     try:
         n_frames = int(json.loads((path / FRAMES / "zarr.json").read_bytes())["shape"][0])
-    except (FileNotFoundError, NotADirectoryError, ValueError, KeyError, TypeError, IndexError):
+    except FileNotFoundError:
+        if not chunks:  # it was killed while it made this
+            return 0
+        raise DamageError(f"{path.name} does not say how many frames it holds") from None
+    except (ValueError, KeyError, TypeError, IndexError):
         raise DamageError(f"{path.name} does not say how many frames it holds") from None
     _remove_from(path / FRAMES, n_frames)
     return n_frames

@@ -53,3 +53,32 @@ def test_what_is_damaged_stays(left, suffix):
     with pytest.raises(FootageError, match="cannot finish"):
         finish_recording(left)
     assert left.exists()
+
+
+@both
+def test_what_was_only_begun_is_removed(tmp_path, suffix):
+    """At every moment of its making."""
+    with Recorder(tmp_path / f"a{suffix}", RGB8) as recorder:
+        add(recorder, 1)
+    part = tmp_path / f"b.part{suffix}"
+    if suffix == ".mkv":
+        whole = (tmp_path / "a.mkv").read_bytes()
+        for n_bytes in (0, 7, 40, 300):
+            part.write_bytes(whole[:n_bytes])
+            assert finish_recording(part) == (tmp_path / "b.mkv", 0)
+            assert not part.exists()
+        part.write_bytes(whole[:-1200])
+        with pytest.raises(FootageError, match="is damaged at byte"):
+            finish_recording(part)
+        assert part.read_bytes() == whole[:-1200]
+    else:
+        for left in ((), ("zarr.json",), ("zarr.json", "frames")):
+            part.mkdir()
+            for name in left:
+                (part / name).mkdir() if name == "frames" else (part / name).write_bytes(b"{}")
+            assert finish_recording(part) == (tmp_path / "b.zarr", 0)
+            assert not part.exists()
+        shutil.copytree(tmp_path / "a.zarr", part)
+        (part / "frames" / "zarr.json").unlink()
+        with pytest.raises(FootageError, match="does not say how many frames it holds"):
+            finish_recording(part)
