@@ -103,6 +103,10 @@ class Decoder:
         rays = None if geometry is None else CameraRays.of(geometry, self.settings.stripes)
         self._setup = FrameSetup(self.settings.stripes, self.settings.smoothing_px // 2, rays, plane)
 
+    def __repr__(self) -> str:
+        calibrated = "a calibrated rig" if self._setup.rays is not None else "no geometry"
+        return f"Decoder(arch={self.arch!r}, stripes={self.settings.stripes!r}, {calibrated})"
+
     def decode(
         self, image: LevelsImage, previous: DecodedFrame | None = None, out: DecodedFrame | None = None
     ) -> DecodedFrame:

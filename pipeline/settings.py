@@ -4,7 +4,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from pipeline.errors import SettingsError
 from pipeline.models import ArrayOf, CameraState, FloatArray, Matrix3, Model, build, read_file
@@ -41,6 +41,8 @@ class DecodeSettings(Model):
 
     Thresholds and noise are grey levels of the input, in linear light (a sRGB frame's after its transfer is undone).
     """
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
     camera_period_px: Annotated[float, Field(ge=MIN_PERIOD_PX, le=_MAX_PERIOD_PX)] | None = None
     """Camera px a cycle, roughly; None: measured from the frame."""

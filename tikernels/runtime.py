@@ -28,6 +28,7 @@ ARCHS = ("cuda", "metal", "vulkan", "cpu")
 lock = threading.RLock()
 
 _started: str | None = None
+_failed: str | None = None  # the arch that was named and could not be started
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,7 @@ def init(arch: str = "auto") -> str:
     DeviceNotReady
         The machine lacks the arch.
     """
-    global _started
+    global _started, _failed
     if arch == "auto":
         if _started is not None:
             return _started
@@ -73,25 +74,28 @@ def init(arch: str = "auto") -> str:
     for candidate in candidates:
         reason = _start(candidate)
         if reason is None:
-            _started = candidate
+            _started, _failed = candidate, None
             traffic.on_device = candidate != "cpu"
             traffic.clear()
             return candidate
         _started = None  # a failed start has already ended what ran before
         reasons.append(reason)
+    _failed = arch
     raise DeviceNotReady(f"{arch} cannot be started here ({'; '.join(reasons)}): `colorphase devices` lists what can")
 
 
 def started() -> str:
-    """Return the arch that runs.
+    """Return the arch that runs; where none does yet, "auto" is started.
 
     Raises
     ------
     DeviceNotReady
-        `init` has not been called.
+        One that was named could not be started: nothing else takes its place.
     """
     if _started is None:
-        raise DeviceNotReady('no device is started: call tikernels.init("auto") first')
+        if _failed is not None:
+            raise DeviceNotReady(f"{_failed} could not be started: call tikernels.init with another arch, or with auto")
+        return init("auto")
     return _started
 
 

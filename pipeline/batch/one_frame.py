@@ -59,7 +59,7 @@ def decode_picture(
     Raises
     ------
     FootageError
-        The picture cannot be read.
+        The picture cannot be read, or shows nothing that can be measured.
     OutputError
         The folder holds something else, or cannot be written.
     DeviceNotReady, CalibrationError, ShapeError
@@ -75,6 +75,8 @@ def decode_picture(
         tell("decoding")
         decoder = Decoder(settings, calibration, arch=arch)
         frame = decoder.decode(develop(stored.planes, stored.format, stripes=settings.stripes))
+        if not frame.mask.any():  # a warning has said why
+            raise FootageError(f"nothing was measured in {picture.name}, so nothing is written")
         tell("writing")
         report = frame_report(frame, settings, calibration, picture.name)
         report["transfer_because"] = transfer_because

@@ -13,6 +13,7 @@ from cyclopts import Parameter
 from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import DecodeSummary, decode_footage
 from pipeline.calibration import Calibration
+from pipeline.cli.chosen_settings import SettingsOptions
 from pipeline.cli.console import (
     SOME_ARE_BAD,
     Arch,
@@ -46,7 +47,8 @@ class FootageOptions:
     """The options for footage."""
 
     fields: Annotated[tuple[str, ...] | None, Parameter(consume_multiple=True)] = None
-    """Which fields to store, as range_image mask; left out, all."""
+    """Which fields to store, as range_image mask, or all; left out, mask, phase_sigma, absolute and points, or
+    range_image without a calibration."""
     start: Annotated[int, Parameter(validator=bounded(0))] = 0
     """The first frame, from 0."""
     stop: Annotated[int | None, Parameter(validator=bounded(0))] = None
@@ -80,7 +82,7 @@ class FootageOptions:
         return Crop(*parts)
 
 
-_FOOTAGE = FootageOptions()
+_FOOTAGE, _AS_SET = FootageOptions(), SettingsOptions()
 _AS_IT_SAYS = StoredAs()
 
 
@@ -94,6 +96,7 @@ def decode(
     depth_range: tuple[float, float] | None = None,
     arch: Arch = "auto",
     force: bool = False,
+    chosen: SettingsOptions = _AS_SET,
     video: FootageOptions = _FOOTAGE,
     stored_as: Annotated[StoredAs, Parameter(name="*")] = _AS_IT_SAYS,
 ) -> None:
@@ -122,9 +125,9 @@ def decode(
     force
         Write into a folder that holds other things.
     """
-    chosen, rig = read_settings(settings), _within(read_calibration(calibration), depth_range)
+    how, rig = chosen.applied_to(read_settings(settings)), _within(read_calibration(calibration), depth_range)
     if input.suffix.lower() not in IMAGE_SUFFIXES or input.is_dir():
-        _decode_video(input, out, chosen, rig, arch, video, stored_as, force=force)
+        _decode_video(input, out, how, rig, arch, video, stored_as, force=force)
         return
     if video != _FOOTAGE:
         raise SettingsError(
@@ -133,13 +136,11 @@ def decode(
     from pipeline.batch.one_frame import decode_picture
 
     with steps() as step:
-        frame = decode_picture(input, out, chosen, rig, stored_as, arch, force=force, tell=step)
+        frame = decode_picture(input, out, how, rig, stored_as, arch, force=force, tell=step)
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
     relative = depth_in_words(partial(getattr, frame), in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
     if relative is not None:
         say(relative)
-    if not frame.mask.any():  # the warning has said why
-        sys.exit(1)
 
 
 def _within(rig: Calibration | None, depth_range_mm: tuple[float, float] | None) -> Calibration | None:
@@ -177,7 +178,7 @@ def _decode_video(
         crop=options.crop(),
         step=options.step,
         first=options.start % options.step,
-        fields=chosen_fields(options.fields, in_mm=in_mm),
+        fields=chosen_fields(_wanted_fields(options.fields, in_mm=in_mm), in_mm=in_mm),
         store=f"{out.rstrip('/')}/{STORE}",
         arch=arch,
     )
@@ -201,6 +202,13 @@ def _decode_video(
         write_meshes(job.store, Path(out, _MESHES), options.export)
     if summary.bad:
         sys.exit(SOME_ARE_BAD)
+
+
+def _wanted_fields(names: tuple[str, ...] | None, *, in_mm: bool) -> tuple[str, ...] | None:
+    """Return the fields that are asked for, or those that most people read; None: all."""
+    if names is None:
+        return ("mask", "phase_sigma", *(("absolute", "points") if in_mm else ("range_image",)))
+    return None if names == ("all",) else names
 
 
 def _check_meshes(out: str, job: Job, *, in_mm: bool) -> None:

@@ -7,6 +7,7 @@ from rich.text import Text
 
 from pipeline.cli.calibrate import calibrate
 from pipeline.cli.capture import capture
+from pipeline.cli.chosen_settings import settings
 from pipeline.cli.console import run, without_controls
 from pipeline.cli.decode import decode
 from pipeline.cli.demo import demo
@@ -25,7 +26,7 @@ app = App(
     error_formatter=lambda error: Text(without_controls(f"error: {' '.join(str(error).split())}"), style="red"),
 )
 _MAKING = (demo, calibrate, capture, project, projector, pattern)
-_USING = (decode, inspect, render, export, verify, devices)
+_USING = (settings, decode, inspect, render, export, verify, devices)
 for command in (*_MAKING, *_USING):
     app.command(command)
 

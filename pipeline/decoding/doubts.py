@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
-from tikernels.phase.frame_statistics import measure_frame
+from tikernels import runtime
+from tikernels.phase.frame_statistics import MIN_PERIOD_PX, measure_frame
 from tikernels.transposing import transpose
 
 # Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
@@ -14,13 +17,35 @@ _MAX_MISMATCH = 0.12
 # A share of the surface that is lost unnoticed at edges.
 _MAX_TOO_FAST = 0.05
 
+# Columns of a frame that are looked at for a fringe that is too fine, and the share of their changes that one has.
+_COLUMNS, _FRINGE_SHARE = 32, 0.25
+
 
 def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
     """Say why no fringe was found in a frame."""
     if measure_frame(transpose(frame.image), frame.white).period_px is not None:
         other = "vertical" if stripes == "horizontal" else "horizontal"
-        return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r}"
+        return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
+    finest = _finest_fringe(frame)
+    if finest is not None:
+        return (
+            f"the fringe has {finest:.1f} px a cycle in this frame, and {MIN_PERIOD_PX:g} are the least: go nearer, "
+            "take more pixels, or project a longer period"
+        )
     return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
+
+
+def _finest_fringe(frame: LinearFrame) -> float | None:
+    """Return the period of a fringe that is too short to be decoded, px; None: there is none."""
+    image = runtime.to_host(frame.image)
+    columns = image[:, :: max(1, image.shape[1] // _COLUMNS)].astype(np.float64)
+    power = (np.abs(np.fft.rfft(columns - columns.mean(axis=0), axis=0)) ** 2).sum(axis=(1, 2))
+    fine = np.arange(len(power)) * MIN_PERIOD_PX > image.shape[0]
+    # One that has a share of all that changes along a column; noise spreads over all frequencies.
+    peak = int(np.argmax(power * fine))
+    if power[peak - 1 : peak + 2].sum() < _FRINGE_SHARE * max(float(power.sum()), 1e-12):
+        return None
+    return float(image.shape[0] / peak) if peak else None
 
 
 def light_doubts(

@@ -72,6 +72,8 @@ class FrameReader:
             See `Decoder.decode`.
         """
         image = cast(LevelsImage, on_host("image", image))
+        if isinstance(image, np.ndarray) and image.dtype == np.float64:
+            image = image.astype(np.float32)
         self._check_shape(image)
         dtype = runtime.dtype_name(image)
         if dtype not in WHITE_LEVELS:

@@ -8,6 +8,9 @@ from pipeline.footage.ffmpeg_messages import caught_messages
 from pipeline.footage.picture_size import picture_size
 from pipeline.limits import check_size, ffmpeg_limits
 
+# What FFmpeg makes of a JPEG in cyan, magenta, yellow and black.
+_FOUR_COLOURS = ("gbrap", "yuva444p", "cmyk")
+
 
 class JpegDecoder:
     """Decode pictures one after another."""
@@ -38,4 +41,6 @@ class JpegDecoder:
         if said or not frames:
             self._context = None  # what it made of this one may stay in its state
             raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
+        if frames[0].format.name in _FOUR_COLOURS:
+            raise FootageError("it is in CMYK, the colours of a printer: save it in RGB")
         return frames[0]

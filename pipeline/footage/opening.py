@@ -13,6 +13,9 @@ from pipeline.footage.zarr_recording import ZarrRecording
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import Bayer, Matrix, Siting
 
+# Pictures that phones and browsers store as the brand of an ISO base media file says (ISO/IEC 23008-12, 10.2).
+_UNREAD = {b"heic": "HEIC", b"heix": "HEIC", b"hevc": "HEIC", b"mif1": "HEIC", b"msf1": "HEIC", b"avif": "AVIF"}
+
 
 def open_source(
     path: str | Path,
@@ -49,6 +52,8 @@ def open_source(
         if not path.is_file():
             what = "it is neither a file nor a folder" if path.exists() else "there is no such file"
             raise FootageError(f"cannot read {path}: {what}")
+        if (kind := _unread_kind(path)) is not None:
+            raise FootageError(f"cannot read {path}: it is a picture in {kind}: save it as PNG, TIFF or JPEG")
         if path.suffix.lower() in IMAGE_SUFFIXES:
             return ImageFolder(str(path), path.parent, [path.name], says)
         return VideoFile(path, says)
@@ -58,3 +63,12 @@ def open_source(
         raise FootageError(f"cannot read {path}: {error}") from None
     except OSError as error:
         raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
+
+
+def _unread_kind(path: Path) -> str | None:
+    """Return the name of a kind of picture that is not read, by how the file begins; None: it is another file."""
+    with path.open("rb") as file:
+        head = file.read(12)
+    if head[4:8] == b"ftyp":
+        return _UNREAD.get(head[8:12])
+    return "GIF" if head.startswith(b"GIF8") else None

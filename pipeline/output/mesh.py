@@ -44,6 +44,10 @@ class Mesh:
     properties: dict[str, npt.NDArray[np.float32]] = field(default_factory=dict)
     unit: Unit = "mm"
 
+    def __repr__(self) -> str:
+        known = f", {' '.join(self.properties)}" if self.properties else ""
+        return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} faces, {self.unit}{known})"
+
     def __post_init__(self) -> None:
         count = len(self.vertices)
         wanted: list[tuple[str, npt.NDArray[Any], tuple[int, ...], type]] = [

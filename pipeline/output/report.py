@@ -67,7 +67,8 @@ def depth_in_words(read: Callable[[str], npt.NDArray[Any] | None], *, in_mm: boo
     if not in_mm:
         guess = "; which side is in front is a guess, and projector_side in the settings tells"
         return (
-            f"depth is relative, in rad of phase and not in mm: give a --calibration{'' if front_is_clear else guess}"
+            "depth is relative, in rad of phase and not in mm: give a --calibration with the rig's geometry"
+            f"{'' if front_is_clear else guess}"
         )
     if mask is None or absolute is None or not (unknown := mask & ~absolute).any():
         return None

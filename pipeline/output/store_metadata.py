@@ -61,11 +61,22 @@ def new_metadata(
             compressors=chunk_codecs(None if name == DONE else LEVEL),
             chunk_key_encoding=CHUNK_KEYS,
             dimension_names=("frame", *axes),
+            attributes=_described(name, attributes),
         )
     files = {key: content.to_bytes() for key, content in held.items() if key != _METADATA}
     about = json.loads(held[_METADATA].to_bytes())
     about["attributes"][_CHECKSUM] = _digest(about, [files[key] for key in sorted(files)])
     return {**files, _METADATA: _text(about)}
+
+
+def _described(name: str, attributes: dict[str, Any]) -> dict[str, Any]:
+    """Return what an array says of itself, by the names that xarray and CF (Climate and Forecast) conventions use."""
+    if name == DONE:
+        return {"long_name": "record of each frame that is whole, as JSON"}
+    unit = FIELDS[name].unit
+    unit = attributes.get("range_unit", "rad") if unit == "range" else unit
+    meaning = " ".join(FIELDS[name].meaning.split())
+    return {"long_name": name.replace("_", " "), "comment": meaning, **({} if unit is None else {"units": unit})}
 
 
 def read_metadata(files: StoreFiles) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]] | None:

@@ -235,7 +235,7 @@ def good_image():
         (np.dstack([good_image(), good_image()[..., :1]]), ShapeError, "transparency"),
         (good_image()[:0], ShapeError, "at least 16x16"),
         (good_image()[:1, :1], ShapeError, "1x1"),
-        (good_image().astype(np.float64), ShapeError, "float64"),
+        (good_image().astype(np.int32), ShapeError, "int32"),
         (good_image().tolist(), ShapeError, "list"),
         (np.where(good_image() > 0.9, np.nan, good_image()).astype(np.float32), FootageError, "NaN"),
         (good_image() * 255, FootageError, r"outside 0\.\.1"),

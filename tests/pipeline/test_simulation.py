@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 SIZE = (160, 120)
 PLAIN = {"scene": "plane", "noise_levels": 0.0, "texture": 0.0, "ambient": 0.0, "bits": 16, "reflectance": WHITE}
@@ -81,9 +80,3 @@ def test_the_order_is_of_the_true_phase(rig):
     rest = (truth.phase - 2 * np.pi * truth.fringe_order)[truth.mask]
     assert np.abs(rest).max() <= np.pi
     assert not truth.fringe_order[~truth.mask].any()
-
-
-def test_without_a_device_it_says_so(monkeypatch):
-    monkeypatch.setattr(runtime, "_started", None)
-    with pytest.raises(RuntimeError, match="no device is started"):
-        simulate_frame(simulated_rig(SIZE))

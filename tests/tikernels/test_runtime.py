@@ -71,9 +71,11 @@ def test_a_missing_arch_is_one_line():
     assert done.stderr == ""
 
 
-def test_no_device_before_init():
+def test_nothing_takes_the_place_of_a_named_arch_that_could_not_be_started():
     done = run(
-        "import numpy as np, tikernels\n"
+        "import sys, numpy as np, tikernels\n"
+        "try: tikernels.init('cuda' if sys.platform == 'darwin' else 'metal')\n"
+        "except tikernels.DeviceNotReady: pass\n"
         "image = np.zeros((4, 4, 3), np.float32)\n"
         "phase, mask = image[..., 0].copy(), image[..., 0] == 0\n"
         "calls = {\n"
@@ -93,4 +95,14 @@ def test_no_device_before_init():
     )
     lines = done.stdout.splitlines()
     assert len(lines) == 9, done.stderr
-    assert all(line.endswith('no device is started: call tikernels.init("auto") first') for line in lines)
+    assert all("could not be started: call tikernels.init with another arch, or with auto" in line for line in lines)
+
+
+def test_the_first_call_starts_a_device_where_none_is():
+    done = run(
+        "import numpy as np, tikernels\n"
+        "from tikernels import runtime\n"
+        "before, image = runtime.is_started(), np.zeros((4, 4, 3), np.float32)\n"
+        "print(before, tikernels.linearize(image).shape, runtime.is_started())\n"
+    )
+    assert done.stdout.splitlines()[-1] == "False (4, 4, 3) True", done.stderr

@@ -1,5 +1,7 @@
 """One picture into a folder: what a picture that cannot be decoded leaves, and what is said meanwhile."""
 
+import warnings
+
 import numpy as np
 import pytest
 
@@ -18,14 +20,28 @@ def decode(picture, out, *, force=False):
     return frame, said
 
 
-def test_a_black_picture_gives_all_files_and_nothing_in_them(tmp_path):
-    write_png(tmp_path / "black.png", np.zeros((48, 64, 3), np.uint8))
-    with pytest.warns(DecodeWarning, match="no fringe stands out"):
-        frame, said = decode(tmp_path / "black.png", tmp_path / "out")
-    assert not frame.mask.any()
-    assert said == ["reading", "decoding", "writing"]
+def fringes(path):
+    """Write a picture of 12 px a cycle."""
+    place = np.arange(96)[:, None, None] * (2 * np.pi / 12) + np.array([-1, 0, 1]) * 2 * np.pi / 3
+    write_png(path, np.broadcast_to(np.rint(120 + 80 * np.cos(place)), (96, 128, 3)).astype(np.uint8))
+
+
+def test_a_picture_gives_all_files(tmp_path):
+    fringes(tmp_path / "fringes.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DecodeWarning)
+        frame, said = decode(tmp_path / "fringes.png", tmp_path / "out")
+    assert frame.mask.any() and said == ["reading", "decoding", "writing"]
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == ["mesh.ply", "range.png", "report.json", "result.zarr", "shaded.png"]
+
+
+def test_a_black_picture_leaves_nothing(tmp_path):
+    write_png(tmp_path / "black.png", np.zeros((48, 64, 3), np.uint8))
+    with pytest.warns(DecodeWarning, match="no fringe stands out"):
+        with pytest.raises(FootageError, match=r"nothing was measured in black\.png, so nothing is written"):
+            decode(tmp_path / "black.png", tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == ["black.png"]
 
 
 def test_what_cannot_be_read_leaves_no_folder(tmp_path):
@@ -38,11 +54,12 @@ def test_what_cannot_be_read_leaves_no_folder(tmp_path):
 
 
 def test_a_folder_that_holds_something_else_is_kept(tmp_path):
-    write_png(tmp_path / "black.png", np.zeros((48, 64, 3), np.uint8))
+    fringes(tmp_path / "fringes.png")
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").touch()
     with pytest.raises(OutputError, match="holds something else"):
-        decode(tmp_path / "black.png", tmp_path / "out")
-    with pytest.warns(DecodeWarning):
-        decode(tmp_path / "black.png", tmp_path / "out", force=True)
+        decode(tmp_path / "fringes.png", tmp_path / "out")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DecodeWarning)
+        decode(tmp_path / "fringes.png", tmp_path / "out", force=True)
     assert (tmp_path / "out" / "thesis.tex").exists()

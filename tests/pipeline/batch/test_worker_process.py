@@ -33,7 +33,7 @@ def job(tmp_path, cpu):
     return Job(
         str(tmp_path / "film.zarr"),
         StoredAs(),
-        DecodeSettings(),
+        DecodeSettings(transfer="linear"),
         None,
         None,
         1,

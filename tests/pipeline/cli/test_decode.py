@@ -51,7 +51,9 @@ def test_decode_without_one_is_relative(folder, command):
     done = command("decode", "frame.png", "--out", "rad", "--arch", "cpu", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert json.loads((folder / "rad" / "report.json").read_text())["range_unit"] == "rad"
-    assert "depth is relative, in rad of phase and not in mm: give a --calibration" in done.stdout
+    assert (
+        "depth is relative, in rad of phase and not in mm: give a --calibration with the rig's geometry" in done.stdout
+    )
     assert read_mesh(folder / "rad" / "mesh.ply").unit == "rad"
     assert "points" not in set(zarr.open_group(folder / "rad" / "result.zarr", mode="r").array_keys())
     # Our own results may be replaced.
@@ -77,7 +79,17 @@ def test_a_frame_without_fringes(folder, command):
     assert done.returncode == 1
     assert "no fringe stands out" in done.stderr
     assert "Traceback" not in done.stderr
-    assert json.loads((folder / "none" / "report.json").read_text())["valid_fraction"] == 0
+    assert "nothing was measured in black.png, so nothing is written" in done.stderr
+    assert not (folder / "none").exists()
+
+
+def test_settings_as_options(folder, command):
+    done = command("decode", "frame.png", "--out", "turned", "--arch", "cpu", "--stripes", "vertical", cwd=folder)
+    assert done.returncode == 1 and "set stripes to 'horizontal' (--stripes horizontal)" in done.stderr
+    done = command("decode", "frame.png", "--out", "smooth", "--arch", "cpu", "--smoothing", "11", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    report = json.loads((folder / "smooth" / "report.json").read_text())
+    assert report["settings"]["smoothing_px"] == 11
 
 
 def test_a_jpeg_that_says_nothing_is_srgb_and_a_png_linear(folder, command):
@@ -163,7 +175,7 @@ def test_decode_footage(folder, command):
     group = zarr.open_group(folder / "footage" / "result.zarr", mode="r")
     assert group["points"].shape == (4, 240, 320, 3)
     assert "relative" not in done.stdout  # what tells it was not stored
-    everything = (*options[:1], "all", *options[2:6], "--start", "3")
+    everything = (*options[:1], "all", *options[2:6], "--start", "3", "--fields", "all")
     told = " ".join(command("decode", film, *everything, cwd=folder).stdout.split())
     assert "frame 3: depth is relative on 100% of the pixels" in told and "mm each; a pattern with the code" in told
     again = command("decode", film, *options, cwd=folder)

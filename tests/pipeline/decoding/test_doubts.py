@@ -8,15 +8,26 @@ from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 
 
-def fringes(axis):
-    """Three sinusoids of 12 px a cycle along an axis."""
-    place = np.indices((96, 96))[axis] * (2 * np.pi / 12)
+def fringes(axis, period_px=12):
+    """Three sinusoids of some px a cycle along an axis."""
+    place = np.indices((96, 96))[axis] * (2 * np.pi / period_px)
     waves = 120 + 80 * np.cos(place[..., None] + np.array([-1, 0, 1]) * 2 * np.pi / 3)
     return LinearFrame(waves.astype(np.uint8), 255.0)
 
 
 def test_stripes_the_other_way_are_named(cpu):
     assert "a vertical one does: set stripes to 'vertical'" in fringe_doubt(fringes(axis=1), "horizontal")
+
+
+@pytest.mark.parametrize("period_px", [2.4, 3, 3.6])
+def test_fringes_that_are_too_fine_are_named(cpu, period_px):
+    said = fringe_doubt(fringes(axis=0, period_px=period_px), "horizontal")
+    assert f"the fringe has {period_px:.1f} px a cycle in this frame, and 4 are the least" in said
+
+
+def test_noise_is_no_fine_fringe(cpu):
+    noise = np.random.default_rng(0).integers(60, 180, (96, 96, 3)).astype(np.uint8)
+    assert "check that the pattern is projected" in fringe_doubt(LinearFrame(noise, 255.0), "horizontal")
 
 
 def test_where_there_are_none_the_projector_is_looked_at(cpu):

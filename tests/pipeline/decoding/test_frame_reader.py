@@ -30,6 +30,11 @@ def test_vertical_stripes_are_turned(cpu):
     assert frame.shape == (30, 20)
 
 
+def test_doubles_are_taken(cpu):
+    frame = reader().read(LEVELS / 255.0)
+    np.testing.assert_array_equal(frame.image, (LEVELS / 255.0).astype(np.float32))
+
+
 def test_encoded_light_is_made_linear(cpu):
     frame = reader(transfer="srgb").read(np.full((20, 30, 3), 188, np.uint8))
     assert np.asarray(frame.image).mean() == pytest.approx(255 * ((188 / 255 + 0.055) / 1.055) ** 2.4, rel=1e-3)
@@ -42,7 +47,7 @@ def test_encoded_light_is_made_linear(cpu):
         (np.zeros((20, 30, 4), np.uint8), ShapeError, "four channels"),
         (LEVELS.tolist(), ShapeError, "image is a list"),
         (LEVELS[:8], ShapeError, "at least 16x16 px"),
-        (LEVELS.astype(np.float64), ShapeError, "image is float64"),
+        (LEVELS.astype(np.int64), ShapeError, "image is int64"),
         (np.full((20, 30, 3), np.nan, np.float32), FootageError, "holds NaN in 1800 values"),
         (np.full((20, 30, 3), 2, np.float32), FootageError, "1800 values outside 0..1"),
     ],

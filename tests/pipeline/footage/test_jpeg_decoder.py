@@ -1,8 +1,11 @@
 """What is wrong with a JPEG file is told, and does not spoil the next one."""
 
+import io
+
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from pipeline.errors import FootageError
 from pipeline.footage.jpeg_decoder import JpegDecoder
@@ -25,3 +28,10 @@ def test_larger_pictures_than_cameras_take_are_refused(monkeypatch):
     monkeypatch.setenv(MAX_PIXELS, "3000")
     with pytest.raises(FootageError, match=r"^it has 64x48 px, and 3000 pixels are read at most: set COLORPHASE_MAX"):
         JpegDecoder().decode(DATA)
+
+
+def test_the_colours_of_a_printer_are_named():
+    file = io.BytesIO()
+    Image.fromarray(np.full((48, 64, 3), 90, np.uint8)).convert("CMYK").save(file, "JPEG")
+    with pytest.raises(FootageError, match="it is in CMYK, the colours of a printer: save it in RGB"):
+        JpegDecoder().decode(file.getvalue())

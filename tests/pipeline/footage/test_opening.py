@@ -48,3 +48,18 @@ def test_each_mistake_names_the_file_once(tmp_path):
         with pytest.raises(FootageError, match=message) as raised:
             open_source(tmp_path / name)
         assert str(raised.value).count(str(tmp_path / name)) == 1 and "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("begin", "kind"),
+    [
+        (b"\0\0\0\x18ftypheic\0\0\0\0", "HEIC"),
+        (b"\0\0\0\x1cftypavif\0\0\0\0", "AVIF"),
+        (b"GIF89a\1\0\1\0\0\0\0", "GIF"),
+    ],
+)
+def test_pictures_that_are_not_read_are_named(tmp_path, begin, kind):
+    for name in ("a.heic", "a.png", "a"):
+        (tmp_path / name).write_bytes(begin + bytes(100))
+        with pytest.raises(FootageError, match=rf"{name}: it is a picture in {kind}: save it as PNG, TIFF or JPEG"):
+            open_source(tmp_path / name)

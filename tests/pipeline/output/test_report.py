@@ -74,7 +74,7 @@ def test_depth_that_is_only_relative_is_said(truth):
         return depth_in_words(read, in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
 
     plain = Decoder(DecodeSettings(projector_side="above"), arch="cpu").decode(truth.image)
-    relative = "depth is relative, in rad of phase and not in mm: give a --calibration"
+    relative = "depth is relative, in rad of phase and not in mm: give a --calibration with the rig's geometry"
     assert words(plain) == relative
     guess = "; which side is in front is a guess, and projector_side in the settings tells"
     assert words(Decoder(arch="cpu").decode(truth.image)) == relative + guess

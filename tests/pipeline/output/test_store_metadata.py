@@ -3,6 +3,7 @@
 import json
 
 import pytest
+import zarr
 from support.stored_planes import store
 
 from pipeline.errors import DamageError, FootageError
@@ -41,3 +42,14 @@ def test_an_array_that_was_edited(tmp_path, key, value):
     (path / "mask" / "zarr.json").write_text(json.dumps({**about, key: value}))
     with pytest.raises(FootageError, match="its metadata is not what was written"):
         StoredResult(path)
+
+
+@pytest.mark.parametrize("in_mm", [True, False])
+def test_arrays_say_what_they_are(tmp_path, in_mm):
+    """By the names that xarray shows."""
+    group = zarr.open_group(store(tmp_path / "result.zarr", [400.0], in_mm=in_mm), mode="r")
+    assert group["range_image"].attrs["units"] == ("mm" if in_mm else "rad")
+    assert group["phase_sigma"].attrs["units"] == "rad"
+    assert "units" not in group["mask"].attrs
+    assert group["mask"].attrs["long_name"] == "mask"
+    assert group["modulation"].attrs["comment"].startswith("The fringe's amplitude")
