@@ -284,9 +284,20 @@ def geometry(
     _show_geometry(found)
     for line in (*measured.refused, *(f"{name} left out: {reason}" for name, reason in found.left_out)):
         say(f"note: {line}")
+    if baseline_mm is None and found.calibration.translation_mm is not None:
+        say(f"note: {_scale_note(found.calibration.translation_mm)}")
     if found.calibration.color_shift_px is not None and found.calibration.crosstalk_matrix is None:
         say("note: crosstalk dampens the projector's lateral colour: measure radiometry first, and give --calibration")
     say(f"wrote {target}")
+
+
+def _scale_note(translation_mm: FloatArray) -> str:
+    """Return what is to be known of a scale that the board's squares alone tell."""
+    baseline_mm = float(np.linalg.norm(translation_mm))
+    return (
+        f"only --square-mm tells the scale: camera and projector stand {baseline_mm:.0f} mm apart by it; measure that, "
+        "and give it as --baseline-mm"
+    )
 
 
 @calibrate.command

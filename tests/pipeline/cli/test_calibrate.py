@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 
+from pipeline.cli.calibrate import _scale_note
 from pipeline.footage.image_file import read_image
 from pipeline.output.range_image import write_png
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
@@ -92,3 +93,8 @@ def test_check_and_fix(folder, command):
         assert done.returncode == 1 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1
     done = command(*arguments[:2], "nothing.png", *arguments[3:], cwd=folder)
     assert done.returncode == 1 and "cannot read nothing.png" in done.stderr
+
+
+def test_a_scale_that_only_the_squares_tell_is_said_to_be_so():
+    note = _scale_note(np.array([-180.0, 0.0, 20.0]))
+    assert "camera and projector stand 181 mm apart by it; measure that, and give it as --baseline-mm" in note
