@@ -21,6 +21,7 @@ if os.name == "nt":
 
     def _take(file: int) -> None:
         os.lseek(file, _BYTE, os.SEEK_SET)
+        # Types know this module on Windows only.
         msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
 
 else:

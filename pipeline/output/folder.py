@@ -29,7 +29,7 @@ STORE = "result.zarr"
 _REPORT = "report.json"
 # What a report says of the files beside it: the SHA-256 of each, by name.
 _FILES = "files_sha256"
-# More is no report of ours, bytes.
+# Bytes; no report is longer.
 _MOST_REPORT = 2**20
 
 
@@ -125,7 +125,7 @@ def changed_files(path: Path) -> list[str]:
 
 
 def _reported(path: Path) -> dict[str, str]:
-    """Return the files that a folder's report names, and their SHA-256; none where there is no report of ours."""
+    """Return the files that a folder's report names, and their SHA-256; none where there is no report."""
     try:
         with (path / _REPORT).open("rb") as file:
             report = json.loads(file.read(_MOST_REPORT))

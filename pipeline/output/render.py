@@ -37,7 +37,7 @@ _GRAPHICS_CURE = (
     "on Debian or Ubuntu run 'apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri' or 'apt-get install libosmesa6', "
     "elsewhere install a working OpenGL driver"
 )
-# What a traceback's last line has before the message of an error of ours.
+# The last line of a traceback names the error's class before its message.
 _OUR_ERRORS = re.compile(r"^(pipeline|tikernels)\.errors\.\w+: ")
 _GRAPHICS_WORDS = ("opengl", "libgl", "egl", "glx", "osmesa", "x server", "shared object")
 

@@ -85,7 +85,7 @@ def read_metadata(files: StoreFiles) -> tuple[dict[str, Any], dict[str, tuple[in
     Raises
     ------
     DamageError
-        It is a store of ours whose metadata is not as it was written.
+        It is a result, but its metadata is not as it was written.
     OutputError
         Something else is there, or it cannot be read.
     """

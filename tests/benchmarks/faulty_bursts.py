@@ -123,7 +123,7 @@ def suffer(has: Instruments, period_s: float, frames: int, endless: bool, n_burs
         fates.clear()
 
     virtual = VirtualRig(next_faults, instruments=has, period_s=period_s, frames=frames, trigger_ppm=200, seed=seed)
-    rig_module.time = virtual  # type: ignore[assignment]
+    rig_module.time = virtual
     with Rig(virtual.settings, virtual.open, tell) as rig:
         while toll.kept < n_bursts:
             try:

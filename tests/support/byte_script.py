@@ -7,11 +7,10 @@ from contextlib import contextmanager
 from hardware.link import Link
 
 
-class ScriptedPort:
-    """What `Link` uses of a pyserial port."""
+class AnsweringPort:
+    """What `Link` uses of a pyserial port to read answers, which whoever writes adds to."""
 
-    def __init__(self, exchanges: list[tuple[bytes, bytes]]) -> None:
-        self.exchanges = exchanges
+    def __init__(self) -> None:
         self.is_open = True
         self.out_waiting = 0
         self._arrived = b""
@@ -27,6 +26,14 @@ class ScriptedPort:
             time.sleep(0.001)
         taken, self._arrived = self._arrived[:size], self._arrived[size:]
         return taken
+
+
+class ScriptedPort(AnsweringPort):
+    """A port that expects the exchanges of a script."""
+
+    def __init__(self, exchanges: list[tuple[bytes, bytes]]) -> None:
+        super().__init__()
+        self.exchanges = exchanges
 
     def write(self, sent: bytes) -> int:
         """Take the next bytes of the script, and no others."""

@@ -103,7 +103,7 @@ class Bench:
         """Return a rig that has the same faults again where a start is in doubt, on a busy machine, and is repeated."""
         bench = self
 
-        class Repeating(kind):  # type: ignore[valid-type,misc]
+        class Repeating(kind):
             def _check_start(self, *seen: Any, **ended: bool) -> None:
                 fired = bench._fired[-2:]
                 try:

@@ -1,13 +1,13 @@
 """Instruments whose answers are damaged, or nonsense, at the other end of a driver's line."""
 
 import re
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 from unittest import mock
 
 import numpy as np
+from support.byte_script import AnsweringPort
 from support.damage import damaged
 from support.file_samples import OWN_ERRORS, REFUSED
 
@@ -91,11 +91,11 @@ def _pjlink() -> Answer:
     return answer
 
 
-class _Port:
+class _Port(AnsweringPort):
     """A port, and a socket, behind which somebody answers, now and then nonsense."""
 
     def __init__(self, answer: Answer, rng: np.random.Generator, greeting: bytes = b"", seal: bool = False) -> None:
-        self.is_open, self.out_waiting = True, 0
+        super().__init__()
         self._answer, self._rng, self._seal = answer, rng, seal
         self._share = float(rng.choice([0.05, 0.3]))
         self._arrived = self._spoilt(greeting)
@@ -113,16 +113,6 @@ class _Port:
                 else:
                     said = nonsense + said[-1:]
         return _sealed(said) if self._seal else said
-
-    @property
-    def in_waiting(self) -> int:
-        return len(self._arrived)
-
-    def read(self, size: int) -> bytes:
-        if not self._arrived:
-            time.sleep(0.001)
-        taken, self._arrived = self._arrived[:size], self._arrived[size:]
-        return taken
 
     def write(self, sent: bytes) -> int:
         self._arrived += self._spoilt(self._answer(bytes(sent)))
