@@ -7,6 +7,7 @@ ISO/IEC 15948 (PNG), 11.2.2; ISO/IEC 10918-1 (JPEG), B.2.2; Adobe, TIFF revision
 
 import re
 import struct
+from collections.abc import Iterator
 
 # Begin of a frame in JPEG, baseline to lossless; C4, C8 and CC are tables and the like.
 _JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
@@ -44,17 +45,30 @@ def _pair(data: bytes, layout: str, begin: int) -> tuple[int, int]:
     return first, second
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+def jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield the second byte of each marker in a JPEG's head, and where its segment's content begins and ends.
+
+    Raises
+    ------
+    struct.error
+        The file ends before.
+    """
     begin = 2
     while begin + 4 <= len(data) and data[begin] == 0xFF:
         kind = data[begin + 1]
-        if kind in _JPEG_FRAMES:
-            height, width = _pair(data, ">HH", begin + 5)
-            return width, height
         if kind == 0xFF or kind in _JPEG_ALONE:
             begin += 1 if kind == 0xFF else 2
-        else:
-            begin += 2 + struct.unpack_from(">H", data, begin + 2)[0]
+            continue
+        end = begin + 2 + struct.unpack_from(">H", data, begin + 2)[0]
+        yield kind, begin + 4, end
+        begin = end
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    for kind, begin, _ in jpeg_segments(data):
+        if kind in _JPEG_FRAMES:
+            height, width = _pair(data, ">HH", begin + 1)
+            return width, height
     return None
 
 

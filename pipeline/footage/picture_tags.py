@@ -15,11 +15,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.footage.picture_size import jpeg_segments
 from tikernels.raw.linearization import TRANSFERS, linear_values
 
 # Tags of Exif and TIFF.
 _ORIENTATION, _EXIF, _COLOR_SPACE, _PROFILE = 274, 34665, 40961, 34675
 _SRGB = 1  # of the colour space
+# Markers of JPEG: applications' data, and where the picture's own begin.
+_APP1, _APP2, _SCAN = 0xE1, 0xE2, 0xDA
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 7: 1}  # of the types of values that are read here
 # Profiles of displays and cameras have up to some 100 kB.
 _MOST_PROFILE = 2**22
@@ -164,15 +167,15 @@ def _tiff_values(data: bytes) -> Iterator[tuple[int, bytes]]:
 
 
 def _jpeg_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
-    begin, profile = 2, b""
-    while begin + 4 <= len(data) and data[begin] == 0xFF and data[begin + 1] != 0xDA:
-        (size,) = struct.unpack_from(">H", data, begin + 2)
-        content = data[begin + 4 : begin + 2 + size]
-        if data[begin + 1] == 0xE1 and content.startswith(b"Exif\0\0"):
+    profile = b""
+    for kind, begin, end in jpeg_segments(data):
+        content = data[begin:end]
+        if kind == _APP1 and content.startswith(b"Exif\0\0"):
             yield "exif", content[6:]
-        elif data[begin + 1] == 0xE2 and content.startswith(b"ICC_PROFILE\0"):
+        elif kind == _APP2 and content.startswith(b"ICC_PROFILE\0"):
             profile += content[14:]  # of several parts, in their order
-        begin += 2 + size
+        elif kind == _SCAN:
+            break
     if profile:
         yield "profile", profile
 
