@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
-from pipeline.decoding.doubts import fringe_doubt, light_doubts
+from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts
+from pipeline.decoding.expected_fringe import ExpectedFringe
 from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, FrameSetup, Measured
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
 from pipeline.decoding.front_side import RimVotes, ask_rims
@@ -94,6 +95,7 @@ class Decoder:
         self._reader = FrameReader(self.settings, self._path, geometry, plane)
         depth_range_mm = None if calibration is None else calibration.depth_range_mm
         self._orders = OrderFinder(self._path.code, geometry, depth_range_mm)
+        self._expected = None if geometry is None else ExpectedFringe.of(geometry, depth_range_mm)
         self._unwrapping = METHODS[self.settings.unwrap_method]
         if unwrapper is not None:
             self._unwrapping = lambda height, width: GivenRegions(unwrapper)
@@ -166,6 +168,7 @@ class Decoder:
                         measured = self._measure(frame, levels, period_px, memory, *buffers)
                         if self._path.code is None:  # whether the frame shows a code is asked once
                             measured = replace(measured, order_doubt=measured.order_doubt or first.order_doubt)
+                    measured = self._doubted(measured, frame, levels, period_px)
                     if self._setup.rays is None:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
                         measured = replace(measured, range_sign=sign, front_is_clear=clear)
@@ -234,7 +237,7 @@ class Decoder:
         work.smoother.along(work.raw_phase, phases.precision, rates, out=work.phase)
         patches = work.unwrapper.join(work.phase, phases.modulation, rates)
         smoothed = (work.phase, phases.modulation, work.raw_phase, rates)
-        seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px)
+        seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px, float(model.contrast))
         placement = self._orders.find(seen, patches, rays, memory)
         if placement.roots is not None:
             patches.split(placement.roots, placement.left_out)
@@ -259,6 +262,7 @@ class Decoder:
         return Measured(
             phases,
             surface,
+            n_measured=int(regions.pixels.sum()),
             phase_counts=counts,
             surfaces=None if isinstance(looked, NoModelFits) else looked,
             at_rest=self.settings.field_times is None or motion is not None,
@@ -281,6 +285,19 @@ class Decoder:
             rising = float(runtime.to_host(work.rates)[-1, RATE_ACROSS]) > 0  # synchronises
             return (-1 if rising == (side in ("above", "left")) else 1), True
         return (-1 if self.rims.clear and self.rims.falls > self.rims.grows else 1), self.rims.clear
+
+    def _doubted(self, measured: Measured, frame: LinearFrame, levels: FrameLevels, period_px: float) -> Measured:
+        """Return what was measured with the doubts of next to no pixels, or nothing where the rig cannot show it."""
+        few = few_pixels_doubt(frame, levels, measured.n_measured)
+        if few is not None:
+            return replace(measured, light_doubts=(few, *measured.light_doubts))
+        if self._expected is not None:
+            rate = float(runtime.to_host(self._work(frame, period_px).rates)[-1, RATE_ACROSS])  # synchronises
+            contradiction = self._expected.contradiction(rate)
+            if contradiction is not None:
+                clear_buffers(measured.phases, measured.surface)
+                return Measured(measured.phases, measured.surface, order_doubt=contradiction)
+        return measured
 
     def _mm_per_rad(self, surface: SurfaceBuffers) -> float | None:
         """Return by how much a radian moves the points of a frame, mm; None without any."""

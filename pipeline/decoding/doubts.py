@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 from tikernels import runtime
-from tikernels.phase.frame_statistics import MIN_PERIOD_PX, measure_frame
+from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure_frame
 from tikernels.transposing import transpose
 
 # Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
@@ -17,22 +17,52 @@ _MAX_MISMATCH = 0.12
 # A share of the surface that is lost unnoticed at edges.
 _MAX_TOO_FAST = 0.05
 
-# Columns of a frame that are looked at for a fringe that is too fine, and the share of their changes that one has.
-_COLUMNS, _FRINGE_SHARE = 32, 0.25
+# A result is looked into that has a smaller share of the frame than this and of what is lit than that.
+_FEW, _MOST_OF_LIT = 0.05, 0.5
+# The cause is said to be light where more of the frame than this is at full scale, or its brightest thousandth stays
+# below this share of full scale.
+_MOST_CLIPPED = 0.3
+_BRIGHTEST, _DIM = 0.999, 0.15
+
+# Columns of a frame that are looked at for a fringe that is too fine, the share of their changes that one has, and how
+# far its frequency differs from place to place, as a fraction: white noise has a sixth of its power in such a band.
+_COLUMNS, _FRINGE_SHARE, _FRINGE_BAND = 32, 0.25, 0.08
 
 
 def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
     """Say why no fringe was found in a frame."""
-    if measure_frame(transpose(frame.image), frame.white).period_px is not None:
-        other = "vertical" if stripes == "horizontal" else "horizontal"
-        return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
+    # First, for what is too fine to be seen beats with the pixels, and may then pass for stripes the other way.
     finest = _finest_fringe(frame)
     if finest is not None:
         return (
             f"the fringe has {finest:.1f} px a cycle in this frame, and {MIN_PERIOD_PX:g} are the least: go nearer, "
             "take more pixels, or project a longer period"
         )
+    if measure_frame(transpose(frame.image), frame.white).period_px is not None:
+        other = "vertical" if stripes == "horizontal" else "horizontal"
+        return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
     return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
+
+
+def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -> str | None:
+    """Say what a frame with a fringe lacks of which next to nothing was measured; None: enough was."""
+    height, width = frame.shape
+    if n_measured >= _FEW * height * width:
+        return None
+    image = runtime.to_host(frame.image)
+    lit = int((image.sum(axis=2, dtype=np.float64) >= 3 * levels.intensity).sum())
+    if 0 < n_measured and n_measured >= _MOST_OF_LIT * lit:  # a small thing before a black curtain
+        return None
+    clipped = float((image.max(axis=2) >= levels.clipped).mean())
+    brightest = float(np.quantile(image, _BRIGHTEST)) / frame.white
+    if clipped > _MOST_CLIPPED:
+        cause = f"{clipped:.0%} of it is over-exposed: expose it shorter"
+    elif brightest < _DIM:
+        cause = f"its brightest places reach {brightest:.0%} of full scale only: expose it longer, or open the aperture"
+    else:
+        cause = "elsewhere the fringe is too weak: focus both lenses, shut out other light, or project a longer period"
+    share = "nothing" if n_measured == 0 else f"only {n_measured / (height * width):.1%}"
+    return f"{share} of this frame could be measured: {cause}"
 
 
 def _finest_fringe(frame: LinearFrame) -> float | None:
@@ -40,12 +70,13 @@ def _finest_fringe(frame: LinearFrame) -> float | None:
     image = runtime.to_host(frame.image)
     columns = image[:, :: max(1, image.shape[1] // _COLUMNS)].astype(np.float64)
     power = (np.abs(np.fft.rfft(columns - columns.mean(axis=0), axis=0)) ** 2).sum(axis=(1, 2))
-    fine = np.arange(len(power)) * MIN_PERIOD_PX > image.shape[0]
+    cycles = np.arange(len(power))
     # One that has a share of all that changes along a column; noise spreads over all frequencies.
-    peak = int(np.argmax(power * fine))
-    if power[peak - 1 : peak + 2].sum() < _FRINGE_SHARE * max(float(power.sum()), 1e-12):
+    peak = int(np.argmax(power * (cycles * MIN_PERIOD_PX > image.shape[0])))
+    near = power * (np.abs(cycles - peak) <= max(1.0, _FRINGE_BAND * peak))
+    if peak == 0 or near.sum() < _FRINGE_SHARE * power.sum():
         return None
-    return float(image.shape[0] / peak) if peak else None
+    return float(image.shape[0] * near.sum() / (near @ cycles))
 
 
 def light_doubts(

@@ -121,6 +121,7 @@ class Measured:
     surface: SurfaceBuffers
     order_doubt: str | None = None  # what the user should know of the orders, or why there are none
     light_doubts: tuple[str, ...] = ()  # and of the light
+    n_measured: int = 0  # pixels that belong to regions
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
     surfaces: FoundSurfaces | OnlyColor | None = None

@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
+from pipeline.footage.heic_picture import is_heic, read_heic
 from pipeline.footage.jpeg_decoder import JpegDecoder
 from pipeline.footage.picture_size import picture_size
-from pipeline.footage.picture_tags import read_tags, upright
+from pipeline.footage.picture_tags import read_tags, unfit_colors, upright
 from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, max_pixels
 from pipeline.models import ImageArray
 
@@ -169,6 +170,13 @@ def read_image(path: str | Path) -> ImageArray:
     path = Path(path)
     data = read_bytes(path)
     check_whole(path, data)
+    if is_heic(data[:12]):
+        try:
+            return cast(ImageArray, read_heic(data)[0])
+        except FootageError as error:
+            raise FootageError(f"{path}: {error}") from None
+    if (unfit := unfit_colors(data)) is not None:
+        raise FootageError(f"{path}: {unfit}")
     image = decode_levels(path, data)
     if image.ndim == 2:
         raise FootageError(f"{path} is grey: the phase is in the colours, give a colour picture")

@@ -12,9 +12,10 @@ import numpy as np
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_planes import stored_planes
+from pipeline.footage.heic_picture import is_heic, read_heic
 from pipeline.footage.image_file import check_whole, decode_levels, read_bytes
 from pipeline.footage.jpeg_decoder import JpegDecoder
-from pipeline.footage.picture_tags import PictureTags, read_tags, upright
+from pipeline.footage.picture_tags import PictureTags, read_tags, unfit_colors, upright
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
@@ -22,7 +23,7 @@ from tikernels.raw.pixel_format import FLOAT_BITS, Bayer, PixelFormat
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
 #: How the names of image files end.
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".webp", *_JPEG_SUFFIXES)
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".webp", ".heic", ".heif", *_JPEG_SUFFIXES)
 _DIGITS = re.compile(r"(\d+)")
 
 
@@ -72,8 +73,9 @@ class ImageFolder:
             self.transfer, self.transfer_because = tags.transfer, tags.because
             self.size_px = (planes[0].shape[1], planes[0].shape[0])
             return
-        what = "" if len(names) == 1 else f"none of its {len(names)} pictures can be; the first: "
-        raise FootageError(f"cannot read {name}: {what}{reason}")
+        if len(names) > 1:
+            reason = f"{name}: none of its {len(names)} pictures can be; the first: {reason}"
+        raise FootageError(f"cannot read {reason}")
 
     @classmethod
     def in_folder(cls, folder: Path, says: StoredAs) -> "ImageFolder":
@@ -116,6 +118,13 @@ class ImageFolder:
         path = self._folder / self.names[number]
         data = read_bytes(path)
         check_whole(path, data)
+        if is_heic(data[:12]):
+            try:
+                levels, tags = read_heic(data)
+            except FootageError as error:
+                raise FootageError(f"{path}: {error}") from None
+            bits = 8 if levels.dtype == np.uint8 else 16
+            return (levels,), self._says.applied_to(PixelFormat("rgb", bits)), tags
         tags = read_tags(data)
         planes, format = self._read_stored(path, data)
         return (*_turned(planes, format, tags.orientation), tags)
@@ -124,6 +133,8 @@ class ImageFolder:
         try:
             if data.startswith(b"\xff\xd8\xff"):
                 return self._read_jpeg(data)
+            if (unfit := unfit_colors(data)) is not None:
+                raise FootageError(unfit)
             image = decode_levels(path, data)
             bits = {"uint8": 8, "uint16": 16}.get(image.dtype.name, FLOAT_BITS)
             if image.ndim == 2:

@@ -6,6 +6,7 @@ from typing import Any
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_messages import caught_messages
 from pipeline.footage.picture_size import picture_size
+from pipeline.footage.picture_tags import CMYK
 from pipeline.limits import check_size, ffmpeg_limits
 
 # What FFmpeg makes of a JPEG in cyan, magenta, yellow and black.
@@ -42,5 +43,5 @@ class JpegDecoder:
             self._context = None  # what it made of this one may stay in its state
             raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
         if frames[0].format.name in _FOUR_COLOURS:
-            raise FootageError("it is in CMYK, the colours of a printer: save it in RGB")
+            raise FootageError(CMYK)
         return frames[0]

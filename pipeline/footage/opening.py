@@ -6,6 +6,7 @@ A frame leaves its source in the form in which it was stored; `tikernels.develop
 from pathlib import Path
 
 from pipeline.errors import FootageError
+from pipeline.footage.heic_picture import is_heic
 from pipeline.footage.image_folder import IMAGE_SUFFIXES, ImageFolder
 from pipeline.footage.source import Source, StoredAs
 from pipeline.footage.video_file import VideoFile
@@ -14,7 +15,7 @@ from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import Bayer, Matrix, Siting
 
 # Pictures that phones and browsers store as the brand of an ISO base media file says (ISO/IEC 23008-12, 10.2).
-_UNREAD = {b"heic": "HEIC", b"heix": "HEIC", b"hevc": "HEIC", b"mif1": "HEIC", b"msf1": "HEIC", b"avif": "AVIF"}
+_UNREAD = {b"avif": "AVIF", b"avis": "AVIF"}
 
 
 def open_source(
@@ -52,9 +53,11 @@ def open_source(
         if not path.is_file():
             what = "it is neither a file nor a folder" if path.exists() else "there is no such file"
             raise FootageError(f"cannot read {path}: {what}")
-        if (kind := _unread_kind(path)) is not None:
+        with path.open("rb") as file:
+            head = file.read(12)
+        if (kind := _unread_kind(head)) is not None:
             raise FootageError(f"cannot read {path}: it is a picture in {kind}: save it as PNG, TIFF or JPEG")
-        if path.suffix.lower() in IMAGE_SUFFIXES:
+        if path.suffix.lower() in IMAGE_SUFFIXES or is_heic(head):
             return ImageFolder(str(path), path.parent, [path.name], says)
         return VideoFile(path, says)
     except (FootageError, ShapeError) as error:
@@ -65,10 +68,8 @@ def open_source(
         raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
 
 
-def _unread_kind(path: Path) -> str | None:
+def _unread_kind(head: bytes) -> str | None:
     """Return the name of a kind of picture that is not read, by how the file begins; None: it is another file."""
-    with path.open("rb") as file:
-        head = file.read(12)
     if head[4:8] == b"ftyp":
         return _UNREAD.get(head[8:12])
     return "GIF" if head.startswith(b"GIF8") else None

@@ -19,10 +19,13 @@ from pipeline.footage.picture_size import jpeg_segments
 from tikernels.raw.linearization import TRANSFERS, linear_values
 
 # Tags of Exif and TIFF.
-_ORIENTATION, _EXIF, _COLOR_SPACE, _PROFILE = 274, 34665, 40961, 34675
+_ORIENTATION, _EXIF, _COLOR_SPACE, _PROFILE, _COLORS = 274, 34665, 40961, 34675, 262
 _SRGB = 1  # of the colour space
 # Markers of JPEG: applications' data, and where the picture's own begin.
 _APP1, _APP2, _SCAN = 0xE1, 0xE2, 0xDA
+#: What is said of pictures whose colours are not those that the camera saw.
+CMYK = "it is in CMYK, the colours of a printer: save it in RGB"
+_PALETTE = "it is stored with a palette, whose few colours hold no phase: save it with all its colours"
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 7: 1}  # of the types of values that are read here
 # Profiles of displays and cameras have up to some 100 kB.
 _MOST_PROFILE = 2**22
@@ -66,6 +69,16 @@ def read_tags(data: bytes) -> PictureTags:
     return tags
 
 
+def with_colors(tags: PictureTags, profile: bytes | None, transfer_code: int | None) -> PictureTags:
+    """Return tags with what an ICC profile, or else a number of ITU-T H.273, says of the transfer."""
+    with suppress(*_ODD), np.errstate(all="ignore"):
+        if profile:
+            return _with_profile(tags, profile)
+        if transfer_code in _H273:
+            return replace(tags, transfer=_H273[transfer_code], because="it is marked so")
+    return tags
+
+
 def upright(image: npt.NDArray[np.generic], orientation: int) -> npt.NDArray[np.generic]:
     """Return a view of an array, rows and columns first, as Exif's orientation says that it is to be seen."""
     if orientation in (5, 6, 7, 8):
@@ -73,6 +86,22 @@ def upright(image: npt.NDArray[np.generic], orientation: int) -> npt.NDArray[np.
     down = -1 if orientation in (3, 4, 7, 8) else 1
     right = -1 if orientation in (2, 3, 6, 7) else 1
     return image[::down, ::right]
+
+
+def unfit_colors(data: bytes) -> str | None:
+    """Say why a PNG, TIFF, BMP or WebP file does not hold the colours that a camera saw; None: it may."""
+    reason = None
+    with suppress(*_ODD):
+        if data[12:16] == b"IHDR" and data[25] == 3:
+            reason = _PALETTE
+        elif data.startswith(b"BM") and struct.unpack_from("<H", data, 28)[0] <= 8:
+            reason = _PALETTE
+        elif data[:4] in (b"II*\0", b"MM\0*"):
+            stored = dict(_tiff_values(data)).get(_COLORS, b"")
+            reason = {3: _PALETTE, 5: CMYK}.get(int.from_bytes(stored, "little"))
+        elif data[:4] == b"RIFF" and data[12:16] == b"VP8X" and data[20] & 2:
+            reason = "it is an animation: save its frames as PNG files in a folder"
+    return reason
 
 
 def _after(tags: PictureTags, kind: str, content: bytes) -> PictureTags:
@@ -152,7 +181,7 @@ def _tiff_values(data: bytes) -> Iterator[tuple[int, bytes]]:
         (n_entries,) = struct.unpack_from(order + "H", data, begin)
         for entry in range(begin + 2, begin + 2 + 12 * n_entries, 12):
             tag, kind, count = struct.unpack_from(order + "HHI", data, entry)
-            if tag not in (_ORIENTATION, _EXIF, _COLOR_SPACE, _PROFILE) or kind not in _TYPE_BYTES:
+            if tag not in (_ORIENTATION, _EXIF, _COLOR_SPACE, _PROFILE, _COLORS) or kind not in _TYPE_BYTES:
                 continue
             size = count * _TYPE_BYTES[kind]
             at = entry + 8 if size <= 4 else struct.unpack_from(order + "I", data, entry + 8)[0]

@@ -52,7 +52,11 @@ _CODE_NOT_SEEN = (
     "the frame does not show the contrast code: project what colorphase pattern makes, or calibrate the rig with "
     "--code none"
 )
-_CODE_NOT_TOLD = 'the frame shows a contrast code: set code = "contrast" to use it'
+# Below this contrast of the fringe, light beside the projector's is likely why the code cannot be read: without any it
+# is 1; a simulated bust keeps all its orders at .73, and loses a fifth to a third of them at .53.
+_CODE_CONTRAST = 0.65
+_OTHER_LIGHT = "; other light, or a wrong transfer, takes the fringe's contrast to {:.0%}: shut it out"
+_CODE_NOT_TOLD = 'the frame shows a contrast code: set code = "contrast" (--code contrast) to use it'
 _OUT_OF_RANGE = (
     "{:.0%} of the surface fits at no order into the depth range of {:g} to {:g} mm, which therefore tells none: "
     "give the range of all that is in view"
@@ -73,6 +77,7 @@ class SeenPhase:
     rates: F32  # of `measure_rates`
     correction: npt.NDArray[np.float32]  # (N,) rad, the response's, over a cycle
     period_px: float
+    contrast: float  # of the fringe: its mean modulation over its mean background
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,7 +223,7 @@ class OrderFinder:
             found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
             absolute, roots = found.absolute, found.roots
             patches.shift_orders(found.shifts)
-            warning, left_out = None if found.readable else _CODE_NOT_SEEN, found.torn
+            warning, left_out = None if found.readable else _code_lost(_CODE_NOT_SEEN, seen), found.torn
         if memory is not None:
             change = memory.orders.change
             votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region, change)
@@ -284,7 +289,8 @@ class OrderFinder:
             correct_by_modulation(out.region, known, corrections, out=(seen.phase, out.unwrapped))
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
         if lost > _MAX_LOST:
-            return f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
+            text = f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
+            return _code_lost(text, seen)
         return None
 
     def _shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
@@ -336,6 +342,11 @@ class OrderFinder:
             ends = np.sort([self._geometry.pattern_cycles(z * directions) for z in self._depth_range_mm], axis=0)
             least, most = np.maximum(least, ends[0]), np.minimum(most, ends[1])
         return OrderRange(least - here, most - here, self._depth_range_mm is not None)
+
+
+def _code_lost(text: str, seen: SeenPhase) -> str:
+    """Return why a code was not read, with the cause where it is other light."""
+    return text if seen.contrast >= _CODE_CONTRAST else text + _OTHER_LIGHT.format(seen.contrast)
 
 
 def _check_view(geometry: Geometry, depth_mm: float) -> None:

@@ -1,18 +1,15 @@
 """The command in this process, and a folder as a user may have it: a frame, its calibration, and settings."""
 
 import shutil
-import warnings
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pytest
+from support.command_in_process import command
 
-from hardware.projector import pjlink, switching
-from pipeline.cli import main as cli
-from pipeline.cli.main import app
 from pipeline.output.range_image import write_png
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+
+__all__ = ["command", "folder"]
 
 
 @pytest.fixture(scope="session")
@@ -28,36 +25,3 @@ def folder(tmp_path_factory, cpu):
     (folder / "pictures").mkdir()
     shutil.copy(folder / "frame.png", folder / "pictures")
     return folder
-
-
-class Done(NamedTuple):
-    """What a command left."""
-
-    returncode: int
-    stdout: str
-    stderr: str
-
-
-@pytest.fixture
-def command(monkeypatch, capsys, tmp_path):
-    """Return a function that runs the command in this process, where kernels are compiled once."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    monkeypatch.setattr(pjlink, "ANSWER_S", 0.5)
-    monkeypatch.setattr(switching, "POLL_S", 0.02)
-
-    def run(*arguments, cwd=tmp_path):
-        monkeypatch.chdir(cwd)
-        # Given its words, it does not warn that it reads the test runner's.
-        monkeypatch.setattr(cli, "app", partial(app, [str(argument) for argument in arguments]))
-        code = 0
-        with warnings.catch_warnings():  # which it shows in a way of its own
-            warnings.simplefilter("default")
-            try:
-                cli.main()
-            except SystemExit as stopped:
-                code = stopped.code
-        return Done(code, *capsys.readouterr())
-
-    return run

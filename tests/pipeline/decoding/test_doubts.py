@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 
-from pipeline.decoding.doubts import fringe_doubt, light_doubts
+from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
+from tikernels.phase.frame_statistics import FrameLevels
 
 
 def fringes(axis, period_px=12):
@@ -23,6 +24,40 @@ def test_stripes_the_other_way_are_named(cpu):
 def test_fringes_that_are_too_fine_are_named(cpu, period_px):
     said = fringe_doubt(fringes(axis=0, period_px=period_px), "horizontal")
     assert f"the fringe has {period_px:.1f} px a cycle in this frame, and 4 are the least" in said
+
+
+def test_a_fine_fringe_on_a_curved_surface_is_not_taken_for_the_other_direction(cpu):
+    """Its period goes from 2.9 to 3.2 px down the frame, and it beats with the pixels."""
+    y, x = np.indices((240, 320))
+    phase = 2 * np.pi * (y / 3.2 + 0.00007 * y**2 + 0.0004 * x**2)
+    waves = 120 + 80 * np.cos(phase[..., None] + np.array([-1, 0, 1]) * 2 * np.pi / 3)
+    said = fringe_doubt(LinearFrame(waves.astype(np.uint8), 255.0), "horizontal")
+    assert "the fringe has 3.0 px a cycle" in said
+
+
+def test_a_picture_of_next_to_nothing_says_what_it_lacks(cpu):
+    levels = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 8.0, 10.0)
+    grey = np.full((100, 100, 3), 120, np.uint8)
+    over, dim = grey.copy(), grey // 8
+    over[:40] = 255
+    for image, cause in (
+        (over, "40% of it is over-exposed"),
+        (dim, "its brightest places reach 6% of full scale only"),
+        (grey, "elsewhere the fringe is too weak"),
+    ):
+        frame = LinearFrame(image, 255.0)
+        assert cause in few_pixels_doubt(frame, levels, 100)
+        assert "only 1.0% of this frame could be measured" in few_pixels_doubt(frame, levels, 100)
+        assert "nothing of this frame could be measured" in few_pixels_doubt(frame, levels, 0)
+        assert few_pixels_doubt(frame, levels, 500) is None
+
+
+def test_a_small_thing_before_a_black_curtain_is_not_doubted(cpu):
+    image = np.zeros((100, 100, 3), np.uint8)
+    image[40:60, 40:50] = 120
+    levels = FrameLevels(255.0, 1.0, 0.0, 1.0, 5.0, 8.0, 10.0)
+    assert few_pixels_doubt(LinearFrame(image, 255.0), levels, 180) is None
+    assert "only 0.5%" in few_pixels_doubt(LinearFrame(image, 255.0), levels, 50)
 
 
 def test_noise_is_no_fine_fringe(cpu):

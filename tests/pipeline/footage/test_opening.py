@@ -53,7 +53,6 @@ def test_each_mistake_names_the_file_once(tmp_path):
 @pytest.mark.parametrize(
     ("begin", "kind"),
     [
-        (b"\0\0\0\x18ftypheic\0\0\0\0", "HEIC"),
         (b"\0\0\0\x1cftypavif\0\0\0\0", "AVIF"),
         (b"GIF89a\1\0\1\0\0\0\0", "GIF"),
     ],

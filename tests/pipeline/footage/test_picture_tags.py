@@ -9,7 +9,7 @@ from PIL import Image, ImageCms  # of matplotlib's own dependencies
 
 from pipeline.footage.image_file import read_image
 from pipeline.footage.opening import open_source
-from pipeline.footage.picture_tags import PictureTags, read_tags
+from pipeline.footage.picture_tags import CMYK, PictureTags, read_tags, unfit_colors
 from tikernels import runtime
 from tikernels.raw.development import develop
 
@@ -135,6 +135,27 @@ def test_curves_of_profiles(trc, transfer):
     tags = read_tags(saved("PNG", icc_profile=trc))
     assert tags.transfer == transfer
     assert (transfer is None) == ("which is another curve" in tags.because)
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "TIFF", "WEBP", "BMP", "PPM"])
+def test_true_colours_are_fit(kind):
+    assert unfit_colors(saved(kind)) is None
+
+
+def converted(kind, mode, **options):
+    file = io.BytesIO()
+    Image.fromarray(picture()).convert(mode).save(file, kind, **options)
+    return file.getvalue()
+
+
+def test_other_colours_are_not():
+    for kind in ("PNG", "TIFF", "BMP"):
+        assert "stored with a palette" in unfit_colors(converted(kind, "P"))
+    assert unfit_colors(converted("TIFF", "CMYK")) == CMYK
+    moving = converted("WEBP", "RGB", save_all=True, append_images=[Image.new("RGB", (WIDTH, HEIGHT))])
+    assert "it is an animation" in unfit_colors(moving)
+    for cut in range(0, 60):
+        assert unfit_colors(moving[:cut]) in (None, unfit_colors(moving))
 
 
 def test_exif_says_srgb():
