@@ -20,7 +20,7 @@ FLOORS = {
     ),
     "pipeline": (
         "errors limits models settings robust files locking processes zarr_chunks footage recording calibration "
-        "pattern decoding orders decoder simulation output diagnosis batch acquisition verification cli"
+        "pattern decoding orders decoder simulation planning output diagnosis batch acquisition verification cli"
     ),
     "hardware": (
         "errors drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "

@@ -19,7 +19,7 @@ from pipeline.acquisition.capture_log import CaptureLog
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError
-from pipeline.files import explain, write_atomically
+from pipeline.files import LEFTOVER, explain, write_atomically
 from pipeline.footage.recording_tags import MOST_FRAMES_A_SECOND
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
@@ -179,6 +179,8 @@ class CaptureFolder:
         try:
             if self._live is not None:
                 self._live.close()
+                for left in self._folder.glob(f".*{LEFTOVER}"):  # of a picture that it was just writing
+                    left.unlink(missing_ok=True)
             while self._ring:
                 self._write(self._ring.popleft())
             self._recorder.close()

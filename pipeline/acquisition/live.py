@@ -19,9 +19,9 @@ from pipeline.settings import DecodeSettings
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat
 
-# Time that the frame which is just being decoded may take when decoding is closed; the first one's kernels are
-# compiled.
-_CLOSE_S = 5.0
+# Time that the frame which is just being decoded may take when decoding is closed: several times what one takes, and
+# less than a user waits after Ctrl-C. Kernels that are just compiled are given up.
+_CLOSE_S = 0.5
 # Time that a process takes to end once it has let go of its pipe.
 _DIE_S = 0.2
 
@@ -147,7 +147,7 @@ class LiveDecoder:
         return self._latest
 
     def close(self) -> None:
-        """End the process, within seconds; a second call does nothing."""
+        """End the process, within a second; a second call does nothing."""
         self._listen()
         if self._ended is None:
             self._ended = "live decoding was closed"

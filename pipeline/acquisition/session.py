@@ -84,6 +84,7 @@ def capture_bursts(
             kept.reject(rejected)
             tell(kept.progress())
 
+        stopping.check()
         tell(kept.progress())
         bursts = rig.bursts(endless=plan.endless)
         try:

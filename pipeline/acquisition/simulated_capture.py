@@ -5,14 +5,11 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
-from hardware.alternating_pictures import DIM
 from hardware.protocols import Camera, FrameFormat, Trigger
 from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
+from pipeline.acquisition.scene_process import SceneTask, render_elsewhere
 from pipeline.calibration import Calibration
-from pipeline.pattern.fringes import make_pattern
-from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
-from tikernels import runtime
 
 #: `colorphase capture --rig simulated`, as its file would say it.
 SETTINGS = RigSettings.model_validate(
@@ -24,9 +21,7 @@ SETTINGS = RigSettings.model_validate(
     }
 )
 _SIZE_PX = (640, 480)
-# The bust turns by this to either side ...
-_SWING_DEG = 5.0
-# ... and back in this time.
+# The bust turns to one side and back in this time.
 _SWING_S = 2.0
 # Poses that are rendered, from one side to the other.
 _POSES = 6
@@ -42,7 +37,7 @@ def simulated_instruments(
     wiring : RigSettings
         Its exposure, and which outputs are wired back.
     arch : str
-        Where the frames are rendered.
+        Where the frames are rendered, in a process of its own.
     step : callable
         Told what is being done.
 
@@ -50,29 +45,17 @@ def simulated_instruments(
     ------
     DeviceNotReady
         The machine lacks the arch.
+    RenderError
+        The process has died.
     """
-    runtime.init(arch)
-    rig = simulated_rig(_SIZE_PX, code="contrast")
-    geometry = rig.geometry()
-    codes = make_pattern(geometry.projector.size_px, geometry.pattern)
-    settings = SimulationSettings(exposure=1.0)
-    frames: list[tuple[npt.NDArray[np.uint8], ...]] = []
-    for pose in range(_POSES):
-        step(f"simulating pose {pose + 1} of {_POSES}")
-        turn_deg = _SWING_DEG * float(np.sin(np.pi * (pose / (_POSES - 1) - 0.5)))
-        frames.append(())
-        for picture, light in enumerate((1.0, DIM)):
-            changed = settings.model_copy(update={"object_turn_deg": turn_deg, "seed": 2 * pose + picture})
-            image = simulate_frame(rig, changed, codes * np.float32(light ** (1 / settings.gamma))).image
-            frames[-1] += (image.astype(np.uint8),)
+    scene = render_elsewhere(SceneTask(arch, _SIZE_PX, _POSES), step)
 
     def render(picture: int, time_s: float) -> npt.NDArray[np.uint8]:
         swing = abs((time_s / _SWING_S) % 1 - 0.5) * 2
-        return frames[round(swing * (_POSES - 1))][picture]
+        return scene.poses[round(swing * (len(scene.poses) - 1))][picture]
 
     def open_instruments() -> tuple[Trigger, Camera]:
         devices = SimulatedInstruments.wired(render, _SIZE_PX, FrameFormat("rgb"), wiring)
         return devices.trigger, devices.camera
 
-    calibration = rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix})
-    return open_instruments, calibration
+    return open_instruments, scene.calibration

@@ -14,7 +14,7 @@ class Stopping:
 
     def __init__(self) -> None:
         self.asked = False
-        self._raised = self._shielded = False
+        self._raised = self._shielded = self._closing = False
 
     @contextmanager
     def listening(self) -> Iterator[None]:
@@ -38,18 +38,25 @@ class Stopping:
             yield
         finally:
             self._shielded = False
-        self._raise()
+        self.check()
+
+    def check(self) -> None:
+        """Stop if that was asked for, and nothing has come of it: libraries have lost a KeyboardInterrupt before.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            It was asked for.
+        """
+        if self.asked and not self._closing:
+            self._raised = True
+            raise KeyboardInterrupt
 
     def ignore(self) -> None:
         """Ignore requests from now on: everything is being closed."""
-        self._raised = True
+        self._closing = True
 
     def _take(self, number: int, frame: FrameType | None) -> None:
         self.asked = True
-        if not self._shielded:
-            self._raise()
-
-    def _raise(self) -> None:
-        if self.asked and not self._raised:
-            self._raised = True
-            raise KeyboardInterrupt
+        if not self._shielded and not self._raised:
+            self.check()

@@ -18,6 +18,7 @@ from pipeline.footage.opening import open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
 from pipeline.output.store import ResultStore, result_attributes
+from pipeline.output.store_size import frame_bytes
 from pipeline.settings import DecodeSettings
 from tikernels.arrays import LevelsImage
 from tikernels.raw.development import develop
@@ -68,6 +69,16 @@ class Crop:
                 f"the region of interest begins at {self.x},{self.y}, between this footage's colour samples: "
                 f"begin at a multiple of {across},{down}"
             )
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """What footage tells of itself before its frames are decoded for good."""
+
+    light: LightEstimate | None
+    rims: RimVotes  # which side is in front
+    notes: tuple[str, ...]  # what the user should know of the light
+    frame_bytes: int | None  # what the last frame that was asked takes in the store; None: none can be decoded
 
 
 @dataclass(frozen=True)
@@ -169,21 +180,13 @@ class Job:
         image: LevelsImage = develop(planes, stored.format, stripes=self.settings.stripes, out=out)
         return image
 
-    def learn(self, source: Source) -> tuple[LightEstimate | None, RimVotes, tuple[str, ...]]:
+    def learn(self, source: Source) -> Learnt:
         """Ask the footage for its light and which side is in front, where neither settings nor calibration say it.
 
         Of 64 evenly spaced frames, the first that tells the light does; of 16, the first that shows the side clearly.
-
-        Returns
-        -------
-        LightEstimate or None
-            The light.
-        RimVotes
-            Which side is in front.
-        tuple of str
-            What the user should know of the light.
         """
         light: LightEstimate | None = None
+        size: int | None = None
         rims, light_told = RimVotes(), False
         notes: tuple[str, ...] = ()
         asked = range(0, len(source), -(-len(source) // _MOST_ASKED))
@@ -204,12 +207,13 @@ class Job:
             except FootageError:
                 continue
             rims = decoder.rims
+            size = frame_bytes(frame, self.fields)
             tells_light = known or (decoder.light is not None and decoder.light.reliable)
             if frame.period_px is not None and tells_light and not light_told:
                 light, notes, light_told = decoder.light, frame.warnings, True
             if light_told and not decoder.asks_rims:
                 break
-        return light, rims, notes
+        return Learnt(light, rims, notes, size)
 
 
 def with_transfer_of(

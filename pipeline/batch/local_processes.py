@@ -18,6 +18,7 @@ from threading import Lock, Thread
 from typing import IO, Any, cast
 
 from pipeline.batch.job import Job
+from pipeline.batch.sharing import usable_cores
 from pipeline.batch.worker import Chain, Outcome
 from pipeline.batch.worker_process import Done, Failure
 from pipeline.errors import ClusterError
@@ -33,13 +34,6 @@ _LOOK_S = 1.0
 _END_S = 20.0
 # As many processes may die over the same frames.
 _MOST_DEATHS = 3
-
-
-def usable_cores() -> list[int]:
-    """Return the cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return sorted(os.sched_getaffinity(0))
-    return list(range(os.cpu_count() or 1))
 
 
 def shares(cores: Sequence[int], count: int) -> list[list[int]]:

@@ -1,18 +1,20 @@
 """One frame, decoded into a folder with its mesh, pictures and report: a picture, or one that is simulated."""
 
+import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.batch.job import with_transfer_of
+from pipeline.batch.job import Crop, with_transfer_of
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.errors import FootageError, RenderError
+from pipeline.errors import CalibrationError, DecodeWarning, FootageError, RenderError
 from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame, StoredAs
+from pipeline.footage.source import BadFrame, StoredAs, StoredFrame
 from pipeline.output.folder import output_folder, write_frame
 from pipeline.output.range_image import write_png
 from pipeline.output.render import render_mesh
@@ -21,7 +23,14 @@ from pipeline.output.surface_mesh import frame_mesh
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
+from tikernels.errors import ShapeError
 from tikernels.raw.development import develop
+
+# Px; of a picture that is larger the kernels are compiled by a part, which takes a tenth of a second more, so that who
+# waits sees what for.
+_LARGE_PX = 2_000_000
+_PART_PX = (640, 480)
+_COME_UP_AGAIN = (FootageError, CalibrationError, ShapeError)
 
 
 def decode_picture(
@@ -72,16 +81,36 @@ def decode_picture(
         (stored,) = source.frames()
         if isinstance(stored, BadFrame):
             raise FootageError(stored.reason)
-        tell("decoding")
+        width, height = source.size_px
+        if width * height > _LARGE_PX:
+            tell("compiling kernels")
+            _compile_kernels(stored, settings, calibration, arch)
+            tell(f"decoding {width}x{height} px")
+        else:
+            tell(f"compiling kernels, and decoding {width}x{height} px")
         decoder = Decoder(settings, calibration, arch=arch)
         frame = decoder.decode(develop(stored.planes, stored.format, stripes=settings.stripes))
         if not frame.mask.any():  # a warning has said why
             raise FootageError(f"nothing was measured in {picture.name}, so nothing is written")
-        tell("writing")
         report = frame_report(frame, settings, calibration, picture.name)
         report["transfer_because"] = transfer_because
-        write_frame(folder, frame, settings, calibration, report)
+        write_frame(folder, frame, settings, calibration, report, tell)
+        tell(f"moving all into {out}")
     return frame
+
+
+def _compile_kernels(stored: StoredFrame, settings: DecodeSettings, calibration: Calibration | None, arch: str) -> None:
+    """Compile what a picture's decoding takes, by a part in its middle; what is wrong with it comes up afterwards."""
+    height, width = stored.planes[0].shape[:2]
+    # Colour samples are at most four pixels apart.
+    x, y = (max(0, (side - part) // 2) // 4 * 4 for side, part in zip((width, height), _PART_PX, strict=True))
+    part = Crop(x, y, min(_PART_PX[0], width), min(_PART_PX[1], height))
+    rig = None if calibration is None else calibration.cropped(part.x, part.y, (part.width, part.height))
+    with warnings.catch_warnings(), suppress(*_COME_UP_AGAIN):
+        warnings.simplefilter("ignore", DecodeWarning)
+        planes = part.of(stored.planes, stored.format)
+        frame = Decoder(settings, rig, arch=arch).decode(develop(planes, stored.format, stripes=settings.stripes))
+        frame.fetch(("range_image", "phase_sigma"))
 
 
 @dataclass(frozen=True)
@@ -129,10 +158,9 @@ def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str],
         tell("measuring it")
         measured = measure_against_truth(frame, truth)
         report = {**frame_report(frame, settings, calibration, "simulated bust"), "against_truth": measured}
-        tell("writing")
         write_png(folder / "frame.png", np.asarray(truth.image, np.uint8))
         calibration.write(folder / "calibration.json")
-        write_frame(folder, frame, settings, calibration, report)
+        write_frame(folder, frame, settings, calibration, report, tell)
         picture = out / "render.png"
         tell("drawing the mesh")
         try:

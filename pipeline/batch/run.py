@@ -5,18 +5,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline.batch.job import Job, chains
-from pipeline.batch.local_processes import decode_in_processes, usable_cores
+from pipeline.batch.job import Job, Learnt, chains
+from pipeline.batch.local_processes import decode_in_processes
+from pipeline.batch.sharing import idle_processes, worthwhile_processes
 from pipeline.batch.worker import Chain, Outcome, Worker
+from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import DamageError, FootageError, OutputError, SettingsError
 from pipeline.files import explain, make_folder
 from pipeline.footage.source import BadFrame, Source
 from pipeline.locking import locked
 from pipeline.output.store import ResultStore, is_there
+from pipeline.output.store_size import SizeForecast, mean_frame_bytes, most_frame_bytes
 from tikernels import runtime
-
-# A process starts in the time that it takes to decode about as many frames.
-_FRAMES_A_START = 128
 
 
 @dataclass
@@ -44,6 +44,8 @@ def decode_footage(
     workers: int | None = None,
     cluster: str | None = None,
     tell: Callable[[int, int], None] = lambda done, of: None,
+    step: Callable[[str], None] = lambda what: None,
+    remark: Callable[[str], None] = lambda line: None,
 ) -> DecodeSummary:
     """Decode what is missing in the store.
 
@@ -62,6 +64,11 @@ def decode_footage(
         Address of a Dask scheduler, ``tcp://...``, whose workers see footage and store under the same names.
     tell : callable
         Told how many frames are done, and of how many.
+    step : callable
+        Told what is being done, and how large the store will be, by the frames that are in it.
+    remark : callable
+        Told what the user should know before frames are decoded: how large the store will be, or that processes are
+        more than help.
 
     Returns
     -------
@@ -85,7 +92,8 @@ def decode_footage(
         job = job.with_transfer_of(source)
         wanted = _wanted(source, start, stop, job.step)
         with _one_writer(job.store):
-            return _decode_missing(job, source, wanted, tell, strict=strict, workers=workers, cluster=cluster)
+            telling = _Telling(tell, step, remark)
+            return _decode_missing(job, source, wanted, telling, strict=strict, workers=workers, cluster=cluster)
     finally:
         source.close()
 
@@ -108,20 +116,24 @@ def _decode_missing(
     job: Job,
     source: Source,
     wanted: range,
-    tell: Callable[[int, int], None],
+    telling: "_Telling",
     *,
     strict: bool,
     workers: int | None,
     cluster: str | None,
 ) -> DecodeSummary:
     """Decode the frames that are missing, or damaged, in a store that nobody else writes to."""
-    store, notes = _ready_store(job, source)
+    telling.step("looking at what is there")
+    store, notes, size = _ready_store(job, source, len(wanted), telling)
     there = store.done() & set(wanted)
     damaged = store.faults(there)
     store.unmark(damaged)
     missing = set(wanted) - (there - damaged.keys())
     summary = DecodeSummary(len(wanted), len(wanted) - len(missing), notes=notes, damaged=damaged)
     done, stored = summary.n_before, set[int]()
+    if size is None:
+        size = _forecast(job, source, len(missing), mean_frame_bytes(job.store, job.fields))
+        telling.remark_if(size.check())
 
     def note(report: Outcome) -> None:
         nonlocal done
@@ -131,15 +143,17 @@ def _decode_missing(
             summary.bad.append(report)
         else:
             stored.add(report.number)
+            expected = size.corrected_by(report.n_bytes)
+            telling.step("decoding" if expected is None else f"decoding to about {expected}")
             if report.warnings:
                 summary.warned[report.number] = report.warnings
         done += 1
-        tell(done, summary.n_frames)
+        telling.tell(done, summary.n_frames)
 
-    tell(done, summary.n_frames)
+    telling.tell(done, summary.n_frames)
     todo: list[Chain] = list(chains(wanted, missing))
     try:
-        _decode_chains(job, todo, workers, cluster, note)
+        _decode_chains(job, todo, workers, cluster, note, telling)
     except KeyboardInterrupt:
         store.remove_leftovers()
         n_done = len(set(wanted) & store.done())
@@ -162,24 +176,63 @@ def _wanted(source: Source, start: int, stop: int | None, step: int) -> range:
     return wanted
 
 
-def _ready_store(job: Job, source: Source) -> tuple[ResultStore, tuple[str, ...]]:
-    """Open the store, a new one with what the footage tells of itself; and return what the user should know."""
-    notes, light, rims = source.notes, None, None
+def _ready_store(
+    job: Job, source: Source, n_wanted: int, telling: "_Telling"
+) -> tuple[ResultStore, tuple[str, ...], SizeForecast | None]:
+    """Open the store, a new one with what the footage tells of itself, and only if its disk has room for it.
+
+    Returns
+    -------
+    ResultStore
+        The store.
+    tuple of str
+        What the user should know.
+    SizeForecast or None
+        How large a new store will be, which has been told.
+    """
+    notes, learnt, size = source.notes, Learnt(None, RimVotes(), (), None), None
+    damaged = False
     try:
         there = is_there(job.store)
     except DamageError as error:
-        there, notes = False, (*notes, f"{error}; it is written anew")
+        there, damaged, notes = False, True, (*notes, f"{error}; it is written anew")
     if not there:
+        telling.step("compiling kernels, and asking the footage for its light")
         runtime.init(job.arch)
-        light, rims, doubts = job.learn(source)
-        notes += doubts
-    store = job.make_store(source, light, rims)
+        learnt = job.learn(source)
+        if not damaged:  # else there may be frames
+            size = _forecast(job, source, n_wanted, learnt.frame_bytes)
+            telling.remark_if(size.check())
+    store = job.make_store(source, learnt.light, learnt.rims)
     store.remove_leftovers()
-    return store, notes
+    return store, (*notes, *learnt.notes), size
+
+
+def _forecast(job: Job, source: Source, n_frames: int, frame_bytes: float | None) -> SizeForecast:
+    return SizeForecast(job.store, n_frames, most_frame_bytes(job.fields, job.size_px(source)), frame_bytes)
+
+
+@dataclass(frozen=True)
+class _Telling:
+    """Whom a run tells what; see `decode_footage`."""
+
+    tell: Callable[[int, int], None]
+    step: Callable[[str], None]
+    remark: Callable[[str], None]
+
+    def remark_if(self, line: str | None) -> None:
+        """Tell a line, if there is one."""
+        if line is not None:
+            self.remark(line)
 
 
 def _decode_chains(
-    job: Job, todo: list[Chain], workers: int | None, cluster: str | None, note: Callable[[Outcome], None]
+    job: Job,
+    todo: list[Chain],
+    workers: int | None,
+    cluster: str | None,
+    note: Callable[[Outcome], None],
+    telling: _Telling,
 ) -> None:
     """Decode chains of frames: on a scheduler's workers, in processes that are started here, or in this one."""
     if not todo:
@@ -187,18 +240,14 @@ def _decode_chains(
     if cluster is not None:
         from pipeline.batch.cluster import decode_on_cluster  # slow to import, and of the extra `cluster`
 
+        telling.step("waiting for the cluster's first frame")
         decode_on_cluster(job, todo, cluster, note)
         return
-    count = _worthwhile_processes(job, todo) if workers is None else workers
+    count = worthwhile_processes(job, todo) if workers is None else workers
+    telling.remark_if(None if workers is None else idle_processes(job, todo, workers))
     if count > 1:
+        telling.step("starting processes, which compile their kernels")
         decode_in_processes(job, todo, count, note)
     else:
+        telling.step("compiling kernels")
         Worker(job).decode(todo, note)
-
-
-def _worthwhile_processes(job: Job, todo: list[Chain]) -> int:
-    """Return in how many processes frames are decoded the soonest."""
-    if job.arch != "cpu" and (job.arch != "auto" or runtime.init("auto") != "cpu"):
-        return 1  # one GPU does all the work
-    n_frames = sum(len(missing) for _, missing in todo)
-    return min(len(usable_cores()), n_frames // _FRAMES_A_START)

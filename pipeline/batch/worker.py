@@ -38,6 +38,7 @@ class GoodFrame:
 
     number: int
     warnings: tuple[str, ...]
+    n_bytes: int  # that it takes in the store
 
 
 Outcome = GoodFrame | BadFrame
@@ -99,6 +100,9 @@ class Worker:
             marks = _Marks(self._store, writers, tell)
             try:
                 for stored in frames:
+                    for earlier in self._results:
+                        earlier.finish_if_written(marks)
+                    marks.look()
                     if stored.number in starts:
                         previous = None
                     result = self._results[turn % _RESULTS]
@@ -147,6 +151,10 @@ class _Result:
             self.written = None
             marks.add(frame, self.frame.warnings)
 
+    def finish_if_written(self, marks: "_Marks") -> None:
+        if self.written is not None and self.written.done():
+            self.finish(marks)
+
 
 class _Marks:
     """Mark the frames that are written, some at a time, and tell of them then; from one thread."""
@@ -161,7 +169,10 @@ class _Marks:
     def add(self, frame: WrittenFrame, warnings: tuple[str, ...]) -> None:
         """Have a frame marked, soon."""
         self._written.append(frame)
-        self._told.append(GoodFrame(frame.number, warnings))
+        self._told.append(GoodFrame(frame.number, warnings, frame.n_bytes))
+
+    def look(self) -> None:
+        """Mark what is written, if it is time for that, and tell of what is marked."""
         if time.monotonic() - self._at_s >= _COMMIT_S:
             self._commit()
         while self._in_hand and self._in_hand[0][0].done():

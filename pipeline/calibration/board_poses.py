@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.multishot import ProjectorMap, decode_multishot
+from pipeline.calibration.picture_evidence import PictureEvidence, edge_blur_px, find_drift
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray, ImageArray
 from pipeline.robust import robust_sigma
@@ -45,6 +46,7 @@ class BoardPose:
     camera_shift_px: FloatArray  # (3, 2) what R, G and B say more than their mean; NaN where squares are too small
     projector_shift_px: FloatArray  # (3, 2) the same in the projector, at the same camera pixel
     jacobian: FloatArray  # (2, 2) projector px a camera px, mean
+    evidence: PictureEvidence | None = None  # what the pictures show beside the corners; None: not looked for
 
 
 def measure_pose(
@@ -83,6 +85,11 @@ def measure_pose(
     side = _square_px(corners, board.corners_mm()[numbers], board.square_mm)
     window = _half_window(side, board)
     corners = _refined(grey, corners, window)
+
+    def refine(picture: FloatArray, start: FloatArray) -> FloatArray:
+        # Where the corner's own edges leave no room, others in the window turn all pictures' corners alike.
+        return _refined(picture, start, max(window, _MIN_HALF_WINDOW_PX))
+
     radius = max(_RADIUS * side, _MIN_RADIUS_PX)
     projector = np.full(corners.shape, np.nan)
     jacobians = []
@@ -110,6 +117,7 @@ def measure_pose(
         camera_shift_px=_channel_corners(seen.white, corners[good], window),
         projector_shift_px=_projector_shift(seen, corners[good]),
         jacobian=jacobian,
+        evidence=PictureEvidence(edge_blur_px(grey, corners, side), find_drift(captures, grey, corners, refine)),
     )
 
 

@@ -116,21 +116,42 @@ class BundleAdjustment:
 
     def _residuals(self, k: int) -> tuple[FloatArray, FloatArray]:
         """Return a pose's errors, (N, 2 devices, 2) px, and their derivatives by every parameter."""
-        pose, p = self.poses[k], self.parameters
         at = 24 + 6 * k
-        turn, place = p[at : at + 3], p[at + 3 : at + 6]
-        count = len(pose.corners_mm)
-        residual, jacobian = np.zeros((count, 2, 2)), np.zeros((count, 2, 2, len(p)))
-        pixels, slopes = project_points(pose.corners_mm, turn, place, p[:9])
+        residual, slopes = self.corner_errors(self.poses[k], self.parameters[at : at + 6])
+        jacobian = np.zeros((*residual.shape, len(self.parameters)))
+        jacobian[..., :24], jacobian[..., at : at + 6] = slopes[..., :24], slopes[..., 24:]
+        return residual, jacobian
+
+    def corner_errors(self, pose: BoardPose, stands: FloatArray, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
+        """Return by how much the corners of a board lie beside where lenses and step put them.
+
+        Parameters
+        ----------
+        pose : BoardPose
+            Its corners, as they were measured.
+        stands : (6,)
+            Rotation vector and place, mm.
+        scale : float
+            How many times as large as given the board is.
+
+        Returns
+        -------
+        (N, 2 devices, 2), (N, 2, 2, 30)
+            Errors, px, and their derivatives: by the 24 parameters of lenses and step, and by where the board stands.
+        """
+        turn, place, p = stands[:3], stands[3:], self.parameters
+        corners = scale * pose.corners_mm
+        residual, jacobian = np.zeros((len(corners), 2, 2)), np.zeros((len(corners), 2, 2, 30))
+        pixels, slopes = project_points(corners, turn, place, p[:9])
         residual[:, 0] = pixels - pose.camera_px
-        jacobian[:, 0, :, at : at + 6], jacobian[:, 0, :, :9] = slopes[..., :6], slopes[..., 6:]
+        jacobian[:, 0, :, 24:], jacobian[:, 0, :, :9] = slopes[..., :6], slopes[..., 6:]
         turn3, place3, *chain = cv2.composeRT(turn, place, self.stereo[:3], self.stereo[3:])
         dr_dr1, dr_dt1, dr_dr2, dr_dt2, dt_dr1, dt_dt1, dt_dr2, dt_dt2 = chain
-        pixels, slopes = project_points(pose.corners_mm, turn3.ravel(), place3.ravel(), p[9:18])
+        pixels, slopes = project_points(corners, turn3.ravel(), place3.ravel(), p[9:18])
         residual[:, 1] = pixels - pose.projector_px
         by_turn, by_place = slopes[..., :3], slopes[..., 3:6]
-        jacobian[:, 1, :, at : at + 3] = by_turn @ dr_dr1 + by_place @ dt_dr1
-        jacobian[:, 1, :, at + 3 : at + 6] = by_turn @ dr_dt1 + by_place @ dt_dt1
+        jacobian[:, 1, :, 24:27] = by_turn @ dr_dr1 + by_place @ dt_dr1
+        jacobian[:, 1, :, 27:] = by_turn @ dr_dt1 + by_place @ dt_dt1
         jacobian[:, 1, :, 18:21] = by_turn @ dr_dr2 + by_place @ dt_dr2
         jacobian[:, 1, :, 21:24] = by_turn @ dr_dt2 + by_place @ dt_dt2
         jacobian[:, 1, :, 9:18] = slopes[..., 6:]
@@ -152,17 +173,28 @@ class BundleAdjustment:
 
     def pose_errors_px(self) -> FloatArray:
         """Return the median distance of each pose's corners, of camera or projector, whichever is worse."""
-        errors = [np.linalg.norm(self._residuals(k)[0], axis=-1) for k in range(len(self.poses))]
-        return np.array([np.median(e, axis=0).max() for e in errors])
+        return np.array([np.median(self.corner_distances_px(k), axis=0).max() for k in range(len(self.poses))])
+
+    def pose_rms_px(self) -> FloatArray:
+        """Return the RMS distance of each pose's corners from the fit, (poses, 2 devices); of those that are used."""
+        errors = [self._residuals(k)[0][used] for k, used in enumerate(self.used)]
+        return np.array([np.sqrt((e**2).sum(axis=-1).mean(axis=0)) for e in errors])
+
+    def corner_distances_px(self, k: int) -> FloatArray:
+        """Return the distance of each of a pose's corners from the fit, (N, 2 devices)."""
+        return np.asarray(np.linalg.norm(self._residuals(k)[0], axis=-1))
+
+    def normals(self) -> FloatArray:
+        """Return the unit vectors that stand on each pose's board, in the camera's frame, (poses, 3)."""
+        return np.array([cv2.Rodrigues(turn[:3])[0][:, 2] for turn in self.parameters[24:].reshape(-1, 6)])
 
     def focal_sigma(self) -> float:
         """Return the standard deviation of the least certain focal length, over that length."""
         focal = np.array([0, 1, 9, 10])
         return float((np.sqrt(np.diag(self.covariance())[focal]) / self.parameters[focal]).max())
 
-    def px_per_mm(self, pattern: Pattern) -> tuple[float, float]:
-        """Return how far depth moves the light in the projector, across and along the pattern's stripes."""
-        depth = float(np.median(self.depths_mm()))
+    def px_per_mm(self, pattern: Pattern, depth: float) -> tuple[float, float]:
+        """Return how far depth moves the light in the projector at a depth, mm, across and along the stripes."""
         points = np.array([[0, 0, depth - 0.5], [0, 0, depth + 0.5]])
         pixels, _ = project_points(points, self.stereo[:3], self.stereo[3:], self.parameters[9:18])
         column, row = np.abs(pixels[1] - pixels[0])

@@ -42,6 +42,8 @@ MAX_CONDITION = 100.0
 #: the picture.
 DEFAULT_PROJECTOR_PX = (1024, 768)
 DEFAULT_PERIOD_PX = 768 / 44
+#: What beside the side of the board's squares tells the scale of a geometry.
+ScaleProof = Literal["baseline", "second board"]
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
 # No picture format that is read has longer sides.
 _Side = Annotated[int, Field(gt=0, lt=2**20)]
@@ -195,6 +197,7 @@ class Calibration(Model):
     depth_range_mm: tuple[Positive, Positive] | None = None
     capture: CameraState | None = None
     uncertainty: Uncertainty | None = None
+    scale_proof: ScaleProof | None = None  # None: all lengths are as wrong as the squares' side
 
     @model_validator(mode="after")
     def _check(self) -> "Calibration":

@@ -53,6 +53,12 @@ def multishot_sequence(size_px: tuple[int, int]) -> PictureSequence:
     return PictureSequence(kind="geometry", size_px=size_px, names=tuple(names))
 
 
+def fringe_groups() -> list[list[str]]:
+    """Return the names of the fringes that differ in their step only, group by group in the order of projection."""
+    names = multishot_sequence((1, 1)).names
+    return [[name for name in names if f"-{axis}-{level}-" in name] for axis in _AXES for level in _STEPS]
+
+
 def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
     """Return the (height, width, 3) projector codes, 0..1, of a picture of the sequence."""
     width, height = size_px

@@ -21,7 +21,11 @@ class MeasuredPoses:
 
 
 def measure_poses(
-    folder: Path, board: Board, projector_size_px: tuple[int, int], white_level: float | None = None
+    folder: Path,
+    board: Board,
+    projector_size_px: tuple[int, int],
+    white_level: float | None = None,
+    least: int = MIN_POSES,
 ) -> MeasuredPoses:
     """Find the board in every pose.
 
@@ -35,6 +39,8 @@ def measure_poses(
         The projector's.
     white_level : float, optional
         Full scale; None: the type's.
+    least : int
+        How many poses are needed.
 
     Raises
     ------
@@ -57,7 +63,7 @@ def measure_poses(
             poses.append(measure_pose(place.name, captures, board, projector_size_px, white_level))
         except CalibrationError as error:
             refused.append(str(error))
-    if camera_px is None or len(poses) < MIN_POSES:
+    if camera_px is None or len(poses) < least:
         reason = refused[0] if refused else f"{folder} holds {len(poses)} folders of captures"
-        raise CalibrationError(f"{len(poses)} usable poses, at least {MIN_POSES} are needed: {reason}")
+        raise CalibrationError(f"{len(poses)} usable poses, at least {least} are needed: {reason}")
     return MeasuredPoses(poses, tuple(refused), camera_px)

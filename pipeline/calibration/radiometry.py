@@ -16,6 +16,7 @@ from pipeline.calibration.captures import PictureSequence, full_scale
 from pipeline.calibration.model import MAX_CONDITION, Calibration, Uncertainty
 from pipeline.errors import CalibrationError
 from pipeline.models import CameraState, FloatArray, ImageArray
+from pipeline.robust import robust_sigma
 from tikernels.raw.linearization import TRANSFERS, Transfer, linear_values
 
 #: Codes of the ramps, 0..255. Sixteen steps follow any smooth response to a thousandth.
@@ -53,6 +54,7 @@ class Radiometry:
     transfer: Transfer  # the camera's: a name, or the linear light of 256 levels
     additivity: float  # largest difference of grey from red + green + blue, part of white
     ambient: FloatArray  # (3,) light of the black field, of full scale
+    noise: FloatArray  # (3,) standard deviation of a pixel's light in the brightest capture, of full scale
     ramps: FloatArray  # (4, codes + 1, 3) mean linear light of red, green, blue, grey; black first, taken off
 
     def add_to(self, calibration: Calibration | None, camera: CameraState | None = None) -> Calibration:
@@ -135,7 +137,15 @@ def measure_radiometry(
             "colour mode"
         )
     ambient = np.array([histograms[_BLACK][i] @ _light_of_levels(chosen) for i in range(3)])
-    return Radiometry(*factors, transfer=chosen, additivity=additivity, ambient=ambient, ramps=ramps)
+    noise = _pixel_noise(linear_values(np.clip(white / full, 0, 1), chosen), lit)
+    return Radiometry(*factors, transfer=chosen, additivity=additivity, ambient=ambient, noise=noise, ramps=ramps)
+
+
+def _pixel_noise(white: FloatArray, lit: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return the noise of a capture's channels, (3,), by what neighbours differ, which shading hardly changes."""
+    both = lit[:, 1:] & lit[:, :-1]
+    steps = np.diff(white, axis=1)[both]
+    return np.asarray([robust_sigma(steps[:, i]) / np.sqrt(2) for i in range(3)], np.float64)
 
 
 def _name(color: str, code: int) -> str:

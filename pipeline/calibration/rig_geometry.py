@@ -10,8 +10,12 @@ import cv2
 import numpy as np
 
 from pipeline.calibration.board_poses import BoardPose
-from pipeline.calibration.bundle_adjustment import BundleAdjustment, project_points
-from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, Uncertainty
+from pipeline.calibration.bundle_adjustment import BundleAdjustment
+from pipeline.calibration.depth_bias import depth_bias_mm
+from pipeline.calibration.geometry_verdict import GeometryVerdict, judge_geometry
+from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, ScaleProof, Uncertainty
+from pipeline.calibration.pose_judgement import pose_causes
+from pipeline.calibration.scale_proof import SecondBoard, prove_scale
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
 
@@ -24,13 +28,13 @@ _OUTLIER, _OUTLIER_PX = 3.0, 0.2
 _MAX_RMS_PX = 1.0
 # Two poses that differ by less than this turn, and by less than this part of their distance, add nothing.
 _SAME_DEG, _SAME_PART = 2.0, 0.02
+# Boards whose normals differ by less, deg, tell no lens: what tilting takes off a board's width is 0.4 % of it then.
+_PARALLEL_DEG = 5.0
 # Poses that are all alike leave the focal lengths open: a greater relative standard deviation is no calibration.
 _MAX_FOCAL_SIGMA = 0.02
 # Where depth moves the light across the stripes by less than this part of what it moves along them, the stripes run
 # along the baseline.
 _MIN_ACROSS = 0.3
-# A measured baseline that differs from the user's by a greater part shows a wrong square size.
-_MAX_BASELINE_ERROR = 0.02
 # Lateral colour below this, px, changes nothing that could be measured: 0.03 px is 0.016 rad at 12 px a cycle.
 _MIN_COLOR_SHIFT_PX = 0.03
 
@@ -44,6 +48,7 @@ class GeometryFit:
     left_out: tuple[tuple[str, str], ...]  # names, and why
     camera_rms_px: float
     projector_rms_px: float
+    verdict: GeometryVerdict
 
 
 def solve_geometry(
@@ -53,6 +58,7 @@ def solve_geometry(
     pattern: Pattern,
     base: Calibration | None = None,
     baseline_mm: float | None = None,
+    second: SecondBoard | None = None,
 ) -> GeometryFit:
     """Calibrate both lenses and where they stand.
 
@@ -68,27 +74,28 @@ def solve_geometry(
         A calibration whose light is kept.
     baseline_mm : float, optional
         The distance between camera and projector where it is known: a wrong square size shows in it.
+    second : SecondBoard, optional
+        Poses of a board of other squares: it shows in these, too.
 
     Raises
     ------
     CalibrationError
-        Too few poses, all alike, or they do not fit together; sizes, pattern, baseline or base are another rig's.
+        Too few poses, all alike, or they do not fit together; sizes, pattern, baseline, second board or base are
+        another rig's.
     """
-    _check_rig(poses, camera_size_px, projector_size_px, pattern, base)
-    if baseline_mm is not None and not baseline_mm > 0:
-        raise CalibrationError(f"the baseline is given as {baseline_mm:g} mm: measure it from lens to lens")
+    _check_rig([*poses, *(second.poses if second else ())], camera_size_px, projector_size_px, pattern, base)
     left_out: list[tuple[str, str]] = []
     kept = _without_repeats(poses, camera_size_px, left_out)
     fit = _fit_without_outliers(kept, camera_size_px, projector_size_px, left_out)
     _check_fit(fit, pattern)
-    if baseline_mm is not None:
-        _check_baseline(fit, baseline_mm)
-    calibration = _calibration(fit, camera_size_px, projector_size_px, pattern, base)
+    proof = prove_scale(fit, baseline_mm, second)
+    calibration = _calibration(fit, camera_size_px, projector_size_px, pattern, base, proof)
     # An earlier calibration's lateral colour goes with its lenses.
     shift = _color_shift(fit.poses, calibration.crosstalk_matrix)
     calibration = calibration.model_copy(update={"color_shift_px": shift})
     names = tuple(pose.name for pose in fit.poses)
-    return GeometryFit(calibration, names, tuple(left_out), fit.camera_rms_px, fit.projector_rms_px)
+    verdict = judge_geometry(fit, camera_size_px, pattern, calibration.depth_range_mm)
+    return GeometryFit(calibration, names, tuple(left_out), fit.camera_rms_px, fit.projector_rms_px, verdict)
 
 
 def _fit_without_outliers(
@@ -112,7 +119,7 @@ def _fit_without_outliers(
         if errors[worst] <= max(_OUTLIER * float(np.median(errors)), _OUTLIER_PX):
             return fit
         reason = f"its corners lie {errors[worst]:.2f} px off, others {np.median(errors):.2f}"
-        left_out.append((poses[worst].name, reason))
+        left_out.append((poses[worst].name, "; ".join((reason, *pose_causes(fit, worst)))))
         poses = poses[:worst] + poses[worst + 1 :]
 
 
@@ -129,22 +136,12 @@ def _check_fit(fit: BundleAdjustment, pattern: Pattern) -> None:
             f"the poses are too much alike, they tell the focal lengths only to {focal_sigma:.0%}: tilt the board by "
             "15-35 deg, a different way in each pose"
         )
-    across, along = fit.px_per_mm(pattern)
+    across, along = fit.px_per_mm(pattern, float(np.median(fit.depths_mm())))
     if across < _MIN_ACROSS * along:
         other = "vertical" if pattern.stripes == "horizontal" else "horizontal"
         raise CalibrationError(
             f"{pattern.stripes} stripes run along the line from camera to projector, where their phase tells no depth: "
             f"calibrate for {other} ones"
-        )
-
-
-def _check_baseline(fit: BundleAdjustment, baseline_mm: float) -> None:
-    """Refuse a fit whose baseline is not the measured one."""
-    found = float(np.linalg.norm(fit.stereo[3:]))
-    if abs(found / baseline_mm - 1) > _MAX_BASELINE_ERROR:
-        raise CalibrationError(
-            f"the baseline comes out as {found:.1f} mm but is {baseline_mm:.1f} mm: the squares are then "
-            f"{baseline_mm / found:.4f} times as large as given"
         )
 
 
@@ -193,7 +190,7 @@ def _need(kept: list[BoardPose], left_out: list[tuple[str, str]]) -> None:
 def _without_repeats(
     poses: list[BoardPose], camera_size_px: tuple[int, int], left_out: list[tuple[str, str]]
 ) -> list[BoardPose]:
-    """Leave out poses that repeat an earlier one; a rough lens is good enough to see it."""
+    """Leave out poses that repeat an earlier one, and refuse boards that are all parallel; a rough lens shows both."""
     width, height = camera_size_px
     matrix = np.array([[1.5 * width, 0, width / 2], [0, 1.5 * width, height / 2], [0, 0, 1]], np.float64)
     kept: list[tuple[BoardPose, FloatArray, FloatArray]] = []
@@ -207,6 +204,13 @@ def _without_repeats(
                 break
         else:
             kept.append((pose, rotation, place))
+    normals = np.array([rotation[:, 2] for _, rotation, _ in kept])
+    spread_deg = float(np.degrees(np.arccos(np.clip((normals @ normals.T).min(initial=1.0), -1, 1))))
+    if len(kept) > 1 and spread_deg < _PARALLEL_DEG:
+        raise CalibrationError(
+            f"the poses are too much alike, their tilts differ by {spread_deg:.0f} deg at most: tilt the board by "
+            "15-35 deg, a different way in each pose"
+        )
     return [pose for pose, _, _ in kept]
 
 
@@ -221,6 +225,7 @@ def _calibration(
     projector_size_px: tuple[int, int],
     pattern: Pattern,
     base: Calibration | None,
+    proof: ScaleProof | None,
 ) -> Calibration:
     p, covariance = fit.parameters, fit.covariance()
     sigma = np.sqrt(np.diag(covariance))
@@ -248,51 +253,9 @@ def _calibration(
             "translation_mm": fit.stereo[3:],
             "pattern": pattern,
             "uncertainty": uncertainty,
+            "scale_proof": proof,
         }
     )
-
-
-def depth_bias_mm(
-    parameters: FloatArray, covariance: FloatArray, camera_size_px: tuple[int, int], axis: int, depth_mm: float
-) -> float:
-    """Return the standard deviation of depth that the calibration's own uncertainty leaves, RMS over the image.
-
-    Parameters
-    ----------
-    parameters : (24,)
-        Camera, projector (fx, fy, cx, cy, k1, k2, p1, p2, k3 each), rotation vector, translation.
-    covariance : (24, 24)
-        Their covariance.
-    camera_size_px : (width, height)
-        The camera's.
-    axis : int
-        Projector axis along which the phase changes.
-    depth_mm : float
-        Where the object is.
-    """
-    width, height = camera_size_px
-    grid = np.stack(np.meshgrid(np.linspace(0.2, 0.8, 3) * width, np.linspace(0.2, 0.8, 3) * height), -1).reshape(
-        -1, 1, 2
-    )
-
-    def coordinate(p: FloatArray, depth: FloatArray) -> FloatArray:
-        matrix = np.array([[p[0], 0, p[2]], [0, p[1], p[3]], [0, 0, 1]])
-        rays = cv2.undistortPoints(grid, matrix, p[4:9]).reshape(-1, 2)
-        points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) * depth[:, None]
-        return project_points(points, p[18:21], p[21:24], p[9:18])[0][:, axis]
-
-    depth = np.full(len(grid), depth_mm)
-    # A pixel's projector coordinate is measured, so an error of the parameters that changes it shows as depth.
-    by_depth = coordinate(parameters, depth + 0.5) - coordinate(parameters, depth - 0.5)
-    steps = 1e-3 * np.sqrt(np.diag(covariance))
-    by_parameter = np.stack(
-        [
-            (coordinate(parameters + step, depth) - coordinate(parameters - step, depth)) / (2 * size)
-            for size, step in zip(steps, np.diag(steps), strict=True)
-        ]
-    )
-    slopes = by_parameter / by_depth
-    return float(np.sqrt(np.einsum("ik,ij,jk->k", slopes, covariance, slopes).mean()))
 
 
 def _color_shift(poses: list[BoardPose], crosstalk_matrix: FloatArray | None) -> ColorShift | None:

@@ -73,6 +73,7 @@ def capture(
     with stopping.listening():  # to the last line, which who asks twice is not to miss
         with steps() as show:
             chosen = choose_rig(rig, arch, show)
+            stopping.check()
             for note in chosen.differences():
                 remark(f"note: {note}")
             show("opening trigger source and camera")

@@ -2,11 +2,14 @@
 
 import re
 import sys
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from math import inf
 from pathlib import Path
+from threading import Event, Thread
 from typing import Any, Literal
 
 from rich.console import Console, ConsoleOptions, RenderableType
@@ -16,19 +19,17 @@ from rich.progress import (
     Progress,
     ProgressColumn,
     SpinnerColumn,
-    Task,
     TaskID,
     TextColumn,
     TimeElapsedColumn,
-    TimeRemainingColumn,
 )
 from rich.segment import Segment
-from rich.text import Text
 
 import hardware.errors
 import pipeline.errors
 import tikernels.errors
 from pipeline.calibration import Calibration
+from pipeline.cli.frame_rate import FrameRate
 from pipeline.errors import DecodeWarning, OutputError, SettingsError
 from pipeline.settings import DecodeSettings
 
@@ -37,6 +38,9 @@ SOME_ARE_BAD = 3
 
 Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
 
+# Where there is no terminal, a line says how it stands whenever this time is over: short commands say nothing, and logs
+# of hours stay short.
+_RARELY_S = 30.0
 # What moves the cursor, colours, rings or ends a line on a terminal (C0, C1, DEL, separators of lines), and what turns
 # the order of the letters around (Unicode's bidirectional controls).
 _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
@@ -99,41 +103,90 @@ def _tell(line: str, style: str) -> None:
     stderr.print(without_controls(line), style=style, highlight=False, soft_wrap=True)
 
 
-@contextmanager
-def _progress(*columns: ProgressColumn) -> Iterator[tuple[Progress, TaskID]]:
-    """Show one line of progress on a terminal, and nothing elsewhere; it goes when it is over."""
-    with Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal) as bar:
-        yield bar, bar.add_task("starting", total=None)
+class _Progress:
+    """One line that says how something stands: always on a terminal, where it goes when it is over; elsewhere rarely.
+
+    Parameters
+    ----------
+    columns : ProgressColumn
+        What the line on a terminal has.
+    """
+
+    def __init__(self, *columns: ProgressColumn) -> None:
+        self._bar = Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal)
+        self._task: TaskID = self._bar.add_task("starting", total=None, beside="")
+        self._since_s = time.monotonic()
+        self._ended = Event()
+        self._thread = Thread(target=self._tell_rarely, name="progress", daemon=True)
+
+    def __enter__(self) -> "_Progress":
+        self._bar.start()
+        if not stderr.is_terminal:
+            self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        self._bar.stop()
+
+    def say(self, what: str) -> None:
+        """Say what is being done."""
+        if what != self._bar.tasks[0].description:
+            # At once: a kernel that is compiled next may keep the line as it is until it is done.
+            self._bar.update(self._task, description=what, refresh=True)
+
+    def count(self, done: int, of: int, beside: str) -> None:
+        """Say how much is done, and how fast."""
+        self._bar.update(self._task, completed=done, total=of, beside=beside)
+
+    def _tell_rarely(self) -> None:
+        while not self._ended.wait(_RARELY_S):
+            task = self._bar.tasks[0]
+            counts = "" if task.total is None else f" {task.completed:.0f} of {task.total:.0f}"
+            parts = [f"{task.description}{counts}", task.fields["beside"]]
+            elapsed_s = time.monotonic() - self._since_s
+            _tell(", ".join(part for part in (*parts, f"after {elapsed_s:.0f} s") if part), "")
 
 
 @contextmanager
 def steps() -> Iterator[Callable[[str], None]]:
     """Show what is being done and for how long; what is yielded hears what it is."""
-    with _progress(SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()) as (bar, task):
-        yield lambda what: bar.update(task, description=what)
+    with _Progress(SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn()) as line:
+        yield line.say
+
+
+class Count:
+    """What hears how many frames are done, and of how many; and what is being done."""
+
+    def __init__(self, line: _Progress) -> None:
+        self._line = line
+        self._rate = FrameRate()
+        self._before: int | None = None  # that were done before this run
+
+    def __call__(self, done: int, of: int) -> None:
+        """Show that some frames are done; what this is told first was done before."""
+        if self._before is None:
+            self._before = done
+        elif done > self._before:
+            self._rate.note(done)
+        per_s = self._rate.per_s()
+        left = "" if not per_s else f"{per_s:.1f} frames/s, {timedelta(seconds=round((of - done) / per_s))} left"
+        self._line.count(done, of, left)
+
+    def step(self, what: str) -> None:
+        """Show what is being done."""
+        self._line.say(what)
 
 
 @contextmanager
-def counted(what: str) -> Iterator[Callable[[int, int], None]]:
+def counted(what: str) -> Iterator[Count]:
     """Show how many frames are done, and how fast; what is yielded hears how many, and of how many."""
-    columns = BarColumn(), MofNCompleteColumn(), _Rate(), TimeRemainingColumn()
-    with _progress(TextColumn("{task.description}", markup=False), *columns) as (bar, task):
-
-        def show(done: int, of: int) -> None:
-            if bar.tasks[0].total is None:  # what was done before says nothing of the rate
-                bar.reset(task, total=of, completed=done, description=what)
-            else:
-                bar.update(task, completed=done)
-
-        yield show
-
-
-class _Rate(ProgressColumn):
-    """Frames a second."""
-
-    def render(self, task: Task) -> Text:
-        speed = task.finished_speed or task.speed
-        return Text("" if speed is None else f"{speed:.1f} frames/s")
+    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[beside]}", markup=False)
+    with _Progress(TextColumn("{task.description}", markup=False), *columns, TimeElapsedColumn()) as line:
+        line.say(what)
+        yield Count(line)
 
 
 def bounded(least: float, most: float = inf) -> Callable[[Any, float | None], None]:

@@ -195,11 +195,13 @@ def _decode_video(
             workers=options.workers,
             cluster=options.cluster,
             tell=show,
+            step=show.step,
+            remark=remark,
         )
     _say_summary(summary, job.store)
     _say_whether_relative(job.store)
     if options.export is not None:
-        write_meshes(job.store, Path(out, _MESHES), options.export)
+        write_meshes(job.store, Path(out, _MESHES), options.export, force=force)
     if summary.bad:
         sys.exit(SOME_ARE_BAD)
 

@@ -13,8 +13,10 @@ from pipeline.cli.decode import decode
 from pipeline.cli.demo import demo
 from pipeline.cli.devices import devices
 from pipeline.cli.inspect import inspect
+from pipeline.cli.plan import plan
 from pipeline.cli.project import pattern, project, projector
 from pipeline.cli.results import export, render
+from pipeline.cli.rig_template import rig
 from pipeline.cli.verify import verify
 
 app = App(
@@ -25,8 +27,8 @@ app = App(
     suppress_keyboard_interrupt=False,  # `run` says what it has stopped
     error_formatter=lambda error: Text(without_controls(f"error: {' '.join(str(error).split())}"), style="red"),
 )
-_MAKING = (demo, calibrate, capture, project, projector, pattern)
-_USING = (settings, decode, inspect, render, export, verify, devices)
+_MAKING = (demo, plan, calibrate, capture, project, projector, pattern)
+_USING = (settings, rig, decode, inspect, render, export, verify, devices)
 for command in (*_MAKING, *_USING):
     app.command(command)
 

@@ -13,7 +13,7 @@ from hardware.projector import open_projector
 from hardware.protocols import Projector
 from pipeline.acquisition.rig_file import read_rig
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, choose_pattern
-from pipeline.cli.calibrate import BoardOptions
+from pipeline.cli.calibrate_options import BoardOptions
 from pipeline.cli.console import above_zero, read_calibration, remark, say, size_of, stderr, stdout
 from pipeline.errors import CalibrationError
 from pipeline.footage.image_file import read_codes

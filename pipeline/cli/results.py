@@ -8,7 +8,8 @@ from cyclopts import Parameter
 
 from pipeline.cli.console import bounded, counted, remark, say, steps
 from pipeline.errors import OutputError
-from pipeline.output.stored_result import MeshKind, export_frames
+from pipeline.output.mesh_export import export_frames
+from pipeline.output.stored_result import MeshKind
 from tikernels import runtime
 
 
@@ -72,8 +73,10 @@ def render(
     say(f"wrote {out}: {film.n_images} pictures, by {film.codec}")
 
 
-def export(input: str, /, *, out: Path, kind: MeshKind = "ply") -> None:
+def export(input: str, /, *, out: Path, kind: MeshKind = "ply", force: bool = False) -> None:
     """Write every frame of a result.zarr as a mesh.
+
+    Run again, it writes what is missing, or made of a frame that has been decoded anew.
 
     Example: colorphase export film/result.zarr --out meshes --kind glb
 
@@ -85,17 +88,24 @@ def export(input: str, /, *, out: Path, kind: MeshKind = "ply") -> None:
         The folder for frame_000000.ply and so on.
     kind
         The format; PLY keeps modulation and standard deviation, too.
+    force
+        Write all again, and replace files of these names that were changed or are not ours.
     """
-    if not write_meshes(input, out, kind):
+    if not write_meshes(input, out, kind, force=force):
         sys.exit(1)
 
 
-def write_meshes(store: str, folder: Path, kind: MeshKind) -> int:
+def write_meshes(store: str, folder: Path, kind: MeshKind, *, force: bool) -> int:
     """Write every frame of a store that is done as a mesh, say what became of it, and return how many there are."""
     runtime.init("cpu")
     with counted("meshes") as show:
-        written, empty = export_frames(store, folder, kind, show)
-    if empty:
-        remark(f"{len(empty)} frames show no surface, as frame {empty[0]}: there is no mesh of them")
-    say(f"{written} meshes in {folder}")
-    return written
+        done = export_frames(store, folder, kind, show, force=force)
+    if done.empty:
+        remark(f"{len(done.empty)} frames show no surface, as frame {done.empty[0]}: there is no mesh of them")
+    n_meshes = len(done.written) + len(done.before) - len(done.empty)
+    if not done.written:
+        say(f"{n_meshes} meshes in {folder} were exported before, and are whole: --force writes them again")
+    else:
+        before = f", {len(done.before)} of them before" if done.before else ""
+        say(f"{n_meshes} meshes in {folder}{before}")
+    return n_meshes

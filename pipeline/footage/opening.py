@@ -16,6 +16,8 @@ from tikernels.raw.pixel_format import Bayer, Matrix, Siting
 
 # Pictures that phones and browsers store as the brand of an ISO base media file says (ISO/IEC 23008-12, 10.2).
 _UNREAD = {b"avif": "AVIF", b"avis": "AVIF"}
+# How names of cameras' raw files end.
+_RAW_SUFFIXES = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
 
 
 def open_source(
@@ -57,6 +59,10 @@ def open_source(
             head = file.read(12)
         if (kind := _unread_kind(head)) is not None:
             raise FootageError(f"cannot read {path}: it is a picture in {kind}: save it as PNG, TIFF or JPEG")
+        if path.suffix.lower() in _RAW_SUFFIXES:
+            raise FootageError(
+                f"cannot read {path}: it is a camera's raw file: convert it to a TIFF of 16 bits and linear light"
+            )
         if path.suffix.lower() in IMAGE_SUFFIXES or is_heic(head):
             return ImageFolder(str(path), path.parent, [path.name], says)
         return VideoFile(path, says)

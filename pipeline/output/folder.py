@@ -8,7 +8,7 @@ import hashlib
 import json
 import shutil
 import tempfile
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -83,8 +83,8 @@ def _move(work: Path, path: Path) -> None:
     """Move what was written into the output folder, and return when it is on the disk; the report comes last."""
     if (work / _REPORT).exists():
         report = json.loads((work / _REPORT).read_bytes())
-        kept = {name: digest for name, digest in _reported(path).items() if _digest(path / name) == digest}
-        new = {entry.name: _digest(entry) for entry in work.iterdir() if entry.is_file() and entry.name != _REPORT}
+        kept = {name: digest for name, digest in _reported(path).items() if file_digest(path / name) == digest}
+        new = {entry.name: file_digest(entry) for entry in work.iterdir() if entry.is_file() and entry.name != _REPORT}
         text = json.dumps({**report, _FILES: {**kept, **new}}, indent=1) + "\n"
         (work / _REPORT).write_text(text, encoding="utf-8")
     sync(*(entry for entry in work.iterdir() if entry.is_file()))  # a store is there already
@@ -111,7 +111,7 @@ def _refuse_foreign(path: Path) -> None:
         elif entry.name == _REPORT:
             is_ours = bool(reported)
         else:
-            is_ours = entry.name in reported and _digest(entry) == reported[entry.name]
+            is_ours = entry.name in reported and file_digest(entry) == reported[entry.name]
         if not is_ours and not _is_lock(entry):
             edited = " has been changed since we wrote it" if entry.name in reported else " is not ours"
             raise OutputError(
@@ -121,7 +121,7 @@ def _refuse_foreign(path: Path) -> None:
 
 def changed_files(path: Path) -> list[str]:
     """Return the names of the files that a folder's report names, and which are not as they were written."""
-    return [name for name, digest in _reported(path).items() if _digest(path / name) != digest]
+    return [name for name, digest in _reported(path).items() if file_digest(path / name) != digest]
 
 
 def _reported(path: Path) -> dict[str, str]:
@@ -135,7 +135,7 @@ def _reported(path: Path) -> dict[str, str]:
         return {}
 
 
-def _digest(file: Path) -> str | None:
+def file_digest(file: Path) -> str | None:
     """Return a file's SHA-256; None where there is no file."""
     try:
         with file.open("rb") as opened:
@@ -176,16 +176,24 @@ def write_frame(
     settings: DecodeSettings,
     calibration: Calibration | None,
     report: dict[str, Any],
+    tell: Callable[[str], None] = lambda what: None,
 ) -> None:
     """Write one frame's ``result.zarr``, ``mesh.ply``, ``range.png``, ``shaded.png`` and ``report.json`` into a folder.
+
+    What is being done is told to `tell`.
 
     Raises
     ------
     OSError
         The folder cannot be written.
     """
+    tell("storing every field")
     write_store(folder / "result.zarr", frame, settings, calibration)
-    write_mesh(frame_mesh(frame), folder / "mesh.ply")
+    tell("meshing")
+    mesh = frame_mesh(frame)
+    tell(f"writing a mesh of {len(mesh.faces):,} triangles")
+    write_mesh(mesh, folder / "mesh.ply")
+    tell("drawing range.png and shaded.png")
     write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
     write_png(folder / "shaded.png", shade_range(frame.range_image, frame.mask, frame.points))
     (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")

@@ -32,6 +32,7 @@ def frame_report(
     return {
         "source": source,
         **result_attributes(settings, calibration),
+        "scale_proof": None if calibration is None else calibration.scale_proof,
         "arch": runtime.started(),
         "kernel_language": runtime.kernel_language(),
         "image_px": list(frame.mask.shape[::-1]),

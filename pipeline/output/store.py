@@ -13,17 +13,16 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pipeline.calibration import Calibration
 from pipeline.decoding.frame import FIELDS, DecodedFrame
 from pipeline.errors import DamageError, OutputError, SettingsError
 from pipeline.files import make_folder
 from pipeline.output.store_files import StoreFiles
 from pipeline.output.store_marks import FrameMark, OtherFrame, frame_fault, identity_digest, marked_frames, read_mark
-from pipeline.output.store_metadata import DONE, LEVEL, new_metadata, read_metadata
+from pipeline.output.store_metadata import DONE, MARK_BYTES, new_metadata, read_metadata
+from pipeline.output.store_size import stored_chunk
 from pipeline.settings import DecodeSettings
-from pipeline.zarr_chunks import chunk_key, encode_chunk
+from pipeline.zarr_chunks import chunk_key
 
 # Threads that look whether frames are whole: reading and checksums leave the interpreter alone.
 _READERS = 4
@@ -62,6 +61,7 @@ class WrittenFrame:
 
     number: int
     mark: FrameMark
+    n_bytes: int  # of its chunks and its mark
 
 
 class ResultStore:
@@ -198,12 +198,11 @@ class ResultStore:
         chunks = {}
         with self._files.explained():
             for name in self._fields:
-                values = np.asarray(getattr(frame, name))
-                values = FIELDS[name].rounded(values, frame.noise_levels, in_mm=frame.calibrated)
-                chunks[name] = encode_chunk(values, LEVEL)
+                chunks[name] = stored_chunk(name, frame)
                 # Unlike zarr never into a store that is gone.
-                self._files.put(f"{name}/{chunk_key(number, values.ndim)}", chunks[name])
-        return WrittenFrame(number, FrameMark.of(frame, self._identity, chunks))
+                self._files.put(f"{name}/{chunk_key(number, len(FIELDS[name].axes))}", chunks[name])
+        n_bytes = sum(map(len, chunks.values())) + MARK_BYTES
+        return WrittenFrame(number, FrameMark.of(frame, self._identity, chunks), n_bytes)
 
     def commit(self, frames: Iterable[WrittenFrame]) -> None:
         """Mark frames whose chunks are written, once those are there whatever happens; from any thread.

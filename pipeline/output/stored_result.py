@@ -1,6 +1,7 @@
 """Frames of a ``result.zarr``, read one at a time."""
 
-from collections.abc import Callable, Collection
+import json
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,10 +10,8 @@ import numpy.typing as npt
 
 from pipeline.decoding.frame import FIELDS
 from pipeline.decoding.front_side import RimVotes
-from pipeline.errors import DamageError, FootageError, OutputError
-from pipeline.files import explain
+from pipeline.errors import DamageError, FootageError
 from pipeline.output.mesh import Mesh
-from pipeline.output.mesh_files import write_mesh
 from pipeline.output.store_files import StoreFiles
 from pipeline.output.store_marks import FrameMark, frame_fault, identity_digest, marked_frames, read_chunk, read_mark
 from pipeline.output.store_metadata import DONE, read_metadata
@@ -94,24 +93,48 @@ class StoredResult:
         FootageError
             The field was not stored, or its chunk is damaged.
         """
-        if name not in self.fields:
-            raise FootageError(f"{self.name} holds no {name}: decode with that field")
+        self.require(name)
         try:
-            chunk = read_chunk(self._files, number, name, self._read_mark(number))
+            chunk = read_chunk(self._files, number, name, self._mark_of(number))
             return decode_chunk(chunk, FIELDS[name].dtype, self._shapes[name][1:])
         except DamageError as error:
-            raise FootageError(
-                f"{self.name}: frame {number}: {error}: decode again as before, which mends it"
-            ) from None
+            raise self._damaged(number, error) from None
+
+    def require(self, name: str) -> None:
+        """Refuse to go on without a field.
+
+        Raises
+        ------
+        FootageError
+            It was not stored.
+        """
+        if name not in self.fields:
+            raise FootageError(f"{self.name} holds no {name}: decode with that field")
+
+    def frame_digest(self, number: int) -> str:
+        """Return what tells a frame from all others, also from itself decoded otherwise.
+
+        Raises
+        ------
+        FootageError
+            Its mark is damaged.
+        """
+        return json.dumps(vars(self._mark_of(number)), sort_keys=True)
 
     def fault(self, number: int) -> str | None:
         """Return what is wrong with a frame that is done; None: all of it is as it was written."""
         return frame_fault(self._files, number, sorted(self.fields), self._identity)
 
-    def _read_mark(self, number: int) -> FrameMark:
+    def _mark_of(self, number: int) -> FrameMark:
         if self._mark is None or self._mark[0] != number:
-            self._mark = number, read_mark(self._files, number, self._identity)
+            try:
+                self._mark = number, read_mark(self._files, number, self._identity)
+            except DamageError as error:
+                raise self._damaged(number, error) from None
         return self._mark[1]
+
+    def _damaged(self, number: int, error: DamageError) -> FootageError:
+        return FootageError(f"{self.name}: frame {number}: {error}: decode again as before, which mends it")
 
     def mesh(self, number: int, fields: Collection[str] | None = None) -> Mesh:
         """Return a frame as a mesh, with what is known of its vertices: if it is stored, and among `fields`.
@@ -130,54 +153,3 @@ class StoredResult:
             if field.vertex is not None and name in (self.fields if fields is None else self.fields & set(fields))
         }
         return surface_mesh(values, mask, points, properties)
-
-
-def export_frames(
-    location: str | Path,
-    folder: str | Path,
-    kind: MeshKind,
-    tell: Callable[[int, int], None] = lambda done, of: None,
-) -> tuple[int, tuple[int, ...]]:
-    """Write every frame of a store that is done as a mesh, ``frame_000012.ply`` and so on.
-
-    Parameters
-    ----------
-    location : str or Path
-        The ``result.zarr``.
-    folder : str or Path
-        Where to; made if it does not exist. Files of the same names are replaced.
-    kind : {"ply", "glb"}
-        The format: PLY keeps the standard deviations, too.
-    tell : callable
-        Is told how many of how many frames have been looked at.
-
-    Returns
-    -------
-    int
-        How many were written.
-    tuple of int
-        The numbers of those without any surface, of which there is no mesh.
-
-    Raises
-    ------
-    FootageError
-        There is no such store, or it lacks what a mesh is made of.
-    OutputError
-        The folder cannot be written.
-    """
-    result, folder = StoredResult(location), Path(folder)
-    if not result.done:
-        raise FootageError(f"{result.name} holds no frame that is done: decode first")
-    empty = []
-    for i, number in enumerate(result.done):
-        mesh = result.mesh(number)
-        if len(mesh.faces):
-            try:
-                folder.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                raise OutputError(f"cannot write {folder}: {explain(error)}") from error
-            write_mesh(mesh, folder / f"frame_{number:06d}.{kind}")
-        else:
-            empty.append(number)
-        tell(i + 1, len(result.done))
-    return len(result.done) - len(empty), tuple(empty)

@@ -185,6 +185,7 @@ NAMED = {
         ),
         "it is an animation",
     ),
+    "raw.DNG": (lambda f: by_opencv(sixteen(f.linear), ".tif"), "it is a camera's raw file"),
     "cut off.jpg": (lambda f: jpeg(f.phone)[:20000], "truncated: copy it again"),
     "cut off.png": (lambda f: by_pillow(f.phone, "PNG")[:100000], "truncated: copy it again"),
     "empty.png": (lambda f: b"", "is not a picture that can be read"),

@@ -1,6 +1,7 @@
 """Photographs of boards before cluttered walls, whose corners are known.
 
-Written apart from the library's renderer and from `support.board_rig`: four by four samples a pixel, in float64.
+Written apart from the library's renderer and from `pipeline.calibration.simulated_board`: four by four samples a pixel,
+in float64.
 """
 
 from dataclasses import dataclass

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import pytest
 
 from hardware.projector import pjlink, switching
+from pipeline.cli import console
 from pipeline.cli import main as cli
 from pipeline.cli.main import app
 
@@ -23,7 +24,9 @@ class Done(NamedTuple):
 def command(monkeypatch, capsys, tmp_path):
     """Return a function that runs `colorphase` with some arguments, in a folder of its own or in another one."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("COLUMNS", "200")  # of the consoles that Cyclopts makes
+    for printed in (console.stdout, console.stderr):
+        monkeypatch.setattr(printed, "width", 200)
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setattr(pjlink, "ANSWER_S", 0.5)
     monkeypatch.setattr(switching, "POLL_S", 0.02)

@@ -44,7 +44,7 @@ from tikernels.phase.smoothing import left_of_differences, left_of_variance
 
 # The error of the channels' model is this share of a pixel's variance: it is fitted to some fifty samples for three
 # channels' gains and offsets.
-_OWN_ERROR = 0.03
+OWN_ERROR = 0.03
 # Where part of the window that the model is fitted to is empty, as near an edge, it follows the other side's shading:
 # an error in rad, whatever the noise, that grows with the root of that part.
 _EDGE_ERROR = 0.025
@@ -63,7 +63,7 @@ _GRID = 2
 @ti.func
 def smoothed_noise(precision: f32, smoothed: f32, independent: f32) -> f32:
     """Return a pixel's variance by noise after smoothing, rad^2."""
-    return independent * smoothed + _OWN_ERROR / ti.max(precision, LEAST_PRECISION)
+    return independent * smoothed + OWN_ERROR / ti.max(precision, LEAST_PRECISION)
 
 
 @kernel

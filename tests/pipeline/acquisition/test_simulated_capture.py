@@ -15,7 +15,7 @@ def test_a_bust_that_turns_before_a_pattern_that_takes_turns(monkeypatch):
     monkeypatch.setattr(simulated_capture, "_POSES", 2)
     told = []
     open_instruments, calibration = simulated_instruments(SETTINGS, "cpu", told.append)
-    assert told == ["simulating pose 1 of 2", "simulating pose 2 of 2"]
+    assert told[-2:] == ["simulating pose 1 of 2", "simulating pose 2 of 2"]
     trigger, camera = open_instruments()
     assert trigger.limits.counts_strobes and camera.limits.size_px == (320, 240)
     bright, dim, turned = (camera._expose(time_s) for time_s in (0.0, 0.0, 1.0))

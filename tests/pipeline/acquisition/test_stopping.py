@@ -1,6 +1,7 @@
 """Requests to stop: the first one stops, none cuts in two what belongs together."""
 
 import signal
+from contextlib import suppress
 
 import pytest
 
@@ -39,6 +40,18 @@ def test_while_everything_is_closed_requests_are_ignored():
         with stopping.shield():
             press()
     assert stopping.asked
+
+
+def test_a_request_that_a_library_has_lost_stops_at_the_next_look():
+    stopping = Stopping()
+    with stopping.listening():
+        stopping.check()
+        with suppress(KeyboardInterrupt):
+            press()
+        with pytest.raises(KeyboardInterrupt):
+            stopping.check()
+        stopping.ignore()
+        stopping.check()
 
 
 def test_handlers_are_those_of_before():

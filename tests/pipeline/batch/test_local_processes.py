@@ -13,7 +13,7 @@ from support.command_line import command
 from support.recorded_footage import N_FRAMES, contents, job_of, record
 
 from pipeline import DecodeSettings
-from pipeline.batch import local_processes, run
+from pipeline.batch import local_processes
 from pipeline.batch.job import CHAIN_FRAMES, Job
 from pipeline.batch.run import decode_footage
 from pipeline.errors import ClusterError, FootageError, OutputError
@@ -113,15 +113,6 @@ def test_an_error_of_ours_comes_back_as_it_was(folder, tmp_path):
     with pytest.raises(OutputError, match=r"vanished|is not there"):
         decode_footage(job, workers=2, tell=remove)
     assert not (Path(job.store) / "zarr.json").exists()
-
-
-def test_how_many_processes_are_worth_their_start(folder, tmp_path, monkeypatch):
-    job = job_of(folder, tmp_path / "result.zarr")
-    monkeypatch.setattr(run, "usable_cores", lambda: list(range(8)))
-    frames = range(1024)
-    assert run._worthwhile_processes(job, [(frames, frozenset(frames))]) == 8
-    assert run._worthwhile_processes(job, [(frames, frozenset(frames[:300]))]) == 2
-    assert run._worthwhile_processes(job, [(frames, frozenset(frames[:10]))]) == 0
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processes cannot be bound to cores here")

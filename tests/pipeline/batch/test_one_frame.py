@@ -5,9 +5,11 @@ import warnings
 import numpy as np
 import pytest
 
+from pipeline.batch import one_frame
 from pipeline.batch.one_frame import decode_picture
 from pipeline.errors import DecodeWarning, FootageError, OutputError
 from pipeline.footage.source import StoredAs
+from pipeline.output.mesh_files import read_mesh
 from pipeline.output.range_image import write_png
 from pipeline.settings import DecodeSettings
 
@@ -31,9 +33,35 @@ def test_a_picture_gives_all_files(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DecodeWarning)
         frame, said = decode(tmp_path / "fringes.png", tmp_path / "out")
-    assert frame.mask.any() and said == ["reading", "decoding", "writing"]
+    n_triangles = len(read_mesh(tmp_path / "out" / "mesh.ply").faces)
+    assert frame.mask.any() and said == [
+        "reading",
+        "compiling kernels, and decoding 128x96 px",
+        "storing every field",
+        "meshing",
+        f"writing a mesh of {n_triangles:,} triangles",
+        "drawing range.png and shaded.png",
+        f"moving all into {tmp_path / 'out'}",
+    ]
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
     assert names == ["mesh.ply", "range.png", "report.json", "result.zarr", "shaded.png"]
+
+
+def test_kernels_of_a_large_picture_are_compiled_before_and_change_nothing(tmp_path, monkeypatch):
+    """By a part of it, of which nothing is told: what is wrong with the picture is told once, by itself."""
+    fringes(tmp_path / "fringes.png")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DecodeWarning)
+        small, _ = decode(tmp_path / "fringes.png", tmp_path / "small")
+        monkeypatch.setattr(one_frame, "_LARGE_PX", 100)
+        monkeypatch.setattr(one_frame, "_PART_PX", (64, 48))
+        large, said = decode(tmp_path / "fringes.png", tmp_path / "large")
+    assert said[1:3] == ["compiling kernels", "decoding 128x96 px"]
+    assert np.array_equal(small.unwrapped_phase, large.unwrapped_phase, equal_nan=True)
+    write_png(tmp_path / "black.png", np.zeros((48, 64, 3), np.uint8))
+    with pytest.warns(DecodeWarning, match="no fringe stands out") as warned, pytest.raises(FootageError):
+        decode(tmp_path / "black.png", tmp_path / "black")
+    assert len(warned) == 1
 
 
 def test_a_black_picture_leaves_nothing(tmp_path):

@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -229,6 +230,36 @@ def test_arrays_of_another_making_do_not_pass(job, undisturbed):
     zarr.create_array(f"{job.store}/mask", shape=(N_FRAMES, 48, 64), dtype="f4", overwrite=True)
     summary = decode_footage(job)
     assert summary.damaged == dict.fromkeys(range(3), "mask is missing")
+    assert contents(Path(job.store)) == undisturbed
+
+
+def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypatch):
+    """How large it will be, by a frame or by those that are there; which processes do not help; what is being done."""
+    monkeypatch.setattr("pipeline.output.store_size._WORTH_SAYING", 1e3)
+    steps, remarks = [], []
+    decode_footage(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
+    assert list(dict.fromkeys(step.partition(" to about ")[0] for step in steps)) == [
+        "looking at what is there",
+        "compiling kernels, and asking the footage for its light",
+        "compiling kernels",
+        "decoding",
+    ]
+    (said,) = remarks
+    expected_kb = float(re.fullmatch(r"note: .* will grow by about ([\d.]+) kB, at most [\d.]+ [kM]B", said)[1])
+    found_kb = sum(path.stat().st_size for path in Path(job.store).rglob("c.*")) / 1e3
+    assert expected_kb == pytest.approx(found_kb, rel=0.2)  # three frames are as large as three times the first
+    steps.clear()
+    decode_footage(job, workers=1, step=steps.append, remark=remarks.append)
+    assert steps[:2] == ["looking at what is there", "compiling kernels"] and "will grow by about" in remarks[1]
+
+
+def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_decoded(job, undisturbed, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.output.store_size.free_bytes", lambda location: 1000)
+        with pytest.raises(OutputError, match=r"will grow by about .* and 1.0 kB are free on its disk: choose fewer"):
+            decode_footage(job)
+        assert not Path(job.store).exists()
+    decode_footage(job)  # into the same place
     assert contents(Path(job.store)) == undisturbed
 
 

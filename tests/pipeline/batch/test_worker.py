@@ -1,11 +1,14 @@
 """One process's share of a run: what it decodes, what it stores, and what it is told of a store that is not there."""
 
+import time
+from concurrent.futures import wait
 from pathlib import Path
 
 import pytest
 from support.recorded_footage import record
 
 from pipeline import DecodeSettings
+from pipeline.batch import worker as workers
 from pipeline.batch.job import Job
 from pipeline.batch.worker import GoodFrame, Worker
 from pipeline.errors import OutputError
@@ -40,3 +43,22 @@ def test_only_what_is_missing_is_stored_and_bad_frames_are_told(job, tmp_path):
     assert sorted(each.number for each in told if isinstance(each, GoodFrame)) == [0, 2, 5]
     (bad,) = (each for each in told if isinstance(each, BadFrame))
     assert bad.number == 4 and "missing" in bad.reason
+
+
+def test_frames_are_told_as_they_are_done(job, monkeypatch):
+    """However long the next ones take: before the last of six is decoded, the first ones are counted."""
+    job.make_store(job.open())
+    told, before = [], {}
+    decode = Worker._decode
+
+    def slowly(self, stored, previous, out):
+        before[stored.number] = len(told)
+        wait([result.written for result in self._results if result.written is not None])
+        time.sleep(0.1)
+        return decode(self, stored, previous, out)
+
+    monkeypatch.setattr(workers, "_COMMIT_S", 0.0)
+    monkeypatch.setattr(Worker, "_decode", slowly)
+    Worker(job).decode([(range(N_FRAMES), frozenset(range(N_FRAMES)))], told.append)
+    assert before[0] == 0 and before[N_FRAMES - 1] > 0
+    assert all(each.n_bytes > 0 for each in told) and len(told) == N_FRAMES

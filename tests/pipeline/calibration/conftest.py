@@ -1,8 +1,9 @@
 """Captures that several modules of calibration are tested with."""
 
 import pytest
-from support.board_rig import BoardCaptures
 from support.posed_boards import CHARUCO, captured
+
+from pipeline.calibration.simulated_board import BoardCaptures
 
 
 @pytest.fixture(scope="session")

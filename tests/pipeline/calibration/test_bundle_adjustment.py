@@ -3,11 +3,11 @@
 import cv2
 import numpy as np
 import pytest
-from support.board_rig import board_turns
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import BoardPose
 from pipeline.calibration.bundle_adjustment import BundleAdjustment, project_points
+from pipeline.calibration.simulated_board import board_turns
 from pipeline.simulation import simulated_rig
 
 CAMERA_PX, PROJECTOR_PX = (640, 480), (1024, 768)

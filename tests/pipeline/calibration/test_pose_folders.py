@@ -46,6 +46,8 @@ def test_too_few_poses_are_refused_with_the_first_reason(tmp_path):
     capture(tmp_path / "black")
     with pytest.raises(CalibrationError, match="0 usable poses, at least 8 are needed: black"):
         measure_poses(tmp_path, BOARD, SIZE)
+    with pytest.raises(CalibrationError, match="0 usable poses, at least 1 are needed: black"):
+        measure_poses(tmp_path, BOARD, SIZE, least=1)
     capture(tmp_path / "other", (32, 24))
     with pytest.raises(CalibrationError, match="other is 32x24, the poses before are 64x48"):
         measure_poses(tmp_path, BOARD, SIZE)

@@ -3,7 +3,6 @@
 import cv2
 import numpy as np
 import pytest
-from support.board_rig import BoardCaptures, board_turns
 from support.command_line import colorphase
 from support.posed_boards import (
     CAMERA_PX,
@@ -12,6 +11,7 @@ from support.posed_boards import (
     PROJECTOR_PX,
     RIG_PX,
     captured,
+    exact_poses,
     rig,
 )
 
@@ -22,29 +22,9 @@ from pipeline.calibration.board_poses import BoardPose, measure_pose
 from pipeline.calibration.model import Pattern
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
 from pipeline.calibration.rig_geometry import solve_geometry
+from pipeline.calibration.simulated_board import BoardCaptures, board_turns
 from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
-
-
-def exact_poses(count=10, noise_px=0.03, board=CHESSBOARD, seed=3, turns=None, places=None, geometry=None):
-    """Return poses whose corners are projected, not looked for: what the solver makes of noise alone."""
-    rng = np.random.default_rng(seed)
-    geometry = geometry or rig().geometry()
-    turns, places = (turns, places) if turns is not None else board_turns(count, seed)
-    poses = []
-    for k, (turn, place) in enumerate(zip(turns, places, strict=True)):
-        rotation = cv2.Rodrigues(turn)[0]
-        corners = board.corners_mm() @ rotation.T + place - rotation @ (board.corners_mm().mean(axis=0))
-        views = []
-        for lens, r, t in (
-            (geometry.camera, np.eye(3), np.zeros(3)),
-            (geometry.projector, geometry.rotation, geometry.translation_mm),
-        ):
-            pixels, _ = cv2.projectPoints(corners, cv2.Rodrigues(r)[0], t, lens.matrix, lens.distortion)
-            views.append(pixels.reshape(-1, 2) + noise_px * rng.standard_normal((len(corners), 2)))
-        shift = np.zeros((3, 2))
-        poses.append(BoardPose(f"pose_{k:02d}", board.corners_mm(), *views, shift, shift, np.eye(2)))
-    return poses
 
 
 def lens_values(lens):

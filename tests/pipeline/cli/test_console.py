@@ -1,14 +1,16 @@
 """What all commands share."""
 
 import inspect
+import time
 import warnings
+from types import SimpleNamespace
 
 import pytest
 
 import hardware.errors
 import pipeline.errors
 import tikernels.errors
-from pipeline.cli import console
+from pipeline.cli import console, frame_rate
 from pipeline.errors import DecodeWarning, OutputError, SettingsError
 
 
@@ -147,6 +149,43 @@ def test_progress_is_silent_where_there_is_no_terminal(capsys):
     assert capsys.readouterr() == ("", "")
 
 
+def test_where_there_is_no_terminal_a_line_tells_now_and_then(monkeypatch, capsys):
+    """Of what takes long, on standard error; whole lines, without anything that moves the cursor."""
+    monkeypatch.setattr(console, "_RARELY_S", 0.05)
+    told = ""
+    with console.steps() as step:
+        step("meshing [red]")
+        while "\n" not in told:
+            time.sleep(0.01)
+            said, more = capsys.readouterr()
+            told += more
+            assert said == ""
+    assert told.startswith("meshing [red], after 0 s\n")
+    with console.counted("decoding") as show:
+        show(40, 100)
+        show.step("decoding to about 2.1 GB")
+        capsys.readouterr()
+        while "\n" not in (told := capsys.readouterr().err):
+            time.sleep(0.01)
+    assert told.startswith("decoding to about 2.1 GB 40 of 100, after 0 s\n") and "\x1b" not in told
+
+
+def test_frames_that_were_done_before_are_counted_and_have_no_rate(monkeypatch):
+    shown, now = [], [0.0]
+    line = SimpleNamespace(count=lambda *told: shown.append(told), say=lambda what: None)
+    monkeypatch.setattr(frame_rate.time, "monotonic", lambda: now[0])
+    count = console.Count(line)
+    for at_s, done in ((0, 400), (60, 412), (61, 422), (62, 432)):
+        now[0] = at_s
+        count(done, 500)
+    assert shown == [
+        (400, 500, ""),
+        (412, 500, ""),
+        (422, 500, "10.0 frames/s, 0:00:08 left"),
+        (432, 500, "10.0 frames/s, 0:00:07 left"),
+    ]
+
+
 def test_progress_on_a_terminal(monkeypatch):
     """What is said is shown as it is, brackets and all; what was done before does not count for the rate."""
     from io import StringIO
@@ -160,6 +199,7 @@ def test_progress_on_a_terminal(monkeypatch):
         step("reading [red] film")
     assert "reading [red] film" in shown.getvalue()
     with console.counted("decoding") as show:
+        show.step("compiling kernels")
         show(40, 50)
         show(50, 50)
-    assert "decoding" in shown.getvalue() and "50/50" in shown.getvalue()
+    assert all(text in shown.getvalue() for text in ("decoding", "compiling kernels", "50/50"))

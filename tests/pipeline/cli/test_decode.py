@@ -195,7 +195,7 @@ def test_decode_footage(folder, command):
     with_meshes = command("decode", film, *options, "--export", "glb", cwd=folder)
     assert with_meshes.returncode == 3 and "3 meshes in footage/meshes" in with_meshes.stdout, with_meshes.stderr
     names = sorted(path.name for path in (folder / "footage" / "meshes").iterdir())
-    assert names == ["frame_000000.glb", "frame_000001.glb", "frame_000003.glb"]
+    assert names == ["exported.json", "frame_000000.glb", "frame_000001.glb", "frame_000003.glb"]
     strict = command("decode", film, *options[2:], "--out", "strict", "--strict", cwd=folder)
     assert strict.returncode == 1 and "frame 2 of" in strict.stderr
     picture = command("decode", "frame.png", "--out", "footage", "--force", cwd=folder)

@@ -57,7 +57,9 @@ def test_mistakes_get_one_line_and_leave_nothing(folder, arguments, message, com
     assert sorted(p.name for p in folder.iterdir()) == before
 
 
-@pytest.mark.parametrize("name", ["demo", "pattern", "decode", "render", "devices"])
+@pytest.mark.parametrize(
+    "name", ["demo", "pattern", "decode", "render", "devices", "plan", "rig", "settings", "export"]
+)
 def test_help_has_an_example(folder, name, command):
     done = command(name, "--help", cwd=folder)
     assert done.returncode == 0
@@ -84,6 +86,6 @@ def test_every_family_is_there(command):
     assert code == 0
     for name in (
         *("demo", "calibrate", "capture", "project", "projector", "pattern", "decode", "inspect", "render", "export"),
-        "devices",
+        *("devices", "plan", "rig", "settings", "verify"),
     ):
         assert f"│ {name} " in said

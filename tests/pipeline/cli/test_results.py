@@ -26,6 +26,17 @@ def test_every_frame_is_exported(store, command, tmp_path):
     found = command("export", str(store.parents[1] / "relative" / "result.zarr"), "--out", "meshes")
     assert found == (0, "1 meshes in meshes\n", "")
     assert read_mesh(tmp_path / "meshes" / "frame_000000.ply").unit == "rad"
+    again = ("export", str(store.parents[1] / "relative" / "result.zarr"), "--out", "meshes")
+    assert command(*again) == (
+        0,
+        "1 meshes in meshes were exported before, and are whole: --force writes them again\n",
+        "",
+    )
+    (tmp_path / "meshes" / "frame_000000.ply").write_text("cleaned by hand")
+    code, said, complained = command(*again)
+    assert (code, said, complained.count("\n")) == (1, "", 1)
+    assert "frame_000000.ply has been changed since we wrote it): choose another folder, or add --force" in complained
+    assert command(*again, "--force") == (0, "1 meshes in meshes\n", "")
 
 
 @pytest.mark.parametrize(

@@ -76,8 +76,6 @@ def test_a_picture_that_the_rig_cannot_have_taken_has_no_depth(cpu, spoilt, mess
 def test_another_pattern_than_the_calibrated_one_has_no_depth(cpu):
     coarser = simulated_rig(SIZE, period_px=6 * PERIOD_PX)
     decoder = Decoder(calibration=rig(), arch="cpu")
-    with pytest.warns(
-        DecodeWarning, match=r"has [67]\d\.\d px a cycle, and the calibrated pattern of 34.91 projector"
-    ):
+    with pytest.warns(DecodeWarning, match=r"has [67]\d\.\d px a cycle, and the calibrated pattern of 34.91 projector"):
         frame = decoder.decode(simulate_frame(coarser).image)
     assert not frame.mask.any()

@@ -62,3 +62,10 @@ def test_pictures_that_are_not_read_are_named(tmp_path, begin, kind):
         (tmp_path / name).write_bytes(begin + bytes(100))
         with pytest.raises(FootageError, match=rf"{name}: it is a picture in {kind}: save it as PNG, TIFF or JPEG"):
             open_source(tmp_path / name)
+
+
+def test_raw_files_of_cameras_are_named(tmp_path):
+    for name in ("a.CR2", "b.dng"):
+        (tmp_path / name).write_bytes(b"II*\0" + bytes(100))
+        with pytest.raises(FootageError, match=rf"{name}: it is a camera's raw file: convert it to a TIFF of 16 bits"):
+            open_source(tmp_path / name)

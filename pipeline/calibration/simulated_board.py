@@ -1,0 +1,203 @@
+"""Captures of a flat board under any pictures, by tracing camera rays to its plane: a rig to practise calibration on.
+
+Written apart from the library's renderer, in NumPy and OpenCV alone, so that what is measured in them is no check of
+that renderer against itself.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration.board import Board
+from pipeline.calibration.model import Calibration, Geometry
+from pipeline.models import FloatArray
+
+FloatImage = npt.NDArray[np.float32]
+_Place = tuple[float, float]
+
+# Texels of a drawn square: three times what the camera resolves of one of 26 px.
+_TEXELS = 80
+# What the board's black and white ink send back.
+_BLACK, _WHITE = 0.05, 0.8
+# Ambient light, over the projector's white.
+_AMBIENT = 0.02
+
+
+@dataclass(frozen=True)
+class CaptureLight:
+    """What happens to light and grey levels on the way from a picture to its capture."""
+
+    gamma: float = 2.0  # the projector's response: light = code ** gamma
+    crosstalk: FloatArray | None = None  # (3, 3) camera = matrix @ projector in linear light; None: none
+    camera_shift: FloatArray | None = None  # (3, 2) px, lateral colour: x, y of R, G, B; None: none
+    projector_shift: FloatArray | None = None
+    blur_px: float = 0.0  # sigma of the camera's lens
+    noise: float = 1.0  # standard deviation, of 255 levels
+
+
+_LIGHT = CaptureLight()
+
+
+class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
+    """The captures of one pose, rendered when they are asked for.
+
+    Parameters
+    ----------
+    rig : Calibration
+        With a geometry.
+    board : Board
+        With a margin of one square of white around it; beyond it is nothing.
+    turn : (3,)
+        The board's rotation vector.
+    place_mm : (3,)
+        Where its middle lies, in the camera's frame.
+    names : sequence of str
+        The pictures, in order.
+    codes : callable
+        From a name to (height, width, 3) projector codes, 0..1.
+    light : CaptureLight
+        What happens on the way.
+    seed : int
+        Of the noise.
+    samples : int
+        Rays a pixel, along either side.
+    """
+
+    def __init__(
+        self,
+        rig: Calibration,
+        board: Board,
+        turn: FloatArray | tuple[float, float, float],
+        place_mm: FloatArray | tuple[float, float, float],
+        names: tuple[str, ...],
+        codes: Callable[[str], FloatArray],
+        light: CaptureLight = _LIGHT,
+        *,
+        seed: int = 0,
+        samples: int = 2,
+    ) -> None:
+        self.turn, self.place_mm = np.asarray(turn, np.float64), np.asarray(place_mm, np.float64)
+        self.names, self.codes, self.light, self.seed, self.samples = names, codes, light, seed, samples
+        self.crosstalk = np.eye(3) if light.crosstalk is None else np.asarray(light.crosstalk)
+        nowhere = np.zeros((3, 2))
+        self.camera_shift = nowhere if light.camera_shift is None else np.asarray(light.camera_shift)
+        self.projector_shift = nowhere if light.projector_shift is None else np.asarray(light.projector_shift)
+        geometry = rig.geometry()
+        self.size = geometry.camera.size_px
+        drawing = self.drawing(board).astype(np.float32) / 255
+        ink = _BLACK + (_WHITE - _BLACK) * np.pad(drawing, _TEXELS, constant_values=1.0)
+        texture = np.asarray(ink, np.float32)
+        rotation = cv2.Rodrigues(self.turn)[0]
+        middle = np.array([*board.squares, 0]) / 2 * board.square_mm
+        origin = self.place_mm - rotation @ middle
+        self.corners_camera = board.corners_mm() @ rotation.T + origin  # (N, 3) mm
+        self._pictures: dict[str, npt.NDArray[np.uint8]] = {}
+        # Of each of the camera's lateral shifts: what is seen, and the projector pixel that lights it.
+        self._views: dict[_Place, tuple[FloatImage, FloatImage]] = {}
+        for shift in {_place(row) for row in self.camera_shift}:
+            self._views[shift] = self._look(geometry, rotation, origin, _TEXELS / board.square_mm, texture, shift)
+
+    def drawing(self, board: Board) -> npt.NDArray[np.uint8]:
+        """Return what is printed, without margin."""
+        return board.draw(_TEXELS)
+
+    def _look(
+        self,
+        geometry: Geometry,
+        rotation: FloatArray,
+        origin: FloatArray,
+        texels_per_mm: float,
+        texture: FloatImage,
+        shift: _Place,
+    ) -> tuple[FloatImage, FloatImage]:
+        """Return the reflectance along every ray, and the projector pixel, (.., 2), that lights it."""
+        width, height = self.size
+        step = (np.arange(self.samples) + 0.5) / self.samples - 0.5
+        x = (np.arange(width)[:, None] + step).ravel()
+        y = (np.arange(height)[:, None] + step).ravel()
+        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2) - np.array(shift)
+        lens = geometry.camera
+        steps = (cv2.TERM_CRITERIA_COUNT, 20, 1e-12)
+        rays = cv2.undistortPoints(grid, lens.matrix, lens.distortion, criteria=steps).reshape(-1, 2)
+        rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
+        normal = rotation[:, 2]
+        points = rays * ((origin @ normal) / (rays @ normal))[:, None]
+        on_board = (points - origin) @ rotation
+        shape = (len(y), len(x), 2)
+        # The texture has a margin of one square.
+        place = (on_board[:, :2] * texels_per_mm + _TEXELS - 0.5).astype(np.float32).reshape(shape)
+        reflectance = cv2.remap(
+            texture, place[..., 0], place[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0
+        )
+        projector = geometry.projector
+        turn = cv2.Rodrigues(geometry.rotation)[0]
+        pixels, _ = cv2.projectPoints(points, turn, geometry.translation_mm, projector.matrix, projector.distortion)
+        return np.asarray(reflectance, np.float32), pixels.reshape(shape).astype(np.float32)
+
+    def __getitem__(self, name: str) -> npt.NDArray[np.uint8]:
+        """Return one capture, (H, W, 3) uint8."""
+        if name not in self._pictures:
+            self._pictures[name] = self._photograph(name)
+        return self._pictures[name]
+
+    def _photograph(self, name: str) -> npt.NDArray[np.uint8]:
+        codes = self.codes(name)
+        is_grey = codes.strides[2] == 0  # one plane, broadcast to three
+        gamma = self.light.gamma
+        planes = [np.power(codes[..., k], gamma, dtype=np.float32) for k in range(1 if is_grey else 3)]
+        width, height = self.size
+        channels = np.zeros((height, width, 3), np.float32)
+        landed: dict[tuple[_Place, _Place, int], FloatImage] = {}  # a plane's light where a camera channel looks
+        for i in range(3):
+            place = _place(self.camera_shift[i])
+            reflectance, position = self._views[place]
+            for k in range(3):
+                if self.crosstalk[i, k] == 0:
+                    continue
+                # A channel whose light lands beside its place shows there what belongs elsewhere.
+                beside, plane = _place(self.projector_shift[k]), 0 if is_grey else k
+                if (place, beside, plane) not in landed:
+                    at = position - np.array(beside, np.float32)
+                    light = cv2.remap(planes[plane], at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+                    landed[place, beside, plane] = self._averaged(reflectance * light)
+                channels[..., i] += np.float32(self.crosstalk[i, k]) * landed[place, beside, plane]
+            channels[..., i] += _AMBIENT * self._averaged(reflectance)
+        if self.light.blur_px:
+            channels = np.asarray(cv2.GaussianBlur(channels, (0, 0), self.light.blur_px), np.float32)
+        rng = np.random.default_rng([self.seed, self.names.index(name)])
+        levels = 255 * channels + self.light.noise * rng.standard_normal(channels.shape, dtype=np.float32)
+        return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
+
+    def _averaged(self, fine: FloatImage) -> FloatImage:
+        """Return the mean of each pixel's samples."""
+        return np.asarray(cv2.resize(fine, self.size, interpolation=cv2.INTER_AREA), np.float32)
+
+    def __iter__(self) -> Iterator[str]:
+        """Iterate over the names in order."""
+        return iter(self.names)
+
+    def __len__(self) -> int:
+        """Return how many captures there are."""
+        return len(self.names)
+
+
+def board_turns(count: int = 10, seed: int = 1) -> tuple[list[FloatArray], FloatArray]:
+    """Return rotation vectors of boards tilted by 15 to 35 degrees every way, and places around (0, 0, 900) mm."""
+    rng = np.random.default_rng(seed)
+    around = 2 * np.pi * (np.arange(count) + 0.3) / count
+    tilt = np.radians(rng.uniform(15, 35, count))
+    turns = [
+        cv2.Rodrigues(
+            cv2.Rodrigues(t * np.array([np.cos(a), np.sin(a), 0.0]))[0] @ cv2.Rodrigues(np.array([0, 0, s]))[0]
+        )[0].ravel()
+        for a, t, s in zip(around, tilt, rng.uniform(-0.2, 0.2, count), strict=True)
+    ]
+    places = np.stack([rng.uniform(-25, 25, count), rng.uniform(-20, 20, count), rng.uniform(840, 960, count)], axis=1)
+    return turns, places
+
+
+def _place(shift: FloatArray) -> _Place:
+    return float(shift[0]), float(shift[1])

@@ -1,0 +1,226 @@
+"""`colorphase plan`."""
+
+from math import inf
+from typing import TYPE_CHECKING, Literal
+
+from rich.table import Table
+
+from pipeline.calibration.model import DEFAULT_PROJECTOR_PX
+from pipeline.cli.console import remark, size_of, stdout
+
+if TYPE_CHECKING:
+    from pipeline.planning import RigPlan
+
+
+def plan(
+    *,
+    distance: float = 900.0,
+    baseline: float = 180.0,
+    camera: str = "640x480",
+    sensor: Literal["bayer", "rgb"] = "bayer",
+    pixel_um: float = 4.8,
+    lens: float = 6.0,
+    projector: str = "{}x{}".format(*DEFAULT_PROJECTOR_PX),
+    throw: float = 1.75,
+    stripes: Literal["horizontal", "vertical"] = "horizontal",
+    period: float | None = None,
+    surface: Literal["skin", "white"] = "skin",
+    brightness: float = 0.7,
+    contrast: float = 0.9,
+    noise: float = 1.5,
+    bits: Literal[8, 10, 12, 16] = 8,
+    speed: float = 100.0,
+    exposure_s: float | None = None,
+    colour_cycle_s: float | None = None,
+) -> None:
+    """Say what a rig will measure before it is bought: field, pattern, accuracy, exposure, and the board to print.
+
+    What it is computed from, and how well that was met by simulated frames, is in docs/planning.md.
+
+    Example: colorphase plan --distance 900 --baseline 180 --camera 640x480 --pixel-um 4.8 --lens 6 --throw 1.75
+
+    Parameters
+    ----------
+    distance
+        From the camera's lens to the object, mm.
+    baseline
+        From the camera's lens to the projector's, mm: across the stripes, so above or below for horizontal ones.
+    camera
+        The camera's width and height in px.
+    sensor
+        Whether its pixels have one colour each, as nearly all cameras', or all three.
+    pixel_um
+        The side of a pixel on its sensor, um.
+    lens
+        The focal length of its lens, mm.
+    projector
+        The projector's own width and height in px.
+    throw
+        Its throw ratio: distance over the width of the picture.
+    stripes
+        Which way they run.
+    period
+        Projector px a cycle; left out, the one that is recommended.
+    surface
+        What is measured.
+    brightness
+        What the fringe reaches there in the camera where it is brightest, 0..1 of full scale.
+    contrast
+        What ambient light and blur leave of the fringe's contrast, 0..1.
+    noise
+        The camera's, a standard deviation, in 1/255 of full scale.
+    bits
+        The camera's.
+    speed
+        How fast the object comes nearer or goes away, mm/s; 0: it holds still.
+    exposure_s
+        The camera's, s; left out, the longest that motion allows.
+    colour_cycle_s
+        How long red, green and blue take together where the projector shows them in turn, s; left out, all at once.
+    """
+    from pipeline.planning import plan_rig
+
+    found = plan_rig(
+        distance_mm=distance,
+        baseline_mm=baseline,
+        camera_px=size_of(camera, "--camera"),
+        sensor=sensor,
+        pixel_um=pixel_um,
+        lens_mm=lens,
+        projector_px=size_of(projector, "--projector"),
+        throw_ratio=throw,
+        stripes=stripes,
+        period_px=period,
+        surface=surface,
+        brightness=brightness,
+        contrast=contrast,
+        noise_levels=noise,
+        bits=bits,
+        speed_mm_s=speed,
+        exposure_s=exposure_s,
+        colour_cycle_s=colour_cycle_s,
+    )
+    table = Table("what", "figure", "which means")
+    for row in _rows(found):
+        table.add_row(*row)
+    stdout.print(table)
+    for warning in found.warnings:
+        remark(f"warning: {warning}")
+
+
+def _rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
+    """Return what is printed: the name, the figure with its unit, and what it means or what to do with it."""
+    choice, fields, fringe = plan.choice, plan.fields, plan.fringe
+    near, far = fringe.lit_range_mm
+    size = "{}x{}".format(*choice.projector_px)
+    return [
+        ("camera sees", _area(fields.camera_mm), f"{_number(fields.mm_per_px)} mm a pixel"),
+        (
+            "projector lights",
+            _area(fields.projector_mm),
+            f"both see {_area(fields.overlap_mm)}; {100 * fields.lit_share:.0f} % of what the camera sees is lit",
+        ),
+        (
+            "angle between them",
+            f"{plan.angle_deg:.1f} deg",
+            f"a step of 10 mm hides {_number(10 * choice.baseline_mm / choice.distance_mm)} mm behind it",
+        ),
+        (
+            "period",
+            f"{plan.period_px:g} px",
+            f"colorphase pattern pattern.png --size {size} --period {plan.period_px:g} --stripes {choice.stripes}",
+        ),
+        (
+            "cycle on the object",
+            f"{_number(fringe.pitch_mm)} mm",
+            f"{fringe.period_camera_px:.1f} camera px; {plan.cycles_in_view:.0f} cycles in view",
+        ),
+        ("depth a radian", f"{_number(fringe.depth_per_rad_mm)} mm", "of the phase"),
+        (
+            "depth a cycle",
+            f"{_number(fringe.depth_per_cycle_mm)} mm",
+            "a step of this depth does not show under a plain pattern",
+        ),
+        (
+            "absolute depth",
+            f"{near:.0f} mm to " + ("infinity" if far == inf else f"{far:.0f} mm"),
+            f"by the code, where both lenses are sharp; a surface must span {_number(plan.code_mm)} mm",
+        ),
+        (
+            "phase sigma",
+            f"{_number(plan.phase_sigma_rad)} rad",
+            f"of a pixel; {_number(plan.dark_phase_sigma_rad)} rad where it is half as bright",
+        ),
+        (
+            "depth sigma",
+            f"{_number(plan.depth_sigma_mm)} mm",
+            f"of a pixel; {_number(plan.dark_depth_sigma_mm)} mm where it is half as bright",
+        ),
+        *_motion_rows(plan),
+        *_board_rows(plan),
+    ]
+
+
+def _motion_rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
+    """Return what is printed of exposure and motion."""
+    choice = plan.choice
+    whole = (
+        "" if choice.colour_cycle_s is None else f"; whole colour cycles of {_number(1e3 * choice.colour_cycle_s)} ms"
+    )
+    if plan.exposure_s is None or choice.speed_mm_s == 0:
+        return [("longest exposure", "any", f"nothing moves{whole}")]
+    speed = f"at {choice.speed_mm_s:g} mm/s"
+    rows = [
+        (
+            "longest exposure",
+            f"{_number(1e3 * plan.longest_exposure_s)} ms",
+            f"{speed} motion then costs as much as the noise{whole}",
+        ),
+        (
+            "moved meanwhile",
+            f"{_number(plan.passed_mm)} mm",
+            f"in {_number(1e3 * plan.exposure_s)} ms; the shape is that of the exposure's middle",
+        ),
+    ]
+    if choice.colour_cycle_s is not None:
+        rows.append(
+            (
+                "colours in turn",
+                f"{_number(plan.colour_bias_mm)} mm",
+                f"RMS at most, a ripple {speed}",
+            )
+        )
+    rows.append(
+        ("frame rate", f"{_number(plan.least_rate_hz)} Hz", f"or more, to carry orders {speed} under a plain pattern")
+    )
+    return rows
+
+
+def _board_rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
+    """Return what is printed of the board."""
+    from pipeline.planning.calibration_board import TILTS_DEG
+
+    board = plan.board
+    squares = "{}x{}".format(*board.squares)
+    return [
+        (
+            "board",
+            f"{squares} of {board.square_mm:.3g} mm",
+            f"colorphase pattern board.pdf --board charuco --squares {squares} --square-mm {board.square_mm:.3g}; "
+            f"sheet: {board.sheet}; {board.square_px:.0f} camera px a square",
+        ),
+        (
+            "board's tilt",
+            "{} to {} deg".format(*TILTS_DEG),
+            f"eight poses or more; the lenses must be sharp {_number(board.sharp_mm)} mm before and behind",
+        ),
+    ]
+
+
+def _area(size_mm: tuple[float, float]) -> str:
+    return "{} x {} mm".format(*map(_number, size_mm))
+
+
+def _number(value: float) -> str:
+    """Return a number in two figures, or whole if it is 10 or more."""
+    return f"{value:.0f}" if value >= 10 else f"{value:.2g}"

@@ -1,0 +1,16 @@
+"""What the program `colorphase` begins with: Ctrl-C ends it at once, also while its modules are imported."""
+
+import signal
+
+
+def main() -> None:
+    """Import the command line, which takes a second, and run it.
+
+    Meanwhile nothing is open and nothing is written, and Ctrl-C ends the program without a word: raised as an exception
+    it would be lost in some of the libraries that are imported, or end in a traceback.
+    """
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    from pipeline.cli.main import main as command_line
+
+    signal.signal(signal.SIGINT, before)
+    command_line()

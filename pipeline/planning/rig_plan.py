@@ -1,0 +1,254 @@
+"""What a rig will measure, computed before it is bought.
+
+The geometry is `fringe_geometry.py`'s, the noise `expected_sigma.py`'s; the depth's standard deviation is the phase's
+times the depth of a radian (`tikernels/depth/point_uncertainty.py`).
+
+**Motion.** Colours that are all there at once are averaged over the exposure, and the phase is that of its middle.
+Within an exposure t an object of speed v passes through depths whose standard deviation is v t / sqrt(12), that of an
+even distribution; the longest exposure is that in which this is as much as a pixel's noise. Colours in turn, a third of
+the colour cycle T apart, see it at three depths: red's and blue's phases are off by -w and w beside green's, w being
+v T / 3 in rad, which puts a second harmonic of w / sqrt(3) on the arctangent's phase, RMS w / sqrt(6), whatever the
+geometry; the decoder's model of the light takes a part of it off (`docs/planning.md`).
+"""
+
+from dataclasses import dataclass, replace
+from math import ceil, floor, inf, sqrt
+from typing import Any
+
+from hardware.colour_cycle import check_exposure
+from pipeline.errors import SettingsError
+from pipeline.models import build
+from pipeline.pattern.contrast_code import CYCLES
+from pipeline.planning.calibration_board import LEAST_SQUARE_PX, BoardChoice, choose_board
+from pipeline.planning.expected_sigma import expected_phase_sigma
+from pipeline.planning.fringe_geometry import FringeGeometry, SeenFields, angle_deg, fringe_geometry, seen_fields
+from pipeline.planning.rig_choice import RigChoice
+
+#: Camera px a cycle: what most figures of `docs/accuracy.md` were measured at, and what they should lie between.
+USUAL_CAMERA_PX, LEAST_CAMERA_PX, MOST_CAMERA_PX = 12.0, 10.0, 20.0
+# The third harmonic, in which a projector's response shows, then has two pixels a cycle: in fewer it is not seen.
+_SHORTEST_CAMERA_PX = 6.0
+# The code's sequence was made for a projector of 1024 px at this many px a cycle.
+_LEAST_PROJECTOR_PX = 8.0
+# With fewer cycles in view a frame does not tell crosstalk and response at all (`docs/calibration.md`); with fewer than
+# the other it leaves as much of the response as half of the usual noise (`expected_sigma.py`).
+_LEAST_CYCLES, _TOLD_CYCLES = 4.0, 28.0
+# A surface of so many cycles of its own is placed by the code under an ordinary projector (`docs/coded_pattern.md`).
+_CODE_CYCLES = 9
+# Orders are carried from frame to frame while the phase changes by less (`docs/accuracy.md`), cycles.
+_CARRIED = 1 / 3
+# Of baseline and distance. Beyond the one a step hides half of its height or more; below the other a cycle is 14 times
+# as deep as it is wide, and what turns the phase a little moves the depth a lot.
+_MOST_RATIO, _LEAST_RATIO = 0.5, 0.07
+# What the projector leaves dark at the corners of a trapezoid is no reason to buy another one; a rig of which it lights
+# less than a quarter was never meant.
+_LIT_ENOUGH, _LIT_LEAST = 0.98, 0.25
+
+
+@dataclass(frozen=True)
+class RigPlan:
+    """What follows from a choice."""
+
+    choice: RigChoice
+    period_px: float  # projector px a cycle
+    angle_deg: float  # between camera and projector, at the object
+    fields: SeenFields
+    fringe: FringeGeometry
+    cycles_in_view: float  # by both
+    phase_sigma_rad: float  # of a pixel, decoded as by default, as bright as chosen
+    dark_phase_sigma_rad: float  # where it is half as bright
+    longest_exposure_s: float  # motion then costs as much as the noise; infinite where nothing moves
+    exposure_s: float | None  # the one that was chosen, else the longest, in whole colour cycles; None: nothing moves
+    colour_bias_mm: float  # RMS at most, what motion between colours in turn leaves
+    least_rate_hz: float  # to carry orders from frame to frame under a plain pattern
+    board: BoardChoice
+    warnings: tuple[str, ...]  # a line each, with the cure
+
+    @property
+    def depth_sigma_mm(self) -> float:
+        """One standard deviation of a pixel's depth, as bright as chosen, mm."""
+        return self.phase_sigma_rad * self.fringe.depth_per_rad_mm
+
+    @property
+    def dark_depth_sigma_mm(self) -> float:
+        """The same where it is half as bright, mm."""
+        return self.dark_phase_sigma_rad * self.fringe.depth_per_rad_mm
+
+    @property
+    def code_mm(self) -> float:
+        """How long across the stripes a surface must be to be placed by the code alone."""
+        return _CODE_CYCLES * self.fringe.pitch_mm
+
+    @property
+    def passed_mm(self) -> float:
+        """How far the object moves during the exposure."""
+        return self.choice.speed_mm_s * (self.exposure_s or 0.0)
+
+
+def plan_rig(**values: Any) -> RigPlan:
+    """Return what a rig will measure.
+
+    Parameters
+    ----------
+    **values
+        Fields of `RigChoice`; what is left out is its default.
+
+    Raises
+    ------
+    SettingsError
+        A value is out of its bounds, or no rig can be like that; the message names it and the cure.
+    RigError
+        The exposure is not a whole number of colour cycles.
+
+    Examples
+    --------
+    >>> plan = plan_rig(distance_mm=900, baseline_mm=180, period_px=17.4545)
+    >>> round(plan.fringe.depth_per_rad_mm, 2), round(plan.fringe.pitch_mm, 2)
+    (7.25, 9.12)
+    """
+    choice = build(RigChoice, values, SettingsError, "the rig")
+    if choice.exposure_s is not None and choice.colour_cycle_s is not None:
+        check_exposure(choice.exposure_s, choice.colour_cycle_s)
+    fields = seen_fields(choice)
+    if fields.lit_share < _LIT_LEAST:
+        raise SettingsError(_dark(choice, fields))
+    period_px = _period_px(choice)
+    fringe = fringe_geometry(choice, period_px)
+    cycles = fields.overlap_mm[choice.phase_axis] / fringe.pitch_mm
+    sigma, dark = (_phase_sigma_rad(choice, cycles, share) for share in (1.0, 0.5))
+    speed, cycle_s = choice.speed_mm_s, choice.colour_cycle_s or 0.0
+    longest_s = sqrt(12) * sigma * fringe.depth_per_rad_mm / speed if speed else inf
+    plan = RigPlan(
+        choice=choice,
+        period_px=period_px,
+        angle_deg=angle_deg(choice),
+        fields=fields,
+        fringe=fringe,
+        cycles_in_view=cycles,
+        phase_sigma_rad=sigma,
+        dark_phase_sigma_rad=dark,
+        longest_exposure_s=longest_s,
+        exposure_s=choice.exposure_s or _usual_exposure_s(longest_s, choice.colour_cycle_s),
+        colour_bias_mm=speed * cycle_s / 3 / sqrt(6),
+        least_rate_hz=speed / (_CARRIED * fringe.depth_per_cycle_mm),
+        board=choose_board(fields.overlap_mm, fields.mm_per_px),
+        warnings=(),
+    )
+    return replace(plan, warnings=tuple(_warnings(plan)))
+
+
+def _phase_sigma_rad(choice: RigChoice, cycles_in_view: float, share: float) -> float:
+    return expected_phase_sigma(
+        choice.surface,
+        brightness=share * choice.brightness,
+        contrast=choice.contrast,
+        noise_levels=choice.noise_levels,
+        bits=choice.bits,
+        sensor=choice.sensor,
+        cycles_in_view=cycles_in_view,
+    )
+
+
+def _period_px(choice: RigChoice) -> float:
+    """Return the period that was chosen, if a pattern can have it, or the one that is recommended; projector px."""
+    length = choice.projector_px[choice.phase_axis]
+    camera_px = fringe_geometry(choice, length).period_camera_px / length
+    least = length / CYCLES
+    usual = max(USUAL_CAMERA_PX / camera_px, _LEAST_PROJECTOR_PX, least)
+    # Up to a tenth of a px, which the code still fits, and the command line shows as it is.
+    usual = ceil(10 * usual) / 10
+    period_px = choice.period_px or usual
+    if usual > length / _LEAST_CYCLES:
+        raise SettingsError(
+            f"the projector's {length} px across the stripes lie {camera_px:.3g} camera px apart: not even four cycles "
+            "would be seen: take a projector with more px or a longer throw, or a camera with a shorter lens"
+        )
+    if period_px < least:
+        raise SettingsError(
+            f"the code tells {CYCLES} cycles apart, but {length} px hold {length / period_px:.0f} of {period_px:g} px: "
+            f"give a period of {usual:g} px, which is {usual * camera_px:.3g} camera px"
+        )
+    if period_px > length / _LEAST_CYCLES:
+        raise SettingsError(
+            f"a period of {period_px:g} px leaves fewer than four cycles on the projector's {length} px: give a period "
+            f"of {usual:g} px, which is {usual * camera_px:.3g} camera px"
+        )
+    if period_px * camera_px < _SHORTEST_CAMERA_PX:
+        raise SettingsError(
+            f"a period of {period_px:g} px is {period_px * camera_px:.3g} camera px, too short to be seen: give "
+            f"{usual:g} px, which is {usual * camera_px:.3g} camera px"
+        )
+    return period_px
+
+
+def _usual_exposure_s(longest_s: float, colour_cycle_s: float | None) -> float | None:
+    """Return the longest exposure that costs no more than the noise, of whole colour cycles where there are any."""
+    if longest_s == inf:
+        return None
+    return longest_s if colour_cycle_s is None else colour_cycle_s * max(1, int(longest_s / colour_cycle_s))
+
+
+def _warnings(plan: RigPlan) -> list[str]:
+    """Return what is wrong with it, a line each, with the cure."""
+    choice, fields, fringe, found = plan.choice, plan.fields, plan.fringe, []
+    if fields.lit_share < _LIT_ENOUGH:
+        found.append(_dark(choice, fields))
+    ratio = choice.baseline_mm / choice.distance_mm
+    if not _LEAST_RATIO <= ratio <= _MOST_RATIO:
+        harm = "a step hides half of its height" if ratio > _MOST_RATIO else "little depth is in the phase"
+        found.append(
+            f"the baseline is {ratio:.2g} of the distance, and {harm}: a fifth is usual, "
+            f"{choice.distance_mm / 5:.3g} mm"
+        )
+    if fringe.period_camera_px < LEAST_CAMERA_PX:
+        found.append(
+            f"{fringe.period_camera_px:.1f} camera px a cycle lose contrast in the lens: give a longer period, or none"
+        )
+    if fringe.period_camera_px > MOST_CAMERA_PX:
+        cure = "a projector with more px" if choice.period_px is None else "a shorter period, or none"
+        found.append(f"{fringe.period_camera_px:.0f} camera px a cycle lose precision in depth: take {cure}")
+    if plan.cycles_in_view < _TOLD_CYCLES:
+        found.append(
+            f"only {plan.cycles_in_view:.0f} cycles are in view, and a frame does not tell the projector's response "
+            "well: run colorphase calibrate radiometry, and give colorphase pattern its --calibration"
+        )
+    if plan.cycles_in_view < _CODE_CYCLES:
+        found.append(
+            f"only {plan.cycles_in_view:.0f} cycles are in view, and the code may not place them: give colorphase "
+            "decode a --depth-range"
+        )
+    found += _motion_warnings(plan)
+    if plan.board.square_px < LEAST_SQUARE_PX:
+        found.append(
+            f"the board's squares are {plan.board.square_px:.0f} camera px, and not surely found below "
+            f"{LEAST_SQUARE_PX:.0f}: take a camera with more px, or light more of what it sees"
+        )
+    return found
+
+
+def _motion_warnings(plan: RigPlan) -> list[str]:
+    """Return what motion costs beyond the noise, a line each, with the cure."""
+    choice, found = plan.choice, []
+    speed, longest_ms = f"{choice.speed_mm_s:g} mm/s", 1e3 * plan.longest_exposure_s
+    if plan.exposure_s is not None and plan.exposure_s > 1.001 * plan.longest_exposure_s:
+        found.append(
+            f"at {speed} the object moves {plan.passed_mm:.2g} mm in an exposure of {1e3 * plan.exposure_s:.3g} ms, "
+            f"which costs more than the noise: expose for {longest_ms:.2g} ms or less"
+            + (", under a projector that shows its colours at once" if choice.colour_cycle_s else "")
+        )
+    if plan.colour_bias_mm > plan.depth_sigma_mm:
+        found.append(
+            f"at {speed} colours in turn put a ripple of up to {plan.colour_bias_mm:.2g} mm RMS on the depth: take a "
+            "projector that shows its colours at once, or give its projector.fields and decode with the frame before"
+        )
+    return found
+
+
+def _dark(choice: RigChoice, fields: SeenFields) -> str:
+    """Return what is wrong where the projector's picture is smaller than the camera's."""
+    room = fields.picture_over_needed
+    return (
+        f"the projector lights {100 * fields.lit_share:.2g} % of what the camera sees: take a throw ratio of "
+        f"{floor(100 * choice.throw_ratio * room) / 100:g} or less, or a camera's lens of "
+        f"{ceil(10 * choice.lens_mm / room) / 10:g} mm or more"
+    )

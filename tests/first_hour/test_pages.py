@@ -1,0 +1,190 @@
+"""Every command, block of Python and block of TOML in README and docs runs as it is printed.
+
+README's own commands run in a fresh environment, which its first command makes in a copy of the project; the other
+pages' run in the environment that the tests run in.
+"""
+
+import json
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from support.missing import skip_but_fail_in_ci
+from support.newcomers_things import make_things
+from support.page_blocks import PageBlocks
+
+from hardware.settings import RigSettings
+from pipeline import DecodeSettings
+from pipeline.acquisition.rig_file import read_rig
+
+pytestmark = [pytest.mark.long, pytest.mark.timeout(1500)]
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = {page.name: page for page in sorted((ROOT / "docs").glob("*.md"))}
+PROGRAMS = Path(sys.executable).parent
+COMMAND_S = 600
+_SHOWN = 3000  # of what a command said, characters
+TEST_COMMAND = (
+    'python3 -m venv .venv && .venv/bin/python -m pip install -e ".[headless,test]" && .venv/bin/python -m pytest -n 2'
+)
+#: What is not run, and why.
+NOT_RUN = {
+    TEST_COMMAND: "these tests themselves; .ci/run runs it",
+    "python tests/benchmarks/ranks.py": "a benchmark; tests/test_docs.py holds its figure",
+    "pip install 'colorphase[project]'": "from a package index; the extra is in the tests' environment",
+    "colorphase project pattern.png --display 1": "needs a second screen; tests/pipeline/cli/test_project.py has one",
+    "colorphase projector on --rig rig.toml": "needs a projector; tests/pipeline/cli/test_project.py emulates one",
+    "colorphase projector input 31 --rig rig.toml": "the same",
+    "colorphase projector blank --rig rig.toml": "the same",
+    "colorphase projector status --rig rig.toml": "the same",
+    "colorphase projector off --rig rig.toml": "the same",
+    "sudo apt install gcc-avr avr-libc avrdude make": "needs a person's password",
+    "cd hardware/firmware": "only for the next one",
+    "make flash PORT=/dev/ttyACM0": "needs the board; tests/hardware/trigger runs the firmware in an emulator",
+    "dask scheduler --host 10.0.0.1": "needs other machines; tests/pipeline/batch/test_cluster.py has some",
+    "dask worker tcp://10.0.0.1:8786 --nthreads 1": "the same",
+    "colorphase decode /data/film.mkv --out /data/film --cluster tcp://10.0.0.1:8786": "the same",
+}
+#: What goes on until it is stopped: the seconds after which Ctrl-C comes.
+ENDLESS = {"colorphase capture --rig rig.toml --out cloth --endless --live": 25.0}
+#: Exit codes that say something of the footage at hand.
+ALLOWED = {"colorphase inspect": {0, 3}}
+#: What a page's Python takes for given.
+GIVEN = """
+import colorphase
+images = [colorphase.read_image("picture.png")] * 2
+"""
+
+
+@pytest.fixture(scope="session")
+def things(tmp_path_factory, cpu):
+    folder = tmp_path_factory.mktemp("things")
+    make_things(folder)
+    return folder
+
+
+class Reader:
+    """Somebody who copies a page's blocks into a shell, one after another."""
+
+    def __init__(self, folder: Path, things: Path, programs: Path) -> None:
+        self._folder, self._things = folder, things
+        path = f"{programs}{os.pathsep}{os.environ['PATH']}"
+        self._environment = {**os.environ, "PATH": path, "COLUMNS": "200"}
+
+    def run(self, line: str) -> None:
+        """Run a command line; bring first what it reads, where no command before has made it."""
+        if line in NOT_RUN:
+            return
+        self._bring(line)
+        options = {"cwd": self._folder, "env": self._environment, "stdin": subprocess.DEVNULL, "text": True}
+        piped = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "start_new_session": True}
+        with subprocess.Popen(["bash", "-c", line], **options, **piped) as process:
+            try:
+                said, _ = process.communicate(timeout=ENDLESS.get(line, COMMAND_S))
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGINT if line in ENDLESS else signal.SIGKILL)
+                said, _ = process.communicate(timeout=COMMAND_S)
+        code = process.returncode
+        allowed = next((codes for begin, codes in ALLOWED.items() if line.startswith(begin)), {0})
+        assert code in allowed, f"{line}\n{said[-_SHOWN:]}"
+        assert "Traceback" not in said, f"{line}\n{said[-_SHOWN:]}"
+
+    def _bring(self, line: str) -> None:
+        words = shlex.split(line)
+        for before, word in zip(["", *words], words, strict=False):
+            name = word.split("/")[0]
+            source = self._things / name
+            if before in ("--out", "--make", "pattern", "rig", "settings") or not name or not source.exists():
+                continue
+            if not (self._folder / name).exists():
+                (shutil.copytree if source.is_dir() else shutil.copy)(source, self._folder / name)
+
+
+def sections(page: Path) -> dict[str, Path]:
+    """Return the text of a page's sections by their headings."""
+    parts = re.split(r"^## (.+)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    return dict(zip(["", *parts[1::2]], parts[::2], strict=True))
+
+
+def copy_of_the_project(folder: Path) -> None:
+    """Copy what git has of the project, as a clone does."""
+    names = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False).stdout
+    if not names:  # CI runs in a copy that has no history
+        shutil.copytree(ROOT, folder, ignore=shutil.ignore_patterns(".venv", "__pycache__", ".*_cache"))
+    for name in filter(None, names.split("\0")):
+        target = folder / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / name, target)
+
+
+def test_the_readme_in_a_fresh_environment(tmp_path, things):
+    """From a clone to a mesh in one command, then on through every section, each in a folder of its own."""
+    clone = tmp_path / "clone"
+    copy_of_the_project(clone)
+    for heading, text in sections(ROOT / "README.md").items():
+        commands = PageBlocks.of_text(text).commands
+        folder = clone
+        if commands and heading != "Try it":
+            folder = tmp_path / re.sub(r"\W+", "-", heading)
+            folder.mkdir()
+            (folder / ".venv").symlink_to(clone / ".venv")
+        reader = Reader(folder, things, clone / ".venv" / "bin")
+        for line in commands:
+            try:
+                reader.run(line)
+            except AssertionError as error:
+                if re.search(r"Temporary failure in name resolution|NewConnectionError", str(error)):
+                    skip_but_fail_in_ci("no package index can be reached from here")
+                raise
+    assert any((clone / "demo" / name).exists() for name in ("render.png", "shaded.png"))
+    report = json.loads((clone / "demo" / "report.json").read_text())
+    assert report["against_truth"]["depth_rms_mm"] < 0.15
+    assert report["against_truth"]["coverage"] > 0.97
+
+
+@pytest.mark.parametrize("name", [name for name, page in PAGES.items() if PageBlocks.of(page).commands])
+def test_the_commands_of_a_page(tmp_path, things, name):
+    (tmp_path / ".venv").symlink_to(sys.prefix)
+    reader = Reader(tmp_path, things, PROGRAMS)
+    for line in PageBlocks.of(PAGES[name]).commands:
+        reader.run(line)
+
+
+@pytest.mark.parametrize("name", ["README.md", *(name for name, page in PAGES.items() if PageBlocks.of(page).python)])
+def test_the_python_of_a_page(tmp_path, things, name):
+    page = PAGES.get(name, ROOT / name)
+    for thing in ("calibration.json", "picture.png", "rig.toml", "film.mkv"):
+        shutil.copy(things / thing, tmp_path)
+    source = "\n".join((GIVEN, *PageBlocks.of(page).python))
+    shutil.copytree(things / "film", tmp_path / "film")
+    options = {"cwd": tmp_path, "capture_output": True, "text": True, "timeout": COMMAND_S, "check": False}
+    done = subprocess.run([sys.executable, "-c", source], **options)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("name", ["README.md", *(name for name, page in PAGES.items() if PageBlocks.of(page).toml)])
+def test_the_files_of_a_page(tmp_path, name):
+    """Each is settings, a rig, or the part of a rig's file that the page is about."""
+    whole = PageBlocks.of(PAGES["rig.md"]).toml[0]
+    for block in PageBlocks.of(PAGES.get(name, ROOT / name)).toml:
+        values = tomllib.loads(block)
+        if not values.keys() & RigSettings.model_fields:
+            DecodeSettings.model_validate(values)
+            continue
+        RigSettings.model_validate({**tomllib.loads(whole), **values})
+        if values.keys() >= {"trigger", "timing", "camera"}:
+            (tmp_path / "rig.toml").write_text(block)
+            read_rig(tmp_path / "rig.toml")
+
+
+def test_what_is_not_run_is_still_printed():
+    printed = {line for page in (ROOT / "README.md", *PAGES.values()) for line in PageBlocks.of(page).commands}
+    assert printed >= NOT_RUN.keys()
+    assert printed >= ENDLESS.keys()

@@ -1,0 +1,110 @@
+"""A rig.toml to begin with: whatever instruments are chosen, it is read as the rig that was chosen."""
+
+from itertools import product
+
+import pytest
+
+from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
+from hardware.settings import RigSettings
+from pipeline.acquisition.rig_file import read_rig
+from pipeline.cli.rig_template import _MEANINGS, _UNITS, _model_in, _said, template
+from pipeline.errors import SettingsError
+
+EVERY = list(product([*TRIGGERS, SOFTWARE, SIMULATED, "lab:Pulses"], [*CAMERAS, SIMULATED], [*PROJECTORS, None]))
+
+
+def keys_of(model, prefix=""):
+    """Yield every key of a model and of its sections, and the model that it is in."""
+    for name, field in model.model_fields.items():
+        section = _model_in(field.annotation)
+        if section is None:
+            yield prefix + name, model, field
+        else:
+            yield from keys_of(section, f"{prefix}{name}.")
+
+
+def fits(trigger, camera):
+    return (trigger == SIMULATED) == (camera == SIMULATED) and (camera != "opencv" or trigger == SOFTWARE)
+
+
+@pytest.mark.parametrize(("trigger", "camera", "control"), [each for each in EVERY if fits(*each[:2])])
+def test_the_file_is_read_as_the_rig_that_was_chosen(tmp_path, trigger, camera, control):
+    path = tmp_path / "rig.toml"
+    path.write_text(template(trigger, camera, control), encoding="utf-8")
+    rig = read_rig(path)
+    assert (rig.trigger.driver, rig.camera.driver, rig.projector.control) == (trigger, camera, control)
+    assert (rig.trigger.port is None) == (trigger in (SOFTWARE, SIMULATED))
+    assert (rig.projector.port is None) == (control is None)
+    assert (rig.camera.trigger == "software") == (trigger == SOFTWARE)  # as `check_timing` asks for
+    assert rig.timing.period_s > rig.camera.exposure_s
+    assert rig.calibration is None and rig.projector.fields is None
+
+
+def test_every_key_is_explained_with_its_unit_and_default():
+    text = template("box", "basler", "pjlink")
+    assert all(len(line) <= 120 for line in text.splitlines())
+    comments = dict(_explanations(text))
+    for key, model, field in keys_of(RigSettings):
+        name = key.rpartition(".")[2]
+        said, mine = _said(model).get(name), _MEANINGS.get(key)
+        assert (said is None) != (mine is None), f"{key} is explained twice, or not at all"
+        comment = comments[key]
+        for suffix, unit in _UNITS.items():
+            assert not name.endswith(suffix) or f"In {unit}." in comment
+        assert "default" in comment.lower() or "left out" in comment
+        assert field.is_required() == ("It has no default." in comment)
+    assert comments.keys() == {key for key, _, _ in keys_of(RigSettings)}
+
+
+def _explanations(text):
+    """Yield each key of a template with the comment above it."""
+    section, comment = "", []
+    for line in text.splitlines():
+        bare = line.removeprefix("# ")
+        if bare.startswith("[") and bare.endswith("]"):
+            section = bare[1:-1] + "."
+        elif " = " in bare and bare.split(" = ")[0].isidentifier():
+            yield section + bare.split(" = ")[0], " ".join(comment)
+        elif line.startswith("# "):
+            comment.append(bare)
+            continue
+        comment = []
+
+
+def test_what_is_uncommented_is_marked_or_was_chosen():
+    lines = [line for line in template("dg645", "aravis", "infocus").splitlines() if line and line[0] not in "#["]
+    marked = [line.split(" = ")[0] for line in lines if line.endswith("  # FILL IN")]
+    assert marked == ["port", "period_s", "exposure_s", "port"]
+    assert [line for line in lines if not line.endswith("  # FILL IN")] == [
+        'driver = "dg645"',
+        'driver = "aravis"',
+        'control = "infocus"',
+    ]
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        (("leica", "basler", None), "--trigger: driver: Input should be 'box'"),
+        (("box", "leica", None), "--camera: driver: Input should be 'basler'"),
+        (("box", "basler", "telnet"), "--projector: control: Input should be 'pjlink'"),
+        (("box", SIMULATED, None), "go together"),
+        (("box", "opencv", None), "a webcam cannot be triggered"),
+    ],
+)
+def test_what_cannot_be_a_rig_is_refused(chosen, message):
+    with pytest.raises(SettingsError, match=message) as fault:
+        template(*chosen)
+    assert "\n" not in str(fault.value)
+
+
+def test_the_command_writes_it_and_replaces_nothing(command, tmp_path):
+    arguments = ("rig", "rig.toml", "--trigger", "box", "--camera", "basler")
+    said = "wrote rig.toml: fill in the 3 lines that end in FILL IN, and capture with --rig rig.toml\n"
+    assert command(*arguments) == (0, said, "")
+    assert read_rig(tmp_path / "rig.toml").projector.control is None
+    (tmp_path / "rig.toml").write_text("mine")
+    code, _, complained = command(*arguments)
+    assert code == 1 and "exists already: choose another name, or add --force" in complained
+    assert (tmp_path / "rig.toml").read_text() == "mine"
+    assert command(*arguments, "--force")[0] == 0

@@ -1,0 +1,47 @@
+"""The first moments of the program: what is imported cannot keep Ctrl-C to itself."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from pipeline.cli import start
+
+# In place of the command line, a module that takes long to import and catches whatever is raised meanwhile.
+PROGRAM = """
+import sys, time
+from pipeline.cli import start
+
+class Slow:
+    def find_spec(self, name, path, target=None):
+        if name == "pipeline.cli.main":
+            print("importing", flush=True)
+            try:
+                time.sleep(300)
+            except BaseException:
+                print("caught")
+
+sys.modules.pop("pipeline.cli.main", None)
+sys.meta_path.insert(0, Slow())
+sys.argv = ["colorphase", "--version"]
+start.main()
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal")
+def test_ctrl_c_ends_the_program_while_it_is_imported():
+    arguments = [sys.executable, "-c", PROGRAM]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
+        assert process.stdout.readline() == "importing\n"
+        process.send_signal(signal.SIGINT)
+        said, _ = process.communicate(timeout=60)
+    assert (process.returncode, said) == (-signal.SIGINT, "")
+
+
+def test_later_it_is_the_commands_own(monkeypatch):
+    before, heard = signal.getsignal(signal.SIGINT), []
+    monkeypatch.setattr("pipeline.cli.main.main", lambda: heard.append(signal.getsignal(signal.SIGINT)))
+    start.main()
+    assert heard == [before] and signal.getsignal(signal.SIGINT) == before

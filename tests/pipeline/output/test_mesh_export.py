@@ -1,0 +1,173 @@
+"""Meshes of a store's frames: made once, made again where they must be, and nothing of the user's is lost."""
+
+import json
+
+import numpy as np
+import pytest
+from support.stored_planes import plane, store
+
+from pipeline.errors import FootageError, OutputError
+from pipeline.locking import locked
+from pipeline.output import mesh_export
+from pipeline.output.mesh_export import export_frames
+from pipeline.output.mesh_files import read_mesh
+from pipeline.output.stored_result import StoredResult
+
+pytestmark = pytest.mark.usefixtures("cpu")
+
+
+def names(folder):
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+def contents(folder):
+    return {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.iterdir()}
+
+
+@pytest.fixture
+def result(tmp_path):
+    return store(tmp_path / "r.zarr", [400.0, None, 402.0, 403.0])
+
+
+@pytest.mark.parametrize("in_mm", [True, False])
+def test_every_frame_with_a_surface_is_a_mesh(tmp_path, in_mm):
+    path = store(tmp_path / "r.zarr", [400.0, None, 402.0, 403.0], missing=(3,), in_mm=in_mm)
+    done = export_frames(path, tmp_path / "out", "ply")
+    assert (sorted(done.written), done.before, done.empty) == ([0, 1, 2], [], [1])
+    assert names(tmp_path / "out") == ["exported.json", "frame_000000.ply", "frame_000002.ply"]
+    mesh = read_mesh(tmp_path / "out" / "frame_000002.ply")
+    assert len(mesh.vertices) == plane(402.0)[1].sum()
+    assert np.all(mesh.vertices[:, 2] == np.float32(402.0 if in_mm else 4.0200195))
+    assert mesh.unit == ("mm" if in_mm else "rad")
+    assert mesh.properties.keys() == {"modulation", "sigma_rad"} | ({"sigma_mm"} if in_mm else set())
+    export_frames(path, tmp_path / "glb", "glb")
+    assert (tmp_path / "glb" / "frame_000000.glb").read_bytes()[:4] == b"glTF"
+
+
+@pytest.mark.parametrize("kind", ["ply", "glb"])
+def test_a_second_export_writes_nothing(result, tmp_path, kind):
+    export_frames(result, tmp_path / "out", kind)
+    before, told = contents(tmp_path / "out"), []
+    done = export_frames(result, tmp_path / "out", kind, lambda *progress: told.append(progress))
+    assert (done.written, done.before, done.empty) == ([], [0, 1, 2, 3], [1])
+    assert contents(tmp_path / "out") == before and told == [(4, 4)]
+    done = export_frames(result, tmp_path / "out", kind, force=True)
+    assert sorted(done.written) == [0, 1, 2, 3]
+    assert {name: content for name, (content, _) in contents(tmp_path / "out").items()} == {
+        name: content for name, (content, _) in before.items()
+    }
+
+
+def test_two_kinds_share_a_folder(result, tmp_path):
+    export_frames(result, tmp_path / "out", "ply")
+    export_frames(result, tmp_path / "out", "glb")
+    assert export_frames(result, tmp_path / "out", "ply").written == []
+    assert export_frames(result, tmp_path / "out", "glb").written == []
+
+
+def test_what_is_missing_or_decoded_anew_is_written(result, tmp_path):
+    export_frames(result, tmp_path / "out", "ply")
+    (tmp_path / "out" / "frame_000000.ply").unlink()
+    assert export_frames(result, tmp_path / "out", "ply").written == [0]
+    anew = store(tmp_path / "anew.zarr", [400.0, 401.0, None, 403.0, 404.0])
+    done = export_frames(anew, tmp_path / "out", "ply")
+    assert sorted(done.written) == [1, 2, 4] and done.empty == [2]
+    assert names(tmp_path / "out") == ["exported.json", *(f"frame_00000{number}.ply" for number in (0, 1, 3, 4))]
+
+
+class Stop(Exception):
+    """Something unforeseen."""
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, Stop])
+def test_an_export_that_was_stopped_goes_on(result, tmp_path, error):
+    def stop(done, of):
+        if done == 2:
+            raise error
+
+    with pytest.raises(error) as stopped:
+        export_frames(result, tmp_path / "out", "ply", stop)
+    if error is KeyboardInterrupt:
+        assert str(stopped.value) == "stopped: 2 of 4 frames are exported; the same command goes on from there"
+    assert names(tmp_path / "out") == ["exported.json", "frame_000000.ply"]
+    done = export_frames(result, tmp_path / "out", "ply")
+    assert (done.before, done.written) == ([0, 1], [2, 3])
+
+
+def test_an_export_that_was_killed_goes_on(result, tmp_path):
+    """It has written down nothing, and left its work."""
+    export_frames(result, tmp_path / "out", "ply")
+    (tmp_path / "out" / "exported.json").unlink()
+    (tmp_path / "out" / "frame_000003.ply").unlink()
+    (tmp_path / "out" / ".export.killed").mkdir()
+    (tmp_path / "out" / ".export.killed" / "frame_000003.ply").write_bytes(b"half")
+    assert sorted(export_frames(result, tmp_path / "out", "ply").written) == [0, 1, 2, 3]
+    assert names(tmp_path / "out") == ["exported.json", *(f"frame_00000{number}.ply" for number in (0, 2, 3))]
+
+
+@pytest.mark.parametrize(
+    ("name", "exported", "why"),
+    [
+        ("frame_000002.ply", True, r"frame_000002\.ply has been changed since we wrote it"),
+        ("frame_000002.ply", False, r"frame_000002\.ply is not ours"),
+        ("exported.json", False, r"exported\.json is not ours"),
+    ],
+)
+def test_a_file_of_the_users_stays(result, tmp_path, name, exported, why):
+    out = tmp_path / "out"
+    out.mkdir()
+    if exported:
+        export_frames(result, out, "ply")
+    (out / name).write_bytes(b"cleaned by hand")
+    before = names(out)
+    with pytest.raises(OutputError, match=rf"holds something else \({why}\): choose another folder, or add --force"):
+        export_frames(result, out, "ply")
+    assert (out / name).read_bytes() == b"cleaned by hand" and set(names(out)) <= {*before, "exported.json"}
+    assert 2 in export_frames(result, out, "ply", force=True).written
+    assert (out / name).read_bytes() != b"cleaned by hand"
+
+
+def test_other_files_stay(result, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").write_text("mine")
+    export_frames(result, tmp_path / "out", "ply")
+    assert "thesis.tex" in names(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("lost", "message"),
+    [
+        ("done/c.*", "holds no frame that is done: decode first"),
+        ("mask", "array is missing"),
+        ("points/c.0.*", "frame 0: points is missing"),
+    ],
+)
+def test_an_export_of_nothing_leaves_no_folder(tmp_path, lost, message):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0])
+    for place in path.glob(lost):
+        place.rename(tmp_path / place.name)
+    with pytest.raises(FootageError, match=message):
+        export_frames(path, tmp_path / "meshes", "ply")
+    assert not (tmp_path / "meshes").exists()
+
+
+def test_two_exports_do_not_write_to_one_folder(result, tmp_path):
+    (tmp_path / "out").mkdir()
+    with locked(tmp_path / "out" / "exported.json"):
+        with pytest.raises(OutputError, match="is being written by another run"):
+            export_frames(result, tmp_path / "out", "ply")
+
+
+def test_another_version_exports_anew(result, tmp_path, monkeypatch):
+    export_frames(result, tmp_path / "out", "ply")
+    monkeypatch.setattr(mesh_export, "version", lambda package: "0.0")
+    assert len(export_frames(result, tmp_path / "out", "ply").written) == len(StoredResult(result).done)
+    assert json.loads((tmp_path / "out" / "exported.json").read_text())["meshes"].keys() == {
+        f"frame_00000{number}.ply" for number in range(4)
+    }
+
+
+def test_a_place_that_is_no_folder(result, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OutputError, match="cannot write"):
+        export_frames(result, tmp_path / "file", "ply")
