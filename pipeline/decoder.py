@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
-from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts
+from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts, over_exposure_doubt
 from pipeline.decoding.expected_fringe import ExpectedFringe
 from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, FrameSetup, Measured
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
@@ -29,7 +29,7 @@ from tikernels.depth.triangulation import triangulate
 from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
-from tikernels.phase.frame_statistics import FrameLevels, measure_frame
+from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics, measure_frame
 from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
@@ -168,7 +168,7 @@ class Decoder:
                         measured = self._measure(frame, levels, period_px, memory, *buffers)
                         if self._path.code is None:  # whether the frame shows a code is asked once
                             measured = replace(measured, order_doubt=measured.order_doubt or first.order_doubt)
-                    measured = self._doubted(measured, frame, levels, period_px)
+                    measured = self._doubted(measured, frame, levels, statistics, period_px)
                     if self._setup.rays is None:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
                         measured = replace(measured, range_sign=sign, front_is_clear=clear)
@@ -286,11 +286,22 @@ class Decoder:
             return (-1 if rising == (side in ("above", "left")) else 1), True
         return (-1 if self.rims.clear and self.rims.falls > self.rims.grows else 1), self.rims.clear
 
-    def _doubted(self, measured: Measured, frame: LinearFrame, levels: FrameLevels, period_px: float) -> Measured:
-        """Return what was measured with the doubts of next to no pixels, or nothing where the rig cannot show it."""
+    def _doubted(
+        self,
+        measured: Measured,
+        frame: LinearFrame,
+        levels: FrameLevels,
+        statistics: FrameStatistics,
+        period_px: float,
+    ) -> Measured:
+        """Return what was measured with the doubts of its exposure, or nothing where the rig cannot show it."""
         few = few_pixels_doubt(frame, levels, measured.n_measured)
-        if few is not None:
-            return replace(measured, light_doubts=(few, *measured.light_doubts))
+        if few is not None:  # of which little else can be said
+            orders = measured.order_doubt if measured.n_measured else None
+            return replace(measured, order_doubt=orders, light_doubts=(few,))
+        over = over_exposure_doubt(statistics.clipped)
+        if over is not None:
+            measured = replace(measured, light_doubts=(over, *measured.light_doubts))
         if self._expected is not None:
             rate = float(runtime.to_host(self._work(frame, period_px).rates)[-1, RATE_ACROSS])  # synchronises
             contradiction = self._expected.contradiction(rate)

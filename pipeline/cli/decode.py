@@ -249,7 +249,7 @@ def _say_summary(summary: DecodeSummary, store: str) -> None:
         remark(f"and {len(summary.bad) - _SHOWN} more frames are bad")
     if summary.warned:
         first = min(summary.warned)
-        remark(f"warning: {len(summary.warned)} frames are in doubt; frame {first}: {summary.warned[first][0]}")
+        remark(f"warning: {frames(len(summary.warned))} in doubt; frame {first}: {summary.warned[first][0]}")
     n_good = summary.n_frames - len(summary.bad)
     before = f", {summary.n_before} of them before" if summary.n_before else ""
     say(f"{n_good} of {summary.n_frames} frames decoded{before}; they are in {store}")

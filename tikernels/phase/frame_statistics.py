@@ -22,6 +22,8 @@ _COLUMNS = 16
 # A fringe turns one way: its power at +f without a counterpart at -f is at least this share of all chromatic power, and
 # far above what noise leaves over. Reflectance and noise are real signals, alike at +f and -f.
 _MIN_SHARE = 0.15
+# What is brighter than this share of the brightest is lit.
+_LIT = 0.1
 # What is darker than this share of the brightest does not tell the noise: clipped at zero it would show half of it.
 _DARK_SHARE = 0.06
 # About as many rows tell the noise.
@@ -46,6 +48,7 @@ class FrameStatistics:
     noise: tuple[float, float]  # read noise and gain: a channel's variance is read^2 + gain * light
     brightness: float  # 95th percentile of the channels' mean
     modulation: float  # 95th percentile of the fringe's modulation
+    clipped: float  # share of what is lit of which a channel is clipped
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,9 @@ def measure_frame(image: LevelsImage, white_level: float | None = None) -> Frame
     bright = _bright(light[..., 0] + light[..., 1] + light[..., 2]) / 3
     fringe = samples[..., _COSINE] + 1j * samples[..., _SINE]
     noise = _noise(changes, light, bright, 0.0 if dtype.startswith("float") else 1.0 / white)
-    return FrameStatistics(_period(fringe), noise, bright, _bright(np.abs(fringe)))
+    lit = light.mean(axis=-1) > _LIT * bright
+    clipped = float((light[lit].max(axis=-1) >= CLIPPED).mean()) if lit.any() else 0.0
+    return FrameStatistics(_period(fringe), noise, bright, _bright(np.abs(fringe)), clipped)
 
 
 def _bright(values: npt.NDArray[np.float32]) -> float:

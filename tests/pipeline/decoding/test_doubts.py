@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts
+from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts, over_exposure_doubt
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 from tikernels.phase.frame_statistics import FrameLevels
@@ -50,6 +50,11 @@ def test_a_picture_of_next_to_nothing_says_what_it_lacks(cpu):
         assert "only 1.0% of this frame could be measured" in few_pixels_doubt(frame, levels, 100)
         assert "nothing of this frame could be measured" in few_pixels_doubt(frame, levels, 0)
         assert few_pixels_doubt(frame, levels, 500) is None
+
+
+def test_over_exposure_is_told_where_it_matters():
+    assert over_exposure_doubt(0.08) is None
+    assert over_exposure_doubt(0.171).startswith("17% of what is lit has a colour at full scale")
 
 
 def test_a_small_thing_before_a_black_curtain_is_not_doubted(cpu):

@@ -16,7 +16,9 @@ def levels(statistics, crosstalk=NONE, **options):
 
 
 def seen(noise, brightness=0.5):
-    return FrameStatistics(period_px=12.0, noise=(noise, 0.0), brightness=brightness, modulation=brightness / 2)
+    return FrameStatistics(
+        period_px=12.0, noise=(noise, 0.0), brightness=brightness, modulation=brightness / 2, clipped=0.0
+    )
 
 
 def test_a_noisy_frame_needs_a_stronger_fringe():

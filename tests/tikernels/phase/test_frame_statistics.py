@@ -68,6 +68,17 @@ def test_the_brightness_is_found(arch):
     assert measure_frame(image).brightness == pytest.approx(0.6, abs=1e-6)
 
 
+def test_what_is_clipped_is_a_share_of_what_is_lit(arch):
+    """Each of three channels is cut over acos(0.498 / 0.6) / pi of a cycle, never two at once."""
+    phase = np.arange(360)[:, None, None] * (2 * np.pi / 36) + np.array([-1, 0, 1]) * 2 * np.pi / 3
+    image = np.zeros((360, 400, 3), np.float32)
+    image[:, 200:] = np.clip(0.5 + 0.6 * np.cos(phase), 0, 1)
+    share = 3 * np.arccos(0.498 / 0.6) / np.pi
+    assert measure_frame(image).clipped == pytest.approx(share, abs=0.05)
+    assert measure_frame(0.9 * image).clipped == 0
+    assert measure_frame(np.zeros((64, 64, 3), np.uint8)).clipped == 0
+
+
 @pytest.mark.parametrize("dtype, white", [("uint8", 255), ("uint16", 65535), ("uint16", 4095)])
 def test_levels_are_fractions_of_white(arch, dtype, white):
     image = frame(12.0)
