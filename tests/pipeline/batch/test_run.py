@@ -405,13 +405,13 @@ def test_dark_frames_leave_nothing_in_the_buffers(tmp_path, folder, rig, job, ca
 
 def test_ctrl_c_keeps_what_is_done(job, undisturbed, monkeypatch):
     def stop(done, of):
-        if done == 6:
+        if done >= 2:  # of those decoded meanwhile up to ten are stored, too
             raise KeyboardInterrupt
 
     monkeypatch.setattr("pipeline.batch.worker._COMMIT_S", 0.0)
     with pytest.raises(Stopped, match=r"stopped: \d+ of 14 frames are done; the same command goes on"):
         decode_footage(job, tell=stop)
-    assert 6 <= len(marked(job.store)) < N_FRAMES
+    assert 2 <= len(marked(job.store)) < N_FRAMES
     assert not list(Path(job.store).rglob("*.part*"))
     decode_footage(job)
     assert contents(Path(job.store)) == undisturbed

@@ -15,6 +15,8 @@ pytestmark = [
     pytest.mark.usefixtures("cpu"),
     pytest.mark.filterwarnings("ignore:the colours' fringes differ"),
     pytest.mark.filterwarnings("ignore:no matrix explains"),
+    pytest.mark.filterwarnings("ignore:.*of what is lit has a colour at full scale"),
+    pytest.mark.filterwarnings("ignore:only .* of this frame could be measured"),
 ]
 
 

@@ -142,5 +142,5 @@ def test_a_code_that_nobody_has_told_of_is_named(cpu):
     rig = simulated_rig((320, 240), code="contrast")
     image = simulate_frame(rig, SimulationSettings(scene="plane")).image
     decoder = Decoder(arch="cpu")
-    with pytest.warns(match='set code = "contrast" to use it'):
+    with pytest.warns(match=r'set code = "contrast" \(--code contrast\) to use it'):
         decoder.decode(image)
