@@ -53,7 +53,9 @@ def check(
     force
         Replace an existing calibration.
     """
+    from pipeline.batch.job import with_transfer_of
     from pipeline.diagnosis.rig_check import check_captures, check_picture, check_sequence, holds_captures
+    from pipeline.footage.opening import open_source
 
     if radius_mm is not None and shape != "ball":
         raise SettingsError("--radius-mm is a ball's: add --shape ball")
@@ -66,13 +68,15 @@ def check(
     if holds_captures(capture):
         _show_check(check_captures(capture, known, chosen))
         return
+    source = open_source(capture)
+    chosen, _ = with_transfer_of(source, chosen, known)
     if capture.is_dir():
-        n_frames, changes = check_sequence(capture, known, chosen, arch)
+        n_frames, changes = check_sequence(source, known, chosen, arch)
         _say_findings(changes.findings, f"{n_frames} frames: " + ("nothing found" if changes.notes else "fine"))
         for note in changes.notes:
             say(f"note: {note}")
         return
-    found = check_picture(capture, known, chosen, arch, shape, radius_mm)
+    found = check_picture(source, known, chosen, arch, shape, radius_mm)
     if found is None:  # the warning has said why
         sys.exit(1)
     if found.surface is not None:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.diagnosis.expected_light import ExpectedLight
 from pipeline.models import FloatArray
 from pipeline.pattern.fringes import CHANNEL_PHASES
 from pipeline.robust import robust_sigma
@@ -31,6 +32,7 @@ class Tiles(NamedTuple):
     place: npt.NDArray[np.int64]  # (T, 2) row, column of the tile
     across: FloatArray  # (T,) distance from the image's centre across the stripes, in half diagonals
     weight: FloatArray  # (T,) inverse variance of the contrasts
+    expected: npt.NDArray[np.complex128]  # (T, 3, K, R) spectra of the light that is expected, by response
 
 
 class RobustFit(NamedTuple):
@@ -78,10 +80,12 @@ def fit_tiles(
     usable: npt.NDArray[np.bool_],
     period: float,
     keep: npt.NDArray[np.bool_] | None = None,
+    expected: ExpectedLight | None = None,
 ) -> Tiles:
     """Regress every channel on the phase in tiles: mean and fundamental may change quadratically over a tile.
 
-    light (H, W, 3) and phase (H, W) where usable (H, W), channel by channel only where keep (H, W, 3).
+    light (H, W, 3) and phase (H, W) where usable (H, W), channel by channel only where keep (H, W, 3); and the same of
+    the light that is expected at that phase.
     """
     side = tile_side(period)
     orders = np.arange(2, int(np.clip(period / 2 - 1, 2, 6)) + 1)  # short of half a cycle a pixel
@@ -97,55 +101,60 @@ def fit_tiles(
             continue
         wave = np.exp(1j * phase[tile].ravel())[:, None]
         basis = np.hstack([slopes, slopes * wave.real, slopes * wave.imag, (wave**orders).real, (wave**orders).imag])
-        values = light[tile].reshape(-1, 3)
+        values = light[tile].reshape(-1, 3, 1)
+        if expected is not None:
+            values = np.concatenate([values, expected.at(phase[tile].ravel())], axis=2)
         if keep is None or keep[tile].all():
-            mean, spectrum, square, variance = _fit_channels(basis[inside], values[inside])
+            means, spectra, square, variance = _fit_channels(basis[inside], values[inside])
         else:
             kept = [inside & keep[tile][..., j].ravel() for j in range(3)]
             if min(chosen.mean() for chosen in kept) < 0.3:
                 continue
-            fits = [_fit_channels(basis[chosen], values[chosen, j, None]) for j, chosen in enumerate(kept)]
-            mean, spectrum, square, variance = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+            fits = [_fit_channels(basis[chosen], values[chosen, j : j + 1]) for j, chosen in enumerate(kept)]
+            means, spectra, square, variance = (np.concatenate(parts) for parts in zip(*fits, strict=True))
+        mean, square, variance = means[:, 0], square[:, 0], variance[:, 0]
         if mean.min() <= 0:
             continue
-        common = np.angle(np.sum(spectrum[:, 0] * np.exp(-1j * PHASES)))
-        spectrum = spectrum * np.exp(-1j * common * np.arange(1, len(orders) + 2))
+        spectra = _in_its_phase(spectra)
         changes: Any = np.gradient(phase[tile])
         slope = np.array([np.median(change[usable[tile]]) for change in changes])
         frequency = float(np.hypot(slope[0], slope[1]))
         centre = np.array([top, left]) + side / 2 - shape / 2
         across = 2 * slope @ centre / frequency / np.hypot(*shape)
         weight = 1 / max(variance.sum(), 1e-12)
-        results.append((mean, spectrum, np.sqrt(square.mean()), frequency, corner, across, weight))
+        spread = np.sqrt(square.mean())
+        results.append((mean, spectra[..., 0], spread, frequency, corner, across, weight, spectra[..., 1:]))
     if not results:
-        return Tiles(np.empty((0, 3)), np.empty((0, 3, 2), complex), *np.empty((5, 0)))
+        none, places = np.empty(0), np.empty((0, 2), np.int64)
+        spectra = np.empty((0, 3, 2, 1), complex)
+        return Tiles(np.empty((0, 3)), spectra[..., 0], none, none, places, none, none, spectra)
     tiles = Tiles(*(np.array(values) for values in zip(*results, strict=True)))
     # What fits much worse than its fellows holds an edge or fine detail; what is much less certain is of no use.
     good = (tiles.noise <= 2 * np.median(tiles.noise)) & (tiles.weight >= 0.1 * np.median(tiles.weight))
-    return Tiles(
-        tiles.mean[good],
-        tiles.spectrum[good],
-        tiles.noise[good],
-        tiles.frequency[good],
-        tiles.place[good],
-        tiles.across[good],
-        tiles.weight[good],
-    )
+    return Tiles._make(values[good] for values in tiles)
+
+
+def _in_its_phase(spectra: npt.NDArray[np.complex128]) -> npt.NDArray[np.complex128]:
+    """Return spectra (3, K, R), the phase that is common to the fundamentals of three channels taken out of each."""
+    common = np.angle(np.exp(-1j * PHASES) @ spectra[:, 0])
+    return np.asarray(spectra * np.exp(-1j * np.outer(np.arange(1, spectra.shape[1] + 1), common)))
 
 
 def _fit_channels(basis: FloatArray, values: FloatArray) -> tuple[Any, Any, Any, Any]:
-    """Return by channel (C) mean, spectrum over the mean (C, K), residual's and the relative fundamental's variance.
+    """Return of each channel mean, spectrum over the mean, residual's and the relative fundamental's variance.
 
-    Of values (N, C), by a basis (N, B).
+    Of values (N, C, R), R lights in each channel, by a basis (N, B): (C, R), and the spectrum (C, K, R).
     """
     inverse = np.linalg.inv(basis.T @ basis + 1e-9 * len(basis) * np.eye(basis.shape[1]))
-    solution = inverse @ (basis.T @ values)
-    square = np.mean((values - basis @ solution) ** 2, axis=0)
+    flat = values.reshape(len(values), -1)
+    solution = inverse @ (basis.T @ flat)
+    square = np.mean((flat - basis @ solution) ** 2, axis=0).reshape(values.shape[1:])
+    solution = solution.reshape(-1, *values.shape[1:])
     mean, c, s = solution[0], _SLOPES, 2 * _SLOPES
-    higher = solution[3 * _SLOPES :].reshape(2, -1, values.shape[1])
-    spectrum = np.vstack([solution[c] - 1j * solution[s], higher[0] - 1j * higher[1]]) / mean
+    higher = solution[3 * _SLOPES :].reshape(2, -1, *values.shape[1:])
+    spectrum = np.concatenate([(solution[c] - 1j * solution[s])[None], higher[0] - 1j * higher[1]]) / mean
     variance = square * (inverse[c, c] + inverse[s, s]) / mean**2
-    return mean, spectrum.T, square, variance
+    return mean, spectrum.swapaxes(0, 1), square, variance
 
 
 def robust_fit(values: Any, weight: FloatArray, shapes: FloatArray | None = None) -> RobustFit:

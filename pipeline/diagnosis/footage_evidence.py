@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.decoder import Decoder
+from pipeline.diagnosis.expected_light import KnownLight
 from pipeline.diagnosis.frame_evidence import (
     FrameQuality,
     InspectedFrame,
@@ -176,8 +177,8 @@ class _Gatherer:
 
     def _diagnose(self, stored: StoredFrame, kept: KeptFrame) -> None:
         """Diagnose one frame's ripple, and where its colours sit."""
-        matrix, transfer = _known_crosstalk(self._decoder), self.seen.settings.transfer or "linear"
-        self.seen.diagnosis = diagnose(kept.encoded, 1.0, kept.unwrapped_phase, kept.mask, matrix, transfer)
+        known, transfer = KnownLight(_known_crosstalk(self._decoder)), self.seen.settings.transfer or "linear"
+        self.seen.diagnosis = diagnose(kept.encoded, 1.0, kept.unwrapped_phase, kept.mask, known, transfer)
         if self._source.format.subsampling[0] == 2 and self._says.siting is None:
             self._tell("where the colours sit")
             self.seen.siting = fit_siting(stored, self.seen.settings, self._arch)

@@ -6,9 +6,10 @@ from typing import Literal
 
 import numpy as np
 
+from pipeline.diagnosis.color_bands import BANDS
 from pipeline.diagnosis.container import ContainerFacts
 from pipeline.diagnosis.footage_evidence import FootageEvidence, bits_of
-from pipeline.diagnosis.frame_evidence import FrameQuality, measure_gains
+from pipeline.diagnosis.frame_evidence import MIN_CONTRAST, FrameQuality, measure_gains, stands_still
 from pipeline.footage.source import Source
 from pipeline.settings import DecodeSettings
 from tikernels.raw.pixel_format import FLOAT_BITS
@@ -22,8 +23,8 @@ _LEAST_RAD = 0.003
 # A greater one, RMS rad, should not be put up with: a dark surface under a bad projector has less in good footage with
 # subsampled colours.
 _MOST_RAD = 0.06
-# Below this contrast, blur may have turned the fringe over.
-_MIN_CONTRAST = 0.12
+# Share of what is lit that may have no fringe to speak of: highlights have.
+_LITTLE_FAINT = 0.02
 # Shares of the lit pixels whose phase is lost by clipping: up to the first it costs nothing, above the second it
 # spoils.
 _LITTLE_LOST, _MUCH_LOST = 0.005, 0.2
@@ -98,7 +99,9 @@ def frame_findings(seen: FootageEvidence, facts: ContainerFacts, given: DecodeSe
         first = seen.bad[0]
         yield _finding(
             "damaged",
-            f"{len(seen.bad)} of {seen.n_frames} frames; frame {first.number}: {first.reason}",
+            first.reason
+            if seen.n_frames == 1
+            else f"{len(seen.bad)} of {seen.n_frames} frames; frame {first.number}: {first.reason}",
             advice="copy it again; decoding leaves such frames out",
             grade="spoils",
         )
@@ -106,7 +109,7 @@ def frame_findings(seen: FootageEvidence, facts: ContainerFacts, given: DecodeSe
     if not seen.kept:
         yield _finding(
             "fringes",
-            f"none in {n_good} frames",
+            "none in this frame" if n_good == 1 else f"none in {n_good} frames",
             advice="check that the pattern is projected, in focus and not over-exposed",
             grade="spoils",
         )
@@ -135,13 +138,17 @@ def fringe_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Fo
     periods = [look.period_px for look in seen.kept]
     yield _finding("fringes", f"{seen.settings.stripes}, {np.median(periods):.1f} px a cycle")
     # A limit that is lower than neighbours differ by shows what it is that costs.
-    faint = typical.contrast < _MIN_CONTRAST
+    faint, spoils = typical.contrast < MIN_CONTRAST, typical.limit_rad >= _MOST_RAD
+    found = f"the fringe's amplitude is {typical.contrast:.0%} of the light"
+    if not faint and typical.faint > _LITTLE_FAINT:
+        faint, spoils = True, typical.faint > _MUCH_LOST
+        found += f", and less than {MIN_CONTRAST:.0%} on {typical.faint:.0%} of what is lit"
     yield _finding(
         "contrast",
-        f"the fringe's amplitude is {typical.contrast:.0%} of the light",
+        found,
         typical.limit_rad,
         "less other light, a sharper focus, less motion blur",
-        grade="costs" if faint and typical.limit_rad < _MOST_RAD else "spoils" if faint else "fine",
+        grade="fine" if not faint else "spoils" if spoils else "costs",
     )
     yield _finding(
         "total",
@@ -234,27 +241,13 @@ def light_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Foo
             cost,
             finding.advice,
             # Less than a pixel's noise is what learning the crosstalk from one frame leaves.
-            grade="fine" if learnt or cost < typical.sigma_rad else None,
+            grade="costs" if finding.causes == BANDS else "fine" if learnt or cost < typical.sigma_rad else None,
         )
 
 
 def time_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[FootageFinding]:
     """Yield what changes from frame to frame."""
-    gains = [measure_gains(seen.kept[0], later) for later in seen.kept[1:]]
-    if any(gain is not None for gain in gains):
-        change = np.log(np.array([gain for gain in gains if gain is not None]))
-        common = change.mean(axis=1)
-        tint = change - common[:, None]
-        gain, shade = float(np.abs(common).max()), float(np.abs(tint).max())
-        grade: Grade = "costs" if gain > _MOST_GAIN or shade > _MOST_TINT else "fine"
-        yield _finding(
-            "drift",
-            f"exposure by up to {np.expm1(gain):.1%}, white balance by up to {np.expm1(shade):.1%}",
-            0.0,  # gains are what the balance undoes
-            "the balance undoes gains, but a calibration holds for one exposure only: lock exposure, gain and "
-            "white balance",
-            grade=grade,
-        )
+    yield from _drift_findings(seen)
     if seen.motion_rad:
         noise = _NOISE_CHANGE * typical.sigma_rad
         most = max(seen.motion_rad)
@@ -282,6 +275,29 @@ def time_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Foot
             finding.advice,
             grade="costs",
         )
+
+
+def _drift_findings(seen: FootageEvidence) -> Iterator[FootageFinding]:
+    """Yield how the camera's gains change; its exposure only where most of what is in view stands still."""
+    tints, exposures = [], []
+    for later in seen.kept[1:]:
+        change = measure_gains(seen.kept[0], later)
+        if change is not None:
+            common = float(np.log(change).mean())
+            tints.append(np.log(change) - common)
+            exposures += [common] if stands_still(seen.kept[0], later) else []
+    if not tints:
+        return
+    gain, shade = max(map(abs, exposures), default=0.0), float(np.abs(tints).max())
+    exposure = f"exposure by up to {np.expm1(gain):.1%}" if exposures else "exposure not told, as what is in view moves"
+    yield _finding(
+        "drift",
+        f"{exposure}; white balance by up to {np.expm1(shade):.1%}",
+        0.0,  # gains are what the balance undoes
+        "the balance undoes gains, but a calibration holds for one exposure only: lock exposure, gain and "
+        "white balance",
+        grade="costs" if gain > _MOST_GAIN or shade > _MOST_TINT else "fine",
+    )
 
 
 def not_told(seen: FootageEvidence, facts: ContainerFacts, source: Source) -> Iterator[str]:

@@ -19,6 +19,10 @@ from tikernels.raw.pixel_format import Siting
 
 # Share of full scale from which on a value counts as clipped: a codec leaves clipped ones a little below it.
 _FULL = 0.995
+#: Below this contrast, blur may have turned the fringe over.
+MIN_CONTRAST = 0.12
+# Lit is what is at least this part as bright as where the fringe is found: shadows are darker.
+_LIT = 0.5
 # Chroma samples of a window along a row in which an edge is sought.
 _EDGE_SAMPLES = 8
 # A window holds an edge where its chroma changes by this factor more than in most.
@@ -33,6 +37,9 @@ _KEPT_PX = (768, 1024)
 _INSIDE = 0.95
 # A drift of the camera is alike in most places: a quarter of them may change by less than this part of the median.
 _EVEN = 0.5
+# A surface whose phase changes by less, rad, keeps its brightness: by 0.3 rad, some 2 mm of 900, light that falls with
+# the square of the distance changes by half a per cent. Noise makes less.
+_STILL_RAD = 0.3
 # Places at least that tell a drift.
 _MIN_PLACES = 12
 
@@ -81,6 +88,7 @@ class FrameQuality:
     sigma_rad: float  # what neighbouring pixels differ by
     clipped: float  # share of the lit pixels with a channel at full scale
     lost: float  # share of them with two, which have no phase
+    faint: float  # share of the others whose contrast is below `MIN_CONTRAST`
 
 
 def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> FrameQuality:
@@ -90,22 +98,26 @@ def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> Fra
     along, across = 1.0, 0.75 * look.period_px
     if look.settings.stripes == "vertical":
         along, across = across, along
-    mean = cv2.GaussianBlur(light, (0, 0), along, sigmaY=across)[inside]
+    mean = cv2.GaussianBlur(light, (0, 0), along, sigmaY=across)
     noise = frame.noise_levels
-    variance = cv2.GaussianBlur(light**2, (0, 0), along, sigmaY=across)[inside] - mean**2 - noise**2
+    variance = cv2.GaussianBlur(light**2, (0, 0), along, sigmaY=across) - mean**2 - noise**2
     variance = np.maximum(variance, 1e-9)
+    contrast = (np.sqrt(2 * variance) / np.maximum(mean, 1e-6)).mean(axis=-1)
     # The information on the phase, sum_i (dI_i / dphi)^2 over noise^2, is half the sum of the squared amplitudes over
     # noise^2; and half a squared amplitude is its wave's variance.
-    power = np.sqrt(np.median(variance.sum(axis=-1)) / left_of_variance(look.settings.smoothing_px // 2))
+    power = np.sqrt(np.median(variance.sum(axis=-1)[inside]) / left_of_variance(look.settings.smoothing_px // 2))
     at_full = np.count_nonzero(look.encoded >= _FULL, axis=-1)
     lit = at_full[frame.mask | (at_full > 1)]
+    brightness = mean.mean(axis=-1)
+    shown = (brightness > _LIT * np.median(brightness[inside])) & (at_full[part] < 2)
     return FrameQuality(
-        contrast=float(np.median((np.sqrt(2 * variance) / np.maximum(mean, 1e-6)).mean(axis=-1))),
+        contrast=float(np.median(contrast[inside])),
         limit_rad=float(noise / power),
         level_limit_rad=float(1 / (2**bits - 1) / np.sqrt(12) / power),
         sigma_rad=float(np.nanmedian(frame.row_sigma[frame.mask])),
         clipped=float(np.mean(lit > 0)),
         lost=float(np.mean(lit > 1)),
+        faint=float(np.mean(contrast[shown] < MIN_CONTRAST)) if shown.any() else 0.0,
     )
 
 
@@ -154,6 +166,13 @@ def measure_gains(first: KeptFrame, later: KeptFrame) -> npt.NDArray[np.float64]
     uneven = np.abs(np.where(middle > 0, low, high)) < _EVEN * np.abs(middle)
     uneven |= np.sign(np.where(middle > 0, low, high)) != np.sign(middle)
     return np.exp(np.where(uneven, 0.0, middle))
+
+
+def stands_still(first: KeptFrame, later: KeptFrame) -> bool:
+    """Whether most of what both frames show is where it was, so that its brightness tells the camera's exposure."""
+    both = first.mask & later.mask
+    change = later.unwrapped_phase[both] - first.unwrapped_phase[both]
+    return bool(np.mean(np.cos(change) > np.cos(_STILL_RAD)) > 0.5) if both.any() else False
 
 
 def measure_motion(first: InspectedFrame, second: InspectedFrame) -> npt.NDArray[np.float32]:

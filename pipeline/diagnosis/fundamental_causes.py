@@ -31,21 +31,17 @@ def ideal(matrix: FloatArray, contrast: Any = 1.0) -> npt.NDArray[np.complex128]
 
 
 def explain_fundamental(
-    tiles: Tiles, response_contrast: FloatArray, matrix: FloatArray, limit: float, lag_rad: FloatArray
+    tiles: Tiles, expected: npt.NDArray[np.complex128], matrix: FloatArray, limit: float
 ) -> list[RippleFinding]:
-    """Name what makes the channels' contrasts differ, or their phases, from what is known of the rig."""
-    expected = ideal(matrix, response_contrast / response_contrast.mean() * np.exp(-1j * lag_rad))
+    """Name what makes the channels' contrasts or phases differ from the fundamentals (T, 3) that are expected."""
+    most_contrast = np.median(abs(expected @ np.linalg.inv(matrix).T))
+    expected = expected / most_contrast
     relative = tiles.spectrum[..., 0] / expected
     loss = -np.log(abs(relative))  # (T, 3) of contrast; what is common to the channels makes no ripple
     lag = np.angle(relative * np.conj(relative[:, 1:2]))[:, ::2]  # (T, 2) of R and B against G, rad
     losses = robust_fit(loss - loss.mean(axis=1, keepdims=True), tiles.weight)
     lags = robust_fit(lag, tiles.weight)
     mean_loss, mean_lag = losses.value[0], lags.value[0]
-    # Motion may be in a part of the image only, and a lens's lateral colour changes sign over it: the medians of
-    # neighbouring tiles show it where the mean does not.
-    local = neighbours_median(lag, tiles.place)
-    strength = np.hypot(*local.T)
-    most = local[np.argsort(strength)[int(0.95 * len(strength))]]
     scale = np.median(abs(relative))
 
     def ripple_of(change: Any) -> dict[int, float]:
@@ -59,14 +55,36 @@ def explain_fundamental(
     lossy = worst_loss > max(limit, SIGMAS / 3 * losses.error.max(), _LEAKAGE * worst_lag)
     lagging = worst_lag > max(limit, SIGMAS / 2 * lags.error.max(), _LEAKAGE * worst_loss)
     if lossy and lagging:
-        crosstalk = explain_both(scale / response_contrast.mean(), expected, mean_loss, mean_lag, ripple_of)
+        crosstalk = explain_both(scale / most_contrast, expected.mean(axis=0), mean_loss, mean_lag, ripple_of)
         if crosstalk:
-            return [crosstalk]
-    by_most = ripple_of_lag(most)
-    if not lagging and max(by_most.values()) > max(2 * limit, 2 * _LEAKAGE * worst_loss):
-        by_lag, lagging = by_most, True
+            # It is the same everywhere, so that what is left in a part of the picture is something else.
+            rest = lag - np.median(lag, axis=0)
+            return [
+                crosstalk,
+                *explain_part(tiles, rest, max(limit, _LEAKAGE * max(worst_loss, worst_lag)), ripple_of_lag),
+            ]
     findings = [explain_loss(tiles, loss, mean_loss, by_loss, limit)] if lossy else []
-    return findings + ([explain_lag(tiles, lag, local, by_lag)] if lagging else [])
+    if lagging:
+        # Of more than the mean it is what changes over the picture that is to be explained.
+        part = explain_part(tiles, lag - np.median(lag, axis=0), worst_lag, ripple_of_lag)
+        if part:
+            return findings + part
+        return [*findings, explain_lag(tiles, lag, neighbours_median(lag, tiles.place), by_lag)]
+    return findings + explain_part(tiles, lag, max(limit, _LEAKAGE * worst_loss), ripple_of_lag)
+
+
+def explain_part(
+    tiles: Tiles, lag: FloatArray, limit: float, ripple_of_lag: Callable[[Any], dict[int, float]]
+) -> list[RippleFinding]:
+    """Explain phases that are right in the mean: by motion in a part of the picture, or by lateral colour.
+
+    A lens's lateral colour changes sign over the picture. The medians of neighbouring tiles show either.
+    """
+    local = neighbours_median(lag, tiles.place)
+    strength = np.hypot(*local.T)
+    size = ripple_of_lag(local[np.argsort(strength)[int(0.95 * len(strength))]])
+    # What is chosen for being large has twice the noise.
+    return [explain_lag(tiles, lag, local, size)] if max(size.values()) > 2 * limit else []
 
 
 def explain_loss(
@@ -209,7 +227,7 @@ def explain_both(
         scale = np.min(-1 / 3 / np.minimum(rise, -1e-9))
         if scale > best_scale:
             best_scale, best = scale, 1 / 3 + scale * rise
-    # A pattern's contrast is at most one: what lies outside even then, no leak can have made.
+    # No contrast is above the pattern's own: what lies outside even then, no leak can have made.
     if contrast > 1.02 * best_scale:
         return None
     rows = "; ".join(" ".join(f"{entry:.2f}" for entry in row) for row in best)

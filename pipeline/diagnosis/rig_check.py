@@ -1,5 +1,6 @@
 """Whether a rig is still as it was calibrated, from files: one picture, frames in a row, or the captures of a pose."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,19 +12,18 @@ from pipeline.decoding.frame import DecodedFrame
 from pipeline.diagnosis.check_result import CheckResult
 from pipeline.diagnosis.corrected_light import correct_light
 from pipeline.diagnosis.epipolar_check import check_epipolar
+from pipeline.diagnosis.expected_light import KnownLight
 from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.diagnosis.ripple import Diagnosis, diagnose
 from pipeline.diagnosis.surface_check import Shape, check_surface
-from pipeline.errors import CalibrationError
-from pipeline.footage.image_file import read_image
-from pipeline.footage.image_folder import natural_key
+from pipeline.errors import CalibrationError, FootageError
+from pipeline.footage.source import BadFrame, Source
 from pipeline.models import ImageArray
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
+from tikernels.raw.development import develop
 from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, Transfer, linearize
-
-_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")
 
 
 def holds_captures(folder: Path) -> bool:
@@ -55,7 +55,7 @@ class PictureCheck:
 
 
 def check_picture(
-    path: Path,
+    source: Source,
     calibration: Calibration,
     settings: DecodeSettings,
     arch: str = "auto",
@@ -66,12 +66,12 @@ def check_picture(
 
     Parameters
     ----------
-    path : Path
-        The picture.
+    source : Source
+        The picture, opened.
     calibration : Calibration
         The one in doubt.
     settings : DecodeSettings
-        How to decode.
+        How to decode, as `with_transfer_of` completes them for this picture.
     arch : str
         Where to compute.
     shape : {"plane", "ball"}, optional
@@ -87,79 +87,69 @@ def check_picture(
     Raises
     ------
     FootageError
-        The picture cannot be read.
+        The picture cannot be read, or there are several.
     CalibrationError
         It is of another camera, or shows nothing of that shape.
     """
-    reader = _Reader(calibration, settings, arch)
-    image, frame = reader.read(path)
+    if len(source) != 1:
+        raise FootageError(f"{source.name} holds {len(source)} frames: give one picture, or a folder of frames")
+    reader = _Reader(source, calibration, settings, arch)
+    ((image, frame),) = reader.frames()
     if not frame.mask.any():
         return None
     surface = None if shape is None else check_surface(frame, calibration, shape, radius_mm)
     shift = calibration.color_shift_px
     light = image if shift is None else runtime.to_host(align_channels(image, shift.camera))
     white = settings.white_level or WHITE_LEVELS[image.dtype.name]
-    compensated = calibration.pattern is not None and calibration.pattern.compensated is True
-    found = diagnose(
-        light,
-        white,
-        frame.unwrapped_phase,
-        frame.mask,
-        calibration.crosstalk_matrix if settings.crosstalk_matrix is None else settings.crosstalk_matrix,
-        reader.transfer,
-        None if compensated else calibration.response,
-        calibration.projector_lag_rad(),
-    )
+    known = KnownLight.of(settings, calibration)
+    found = diagnose(light, white, frame.unwrapped_phase, frame.mask, known, reader.transfer, frame.absolute)
     return PictureCheck(surface, found, calibration, reader.transfer, light, white, frame)
 
 
 def check_sequence(
-    folder: Path, calibration: Calibration, settings: DecodeSettings, arch: str = "auto"
+    source: Source, calibration: Calibration, settings: DecodeSettings, arch: str = "auto"
 ) -> tuple[int, SequenceDiagnosis]:
-    """Say what a folder of frames, one after another, shows of beat and motion; and how many frames there are.
+    """Say what frames, one after another, show of beat and motion; and how many frames there are.
 
     Raises
     ------
     FootageError
         A frame cannot be read.
     CalibrationError
-        There are too few, they differ in size, or are of another camera.
+        There are too few, or they are of another camera.
     """
-    reader = _Reader(calibration, settings, arch)
-    paths = [path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES]
-    paths.sort(key=lambda path: natural_key(path.name))
-    if len(paths) < MIN_FRAMES:
+    if len(source) < MIN_FRAMES:
         raise CalibrationError(
-            f"{folder} holds {len(paths)} pictures: at least {MIN_FRAMES} frames in a row tell anything"
+            f"{source.name} holds {len(source)} pictures: at least {MIN_FRAMES} frames in a row tell anything"
         )
+    reader = _Reader(source, calibration, settings, arch)
     light: list[ImageArray] = []
     phases, masks = [], []
-    for path in paths:
-        image, frame = reader.read(path)
-        if light and image.shape != light[0].shape:
-            raise CalibrationError(f"{path} has another size than the frames before it: give frames of one camera")
+    for image, frame in reader.frames():
         light.append(runtime.to_host(linearize(image, reader.transfer, settings.white_level)))
         phases.append(frame.unwrapped_phase)
         masks.append(frame.mask)
     place = calibration.geometry() if calibration.has_geometry else None
-    return len(paths), diagnose_sequence(light, 1.0, phases, masks, place, calibration.crosstalk_matrix)
+    return len(source), diagnose_sequence(light, 1.0, phases, masks, place, calibration.crosstalk_matrix)
 
 
 class _Reader:
-    """Read pictures and decode them; what the settings leave open, the calibration says."""
+    """Reads frames and decodes them; what the settings leave open, the calibration says."""
 
-    def __init__(self, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
-        said = settings.model_fields_set
-        if calibration.pattern is not None and "stripes" not in said:
+    def __init__(self, source: Source, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
+        refuse_other_camera(calibration, source.size_px, source.name)
+        if calibration.pattern is not None and "stripes" not in settings.model_fields_set:
             settings = settings.model_copy(update={"stripes": calibration.pattern.stripes})
         at_calibration = None if calibration.capture is None else calibration.capture.transfer
         self.transfer: Transfer = settings.transfer or "linear"
         if settings.transfer is None and at_calibration is not None:
             self.transfer = at_calibration
-        self._calibration = calibration
+        self._source, self._stripes = source, settings.stripes
         self._decoder = Decoder(settings, calibration, arch=arch)
 
-    def read(self, path: Path) -> tuple[ImageArray, DecodedFrame]:
-        image = read_image(path)
-        refuse_other_camera(self._calibration, (image.shape[1], image.shape[0]), str(path))
-        return image, self._decoder.decode(image)
+    def frames(self) -> Iterator[tuple[ImageArray, DecodedFrame]]:
+        for stored in self._source.frames():
+            if isinstance(stored, BadFrame):
+                raise FootageError(stored.reason)
+            image = runtime.to_host(develop(stored.planes, stored.format, stripes=self._stripes))
+            yield image, self._decoder.decode(image)

@@ -25,8 +25,10 @@ from pipeline.diagnosis.channel_spectra import (
     smooth_phase,
     waves_of_spectrum,
 )
+from pipeline.diagnosis.color_bands import find_bands
+from pipeline.diagnosis.expected_light import ExpectedLight, KnownLight
 from pipeline.diagnosis.fundamental_causes import explain_fundamental
-from pipeline.diagnosis.harmonic_causes import explain_harmonics
+from pipeline.diagnosis.harmonic_causes import UNKNOWN, explain_harmonics
 from pipeline.diagnosis.ripple_finding import CHANNELS, MIN_TILES, RippleFinding
 from pipeline.models import FloatArray, ImageArray
 from tikernels.raw.linearization import Transfer, linear_values
@@ -57,10 +59,9 @@ def diagnose(
     white_level: float,
     unwrapped_phase: npt.NDArray[np.float32],
     mask: npt.NDArray[np.bool_],
-    crosstalk_matrix: FloatArray | None = None,
+    known: KnownLight | None = None,
     transfer: Transfer = "linear",
-    response: FloatArray | None = None,
-    projector_lag_rad: FloatArray | None = None,
+    absolute: npt.NDArray[np.bool_] | None = None,
 ) -> Diagnosis:
     """Say why a surface is wavy.
 
@@ -74,14 +75,12 @@ def diagnose(
         rad, ripple and all; one order a surface.
     mask : (H, W) bool
         Where it holds.
-    crosstalk_matrix : (3, 3), optional
+    known : KnownLight, optional
         What the decoder undoes; None: nothing.
     transfer : {"linear", "srgb", "bt709"} or (N,) floats
         By which the decoder reads the levels.
-    response : (3, N), optional
-        Light of the projector's codes, 0..1, which the decoder undoes; None: nothing, or the pattern has undone it.
-    projector_lag_rad : (3,), optional
-        By how much the projector's lateral colour delays R, G and B, which the decoder undoes.
+    absolute : (H, W) bool, optional
+        Where the orders are absolute, so that the code is known; None: nowhere.
 
     Returns
     -------
@@ -89,8 +88,8 @@ def diagnose(
         No findings: fine. Where no surface is large and smooth enough, `limit_rad` is NaN.
     """
     signal = image.astype(np.float64) / white_level
-    matrix = np.eye(3) if crosstalk_matrix is None else np.asarray(crosstalk_matrix, np.float64)
-    matrix = matrix / matrix.sum(axis=1, keepdims=True)  # balanced channels are grey whatever the rows' sums
+    known = known or KnownLight()
+    matrix = known.matrix
     clipped = (image >= white_level) | (image <= 0)
     # What is clipped is mostly not decoded.
     cut = image >= white_level
@@ -99,21 +98,26 @@ def diagnose(
     nothing = Diagnosis((), {}, {}, np.nan, (why,))
     if np.count_nonzero(mask) < _MIN_PIXELS:
         return nothing
-    phase, usable, period = smooth_phase(unwrapped_phase, mask)
-    light = linear_values(signal, transfer)
-    seen = fit_tiles(light, phase, usable, period)
+    # What the code does to a few cycles is known only where it is known which cycles they are.
+    sure = np.zeros_like(mask) if absolute is None or known.code is None else mask & absolute
+    coded = int(np.count_nonzero(sure)) >= _MIN_PIXELS
+    phase, usable, period = smooth_phase(unwrapped_phase, sure if coded else mask)
+    light, expected = linear_values(signal, transfer), ExpectedLight(known, coded=coded)
+    seen = fit_tiles(light, phase, usable, period, None, expected)
     if len(seen.mean) < MIN_TILES:
         return nothing
     noise = np.median(seen.noise) / np.median(seen.mean, axis=0)  # of the mean, by channel
     pixel_noise = np.sqrt(2 / 9 * np.sum(noise**2)) / np.median(abs(seen.spectrum[..., 0]))  # rad
     limit = max(_LEAST_RIPPLE_RAD, _NOISE_SHARE * pixel_noise)
 
-    findings, tiles, keep = [], seen, None
+    bands = find_bands(light, mask, period)
+    findings = [] if bands is None else [bands]
+    tiles, keep = seen, None
     if clipped[usable].any():
         # The rest of the diagnosis does without what lost its shape. Neighbours go too: choosing pixels by their own
         # value alone would choose by their noise, and bend the fit.
         keep = ~np.stack([cv2.dilate(np.uint8(c), np.ones((3, 3))) > 0 for c in np.moveaxis(clipped, -1, 0)], -1)
-        tiles = fit_tiles(light, phase, usable, period, keep)
+        tiles = fit_tiles(light, phase, usable, period, keep, expected)
         lost = clipping_ripple(image >= white_level, image <= 0, usable, period, mean_spectrum(tiles), matrix)
         shares = clipped[usable].mean(axis=0)
         if max(lost.values()) > limit:
@@ -125,11 +129,12 @@ def diagnose(
     other = other_transfer(transfer)
 
     def read_otherwise() -> Tiles:
-        return fit_tiles(linear_values(signal, other), phase, usable, period, keep)
+        return fit_tiles(linear_values(signal, other), phase, usable, period, keep, expected)
 
-    found, tiles, contrast = explain_harmonics(tiles, matrix, limit, other, read_otherwise, response)
-    lag = np.zeros(3) if projector_lag_rad is None else projector_lag_rad
-    findings += found + explain_fundamental(tiles, contrast, matrix, limit, lag)
+    found, tiles, fundamentals = explain_harmonics(tiles, matrix, limit, period, other, read_otherwise)
+    if bands is not None:  # levels that are cut short make harmonics that nothing else explains
+        found = [finding for finding in found if finding.causes != UNKNOWN]
+    findings += found + explain_fundamental(tiles, fundamentals, matrix, limit)
     findings.sort(key=lambda finding: -max(finding.ripple_rad.values()))
     everything = ripple_by_harmonic(waves_of_spectrum(mean_spectrum(seen)), matrix)
     seen_rad = seen_ripple(unwrapped_phase, phase, usable)

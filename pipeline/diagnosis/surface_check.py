@@ -63,8 +63,8 @@ def check_surface(
         raise CalibrationError(f"no surface of {_MIN_SURFACE_PX} px is in view: fill the picture with the {shape}")
     placed = {0: frame.points}
     if shape == "ball":
-        # The order of a surface that nothing connects to others is a guess; a ball of the right radius, or else the
-        # roundest one, tells it.
+        # Where orders are not absolute, a surface's is a guess; a ball of the right radius, or else the roundest one,
+        # tells it.
         rays, projector = geometry.camera.rays(), geometry.for_triangulation()
         for cycles in range(-_ORDERS, _ORDERS + 1):
             phase = frame.unwrapped_phase + np.float32(2 * np.pi * cycles)
@@ -72,7 +72,8 @@ def check_surface(
     fits = [
         fit
         for n in (surfaces if shape == "ball" else surfaces[:1])
-        for points in placed.values()
+        for cycles, points in placed.items()
+        if cycles == 0 or not frame.absolute[frame.region == n].any()
         if (fit := _fit_shape(points, frame.point_sigma, frame.region == n, shape)) is not None
     ]
     if not fits:

@@ -9,7 +9,7 @@ from collections import Counter
 import _tests_path  # noqa: F401 - puts support on the path
 import cv2
 import numpy as np
-from support.single_faults import FAULTS, diagnosed, photographed
+from support.single_faults import FAULTS, diagnosed, diagnosed_as_known, photographed
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
@@ -73,6 +73,22 @@ def study_doctor(count):
             key: value.round(2).tolist() if isinstance(value, np.ndarray) else value for key, value in fault.items()
         }
         print(f"{right}/{count} {cause} {shown}: {dict(answers) if right < count else ''}", flush=True)
+    study_known_light(count)
+
+
+def study_known_light(count):
+    """Print how often a clean frame under the coded pattern, whose rig's light is known, has no finding."""
+    for compensated in (True, False):
+        for blur_px in (0.0, 0.6):
+            answers = Counter()
+            for seed in range(count):
+                scene = ("plane", "ball", "waves", "bust")[(seed + seed // 4) % 4]
+                blur = (blur_px,) * 3
+                found = diagnosed_as_known(scene, seed, compensated=compensated, projector_blur_px=blur)
+                answers[str([(finding.causes, finding.size) for finding in found.findings])] += 1
+            pattern = "compensated" if compensated else "coded in plain sinusoids"
+            shown = dict(answers) if answers["[]"] < count else ""
+            print(f"{answers['[]']}/{count} clean, response known, {pattern}, blur {blur_px} px: {shown}", flush=True)
 
 
 if __name__ == "__main__":

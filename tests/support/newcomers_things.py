@@ -41,7 +41,8 @@ def make_things(folder: Path) -> None:
     response = np.tile(np.linspace(0, 1, 256) ** light.gamma, (3, 1))
     calibrated = rig.model_copy(update={"crosstalk_matrix": light.crosstalk_matrix, "response": response})
     calibrated.write(folder / "calibration.json")
-    write_png(folder / "picture.png", np.asarray(images[0], np.uint8))
+    for name in ("picture.png", "frame.png"):
+        write_png(folder / name, np.asarray(images[0], np.uint8))
     cv2.imwrite(str(folder / "wide.tif"), np.ascontiguousarray(images[0][..., ::-1]))
     (folder / "settings.toml").write_text("smoothing_px = 5\n")
     (folder / "rig.toml").write_text(_RIG)

@@ -5,11 +5,13 @@ from typing import Any
 import numpy as np
 
 from pipeline import Decoder, DecodeSettings
+from pipeline.diagnosis.expected_light import KnownLight
 from pipeline.diagnosis.ripple import diagnose
 from pipeline.pattern.fringes import make_pattern
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
 
 MIXING = np.array(TYPICAL_CROSSTALK)
+RESPONSE = np.tile(np.linspace(0, 1, 256) ** 2.0, (3, 1))
 HALF_MIXING = np.diag(np.diag(MIXING)) + (MIXING - np.diag(np.diag(MIXING))) / 2
 
 
@@ -40,6 +42,23 @@ def diagnosed(image, white_level):
     settings = DecodeSettings(equalize=False, crosstalk_matrix=np.eye(3))
     frame = Decoder(settings, arch="cpu").decode(image)
     return diagnose(image, white_level, frame.unwrapped_phase, frame.mask)
+
+
+def diagnosed_as_known(scene, seed, *, compensated, size_px=(640, 480), known=None, **settings):
+    """Return what is said of a frame under the coded pattern, whose rig is known; `known` is what is known wrongly."""
+    period_px = 640 / size_px[0] * 768 / 44
+    rig = simulated_rig(size_px, period_px=period_px, tilt_deg=(-12.0, 0.0, 9.0)[seed % 3], code="contrast")
+    geometry = rig.geometry()
+    codes = make_pattern(geometry.projector.size_px, geometry.pattern, RESPONSE if compensated else None)
+    codes = (np.rint(255 * codes) / 255).astype(np.float32)
+    chosen = {"scene": scene, "gamma": 2.0, "reflectance": (SKIN, WHITE)[seed % 2], "seed": seed, **settings}
+    truth = simulate_frame(rig, SimulationSettings(**chosen), codes)
+    pattern = geometry.pattern.model_copy(update={"compensated": compensated})
+    light = {"crosstalk_matrix": MIXING, "response": RESPONSE, "pattern": pattern, **(known or {})}
+    calibration = rig.model_copy(update=light)
+    frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(truth.image)
+    undone = KnownLight.of(DecodeSettings(), calibration)
+    return diagnose(truth.image, 255, frame.unwrapped_phase, frame.mask, undone, "linear", frame.absolute)
 
 
 #: Each fault at its usual size and at half of it: the cause that must be named, and what `photographed` takes.

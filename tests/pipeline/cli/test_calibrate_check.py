@@ -37,7 +37,7 @@ def test_check_and_fix(folder, command):
         ("plane.png", "calibration.json", (), "plane.png is 640x480 px but the calibration is for a camera of 320x240"),
         ("plane.png", "old.json", ("--radius-mm", "40"), "add --shape ball"),
         ("many", "old.json", ("--shape", "plane"), "take one picture"),
-        ("empty", "old.json", (), "holds 0 pictures"),
+        ("empty", "old.json", (), "holds no pictures"),
     ):
         done = command(*arguments[:2], what, "--calibration", rig, *options, cwd=folder)
         assert done.returncode == 1 and message in done.stderr and len(done.stderr.strip().splitlines()) == 1

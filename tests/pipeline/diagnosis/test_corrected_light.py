@@ -20,7 +20,7 @@ def test_a_fixed_calibration():
     truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
     old = truth.rig.model_copy(update={"crosstalk_matrix": np.eye(3)})
     frame = Decoder(DecodeSettings(equalize=False), old, arch="cpu").decode(truth.image)
-    found = diagnose(truth.image, 255, frame.unwrapped_phase, frame.mask, np.eye(3))
+    found = diagnose(truth.image, 255, frame.unwrapped_phase, frame.mask)
     fixed = correct_light(old, found, truth.image, 255, frame)
     assert isinstance(fixed, Calibration) and fixed.has_geometry
     errors = []

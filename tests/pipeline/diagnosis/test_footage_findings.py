@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.numbered_frames import record
 
@@ -10,16 +11,17 @@ from pipeline.diagnosis.footage_evidence import FootageEvidence
 from pipeline.diagnosis.footage_findings import (
     container_findings,
     frame_findings,
+    fringe_findings,
     light_findings,
     storage_findings,
     time_findings,
 )
-from pipeline.diagnosis.frame_evidence import FrameQuality
+from pipeline.diagnosis.frame_evidence import FrameQuality, KeptFrame
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame
 from pipeline.settings import DecodeSettings
 
-GOOD = FrameQuality(0.5, 0.012, 0.001, 0.013, 0.0, 0.0)
+GOOD = FrameQuality(0.5, 0.012, 0.001, 0.013, 0.0, 0.0, 0.0)
 LOSSLESS = ContainerFacts("matroska", "ffv1", "bgr0", False, False, 30.0, 8.0, 0, 0)
 
 
@@ -48,6 +50,33 @@ def test_frames_without_fringes_and_damaged_ones():
     findings = {f.topic: f for f in frame_findings(bad, LOSSLESS, DecodeSettings())}
     assert findings["damaged"].found == "1 of 9 frames; frame 4: it is missing"
     assert findings["fringes"].grade == "spoils" and findings["fringes"].found == "none in 8 frames"
+
+
+def test_one_picture_is_not_counted():
+    (fringes,) = frame_findings(seen(n_frames=1), LOSSLESS, DecodeSettings())
+    assert fringes.found == "none in this frame"
+
+
+@pytest.mark.parametrize("faint, grade", [(0.01, "fine"), (0.08, "costs"), (0.3, "spoils")])
+def test_a_part_without_a_fringe_is_said(faint, grade):
+    """The rest of the frame may be as good as ever."""
+    light, everywhere = np.zeros((9, 9, 3), np.float32), np.ones((9, 9), bool)
+    kept = [KeptFrame(light, light, light[..., 0], everywhere, 12.0)]
+    found = {f.topic: f for f in fringe_findings(seen(kept=kept), replace(GOOD, faint=faint))}
+    assert found["contrast"].grade == grade
+    assert ("less than 12% on" in found["contrast"].found) == (grade != "fine")
+
+
+def test_an_exposure_is_told_by_what_stands_still():
+    """Where all comes nearer it becomes brighter by itself; the colours' balance is told all the same."""
+    phase, light = np.zeros((120, 160), np.float32), np.full((120, 160, 3), 0.4, np.float32)
+    first = KeptFrame(light, light, phase, phase == 0, 12.0)
+    brighter = np.float32([1.32, 1.2, 1.2]) * light
+    for moved_rad, found in ((0.0, "exposure by up to 23"), (1.0, "exposure not told")):
+        later = KeptFrame(brighter, brighter, phase + np.float32(moved_rad), phase == 0, 12.0)
+        (drift,) = time_findings(seen(kept=[first, later]), GOOD)
+        assert drift.topic == "drift" and drift.grade == "costs"
+        assert found in drift.found and "white balance by up to 6.6%" in drift.found
 
 
 def test_what_a_codec_takes_is_what_noise_and_levels_leave_unexplained(source):

@@ -20,12 +20,15 @@ def tiles_of(fundamental, frequency=0.5):
     mean = np.broadcast_to([0.3, 0.4, 0.5], (count, 3)) + 0.1 * rng.random((count, 1))
     across = (place[:, 0] - 5.5) / 10
     frequency = frequency * (1 + 0.2 * rng.random(count))
-    return Tiles(mean, spectrum[..., None], np.full(count, 1e-3), frequency, place, across, np.ones(count))
+    none = np.empty((count, 3, 1, 0), complex)
+    return Tiles(mean, spectrum[..., None], np.full(count, 1e-3), frequency, place, across, np.ones(count), none)
 
 
 def explained(fundamental, matrix=None, lag=(0.0, 0.0, 0.0)):
     matrix = np.eye(3) if matrix is None else matrix
-    return explain_fundamental(tiles_of(fundamental), np.ones(3), matrix, 0.005, np.array(lag))
+    tiles = tiles_of(fundamental)
+    expected = np.broadcast_to(ideal(matrix, np.exp(-1j * np.array(lag))), (len(tiles.mean), 3))
+    return explain_fundamental(tiles, expected, matrix, 0.005)
 
 
 def test_a_rig_that_is_as_it_is_known_to_be():
@@ -49,6 +52,15 @@ def test_a_lag_that_is_the_same_everywhere_is_the_projectors():
     (finding,) = explained(0.5 * np.exp(1j * (PHASES + np.array([0.1, 0, 0.05]))))
     assert finding.causes == ("lateral colour of the projector",)
     assert "R +0.100 rad, B +0.050 rad from G" in finding.size
+
+
+def test_what_moves_in_a_part_is_found_beside_crosstalk():
+    """A lag of 0.3 rad a field in a third of the picture, which no matrix makes of a third alone."""
+    place = np.argwhere(np.ones((12, 16)))
+    lag = np.where(place[:, 1:] < 5, [0.3, 0, -0.3], 0.0)
+    crosstalk, motion = sorted(explained(0.5 * ideal(MIXING) * np.exp(1j * lag)), key=lambda finding: finding.causes)
+    assert crosstalk.causes == ("crosstalk",)
+    assert motion.causes == ("motion between colour fields",) and motion.ripple_rad[2] > 0.1
 
 
 def test_what_fits_as_well_as_the_best_stays_possible():

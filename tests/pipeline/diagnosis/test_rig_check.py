@@ -1,16 +1,21 @@
 """What a rig is checked by, from files: what calibration and settings say of how they are read."""
 
+import cv2
 import numpy as np
 import pytest
 
+from pipeline.batch.job import with_transfer_of
+from pipeline.decoder import Decoder
 from pipeline.diagnosis import rig_check
 from pipeline.diagnosis.rig_check import check_picture, check_sequence, holds_captures
 from pipeline.diagnosis.ripple import Diagnosis
-from pipeline.errors import CalibrationError
+from pipeline.errors import CalibrationError, FootageError
+from pipeline.footage.opening import open_source
 from pipeline.models import CameraState
 from pipeline.output.range_image import write_png
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from tikernels.raw.development import develop
 
 
 @pytest.fixture(scope="module")
@@ -25,12 +30,12 @@ def test_a_plane_is_flat_and_a_wrong_crosstalk_can_be_corrected(plane, tmp_path)
     image, rig = plane
     path = tmp_path / "plane.png"
     write_png(path, image)
-    found = check_picture(path, rig, DecodeSettings(), "cpu", "plane")
+    found = check_picture(open_source(path), rig, DecodeSettings(), "cpu", "plane")
     assert found.surface is not None and found.surface.fine
     assert found.frame.mask.mean() > 0.5
     wrong = rig.model_copy(update={"crosstalk_matrix": np.eye(3)})
     with pytest.warns(match="the colours' fringes differ by"):
-        found = check_picture(path, wrong, DecodeSettings(), "cpu")
+        found = check_picture(open_source(path), wrong, DecodeSettings(), "cpu")
     assert found.surface is None
     assert any("crosstalk" in finding.causes for finding in found.diagnosis.findings)
     # One frame tells what part of a channel's light leaks, to some hundredths of it.
@@ -51,14 +56,15 @@ def test_what_the_settings_leave_open_the_calibration_says(plane, tmp_path, monk
     rig = rig.model_copy(update={"capture": CameraState(transfer="srgb")})
     write_png(path, np.zeros_like(image))
     with pytest.warns(match="no fringe stands out"):
-        assert check_picture(path, rig, DecodeSettings(), "cpu") is None
+        assert check_picture(open_source(path), rig, DecodeSettings(), "cpu") is None
     assert not asked
     write_png(path, image)
-    assert check_picture(path, rig, DecodeSettings(), "cpu").transfer == "srgb"
+    assert check_picture(open_source(path), rig, DecodeSettings(), "cpu").transfer == "srgb"
     with pytest.warns(match="transfer is linear but was srgb at calibration"):
-        assert check_picture(path, rig, DecodeSettings(transfer="linear"), "cpu").transfer == "linear"
+        linear = check_picture(open_source(path), rig, DecodeSettings(transfer="linear"), "cpu")
+    assert linear.transfer == "linear"
     assert [arguments[5] for arguments in asked] == ["srgb", "linear"]
-    np.testing.assert_array_equal(asked[0][4], rig.crosstalk_matrix)
+    np.testing.assert_array_equal(asked[0][4].crosstalk_matrix, rig.crosstalk_matrix)
 
 
 def test_frames_in_a_row(plane, tmp_path):
@@ -67,4 +73,23 @@ def test_frames_in_a_row(plane, tmp_path):
         write_png(tmp_path / f"{number}.png", image)
     assert not holds_captures(tmp_path)
     with pytest.raises(CalibrationError, match="holds 3 pictures: at least 12 frames in a row tell anything"):
-        check_sequence(tmp_path, rig, DecodeSettings(), "cpu")
+        check_sequence(open_source(tmp_path), rig, DecodeSettings(), "cpu")
+    with pytest.raises(FootageError, match="holds 3 frames: give one picture"):
+        check_picture(open_source(tmp_path), rig, DecodeSettings(), "cpu")
+
+
+def test_a_picture_is_read_as_decoding_reads_it(tmp_path, cpu):
+    """A JPEG in sRGB with one colour for four pixels: nothing but what the file does not hold is wrong with it."""
+    geometry = simulated_rig()
+    truth = simulate_frame(geometry, SimulationSettings(scene="plane", transfer="srgb"))
+    rig = geometry.model_copy(update={"crosstalk_matrix": SimulationSettings().crosstalk_matrix})
+    path = tmp_path / "plane.jpg"
+    cv2.imwrite(str(path), truth.image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])
+    source = open_source(path)
+    settings, _ = with_transfer_of(source, DecodeSettings(), rig)
+    found = check_picture(source, rig, settings, "cpu", "plane")
+    assert found.transfer == "srgb" and found.surface.fine
+    (stored,) = source.frames()
+    decoded = Decoder(settings, rig, arch="cpu").decode(develop(stored.planes, stored.format))
+    np.testing.assert_array_equal(found.frame.wrapped_phase, decoded.wrapped_phase)
+    assert stored.format.subsampling == (2, 2)  # chroma as the file has it, and not what OpenCV makes of it

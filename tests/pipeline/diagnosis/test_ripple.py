@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from support.single_faults import FAULTS, diagnosed, photographed
+from support.single_faults import FAULTS, MIXING, diagnosed, diagnosed_as_known, photographed
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration, ColorShift
 from pipeline.diagnosis.corrected_light import correct_light
+from pipeline.diagnosis.expected_light import KnownLight
 from pipeline.diagnosis.ripple import diagnose
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
@@ -69,12 +70,41 @@ def test_what_decoding_undoes_is_no_fault():
         }
     )
     frame = Decoder(DecodeSettings(equalize=False), known, arch="cpu").decode(truth.image)
-    seen = (truth.image, 255, frame.unwrapped_phase, frame.mask, np.eye(3), "linear")
+    seen = (truth.image, 255, frame.unwrapped_phase, frame.mask)
     assert {cause for finding in diagnose(*seen).findings for cause in finding.causes} >= {
         "response",
         "lateral colour of the projector",
     }
-    assert not diagnose(*seen, known.response, known.projector_lag_rad()).findings
+    assert not diagnose(*seen, KnownLight.of(DecodeSettings(), known)).findings
+
+
+@pytest.mark.parametrize("compensated", [True, False])
+@pytest.mark.parametrize(
+    "scene",
+    ["plane", "ball", pytest.param("waves", marks=pytest.mark.long), pytest.param("bust", marks=pytest.mark.long)],
+)
+def test_a_code_a_lens_and_a_response_that_are_known_are_no_fault(scene, compensated):
+    """White and skin under the coded pattern, its response undone in it or not, blurred by 0.6 px."""
+    for seed in (0, 1):
+        blur = (0.6, 0.6, 0.6)
+        assert not diagnosed_as_known(scene, seed, compensated=compensated, projector_blur_px=blur).findings
+
+
+def test_what_is_known_wrongly_is_named_for_what_it_is():
+    """A crosstalk that is not in the calibration, and sRGB that looks linear behind a projector of gamma 2."""
+    unmixed = diagnosed_as_known("plane", 0, compensated=False, known={"crosstalk_matrix": np.eye(3)})
+    assert [finding.causes for finding in unmixed.findings] == [("crosstalk",)]
+    encoded = diagnosed_as_known("plane", 0, compensated=False, transfer="srgb")
+    assert [finding.causes for finding in encoded.findings] == [("transfer",)]
+    other = np.tile(np.linspace(0, 1, 256) ** 1.2, (3, 1))
+    unlike = diagnosed_as_known("plane", 0, compensated=False, known={"response": other})
+    assert {cause for finding in unlike.findings for cause in finding.causes} == {"response"}
+
+
+def test_motion_in_a_part_is_found_beside_a_crosstalk_that_is_not_known():
+    """A bust moves by 1.5 mm between the colours, and the wall behind it does not."""
+    found = diagnosed(*photographed("bust", 1, crosstalk_matrix=MIXING, field_motion_mm=(0.0, 0.0, 1.5)))
+    assert {finding.causes for finding in found.findings} == {("crosstalk",), ("motion between colour fields",)}
 
 
 def test_a_wrong_transfer_is_turned_round():
@@ -83,7 +113,7 @@ def test_a_wrong_transfer_is_turned_round():
     frame = Decoder(DecodeSettings(equalize=False, crosstalk_matrix=np.eye(3), transfer="srgb"), arch="cpu").decode(
         image
     )
-    found = diagnose(image, white, frame.unwrapped_phase, frame.mask, np.eye(3), "srgb")
+    found = diagnose(image, white, frame.unwrapped_phase, frame.mask, transfer="srgb")
     assert [finding.causes for finding in found.findings] == [("transfer",)]
     fixed = correct_light(Calibration(crosstalk_matrix=np.eye(3)), found, image, white, frame, "srgb")
     assert fixed.capture.transfer == "linear"

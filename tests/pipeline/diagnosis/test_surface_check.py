@@ -70,6 +70,13 @@ def test_a_ball_of_another_size():
     assert not checked("ball", "ball", 86.0).fine
 
 
+def test_absolute_orders_are_not_moved_to_make_a_ball_fit():
+    """A baseline that is said to be a fifth longer makes a ball of 85 mm one of 102, whatever other cycles would."""
+    rig = simulated_rig(code="contrast")
+    ball = checked("ball", "ball", 85.0, rig, translation_mm=1.2 * rig.translation_mm)
+    assert not ball.fine and ball.radius_mm == pytest.approx(102, abs=1)
+
+
 @pytest.mark.long
 def test_what_a_plane_cannot_show():
     """A projector turned about the stripes leaves a plane flat: the verdict says so, and a ball's radius shows it."""
