@@ -32,6 +32,7 @@ from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion
 from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics, measure_frame
 from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
+from tikernels.phase.white_light import FrameLight
 from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
 
@@ -262,6 +263,7 @@ class Decoder:
         return Measured(
             phases,
             surface,
+            light=self._kept_light(frame, image, levels, work, crosstalk),
             n_measured=int(regions.pixels.sum()),
             phase_counts=counts,
             surfaces=None if isinstance(looked, NoModelFits) else looked,
@@ -271,6 +273,24 @@ class Decoder:
             constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
             order_doubt=placement.warning or lost,
             light_doubts=light_doubts(*light, constant_known=path.constant_known),
+        )
+
+    def _kept_light(
+        self, frame: LinearFrame, image: LevelsImage, levels: FrameLevels, work: Workspace, crosstalk: Crosstalk
+    ) -> FrameLight:
+        """Return what a frame keeps of its light, of which nothing is written again."""
+        model, white = work.model, self._path.white
+        return FrameLight(
+            image=self._pool.keep(image) if frame.shared and image is frame.image else image,
+            white=frame.white,
+            clipped=levels.clipped,
+            nodes=model.nodes,
+            sharpness=model.sharpness.values,
+            spacing_px=model.gains.spacing_px,
+            template=model.template,
+            crosstalk=crosstalk,
+            neutral=np.ones(3, np.float32) if white is None else np.asarray(white / white.mean(), np.float32),
+            coded=self._path.code is not None,
         )
 
     def _find_front(self, surface: SurfaceBuffers, work: Workspace) -> tuple[int, bool]:

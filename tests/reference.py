@@ -441,20 +441,138 @@ def triangulate(unwrapped_phase: Array, rays: Array, projector: ProjectorGeometr
     return np.where((depth > 0)[..., None], depth[..., None] * directions, np.nan)
 
 
-def triangulate_mesh(points: Array, mask: Array, max_step: float) -> set[frozenset[int]]:
+def link_pixels(depth: Array, sigma: Array, width: Array, region: Array, max_slope: float) -> Array:
+    """Return links: 1 to the right, 2 down, 4 to the one below the right one, 8 from the right one to the one below."""
+    height, breadth = region.shape
+    links = np.zeros(region.shape, np.uint8)
+    for y, x in np.ndindex(height, breadth):
+        for bit, (j, i), (down, right) in (
+            (1, (y, x), (0, 1)),
+            (2, (y, x), (1, 0)),
+            (4, (y, x), (1, 1)),
+            (8, (y, x + 1), (1, -1)),
+        ):
+            n, m = j + down, i + right
+            if i >= breadth or not (n < height and 0 <= m < breadth):
+                continue
+            if region[j, i] == 0 or region[n, m] != region[j, i]:
+                continue
+            apart = np.hypot(down, right) * min(width[j, i], width[n, m])
+            rise, noise = float(depth[n, m] - depth[j, i]), sigma[j, i] ** 2 + sigma[n, m] ** 2
+            here, doubt = _slope_beside(depth, sigma, width, region, max_slope, (j, i), (down, right))
+            there, other = _slope_beside(depth, sigma, width, region, max_slope, (n, m), (-down, -right))
+            expected = max(0.0, here * np.sign(rise), -there * np.sign(rise))
+            near = abs(rise) <= apart + 3 * np.sqrt(noise)
+            goes_on = abs(rise) <= apart + expected + 3 * np.sqrt(noise + max(doubt, other))
+            if abs(rise) <= max_slope * apart and (near or goes_on):
+                links[y, x] |= bit
+    return links
+
+
+def _slope_beside(
+    depth: Array,
+    sigma: Array,
+    width: Array,
+    region: Array,
+    max_slope: float,
+    place: tuple[int, int],
+    way: tuple[int, int],
+) -> tuple[float, float]:
+    """Return slope and variance, along a way, of a plane through the pixels behind a place; 0, 0: none."""
+    rows, columns = np.mgrid[-3:4, -3:4].reshape(2, -1)
+    j, i = rows + place[0], columns + place[1]
+    counts = (rows * way[0] + columns * way[1] <= 0) & (j >= 0) & (j < region.shape[0])
+    counts &= (i >= 0) & (i < region.shape[1])
+    rows, columns, j, i = rows[counts], columns[counts], j[counts], i[counts]
+    own = region[j, i] == region[place]
+    rows, columns, j, i = rows[own], columns[own], j[own], i[own]
+    z = depth[j, i].astype(np.float64) - depth[place]
+    bound = max_slope * width[place] * np.hypot(rows, columns)
+    rest = z
+    slope, variance = 0.0, 0.0
+    for _ in range(2):
+        weight = np.clip(1 - (rest / np.maximum(bound, 1e-12)) ** 2, 0, None) ** 2 * (sigma[place] / sigma[j, i]) ** 2
+        weight[(rows == 0) & (columns == 0)] = 1
+        total = weight.sum()
+        places = np.stack([rows, columns]).astype(float)
+        middle = (places * weight).sum(axis=1) / total
+        centred = places - middle[:, None]
+        spread = (centred * weight) @ centred.T / total
+        slope, variance = 0.0, 0.0
+        if (weight > 0).sum() >= 4 and np.linalg.det(spread) > 0.15**2:
+            offset = (z * weight).sum() / total
+            fitted = np.linalg.solve(spread, (centred * weight) @ (z - offset) / total)
+            slope = float(fitted @ way)
+            variance = float(13 * sigma[place] ** 2 * (way @ np.linalg.inv(spread) @ way) / total)
+            rest = z - offset - fitted @ centred
+        bound = 3 * np.sqrt(sigma[j, i] ** 2 + width[place] ** 2)
+    return slope, variance
+
+
+def fit_quadric(
+    depth: Array, sigma: Array, mask: Array, links: Array, place: tuple[int, int], stride: int
+) -> tuple[float, float, float, float]:
+    """Return value, slopes down and to the right a px, and variance of the quadric around a pixel."""
+
+    def run(start: tuple[int, int], way: tuple[int, int]) -> int:
+        bit = 1 if way[0] == 0 else 2
+        (y, x), steps = start, 0
+        while steps < 12:
+            n, m = y + way[0], x + way[1]
+            if not (0 <= n < mask.shape[0] and 0 <= m < mask.shape[1]) or not links[min(y, n), min(x, m)] & bit:
+                break
+            y, x, steps = n, m, steps + 1
+        return steps
+
+    samples = []
+    for v in range(-min(3, run(place, (-1, 0)) // stride), min(3, run(place, (1, 0)) // stride) + 1):
+        row = place[0] + v * stride
+        left, right = run((row, place[1]), (0, -1)), run((row, place[1]), (0, 1))
+        samples += [(v, u) for u in range(-min(3, left // stride), min(3, right // stride) + 1)]
+    v, u = np.array(samples, float).T
+    at = tuple((np.array(samples) * stride + place).T)
+    weight = (1 - u**2 / 16) * (1 - v**2 / 16) * (sigma[place] / sigma[at]) ** 2 * mask[at]
+    columns = np.stack([np.ones(len(u)), v, u, v * v, u * v, u * u])
+    normal = (columns * weight) @ columns.T + np.diag([0, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3])
+    found = np.linalg.solve(normal, (columns * weight) @ (depth[at].astype(np.float64) - depth[place]))
+    variance = sigma[place] ** 2 * np.linalg.inv(normal)[0, 0] * {1: 6.2, 2: 3.0, 4: 1.1}[stride]
+    return float(found[0] + depth[place]), float(found[1] / stride), float(found[2] / stride), float(variance)
+
+
+def choose_window(depth: Array, sigma: Array, mask: Array, links: Array, place: tuple[int, int]) -> int:
+    """Return the widest window, 0 to 3, whose interval has a value in common with those before it."""
+
+    def interval(stride: int) -> tuple[float, float]:
+        value, _, _, variance = fit_quadric(depth, sigma, mask, links, place, stride)
+        return value - 1.5 * np.sqrt(variance), value + 1.5 * np.sqrt(variance)
+
+    own = float(depth[place] - 1.5 * sigma[place]), float(depth[place] + 1.5 * sigma[place])
+
+    def agree(*intervals: tuple[float, float]) -> bool:
+        return max(low for low, _ in intervals) <= min(high for _, high in intervals)
+
+    if not agree(own, interval(2)):
+        return 1 if agree(own, interval(1)) else 0
+    return 3 if agree(own, interval(2), interval(4)) else 2
+
+
+def triangulate_mesh(depth: Array, mask: Array, links: Array) -> set[frozenset[int]]:
     """Return the triangles as sets of vertices: each square of four pixels split along the better diagonal."""
     number = np.cumsum(mask.ravel()).reshape(mask.shape) - 1
-    depth = points[..., 2].astype(np.float64)
+    depth = depth.astype(np.float64)
 
-    def whole(*corners: tuple[int, int]) -> bool:
-        inside = all(mask[corner] for corner in corners)
-        return inside and all(abs(depth[a] - depth[b]) <= max_step for a in corners for b in corners)
+    def linked(one: tuple[int, int], other: tuple[int, int]) -> bool:
+        (y, x), (j, i) = sorted((one, other))
+        bit = {(0, 1): 1, (1, 0): 2, (1, 1): 4, (1, -1): 8}[j - y, i - x]
+        return bool(links[y, min(x, i)] & bit)
 
     triangles = set()
     for y, x in np.ndindex(mask.shape[0] - 1, mask.shape[1] - 1):
         a, b, c, d = (y, x), (y, x + 1), (y + 1, x), (y + 1, x + 1)
         splits = [((a, b, c), (b, c, d), (b, c)), ((a, b, d), (a, c, d), (a, d))]
-        found = [[corners for corners in split[:2] if whole(*corners)] for split in splits]
+        found = [
+            [three for three in split[:2] if all(linked(three[k - 1], three[k]) for k in range(3))] for split in splits
+        ]
         steps = [abs(depth[one] - depth[other]) for _, _, (one, other) in splits]
         best = 1 if (len(found[1]), -steps[1]) > (len(found[0]), -steps[0]) else 0
         triangles |= {frozenset(int(number[corner]) for corner in corners) for corners in found[best]}
@@ -710,3 +828,68 @@ def demosaic(levels: Array, format: PixelFormat, stripes: str) -> Array:
             across += np.prod([other / (other - row) for other in others]) * np.roll(plane, -row, axis=0)
         np.copyto(plane, across, where=np.isnan(plane))
     return np.clip(np.moveaxis(own, 0, -1)[8:-8, 8:-8], 0, 1)
+
+
+def _ripple_waves(phase: Array) -> Array:
+    """Return cosine and sine of a phase, of twice and of three times that, (..., 6)."""
+    waves = [function(n * phase.astype(np.float64)) for n in (1, 2, 3) for function in (np.cos, np.sin)]
+    return np.stack(waves, axis=-1)
+
+
+def ripple(terms: Array, phase: Array) -> Array:
+    """Return the logarithm of a ripple at a phase."""
+    return np.asarray(_ripple_waves(phase) @ terms)
+
+
+def _second_differences(values: Array, step: int) -> Array:
+    """Return what three rows, two steps apart in all, leave of a slope."""
+    return 2 * values[step:-step] - values[: -2 * step] - values[2 * step :]
+
+
+def _sampled(brightness: Array, mask: Array, step: int, most: float) -> tuple[Array, Array]:
+    """Return the change of the brightness' logarithm, and the weights of those pixels that are asked."""
+    height, width = brightness.shape
+    change = _second_differences(np.log(np.maximum(brightness, 1e-30).astype(np.float64)), step)
+    weights = np.zeros((height - 2 * step, width))
+    inside = (mask[: -2 * step] != 0) & (mask[step:-step] != 0) & (mask[2 * step :] != 0)
+    for y in range(height - 2 * step):
+        for number in range(-(-width // 4)):
+            weights[y, min(4 * number + y % 4, width - 1)] += 1.0
+    return change, weights * inside * np.minimum(1, most / (np.abs(change) + 1e-9))
+
+
+def measure_ripple(brightness: Array, phase: Array, mask: Array, period_px: float) -> Array:
+    """Return cosines and sines of what repeats with every cycle of a brightness' logarithm, by least squares."""
+    step = max(1, round(period_px / 4))
+    change, weights = _sampled(brightness, mask, step, 0.05)
+    waves = _second_differences(_ripple_waves(np.where(mask != 0, phase, 0)), step).reshape(-1, 6)
+    weighed = waves * weights.reshape(-1, 1)
+    return np.linalg.solve(weighed.T @ waves + 50 * np.eye(6), weighed.T @ change.ravel())
+
+
+def contrast_slope(brightness: Array, contrast: Array, mask: Array, period_px: float) -> tuple[float, float]:
+    """Return by how much a brightness' logarithm changes with the contrast's, and the mean of that."""
+    step = max(1, round(period_px))
+    change, weights = _sampled(brightness, mask, step, 0.1)
+    by_contrast = _second_differences(contrast.astype(np.float64), step)
+    asked = _sampled(np.ones_like(brightness), np.ones_like(mask), step, 0.1)[1] * (mask[: -2 * step] != 0)
+    slope = (weights * change * by_contrast).sum() / ((weights * by_contrast**2).sum() + 50 * 0.15**2)
+    return float(slope), float((asked * contrast[: -2 * step]).sum() / max(asked.sum(), 1))
+
+
+def light_by_white(image: Array, phase: Array, mask: Array, white: Array, model: dict[str, Array]) -> Array:
+    """Return what pixels without a clipped channel show under white.
+
+    `model` has A, B (H, W, 3), the surface's T (3, 3) and `besides` (3,), the template's cycle and slope (H, W, 3), and
+    the window of the contrast in px, down and across.
+    """
+    mixing = model["T"].astype(np.float64)
+    color, rest = model["A"].astype(np.float64), model["B"] @ mixing.T + model["besides"]
+    columns = np.stack([color * part @ mixing.T for part in (model["cycle"], model["slope"], model["cycle"] - 1)], -1)
+    solved = np.linalg.solve(columns, (image - rest)[..., None])[..., 0]
+    brightness, by_contrast = solved[..., 0] * (mask != 0), solved[..., 2] * (mask != 0)
+    sigma_y, sigma_x = model["window"]
+    smooth = {"ksize": (0, 0), "sigmaX": sigma_x, "sigmaY": sigma_y, "borderType": cv2.BORDER_CONSTANT}
+    mean = cv2.GaussianBlur(brightness * by_contrast, **smooth) / cv2.GaussianBlur(brightness**2, **smooth)
+    shown = brightness[..., None] * (color * (white + np.clip(mean, -0.3, 0.3)[..., None] * (white - 1)) @ mixing.T)
+    return np.maximum(shown + rest, 0) * (mask != 0)[..., None]

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels.arrays import F32, I32, U8
+from tikernels.arrays import F32, I32, U8, LevelsImage
 
 # Sets of buffers that wait in the pool: a frame and the one before, in video. More would only hold memory.
 _MOST_FREE = 2
@@ -83,6 +83,14 @@ class BufferPool:
             unwrapping.take("points", (*shape, 3)) if points else None,
         )
         return pixels.held_by(phases), unwrapping.held_by(surface)
+
+    def keep(self, image: LevelsImage) -> LevelsImage:
+        """Return a copy of a frame's image, of which the memory may change as soon as the frame is decoded."""
+        host = runtime.to_host(image)
+        loan = _Loan(self._free)
+        copy: LevelsImage = loan.take(f"{host.dtype.name} image", host.shape, host.dtype.type)
+        runtime.write(host, copy)
+        return copy
 
 
 class _Loan:

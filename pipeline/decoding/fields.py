@@ -45,7 +45,7 @@ class Field(cached_property[T]):
     unit : str or None
         What a value of 1 is; "range": mm with a calibration, rad without; None for labels, flags and counts.
     axes : tuple of str
-        Names of the axes: ("y", "x"), ("y", "x", "xyz"), or none for one value a frame.
+        Names of the axes: ("y", "x"), with "xyz" or "rgb" behind them, or none for one value a frame.
     meaning : str
         One line.
     needs : tuple of str
@@ -74,7 +74,7 @@ class Field(cached_property[T]):
         self.in_mm, self.vertex, self.rounding = in_mm, vertex, rounding
         told = (compute.__doc__ or "").strip()
         self.meaning = told.partition("\n\n")[0]
-        shape = {(): "one value", ("y", "x"): "(H, W)", ("y", "x", "xyz"): "(H, W, 3)"}[axes]
+        shape = {0: "one value", 2: "(H, W)", 3: "(H, W, 3)"}[len(axes)]
         self.__doc__ = f"{shape} {dtype}: {told}"
 
     def rounded(self, values: npt.NDArray[Any], noise_levels: float, *, in_mm: bool) -> npt.NDArray[Any]:
@@ -93,7 +93,7 @@ class Field(cached_property[T]):
 
 
 def field(
-    dtype: Literal["float32", "int32", "bool"],
+    dtype: Literal["float32", "int32", "uint8", "bool"],
     unit: str | None = None,
     *,
     needs: tuple[str, ...],

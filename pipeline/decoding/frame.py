@@ -30,7 +30,9 @@ from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import ProjectorGeometry
 from tikernels.errors import ShapeError
 from tikernels.phase.surface_edges import edge_variance
+from tikernels.phase.texture import measure_texture
 from tikernels.phase.uncertainty import estimate_phase_sigma
+from tikernels.phase.white_light import FrameLight
 from tikernels.transposing import transpose
 
 Floats = npt.NDArray[np.float32]
@@ -127,6 +129,7 @@ class Measured:
     surfaces: FoundSurfaces | OnlyColor | None = None
     range_sign: int = 1  # without a calibration: -1 where the phase grows towards the camera
     front_is_clear: bool = False  # whether that is more than a guess
+    light: FrameLight | None = None  # image and model; None: no fringe
     at_rest: bool = True  # whether the surfaces are those of one moment: no motion between the colours, or undone
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
@@ -272,6 +275,22 @@ class DecodedFrame:
         if plane is None:
             plane = _best_ramp(self.unwrapped_phase, self.mask)
         return np.float32(self._measured.range_sign) * (self.unwrapped_phase - plane)
+
+    @field("uint8", axes=("y", "x", "rgb"), needs=("texture",))
+    def texture(self) -> npt.NDArray[np.uint8]:
+        """The surface's colour without fringes, sRGB, 255 at 1.5 times full scale; 0 outside the mask.
+
+        What the camera would show if the projector sent white: reflectance times shading, room light included. The
+        brightness is every pixel's own; the colour is smooth over about a cycle of the fringe, but for edges between
+        surfaces that the frame tells apart. With a calibration, or a crosstalk matrix in the settings, a white surface
+        is neutral; else colours are those of the camera's white balance. A frame keeps a copy of its image for it.
+        """
+        light, surface = self._measured.light, self._measured.surface
+        if light is None:
+            height, width = self.mask.shape
+            return np.zeros((height, width, 3), np.uint8)
+        with runtime.lock:
+            return self._read(measure_texture(light, surface.unwrapped, surface.mask, self.period_px or 1.0))
 
     @property
     def row_sigma(self) -> Floats:

@@ -29,6 +29,7 @@ class LinearFrame:
 
     image: LevelsImage  # (H, W, 3)
     white: float  # full scale, levels
+    shared: bool = True  # whether the image lies in the memory of who handed it over
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -79,6 +80,7 @@ class FrameReader:
         if dtype not in WHITE_LEVELS:
             raise ShapeError(f"image is {dtype}: pass uint8, uint16 or float32 levels")
         image = checks.read_array("image", image, (None, None, 3), checks.element_type(image))
+        given = image
         if isinstance(image, np.ndarray):
             image = runtime.to_device(image)
         white = self._settings.white_level or WHITE_LEVELS[dtype]
@@ -95,7 +97,8 @@ class FrameReader:
             image = linearize(image, transfer, white, white)
         if self._path.camera_shift_px is not None:
             image = align_channels(image, self._path.camera_shift_px)
-        return LinearFrame(transpose(image) if self._settings.stripes == "vertical" else image, white)
+        image = transpose(image) if self._settings.stripes == "vertical" else image
+        return LinearFrame(image, white, shared=image is given)
 
     def _check_shape(self, image: Any) -> None:
         if not isinstance(image, np.ndarray) and not runtime.is_device_array(image):

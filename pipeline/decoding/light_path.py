@@ -50,6 +50,8 @@ class LightPath:
         Standard deviation of that constant as far as settings, calibration or a frame's light tell it, rad.
     unknown : bool
         Whether nothing is known of the light, so that a frame is to tell it.
+    white : (3,) float64 or None
+        What the camera's channels see of a white surface under full light, up to a factor; None: not known.
     """
 
     def __init__(self, settings: DecodeSettings, calibration: Calibration | None) -> None:
@@ -94,6 +96,7 @@ class LightPath:
         self.unknown = matrix is None and self._bands != "narrow"
         self.constant_known = matrix is not None
         self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
+        self.white: FloatArray | None = None if matrix is None else matrix.sum(axis=1)
         self._use(np.eye(3) if matrix is None else matrix @ np.diag(light))
 
     def learn(self, light: LightEstimate | None) -> None:

@@ -31,6 +31,9 @@ def _gltf_parts(mesh: Mesh) -> tuple[dict[str, Any], bytes]:
         # glTF's vertex colours are linear light; a fourth channel keeps each on a multiple of four bytes.
         linear = (65535 * _SRGB_TO_LINEAR).round().astype(np.uint16)
         columns["COLOR_0"] = np.pad(linear[mesh.colors], ((0, 0), (0, 1)), constant_values=65535)
+    if mesh.flags is not None:
+        # What glTF does not know begins with a line; as floats each keeps to a multiple of four bytes.
+        columns["_FLAGS"] = mesh.flags[:, None].astype(np.float32)
     blocks = [*columns.values(), mesh.faces.reshape(-1, 1).astype(np.uint32)]
     offsets = np.cumsum([0, *(block.nbytes for block in blocks)]).tolist()
     accessors: list[dict[str, Any]] = [

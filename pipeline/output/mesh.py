@@ -10,9 +10,15 @@ Unit = Literal["mm", "rad"]
 
 #: What files say of a mesh in rad.
 NOT_METRIC = "not metric: z is relative phase, x and y are px"
-#: Names of a vertex's coordinates and of its colour's channels, which no other property of it may have.
+#: Names of a vertex's coordinates, of its normal's and of its colour's channels, and of its flags, which no other
+#: property of it may have.
 POSITION = ("x", "y", "z")
+NORMAL = ("nx", "ny", "nz")
 COLOR = ("red", "green", "blue")
+FLAGS = "flags"
+#: Bits of a vertex's flags; without any it lies where the pixel was measured.
+SMOOTHED, FILLED = 1, 2
+RESERVED = (*POSITION, *NORMAL, *COLOR, FLAGS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +37,11 @@ class Mesh:
         More about each vertex, such as ``"sigma_mm"`` or ``"modulation"``.
     unit : {"mm", "rad"}
         What z is measured in.
+    normals : (N, 3) float32, optional
+        Unit vectors across the surface, towards the camera.
+    flags : (N,) uint8, optional
+        What of each vertex was not measured: bits `SMOOTHED` (1: moved along its pixel's ray to the surface through its
+        neighbours) and `FILLED` (2: the surface around a small hole goes on there).
 
     Raises
     ------
@@ -43,6 +54,8 @@ class Mesh:
     colors: npt.NDArray[np.uint8] | None = None
     properties: dict[str, npt.NDArray[np.float32]] = field(default_factory=dict)
     unit: Unit = "mm"
+    normals: npt.NDArray[np.float32] | None = None
+    flags: npt.NDArray[np.uint8] | None = None
 
     def __repr__(self) -> str:
         known = f", {' '.join(self.properties)}" if self.properties else ""
@@ -57,12 +70,16 @@ class Mesh:
         ]
         if self.colors is not None:
             wanted.append(("colors", self.colors, (count, 3), np.uint8))
+        if self.normals is not None:
+            wanted.append(("normals", self.normals, (count, 3), np.float32))
+        if self.flags is not None:
+            wanted.append(("flags", self.flags, (count,), np.uint8))
         for name, values, shape, dtype in wanted:
             if values.shape != shape or values.dtype != dtype:
                 raise ValueError(f"{name}: got {values.shape} {values.dtype}, expected {shape} {np.dtype(dtype)}")
         for name in self.properties:
-            if not name.isascii() or name.split() != [name] or name in POSITION + COLOR:
-                raise ValueError(f"property {name!r}: expected one plain word other than x, y, z, red, green and blue")
+            if not name.isascii() or name.split() != [name] or name in RESERVED:
+                raise ValueError(f"property {name!r}: expected one plain word other than {', '.join(RESERVED)}")
         if self.unit not in get_args(Unit):
             raise ValueError(f"unit: got {self.unit!r}, expected 'mm' or 'rad'")
         if not np.isfinite(self.vertices).all():
@@ -72,13 +89,15 @@ class Mesh:
 
 
 def vertex_normals(mesh: Mesh) -> npt.NDArray[np.float32]:
-    """Average the normals of the triangles around each vertex, weighted by their area.
+    """Return a mesh's normals: its own, or means of those of the triangles around each vertex, weighted by their area.
 
     Returns
     -------
     (N, 3) float32
         Unit vectors on the side from which corners run counter-clockwise; (0, 0, 1) for a vertex without a surface.
     """
+    if mesh.normals is not None:
+        return mesh.normals
     corners = mesh.faces.ravel()
     across = np.repeat(face_normals(mesh), 3, axis=0)
     sums = np.stack([np.bincount(corners, axis, len(mesh.vertices)) for axis in across.T], axis=1)

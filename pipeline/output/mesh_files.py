@@ -25,7 +25,8 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     Parameters
     ----------
     mesh : Mesh
-        What to write. PLY keeps all of it; VRML, OBJ and glTF its colours; STL its shape.
+        What to write. PLY keeps all of it; OBJ and glTF its colours and normals, glTF its flags, too; VRML its colours;
+        STL its shape.
     path : str or Path
         A .ply, .wrl, .obj, .stl, .glb or .gltf file.
 
@@ -56,7 +57,7 @@ def read_mesh(path: str | Path) -> Mesh:
     Returns
     -------
     Mesh
-        With every floating point property of the vertices besides their position.
+        With every property of the vertices.
 
     Raises
     ------
@@ -85,8 +86,13 @@ def _encode_obj(mesh: Mesh) -> bytes:
     vertices = _rows("v %.7g %.7g %.7g\n", mesh.vertices)
     if mesh.colors is not None:
         vertices = _rows("v %.7g %.7g %.7g %.4f %.4f %.4f\n", np.hstack([mesh.vertices, mesh.colors / np.float32(255)]))
-    faces = _rows("f %d %d %d\n", mesh.faces + 1)
-    return f"{_unit_comment(mesh)}{vertices}{faces}".encode()
+    if mesh.normals is None:
+        faces = _rows("f %d %d %d\n", mesh.faces + 1)
+        return f"{_unit_comment(mesh)}{vertices}{faces}".encode()
+    normals = _rows("vn %.4f %.4f %.4f\n", mesh.normals)
+    # A corner names its vertex and its normal, which have the same number here.
+    faces = _rows("f %d//%d %d//%d %d//%d\n", np.repeat(mesh.faces + 1, 2, axis=1))
+    return f"{_unit_comment(mesh)}{vertices}{normals}{faces}".encode()
 
 
 def _unit_comment(mesh: Mesh) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.limits import MAX_PIXELS, max_pixels
-from pipeline.output.mesh import COLOR, NOT_METRIC, POSITION, Mesh
+from pipeline.output.mesh import COLOR, FLAGS, NORMAL, NOT_METRIC, POSITION, RESERVED, Mesh
 
 _TYPES = dict(
     zip(
@@ -31,8 +31,12 @@ _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": 
 def encode_ply(mesh: Mesh) -> bytes:
     """Return a mesh as a binary PLY file, its unit in a comment."""
     columns: dict[str, npt.NDArray[Any]] = dict(zip(POSITION, mesh.vertices.T, strict=True))
+    if mesh.normals is not None:
+        columns |= zip(NORMAL, mesh.normals.T, strict=True)
     if mesh.colors is not None:
         columns |= zip(COLOR, mesh.colors.T, strict=True)
+    if mesh.flags is not None:
+        columns[FLAGS] = mesh.flags
     columns |= mesh.properties
     vertices = np.empty(
         len(mesh.vertices), [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
@@ -46,6 +50,7 @@ def encode_ply(mesh: Mesh) -> bytes:
         "format binary_little_endian 1.0",
         f"comment unit {mesh.unit}",
         *([f"comment {NOT_METRIC}"] if mesh.unit == "rad" else []),
+        *(["comment flags 0 measured, 1 smoothed, 2 filled"] if mesh.flags is not None else []),
         f"element vertex {len(vertices)}",
         *(f"property {'uchar' if values.dtype == np.uint8 else 'float'} {name}" for name, values in columns.items()),
         f"element face {len(faces)}",
@@ -89,15 +94,15 @@ def decode_ply(data: bytes) -> Mesh:
     faces = np.frombuffer(body, face, face_count, vertex_count * vertex.itemsize)
     if (faces["count"] != 3).any():
         raise ValueError("it has faces other than triangles: triangulate them first")
-    colored = {*COLOR} <= {*names}
+    colored, flagged = {*COLOR} <= {*names}, FLAGS in names
     return Mesh(
         vertices=_columns(vertices, POSITION, np.float32),
         faces=_whole(faces["corners"], "corners", np.int32),
         colors=_whole(_columns(vertices, COLOR), "colours", np.uint8) if colored else None,
-        properties={
-            name: _columns(vertices, (name,), np.float32)[:, 0] for name in names if name not in POSITION + COLOR
-        },
+        properties={name: _columns(vertices, (name,), np.float32)[:, 0] for name in names if name not in RESERVED},
         unit="rad" if ["comment", "unit", "rad"] in lines else "mm",
+        normals=_columns(vertices, NORMAL, np.float32) if {*NORMAL} <= {*names} else None,
+        flags=_whole(_columns(vertices, (FLAGS,))[:, 0], "flags", np.uint8) if flagged else None,
     )
 
 

@@ -180,11 +180,15 @@ class Renderer:
         self._plotter.enable_anti_aliasing("ssaa")
 
     def show(
-        self, vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.int32], colors: npt.NDArray[np.uint8]
+        self,
+        vertices: npt.NDArray[np.float32],
+        faces: npt.NDArray[np.int32],
+        colors: npt.NDArray[np.uint8],
+        normals: npt.NDArray[np.float32] | None = None,
     ) -> None:
-        """Put a surface on it, in place of the one before."""
+        """Put a surface on it, in place of the one before; without normals it gets those of its triangles."""
         surface = self._pyvista.PolyData.from_regular_faces(vertices, faces)
-        surface.point_data["normals"] = vertex_normals(Mesh(vertices, faces))
+        surface.point_data["normals"] = vertex_normals(Mesh(vertices, faces, normals=normals))
         surface.point_data.active_normals_name = "normals"
         surface.point_data["colors"] = colors
         look = {"specular": 0.15, "specular_power": 20, "ambient": 0.05}
@@ -207,7 +211,8 @@ def _draw(mesh: Mesh, path: str, view: str, size_px: tuple[int, int]) -> None:
     depth = vertices[:, 2:]
     colors = depth_colors(depth, np.ones(depth.shape, bool))[:, 0] if mesh.colors is None else mesh.colors
     renderer = Renderer(size_px)
-    renderer.show(vertices, mesh.faces, colors)
+    # Relief that is stretched has other normals.
+    renderer.show(vertices, mesh.faces, colors, mesh.normals if mesh.unit == "mm" else None)
     renderer.aim(vertices[mesh.faces].reshape(-1, 3), VIEWS[view])
     write_png(path, renderer.image())
 

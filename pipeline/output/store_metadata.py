@@ -44,7 +44,7 @@ def new_metadata(
     """
     import zarr  # slow to import, and only needed here
 
-    lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3, "record": MARK_BYTES}
+    lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3, "rgb": 3, "record": MARK_BYTES}
     held: dict[str, Any] = {}
     group = zarr.create_group(zarr.storage.MemoryStore(held), attributes=attributes)
     for name in (*fields, DONE):

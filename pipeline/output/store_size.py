@@ -38,7 +38,7 @@ def most_frame_bytes(fields: Sequence[str], size_px: tuple[int, int]) -> int:
     >>> most_frame_bytes(["mask"], (640, 480))  # a byte a pixel
     308244
     """
-    lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3}
+    lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3, "rgb": 3}
     counts = {name: int(np.prod([lengths[axis] for axis in FIELDS[name].axes], dtype=np.int64)) for name in fields}
     values = sum(count * np.dtype(FIELDS[name].dtype).itemsize for name, count in counts.items())
     return values + len(fields) * _CHUNK_HEAD_BYTES + MARK_BYTES

@@ -147,9 +147,11 @@ class StoredResult:
         points = self.read("points", number) if self.in_mm else None
         values = self.read("range_image", number) if points is None else points[..., 2]
         mask = self.read("mask", number) & np.isfinite(values)
+        asked = self.fields if fields is None else self.fields & set(fields)
         properties = {
             field.vertex: self.read(name, number)[mask]
             for name, field in FIELDS.items()
-            if field.vertex is not None and name in (self.fields if fields is None else self.fields & set(fields))
+            if field.vertex is not None and name in asked
         }
-        return surface_mesh(values, mask, points, properties)
+        colors = self.read("texture", number)[mask] if "texture" in asked else None
+        return surface_mesh(values, mask, points, properties, colors=colors)

@@ -1,48 +1,107 @@
-"""A decoded frame as a triangle mesh."""
+"""A decoded frame as a triangle mesh, top to bottom: what is wanted, steps, specks, holes, smoothing, triangles."""
+
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.decoding.frame import FIELDS, DecodedFrame
-from pipeline.output.mesh import Mesh, Unit
+from pipeline.errors import SettingsError
+from pipeline.output.background import inside_box, on_largest_plane
+from pipeline.output.decimation import decimate_mesh
+from pipeline.output.holes import FilledHoles, fill_holes
+from pipeline.output.mesh import FILLED, SMOOTHED, Mesh, Unit
+from pipeline.output.range_surface import MAX_SLOPE, RangeSurface
+from pipeline.output.specks import find_surfaces, links_within
+from pipeline.output.surface_normals import PixelRays, relief_normals, surface_normals
 from tikernels import runtime
 from tikernels.depth.meshing import triangulate_mesh
+from tikernels.depth.step_cutting import link_pixels
+from tikernels.depth.surface_fit import fit_surface
 
-# An edge of the mesh may rise by this many times what neighbouring pixels are apart: steeper surfaces are steps.
-_MAX_SLOPE = 10.0
-# Without a calibration: a neighbour that differs by this much lies on another surface.
-_MAX_STEP_RAD = 1.0
+Floats = npt.NDArray[np.float32]
+Pixels = npt.NDArray[np.bool_]
 
 
-def frame_mesh(frame: DecodedFrame) -> Mesh:
+@dataclass(frozen=True)
+class MeshOptions:
+    """What becomes of a frame's points in its mesh."""
+
+    smoothed: bool = True
+    """Whether vertices move along their pixels' rays to the surface through their neighbours."""
+    crop_mm: tuple[float, float, float, float, float, float] | None = None
+    """Two opposite corners of a box, x0, y0, z0, x1, y1, z1, mm in the camera's frame; what is outside is left out."""
+    without_background: bool = False
+    """Whether the largest plane is left out."""
+    max_triangles: int | None = None
+    """How many triangles the mesh may have."""
+
+
+@dataclass(frozen=True)
+class MeshCounts:
+    """What became of a frame's points in its mesh."""
+
+    vertices: int
+    triangles: int
+    smoothed: int
+    """Vertices that were moved to the surface through their neighbours."""
+    filled: int
+    """Vertices where nothing was measured."""
+    cropped: int
+    """Pixels outside the box."""
+    background: int
+    """Pixels on the largest plane."""
+    specks: int
+    """Pixels of surfaces too small to tell anything."""
+    teeth: int
+    """Pixels that hang together with their surface by less than a square of four."""
+
+
+def frame_mesh(frame: DecodedFrame, options: MeshOptions | None = None) -> Mesh:
     """Join a frame's pixels into a mesh, cut at depth steps.
 
     Parameters
     ----------
     frame : DecodedFrame
-        Any decoded frame.
+        Any decoded frame; it stays as it is.
+    options : MeshOptions, optional
+        What to leave out, and whether to smooth.
 
     Returns
     -------
     Mesh
-        With a calibration in mm; without one x and y in px and z the relative phase in rad. Modulation, standard
-        deviations and the probability of a wrong order go along as vertex properties. Pixels without a range are left
-        out, so the mesh of an empty frame has no vertices.
+        With a calibration in mm; without one x and y in px and z the relative phase in rad. Colours by the texture,
+        normals and flags, modulation, standard deviations and the probability of a wrong order go along. Pixels
+        without a range, teeth and specks are left out, so the mesh of an empty frame has no vertices.
+
+    Raises
+    ------
+    SettingsError
+        A box or the background is to be left out without a calibration, or the box is none.
     """
+    return counted_mesh(frame, options)[0]
+
+
+def counted_mesh(frame: DecodedFrame, options: MeshOptions | None = None) -> tuple[Mesh, MeshCounts]:
+    """Return a frame's mesh, and what became of its points; see `frame_mesh`."""
     mask = frame.mask & np.isfinite(frame.range_image)
     properties = {
         field.vertex: getattr(frame, name)[mask]
         for name, field in FIELDS.items()
         if field.vertex is not None and (frame.calibrated or not field.in_mm)
     }
-    return surface_mesh(frame.range_image, mask, frame.points, properties)
+    colors = frame.texture[mask]
+    return _meshed(frame.range_image, mask, frame.points, properties, frame.region, options or MeshOptions(), colors)
 
 
 def surface_mesh(
-    values: npt.NDArray[np.float32],
-    mask: npt.NDArray[np.bool_],
-    points: npt.NDArray[np.float32] | None,
-    properties: dict[str, npt.NDArray[np.float32]],
+    values: Floats,
+    mask: Pixels,
+    points: Floats | None,
+    properties: dict[str, Floats],
+    region: npt.NDArray[np.int32] | None = None,
+    options: MeshOptions | None = None,
+    colors: npt.NDArray[np.uint8] | None = None,
 ) -> Mesh:
     """Join the pixels of a range image into a mesh, cut at depth steps.
 
@@ -55,19 +114,108 @@ def surface_mesh(
     points : (H, W, 3) float32 or None
         mm, camera frame.
     properties : dict of (N,) float32
-        More about each masked pixel, row by row.
+        More about each masked pixel, row by row. ``sigma_mm``, or ``sigma_rad`` without points, tells noise from steps;
+        where it is missing the range image's own scatter does.
+    region : (H, W) int32, optional
+        Connected surfaces; without it all pixels may be one.
+    options : MeshOptions, optional
+        What to leave out, and whether to smooth.
+    colors : (N, 3) uint8, optional
+        sRGB of each masked pixel, row by row.
+
+    Raises
+    ------
+    SettingsError
+        See `frame_mesh`.
     """
-    if points is not None:
-        # Pixels are apart by their distance times the ray's change from one to the next.
-        gaps = np.linalg.norm(np.diff(points, axis=1)[..., :2], axis=-1)
-        known = np.isfinite(gaps)
-        max_step = _MAX_SLOPE * float(np.median(gaps[known])) if known.any() else 1.0
-        unit: Unit = "mm"
-    else:
-        height, width = values.shape
-        x, y = np.meshgrid(np.arange(width, dtype=np.float32), np.arange(height, dtype=np.float32))
-        points = np.stack([x, y, values], axis=-1)
-        max_step, unit = _MAX_STEP_RAD, "rad"
+    return _meshed(values, mask, points, properties, region, options or MeshOptions(), colors)[0]
+
+
+def _meshed(
+    values: Floats,
+    mask: Pixels,
+    points: Floats | None,
+    properties: dict[str, Floats],
+    region: npt.NDArray[np.int32] | None,
+    options: MeshOptions,
+    colors: npt.NDArray[np.uint8] | None,
+) -> tuple[Mesh, MeshCounts]:
+    unit: Unit = "rad" if points is None else "mm"
+    surface = RangeSurface.of(values, mask, points, properties.get(f"sigma_{unit}"), region)
+    left_out = _left_out(surface, points, options)
+    surface = surface.without(left_out[0] | left_out[1])
     with runtime.lock:
-        faces = triangulate_mesh(np.where(mask[..., None], points, np.float32(0)), mask, max_step)
-    return Mesh(np.ascontiguousarray(points[mask]), faces, properties=properties, unit=unit)
+        links = _links(surface)
+        kept, specks = find_surfaces(links)
+        teeth = (surface.region != 0) & ~kept & ~specks
+        holes = fill_holes(surface.without(~kept))
+        surface = holes.surface
+        if len(holes.filled):
+            links = _links(surface)
+            kept = find_surfaces(links)[0]
+        links = links_within(links, kept)
+        fitted = fit_surface(surface.depth, surface.sigma, kept, links)
+        faces = triangulate_mesh(surface.depth, kept, links)
+    flags = np.zeros(mask.shape, np.uint8)
+    flags[(fitted.level > 0) & options.smoothed] = SMOOTHED
+    flags.ravel()[holes.filled] |= FILLED
+    places = np.flatnonzero(kept)
+    depth = (fitted.depth if options.smoothed else surface.depth).ravel()[places]
+    vertices, normals = _placed(places, depth, fitted.slope.reshape(-1, 2)[places], mask, points)
+    number = _source_pixels(mask, holes, places)
+    carried = {name: values[number] for name, values in properties.items()}
+    if f"sigma_{unit}" in carried:
+        carried[f"sigma_{unit}"] = surface.sigma.ravel()[places]
+    painted = None if colors is None else colors[number]
+    mesh = Mesh(vertices, faces, painted, carried, unit=unit, normals=normals, flags=flags.ravel()[places])
+    if options.max_triangles is not None:
+        mesh = decimate_mesh(mesh, options.max_triangles)
+    return mesh, _counted(mesh, *(int(pixels.sum()) for pixels in (*left_out, specks, teeth)))
+
+
+def _left_out(surface: RangeSurface, points: Floats | None, options: MeshOptions) -> tuple[Pixels, Pixels]:
+    """Return the pixels outside the box, and those of the background."""
+    known = surface.region != 0
+    nothing = np.zeros_like(known)
+    if points is None and (options.crop_mm is not None or options.without_background):
+        raise SettingsError("a box in mm, or the background, can be left out of a mesh in mm only: give a calibration")
+    if points is None:
+        return nothing, nothing
+    cropped = nothing if options.crop_mm is None else known & ~inside_box(points, options.crop_mm)
+    if not options.without_background:
+        return cropped, nothing
+    return cropped, on_largest_plane(points, surface.sigma, known & ~cropped)
+
+
+def _links(surface: RangeSurface) -> npt.NDArray[np.uint8]:
+    return runtime.to_host(link_pixels(surface.depth, surface.sigma, surface.width, surface.region, MAX_SLOPE))
+
+
+def _placed(
+    places: npt.NDArray[np.intp], depth: Floats, slope: Floats, mask: Pixels, points: Floats | None
+) -> tuple[Floats, Floats]:
+    """Return the vertices at some pixels, by their depth, and their normals."""
+    if points is None:
+        y, x = np.divmod(places, mask.shape[1])
+        return np.column_stack([x, y, depth]).astype(np.float32), relief_normals(slope)
+    if not len(places):
+        return np.empty((0, 3), np.float32), np.empty((0, 3), np.float32)
+    rays = PixelRays.of(points, mask)
+    measured = mask.ravel()[places]
+    there = points.reshape(-1, 3)[places]
+    along = np.asarray(there / np.where(measured, there[:, 2], np.float32(1))[:, None], np.float32)
+    along[~measured] = rays.at(places[~measured])
+    return along * depth[:, None], surface_normals(depth, slope, along, rays.changes(places))
+
+
+def _source_pixels(mask: Pixels, holes: FilledHoles, places: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:
+    """Return which masked pixel tells of each vertex; where a hole was filled, the one beside it."""
+    source = np.arange(mask.size, dtype=np.int32)
+    source[holes.filled] = holes.beside
+    return np.asarray(np.cumsum(mask.ravel(), dtype=np.int32)[source[places]] - 1)
+
+
+def _counted(mesh: Mesh, cropped: int, background: int, specks: int, teeth: int) -> MeshCounts:
+    flags = np.zeros(0, np.uint8) if mesh.flags is None else mesh.flags
+    smoothed, filled = (int((flags & bit != 0).sum()) for bit in (SMOOTHED, FILLED))
+    return MeshCounts(len(mesh.vertices), len(mesh.faces), smoothed, filled, cropped, background, specks, teeth)

@@ -16,7 +16,8 @@ def assert_same(got: Mesh, expected: Mesh) -> None:
     assert got.properties.keys() == expected.properties.keys()
     for name, values in expected.properties.items():
         np.testing.assert_array_equal(got.properties[name], values)
-    if expected.colors is None:
-        assert got.colors is None
-    else:
-        np.testing.assert_array_equal(got.colors, expected.colors)
+    for name in ("colors", "normals", "flags"):
+        wanted = getattr(expected, name)
+        assert (getattr(got, name) is None) == (wanted is None), name
+        if wanted is not None:
+            np.testing.assert_array_equal(getattr(got, name), wanted)

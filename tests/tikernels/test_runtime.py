@@ -87,7 +87,7 @@ def test_nothing_takes_the_place_of_a_named_arch_that_could_not_be_started():
         "    'smooth_phase': lambda: tikernels.smooth_phase(phase, mask),\n"
         "    'unwrap_phase': lambda: tikernels.unwrap_phase(phase, phase, mask),\n"
         "    'correct_fringe_order': lambda: tikernels.correct_fringe_order(phase, mask),\n"
-        "    'triangulate_mesh': lambda: tikernels.triangulate_mesh(image, mask, 1.0),\n"
+        "    'triangulate_mesh': lambda: tikernels.triangulate_mesh(phase, mask, mask.view(np.uint8)),\n"
         "}\n"
         "for name, call in calls.items():\n"
         "    try: call()\n"

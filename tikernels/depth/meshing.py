@@ -1,37 +1,36 @@
-"""Turn an image of points into triangles, cut where the surface steps."""
+"""Turn an image of linked pixels into triangles."""
 
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks
-from tikernels._taichi import F32Array3, I32Array1, I32Array2, U8Array2, f32, i32, ti
-from tikernels.arrays import F32, Mask
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, i32, ti
+from tikernels.arrays import F32, U8, Mask
+from tikernels.depth.step_cutting import DOWN, FALLING, RIGHT, RISING
 from tikernels.launching import kernel
+from tikernels.strips import SPREAD
 
 
 @ti.func
-def joined(points: F32Array3, mask: U8Array2, y: i32, x: i32, y2: i32, x2: i32, max_step: f32) -> i32:
-    """Whether an edge of the mesh may run between two pixels."""
-    inside = mask[y, x] != 0 and mask[y2, x2] != 0
-    return ti.cast(inside and ti.abs(points[y, x, 2] - points[y2, x2, 2]) <= max_step, ti.i32)
+def link(links: U8Array2, y: i32, x: i32, bit: i32) -> i32:
+    """Whether a pixel has a link, as 0 or 1."""
+    return ti.cast((links[y, x] & bit) != 0, i32)
 
 
 @ti.func
-def square_triangles(points: F32Array3, mask: U8Array2, y: i32, x: i32, max_step: f32) -> i32:
+def square_triangles(depth: F32Array2, links: U8Array2, y: i32, x: i32) -> i32:
     """Which triangles a square of four pixels holds: bit 0 upper left, 1 lower right, 2 upper right, 3 lower left.
 
     A whole square is split along its diagonal with the smaller step, into bits 0 and 1, or 2 and 3.
     """
-    top = joined(points, mask, y, x, y, x + 1, max_step)
-    bottom = joined(points, mask, y + 1, x, y + 1, x + 1, max_step)
-    left = joined(points, mask, y, x, y + 1, x, max_step)
-    right = joined(points, mask, y, x + 1, y + 1, x + 1, max_step)
-    rising = joined(points, mask, y + 1, x, y, x + 1, max_step)  # the diagonal from lower left to upper right
-    falling = joined(points, mask, y, x, y + 1, x + 1, max_step)
+    top, bottom = link(links, y, x, RIGHT), link(links, y + 1, x, RIGHT)
+    left, right = link(links, y, x, DOWN), link(links, y, x + 1, DOWN)
+    rising = link(links, y, x, RISING)  # the diagonal from lower left to upper right
+    falling = link(links, y, x, FALLING)
     upper_left, lower_right = top & left & rising, bottom & right & rising
     upper_right, lower_left = top & right & falling, bottom & left & falling
-    along_rising = ti.abs(points[y + 1, x, 2] - points[y, x + 1, 2])
-    along_falling = ti.abs(points[y, x, 2] - points[y + 1, x + 1, 2])
+    along_rising = ti.abs(depth[y + 1, x] - depth[y, x + 1])
+    along_falling = ti.abs(depth[y, x] - depth[y + 1, x + 1])
     use_rising = upper_left + lower_right > upper_right + lower_left or (
         upper_left + lower_right == upper_right + lower_left and along_rising <= along_falling
     )
@@ -43,23 +42,24 @@ def square_triangles(points: F32Array3, mask: U8Array2, y: i32, x: i32, max_step
 
 @kernel
 def count_triangles_kernel(
-    points: F32Array3,  # (H, W, 3)
+    depth: F32Array2,  # (H, W)
     mask: U8Array2,  # (H, W)
-    max_step: f32,
+    links: U8Array2,  # (H, W) bits
     out_triangles: I32Array1,  # (H,) triangles between a row and the next
     out_vertices: I32Array1,  # (H,) masked pixels
 ):
     height, width = mask.shape[0], mask.shape[1]
-    for y in range(height):
-        triangles, vertices = 0, 0
-        for x in range(width):
-            if mask[y, x] != 0:
-                vertices += 1
-            if y + 1 < height and x + 1 < width:
-                bits = square_triangles(points, mask, y, x, max_step)
-                triangles += (bits & 1) + ((bits >> 1) & 1) + ((bits >> 2) & 1) + ((bits >> 3) & 1)
-        out_triangles[y] = triangles
-        out_vertices[y] = vertices
+    for t in range(height * SPREAD):
+        if t % SPREAD == 0:
+            y, triangles, vertices = t // SPREAD, 0, 0
+            for x in range(width):
+                if mask[y, x] != 0:
+                    vertices += 1
+                if y + 1 < height and x + 1 < width:
+                    bits = square_triangles(depth, links, y, x)
+                    triangles += (bits & 1) + ((bits >> 1) & 1) + ((bits >> 2) & 1) + ((bits >> 3) & 1)
+            out_triangles[y] = triangles
+            out_vertices[y] = vertices
 
 
 @kernel
@@ -69,49 +69,58 @@ def number_vertices_kernel(
     out_numbers: I32Array2,  # (H, W)
 ):
     height, width = mask.shape[0], mask.shape[1]
-    for y in range(height):
-        number = first[y]
-        for x in range(width):
-            out_numbers[y, x] = number
-            if mask[y, x] != 0:
-                number += 1
+    for t in range(height * SPREAD):
+        if t % SPREAD == 0:
+            y = t // SPREAD
+            number = first[y]
+            for x in range(width):
+                out_numbers[y, x] = number
+                if mask[y, x] != 0:
+                    number += 1
+
+
+@ti.func
+def write_triangles(bits: i32, numbers: I32Array2, y: i32, x: i32, place: i32, out_faces: I32Array2) -> i32:
+    """Write a square's triangles from a place on, and return the place after them."""
+    a, b = numbers[y, x], numbers[y, x + 1]
+    c, d = numbers[y + 1, x], numbers[y + 1, x + 1]
+    after = place
+    # Counterclockwise as the camera sees them, in the order of the bits.
+    for k, corners in ti.static(enumerate(((a, c, b), (b, c, d), (a, d, b), (a, c, d)))):
+        if (bits >> k) & 1 == 1:
+            out_faces[after, 0], out_faces[after, 1], out_faces[after, 2] = corners
+            after += 1
+    return after
 
 
 @kernel
 def fill_triangles_kernel(
-    points: F32Array3,  # (H, W, 3)
-    mask: U8Array2,  # (H, W)
-    max_step: f32,
+    depth: F32Array2,  # (H, W)
+    links: U8Array2,  # (H, W) bits
     numbers: I32Array2,  # (H, W) vertex numbers
     first: I32Array1,  # (H,) place of a row's first triangle
     out_faces: I32Array2,  # (M, 3)
 ):
-    height, width = mask.shape[0], mask.shape[1]
-    for y in range(height - 1):
-        place = first[y]
-        for x in range(width - 1):
-            bits = square_triangles(points, mask, y, x, max_step)
-            if bits != 0:
-                a, b = numbers[y, x], numbers[y, x + 1]
-                c, d = numbers[y + 1, x], numbers[y + 1, x + 1]
-                # Counterclockwise as the camera sees them, in the order of the bits.
-                for k, corners in ti.static(enumerate(((a, c, b), (b, c, d), (a, d, b), (a, c, d)))):
-                    if (bits >> k) & 1 == 1:
-                        out_faces[place, 0], out_faces[place, 1], out_faces[place, 2] = corners
-                        place += 1
+    height, width = links.shape[0], links.shape[1]
+    for t in range((height - 1) * SPREAD):
+        if t % SPREAD == 0:
+            y = t // SPREAD
+            place = first[y]
+            for x in range(width - 1):
+                place = write_triangles(square_triangles(depth, links, y, x), numbers, y, x, place, out_faces)
 
 
-def triangulate_mesh(points: F32, mask: Mask, max_step: float) -> npt.NDArray[np.int32]:
-    """Join neighbouring pixels into triangles.
+def triangulate_mesh(depth: F32, mask: Mask, links: U8) -> npt.NDArray[np.int32]:
+    """Join linked pixels into triangles.
 
     Parameters
     ----------
-    points : (H, W, 3) float32
-        Positions; only the third coordinate decides where the mesh is cut.
+    depth : (H, W) float32
+        Tells only along which diagonal a square of four pixels is split: along the one with the smaller step.
     mask : (H, W) bool or uint8
         Pixels that become vertices.
-    max_step : float
-        Largest difference of the third coordinate along an edge, in its unit.
+    links : (H, W) uint8
+        Which pixels an edge may join; see `link_pixels`. None leads out of the mask.
 
     Returns
     -------
@@ -124,14 +133,15 @@ def triangulate_mesh(points: F32, mask: Mask, max_step: float) -> npt.NDArray[np
     ShapeError
         A shape or dtype is another one.
     """
-    points = checks.read_array("points", points, (None, None, 3), np.float32)
-    shape = (int(points.shape[0]), int(points.shape[1]))
+    depth = checks.read_array("depth", depth, (None, None), np.float32)
+    shape = (int(depth.shape[0]), int(depth.shape[1]))
     mask = checks.read_mask("mask", mask, shape)
+    links = checks.read_array("links", links, shape, np.uint8)
     triangles, vertices = np.empty(shape[0], np.int32), np.empty(shape[0], np.int32)
-    count_triangles_kernel(points, mask, max_step, triangles, vertices)
+    count_triangles_kernel(depth, mask, links, triangles, vertices)
     numbers = np.empty(shape, np.int32)
     number_vertices_kernel(mask, np.cumsum(vertices, dtype=np.int32) - vertices, numbers)
     total = int(triangles.sum())
     faces = np.empty((max(total, 1), 3), np.int32)
-    fill_triangles_kernel(points, mask, max_step, numbers, np.cumsum(triangles, dtype=np.int32) - triangles, faces)
+    fill_triangles_kernel(depth, links, numbers, np.cumsum(triangles, dtype=np.int32) - triangles, faces)
     return faces[:total]

@@ -193,6 +193,7 @@ class ChannelModel:
         correction = checks.read_array("correction", correction, (None,), np.float32)
         known = checks.read_array("known", known, (3, TERMS), np.float32)
         gains, sharpness = self.gains, self.sharpness
+        self.nodes = runtime.empty(tuple(self.nodes.shape), np.float32)  # a frame keeps those that it was fitted
         sharpness.forget()
         for _ in range(_FOCUS_TURNS):
             self._fit_template(crosstalk.weights, correction, known, fixed=fixed)

@@ -136,3 +136,19 @@ def test_out_takes_the_new_frame_and_forgets_the_old(cpu):
     values(frame)
     assert decoder.decode(images[1], out=frame) is frame
     assert_same(values(frame), expected)
+
+
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
+def test_the_texture_is_of_the_image_as_it_was(cpu, stripes):
+    """A camera may write its next picture where the last one lay."""
+    rig = simulated_rig(SIZE, period_px=2 * 768 / 44, stripes=stripes)
+    decoder = Decoder(
+        DecodeSettings(stripes=stripes, crosstalk_matrix=SimulationSettings().crosstalk_matrix), arch="cpu"
+    )
+    image = simulate_frame(rig).image
+    expected = np.array(decoder.decode(image).texture)
+    frame = decoder.decode(image)
+    image[...] = 255 - image
+    decoder.decode(255 - image)
+    np.testing.assert_array_equal(frame.texture, expected)
+    assert expected.shape == image.shape and expected[frame.mask].any(axis=-1).all()

@@ -19,4 +19,6 @@ def mesh() -> Mesh:
         faces.astype(np.int32),
         colors=rng.integers(0, 256, (20, 3), np.uint8),
         properties={name: rng.random(20, np.float32) for name in ("sigma_mm", "modulation")},
+        normals=np.tile(np.array([0.6, 0.0, -0.8], np.float32), (20, 1)),
+        flags=rng.integers(0, 4, 20, np.uint8),
     )

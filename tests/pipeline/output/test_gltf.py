@@ -33,7 +33,8 @@ def test_gltf_is_y_up_and_in_metres(tmp_path: Path, mesh: Mesh, suffix: str) -> 
     positions = table(attributes["POSITION"])
     np.testing.assert_allclose(positions, mesh.vertices * (1e-3, -1e-3, -1e-3), rtol=1e-6)
     np.testing.assert_array_equal(table(primitive["indices"]).reshape(-1, 3), mesh.faces)
-    np.testing.assert_allclose(np.linalg.norm(table(attributes["NORMAL"]), axis=1), 1, rtol=1e-5)
+    np.testing.assert_allclose(table(attributes["NORMAL"]), mesh.normals * (1, -1, -1), rtol=1e-6)
+    np.testing.assert_array_equal(table(attributes["_FLAGS"])[:, 0], mesh.flags)
     bounds = scene["accessors"][attributes["POSITION"]]
     np.testing.assert_array_equal(np.float32(bounds["min"]), positions.min(axis=0))
     np.testing.assert_array_equal(np.float32(bounds["max"]), positions.max(axis=0))

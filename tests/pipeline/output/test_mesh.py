@@ -13,6 +13,10 @@ def test_normals_of_a_plane() -> None:
     np.testing.assert_array_equal(vertex_normals(sheet), [[0, 0, 1]] * 4)
 
 
+def test_a_mesh_that_has_normals_keeps_them(mesh: Mesh) -> None:
+    assert vertex_normals(mesh) is mesh.normals
+
+
 @pytest.mark.parametrize(
     "wrong",
     [
@@ -25,6 +29,10 @@ def test_normals_of_a_plane() -> None:
         {"properties": {"sigma_mm": np.zeros(2, np.float32)}},
         {"properties": {"sigma mm": np.zeros(3, np.float32)}},
         {"properties": {"x": np.zeros(3, np.float32)}},
+        {"properties": {"nx": np.zeros(3, np.float32)}},
+        {"properties": {"flags": np.zeros(3, np.float32)}},
+        {"normals": np.zeros((3, 2), np.float32)},
+        {"flags": np.zeros(3, np.int32)},
         {"unit": "m"},
     ],
 )

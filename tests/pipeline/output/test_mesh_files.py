@@ -1,5 +1,6 @@
 """Meshes and range images, each file read back by a reader that is not ours."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +41,15 @@ def test_obj_holds_colors_after_positions(tmp_path: Path, mesh: Mesh) -> None:
     vertices = np.array([row[1:] for row in rows if row[0] == "v"], float)
     np.testing.assert_allclose(vertices[:, :3], mesh.vertices, rtol=1e-6)
     np.testing.assert_array_equal((vertices[:, 3:] * 255).round(), mesh.colors)
+
+
+def test_obj_names_a_normal_for_every_corner(tmp_path: Path, mesh: Mesh) -> None:
+    write_mesh(mesh, tmp_path / "mesh.obj")
+    read = pyvista.read(tmp_path / "mesh.obj")
+    np.testing.assert_allclose(read.point_data["Normals"], mesh.normals, atol=1e-4)
+    write_mesh(replace(mesh, normals=None), tmp_path / "bare.obj")
+    assert "vn" not in (tmp_path / "bare.obj").read_text()
+    np.testing.assert_array_equal(pyvista.read(tmp_path / "bare.obj").regular_faces, read.regular_faces)
 
 
 def test_stl_has_unit_normals(tmp_path: Path, mesh: Mesh) -> None:

@@ -1,5 +1,6 @@
 """Meshes as PLY, ours and other programs'."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,19 @@ from pipeline.output.mesh_files import read_mesh, write_mesh
 @pytest.mark.parametrize("unit", ["mm", "rad"])
 def test_ply_brings_everything_back(tmp_path: Path, mesh: Mesh, unit: Any) -> None:
     path = tmp_path / "Mädchen.ply"
-    for written in (Mesh(mesh.vertices, mesh.faces, mesh.colors, mesh.properties, unit), plain(mesh)):
+    for written in (replace(mesh, unit=unit), plain(mesh)):
         write_mesh(written, path)
         assert_same(read_mesh(path), written)
+
+
+def test_normals_and_flags_have_the_names_that_programs_look_for(tmp_path: Path, mesh: Mesh) -> None:
+    write_mesh(mesh, tmp_path / "mesh.ply")
+    head = (tmp_path / "mesh.ply").read_bytes().partition(b"end_header")[0].decode().splitlines()
+    assert [f"property float n{axis}" for axis in "xyz"] == [
+        line for line in head if line.startswith("property float n")
+    ]
+    assert "property uchar flags" in head and "comment flags 0 measured, 1 smoothed, 2 filled" in head
+    np.testing.assert_allclose(pyvista.read(tmp_path / "mesh.ply").point_data["Normals"], mesh.normals)
 
 
 def test_ply_of_an_empty_mesh(tmp_path: Path) -> None:

@@ -1,11 +1,17 @@
 """Frames of a store, read one at a time, and their meshes."""
 
+import numpy as np
 import pytest
 import zarr
 from support.stored_planes import store
 
+from pipeline import Decoder, DecodeSettings
 from pipeline.errors import FootageError
+from pipeline.output.mesh_files import read_mesh, write_mesh
+from pipeline.output.store import write_store
 from pipeline.output.stored_result import StoredResult
+from pipeline.output.surface_mesh import frame_mesh
+from pipeline.simulation import TYPICAL_CROSSTALK, simulate_frame, simulated_rig
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -61,3 +67,25 @@ def test_ranges_in_mm_make_no_mesh_without_points(tmp_path):
     for ask in (stored.mesh, lambda number: stored.require("points")):
         with pytest.raises(FootageError, match="holds no points: decode with that field"):
             ask(0)
+
+
+def test_a_texture_colours_the_mesh(tmp_path):
+    """As it was decoded, through the store and the file."""
+    rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
+    known = rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})
+    frame = Decoder(calibration=known, arch="cpu").decode(simulate_frame(rig).image)
+    write_store(tmp_path / "r.zarr", frame, DecodeSettings(), known)
+    stored = StoredResult(tmp_path / "r.zarr")
+    np.testing.assert_array_equal(stored.read("texture", 0), frame.texture)
+    mesh = stored.mesh(0)
+    assert mesh.colors.dtype == np.uint8 and mesh.colors.shape == mesh.vertices.shape
+    np.testing.assert_array_equal(mesh.colors, frame_mesh(frame).colors)
+    write_mesh(mesh, tmp_path / "mesh.ply")
+    np.testing.assert_array_equal(read_mesh(tmp_path / "mesh.ply").colors, mesh.colors)
+    assert stored.mesh(0, ("points",)).colors is None
+    # A vertex has the colour of its own pixel.
+    matrix = known.camera.matrix
+    place = mesh.vertices[:, :2] / mesh.vertices[:, 2:] * np.diag(matrix)[:2] + matrix[:2, 2]
+    x, y = np.rint(place).astype(int).T
+    measured = frame.mask[y, x]
+    np.testing.assert_array_equal(mesh.colors[measured], frame.texture[y, x][measured])

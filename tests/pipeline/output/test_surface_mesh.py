@@ -1,65 +1,200 @@
-"""Range images as triangle meshes, cut at depth steps."""
+"""Frames as triangle meshes: surfaces, and not pixels."""
+
+import warnings
+from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
+from support.mesh_truth import judge_mesh
 
 from pipeline import Decoder
-from pipeline.output.surface_mesh import frame_mesh, surface_mesh
-from pipeline.simulation import TYPICAL_CROSSTALK, simulate_frame, simulated_rig
+from pipeline.errors import SettingsError
+from pipeline.output.mesh import FILLED, SMOOTHED
+from pipeline.output.surface_mesh import MeshOptions, counted_mesh, frame_mesh, surface_mesh
+from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 
 pytestmark = pytest.mark.usefixtures("cpu")
+SHAPE = (40, 50)
+AS_MEASURED = MeshOptions(smoothed=False)
 
 
-def sheet(depth, pitch_mm=0.5):
-    """Return points of a sheet (H, W), a pitch apart, at some depth."""
-    y, x = np.indices(depth.shape, np.float32) * np.float32(pitch_mm)
-    return np.stack([x, y, depth], axis=-1)
+def sheet(depth, pitch=1e-3):
+    """Return points of a sheet (H, W) at some depth, mm, on rays that are a pitch apart."""
+    y, x = np.indices(depth.shape, np.float32) * np.float32(pitch)
+    return (np.stack([x, y, np.ones(depth.shape)], axis=-1) * depth[..., None]).astype(np.float32)
+
+
+def meshed(depth, mask=None, sigma_mm=0.05, **more):
+    """Return the mesh of a sheet whose noise is known."""
+    mask = np.ones(depth.shape, bool) if mask is None else mask
+    properties = {
+        "sigma_mm": np.full(mask.sum(), sigma_mm, np.float32),
+        "modulation": np.arange(mask.sum(), dtype="f4"),
+    }
+    points = sheet(depth.astype(np.float32))
+    points[~mask] = np.nan
+    return surface_mesh(points[..., 2], mask, points, properties, **more)
+
+
+def bust(calibrated=True, size_px=(640, 480), seed=0, scene="bust"):
+    """Return a simulated frame as the demo sees it, and what is decoded of it."""
+    settings = SimulationSettings(scene=scene, pixel_rays=3, projector_blur_px=(0.6, 0.6, 0.6), seed=seed)
+    truth = simulate_frame(
+        simulated_rig(size_px, code="contrast", period_px=2 * 768 / 44 * 640 / size_px[0] / 2), settings
+    )
+    known = truth.rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return truth, Decoder(calibration=known if calibrated else None, arch="cpu").decode(truth.image)
 
 
 def test_a_whole_sheet_has_two_triangles_to_four_pixels():
-    depth = np.full((6, 9), 400, np.float32)
-    everywhere = np.ones(depth.shape, bool)
-    mesh = surface_mesh(depth, everywhere, sheet(depth), {"sigma_mm": np.ones(54, np.float32)})
-    assert mesh.unit == "mm" and len(mesh.vertices) == 54 and len(mesh.faces) == 2 * 5 * 8
+    mesh = meshed(np.full(SHAPE, 800.0))
+    assert mesh.unit == "mm" and len(mesh.vertices) == 40 * 50 and len(mesh.faces) == 2 * 39 * 49
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    assert areas.sum() == pytest.approx(5 * 0.5 * 8 * 0.5, rel=1e-6)
+    assert areas.sum() == pytest.approx(39 * 0.8 * 49 * 0.8, rel=1e-4)
+    np.testing.assert_allclose(mesh.normals, [[0, 0, -1]] * 2000, atol=1e-3)
 
 
-@pytest.mark.parametrize(("rise_mm", "joined"), [(4.9, True), (5.1, False)])
-def test_a_surface_steeper_than_ten_is_a_step(rise_mm, joined):
-    depth = np.where(np.arange(8) < 4, 400, 400 + rise_mm) * np.ones((6, 1))
-    depth = depth.astype(np.float32)
-    mesh = surface_mesh(depth, np.ones(depth.shape, bool), sheet(depth), {})
-    columns = mesh.vertices[mesh.faces][..., 0] / 0.5
-    across = (columns.min(axis=1) <= 3) & (columns.max(axis=1) >= 4)
+@pytest.mark.parametrize(("rise_mm", "joined"), [(0.7, True), (1.6, False)])
+def test_a_step_that_nothing_beside_it_explains_is_cut(rise_mm, joined):
+    """Less than a pixel's width, 0.8 mm, and twice that."""
+    depth = np.where(np.arange(50) < 25, 800, 800 + rise_mm) * np.ones((40, 1))
+    mesh = meshed(depth, options=AS_MEASURED)
+    across = np.ptp(mesh.vertices[mesh.faces][..., 2], axis=1) > 0.5
     assert across.any() == joined
 
 
+def test_a_slope_as_steep_is_whole():
+    mesh = meshed(800 + 1.6 * np.arange(50) * np.ones((40, 1)))
+    assert len(mesh.faces) == 2 * 39 * 49
+
+
+def test_regions_are_not_joined():
+    region = np.where(np.arange(50) < 25, 1, 2).astype(np.int32) * np.ones((40, 1), np.int32)
+    assert len(meshed(np.full(SHAPE, 800.0), region=region).faces) == 2 * 39 * 48
+
+
 def test_without_points_a_step_is_a_radian():
-    phase = np.where(np.arange(8) < 4, 0.0, 1.2) * np.ones((6, 1))
-    mesh = surface_mesh(phase.astype(np.float32), np.ones(phase.shape, bool), None, {})
-    assert mesh.unit == "rad" and mesh.vertices[:, 0].max() == 7
-    assert len(mesh.faces) == 2 * 5 * 6
+    phase = np.where(np.arange(50) < 25, 0.0, 1.2) * np.ones((40, 1))
+    sigma = {"sigma_rad": np.full(2000, 0.01, np.float32)}
+    mesh = surface_mesh(phase.astype(np.float32), np.ones(SHAPE, bool), None, sigma)
+    assert mesh.unit == "rad" and mesh.vertices[:, 0].max() == 49
+    assert len(mesh.faces) == 2 * 39 * 48
+    np.testing.assert_allclose(mesh.normals, [[0, 0, -1]] * 2000, atol=1e-3)
 
 
-def test_pixels_without_a_range_are_left_out():
-    depth = np.full((4, 4), 400, np.float32)
-    mask = np.ones(depth.shape, bool)
-    mask[1, 1] = False
-    points = sheet(depth)
-    points[1, 1] = np.nan
-    assert len(surface_mesh(depth, mask, points, {}).vertices) == 15
-    assert len(surface_mesh(depth, np.zeros_like(mask), points, {}).vertices) == 0
+def test_noise_is_smoothed_and_said_to_be():
+    noise = np.random.default_rng(1).normal(0, 0.05, SHAPE)
+    rough, smooth = (meshed(800 + noise, options=options) for options in (AS_MEASURED, MeshOptions()))
+    assert np.std(smooth.vertices[:, 2]) < 0.5 * np.std(rough.vertices[:, 2])
+    assert (smooth.flags & SMOOTHED != 0).mean() > 0.99 and not rough.flags.any()
+    np.testing.assert_array_equal(smooth.properties["sigma_mm"], rough.properties["sigma_mm"])
+    rays = [mesh.vertices[:, :2] / mesh.vertices[:, 2:] for mesh in (rough, smooth)]
+    np.testing.assert_allclose(*rays, atol=1e-7)
+
+
+def test_a_small_hole_is_filled_and_said_to_be():
+    mask = np.ones(SHAPE, bool)
+    mask[18:21, 20:24] = False
+    mesh = meshed(800 + 0.02 * np.arange(50) * np.ones((40, 1)), mask)
+    filled = mesh.flags & FILLED != 0
+    assert filled.sum() == 12 and len(mesh.faces) == 2 * 39 * 49
+    column = np.rint(mesh.vertices[filled, 0] / mesh.vertices[filled, 2] / 1e-3)
+    np.testing.assert_allclose(mesh.vertices[filled, 2], 800 + 0.02 * column, atol=1e-3)
+    assert np.isin(mesh.properties["modulation"][filled], mesh.properties["modulation"][~filled]).all()
+
+
+def test_specks_and_teeth_are_left_out():
+    mask = np.zeros(SHAPE, bool)
+    mask[:, :30] = True
+    mask[5:9, 40:44] = mask[20, 30] = True
+    mesh = meshed(np.full(SHAPE, 800.0), mask)
+    assert len(mesh.vertices) == 40 * 30 and mesh.vertices[:, 0].max() < 30 * 0.8
+
+
+def test_nothing_is_an_empty_mesh():
+    mesh = meshed(np.full(SHAPE, 800.0), np.zeros(SHAPE, bool))
+    assert len(mesh.vertices) == len(mesh.faces) == len(mesh.normals) == len(mesh.flags) == 0
+
+
+def test_what_is_outside_the_box_and_the_wall_are_left_out():
+    y, x = np.indices(SHAPE)
+    inside = (np.abs(x - 25) < 12) & (np.abs(y - 20) < 12)
+    depth = np.where(inside, 700 + 0.02 * (x - 25) ** 2, 800)
+    alone = meshed(depth, options=MeshOptions(without_background=True))
+    assert len(alone.vertices) == inside.sum() and alone.vertices[:, 2].max() < 750
+    boxed = meshed(depth, options=MeshOptions(crop_mm=(-1, -1, 600, 100, 100, 750)))
+    np.testing.assert_array_equal(boxed.vertices, alone.vertices)
+    fewer = meshed(depth, options=MeshOptions(without_background=True, max_triangles=100))
+    assert len(fewer.faces) <= 100
 
 
 @pytest.mark.parametrize("calibrated", [True, False])
 def test_a_frame_takes_its_standard_deviations_along(calibrated):
-    rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
-    known = rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)}) if calibrated else None
-    frame = Decoder(calibration=known, arch="cpu").decode(simulate_frame(rig).image)
-    mesh = frame_mesh(frame)
-    assert len(mesh.vertices) == frame.mask.sum()
+    _, frame = bust(calibrated, (320, 240))
+    mesh, counts = counted_mesh(frame)
     assert mesh.unit == ("mm" if calibrated else "rad")
-    np.testing.assert_array_equal(mesh.properties["modulation"], frame.modulation[frame.mask])
     assert ("sigma_mm" in mesh.properties) == calibrated and "sigma_rad" in mesh.properties
+    assert 0.97 * frame.mask.sum() < len(mesh.vertices) < 1.01 * frame.mask.sum()
+    assert counts.vertices == len(mesh.vertices) and counts.triangles == len(mesh.faces)
+    assert counts.vertices - counts.filled + counts.specks + counts.teeth == frame.mask.sum()
+    assert set(asdict(counts)) >= {"smoothed", "filled", "cropped", "background"}
+    if not calibrated:
+        for options in (MeshOptions(without_background=True), MeshOptions(crop_mm=(0, 0, 0, 1, 1, 1))):
+            with pytest.raises(SettingsError, match="mesh in mm only: give a calibration"):
+                frame_mesh(frame, options)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_bust_is_a_surface(seed):
+    """The demo's: sigma is honest, nothing joins what is 5 mm apart, and smoothing takes half of the error away."""
+    truth, frame = bust(seed=seed)
+    rough, smooth = (
+        judge_mesh(frame_mesh(frame, options), truth.points[..., 2], truth.mask, truth.rig.camera)
+        for options in (AS_MEASURED, MeshOptions())
+    )
+    assert smooth.within_three > 0.99 and smooth.beyond_six < 1e-4
+    assert smooth.filled_within_three > 0.9
+    assert smooth.complete > 0.97
+    assert smooth.across_steps == rough.across_steps == 0
+    assert smooth.depth_median_mm < 0.5 * rough.depth_median_mm
+    assert smooth.depth_rms_mm < 0.8 * rough.depth_rms_mm
+    assert smooth.normal_deg < 0.3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scene", ["plane", "waves", "ball", "objects"])
+def test_every_scene_is_nearer_to_the_truth_when_it_is_smoothed(scene):
+    truth, frame = bust(scene=scene)
+    rough, smooth = (
+        judge_mesh(frame_mesh(frame, options), truth.points[..., 2], truth.mask, truth.rig.camera)
+        for options in (AS_MEASURED, MeshOptions())
+    )
+    assert smooth.within_three > 0.98 and smooth.beyond_six <= rough.beyond_six < 0.01
+    assert smooth.depth_median_mm < 0.6 * rough.depth_median_mm
+    assert smooth.complete > 0.95
+
+
+DATA = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "rendered"
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the rendered frames are not in this checkout")
+@pytest.mark.parametrize("name", ["face", "plane"])
+def test_frames_of_another_renderer(name):
+    import cv2
+
+    from pipeline.calibration import Calibration
+
+    calibration = Calibration.read(DATA / "calibration.json")
+    pattern = calibration.pattern.model_copy(update={"code": "contrast", "compensated": False})
+    calibration = calibration.model_copy(update={"pattern": pattern, "capture": None})
+    image = np.ascontiguousarray(cv2.imread(str(DATA / f"{name}_coded.png"), cv2.IMREAD_UNCHANGED)[..., ::-1])
+    truth = np.load(DATA / f"{name}_truth.npz")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        frame = Decoder(calibration=calibration, arch="cpu").decode(image)
+    found = judge_mesh(frame_mesh(frame), truth["depth_mm"], truth["lit"], calibration.camera)
+    assert found.within_three > 0.985 and found.beyond_six < 2e-3 and found.complete > 0.97

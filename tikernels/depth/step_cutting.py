@@ -1,0 +1,202 @@
+"""Tell a slope from a step between neighbouring pixels, by their standard deviations and the slopes beside them.
+
+Two neighbours, one pixel or one diagonal (l = 1 or sqrt 2) apart, are on one surface where the depth changes between
+them by no more than the surface goes on changing beside them, a pixel's own width w and three standard deviations:
+
+    |z_q - z_p| <= max(0, g_p, g_q) l + w l + 3 sqrt(sigma_p^2 + sigma_q^2 + l^2 var(g)),
+
+g_p and g_q the slopes of planes in that direction, each fitted to the pixels on one side of the edge: to those within
+three pixels, weighed by 1 / sigma^2, twice, the second time by Tukey's weights of what the first plane leaves. And a
+surface may be seen no more obliquely than `max_slope`, |z_q - z_p| <= max_slope w l.
+
+References
+----------
+A. E. Beaton, J. W. Tukey, Technometrics 16, 147 (1974), doi:10.1080/00401706.1974.10489171.
+"""
+
+import numpy as np
+
+from tikernels import checks
+from tikernels._taichi import F32Array2, I32Array2, U8Array2, f32, i32, ti
+from tikernels.arrays import F32, I32, U8
+from tikernels.launching import kernel
+from tikernels.strips import STRIP, strip_at, strip_count
+
+#: Bits of a pixel's links: to its right neighbour, to the one below, to the one below the right one; and from its right
+#: neighbour to the one below.
+RIGHT, DOWN, FALLING, RISING = 1, 2, 4, 8
+# In noise that is normal three standard deviations leave one edge in 370 apart that belongs together.
+_SURE = 3.0
+# Pixels that a plane is fitted to on either side: as many as the phase's smoothing takes, so that two planes on both
+# sides of a step have little in common.
+_REACH = 3
+# Fewer pixels say nothing of a slope.
+_LEAST_COUNT = 4
+# Neighbours' errors are alike after smoothing: thirteen pixels count as one measurement of a mean (docs/method.md, 7).
+_ALIKE = 13.0
+# The root of the determinant of the pixels' scatter about their middle, px^2, that tells a plane from a line: two
+# columns of three pixels have 0.4.
+_LEAST_SPREAD = 0.15
+
+
+@ti.func
+def squared(value: f32) -> f32:
+    """Return a number times itself."""
+    return value * value
+
+
+@ti.func
+def slope_beside(
+    depth: F32Array2,
+    sigma: F32Array2,
+    width: F32Array2,
+    region: I32Array2,
+    max_slope: f32,
+    y: i32,
+    x: i32,
+    down: i32,
+    right: i32,
+):
+    """Return the slope of a pixel's side of an edge, depth a px in the direction away from it, and its variance.
+
+    The edge lies in the direction (down, right) from the pixel. The variance is negative where there is no slope.
+    """
+    height, breadth = depth.shape[0], depth.shape[1]
+    middle, row_slope, column_slope, variance = depth[y, x], 0.0, 0.0, -1.0
+    for turn in ti.static(range(2)):
+        n, count, sy, sx, sz = 0.0, 0, 0.0, 0.0, 0.0
+        syy, syx, sxx, syz, sxz = 0.0, 0.0, 0.0, 0.0, 0.0
+        for dy in range(-_REACH, _REACH + 1):
+            for dx in range(-_REACH, _REACH + 1):
+                j, i = y + dy, x + dx
+                if dy * down + dx * right <= 0 and 0 <= j < height and 0 <= i < breadth:
+                    if region[j, i] == region[y, x]:
+                        away = ti.sqrt(ti.cast(dy * dy + dx * dx, ti.f32))
+                        rest = depth[j, i] - middle - row_slope * dy - column_slope * dx
+                        # At first whatever may hang together with the pixel counts, then what its plane explains.
+                        bound = max_slope * width[y, x] * away
+                        noise = _SURE * ti.sqrt(squared(sigma[j, i]) + squared(width[y, x]))
+                        bound = noise if ti.static(turn == 1) else bound
+                        inside = ti.max(0.0, 1.0 - squared(rest / ti.max(bound, 1e-12)))
+                        weight = squared(inside) * squared(sigma[y, x] / ti.max(sigma[j, i], 1e-12))
+                        weight = ti.select(away == 0.0, 1.0, weight)
+                        count += ti.cast(weight > 0.0, i32)
+                        z = depth[j, i] - depth[y, x]
+                        n += weight
+                        sy += weight * dy
+                        sx += weight * dx
+                        sz += weight * z
+                        syy += weight * dy * dy
+                        syx += weight * dy * dx
+                        sxx += weight * dx * dx
+                        syz += weight * dy * z
+                        sxz += weight * dx * z
+        my, mx, mz = sy / n, sx / n, sz / n
+        cyy, cyx, cxx = syy / n - my * my, syx / n - my * mx, sxx / n - mx * mx
+        cyz, cxz = syz / n - my * mz, sxz / n - mx * mz
+        determinant = cyy * cxx - cyx * cyx
+        variance = -1.0
+        if count >= _LEAST_COUNT and determinant > _LEAST_SPREAD * _LEAST_SPREAD:
+            row_slope = (cxx * cyz - cyx * cxz) / determinant
+            column_slope = (cyy * cxz - cyx * cyz) / determinant
+            middle = depth[y, x] + mz - row_slope * my - column_slope * mx
+            along = squared(ti.cast(down, ti.f32)) * cxx - 2.0 * down * right * cyx + right * right * cyy
+            variance = _ALIKE * squared(sigma[y, x]) * along / (determinant * n)
+    return row_slope * down + column_slope * right, variance
+
+
+@ti.func
+def linked(
+    depth: F32Array2,
+    sigma: F32Array2,
+    width: F32Array2,
+    region: I32Array2,
+    max_slope: f32,
+    y: i32,
+    x: i32,
+    down: i32,
+    right: i32,
+) -> i32:
+    """Whether a pixel and the one in the direction (down, right) from it are on one surface."""
+    result = 0
+    j, i = y + down, x + right
+    if 0 <= i < depth.shape[1] and j < depth.shape[0]:
+        if region[y, x] != 0 and region[j, i] == region[y, x]:
+            apart = ti.sqrt(ti.cast(down * down + right * right, ti.f32)) * ti.min(width[y, x], width[j, i])
+            rise = depth[j, i] - depth[y, x]
+            noise = squared(sigma[y, x]) + squared(sigma[j, i])
+            if ti.abs(rise) <= max_slope * apart:
+                if ti.abs(rise) <= apart + _SURE * ti.sqrt(noise):
+                    result = 1
+                else:
+                    # Both slopes point the way the edge does.
+                    here, doubt = slope_beside(depth, sigma, width, region, max_slope, y, x, down, right)
+                    there, other = slope_beside(depth, sigma, width, region, max_slope, j, i, -down, -right)
+                    expected, way = 0.0, ti.select(rise > 0.0, 1.0, -1.0)
+                    if doubt >= 0.0:
+                        expected = ti.max(expected, way * here)
+                    if other >= 0.0:
+                        expected = ti.max(expected, -way * there)
+                    noise += ti.max(doubt, other, 0.0)
+                    result = ti.cast(ti.abs(rise) <= expected + apart + _SURE * ti.sqrt(noise), ti.i32)
+    return result
+
+
+@kernel
+def link_pixels_kernel(
+    depth: F32Array2,  # (H, W) mm or rad
+    sigma: F32Array2,  # (H, W) the same
+    width: F32Array2,  # (H, W) the same, what a pixel is wide
+    region: I32Array2,  # (H, W) 0: none
+    max_slope: f32,
+    out: U8Array2,  # (H, W) bits
+):
+    height, breadth = depth.shape[0], depth.shape[1]
+    for t in range(height * strip_count(breadth, STRIP)):
+        y, first, count = strip_at(t, breadth, STRIP)
+        for x in range(first, first + count):
+            bits = linked(depth, sigma, width, region, max_slope, y, x, 0, 1) * RIGHT
+            bits += linked(depth, sigma, width, region, max_slope, y, x, 1, 0) * DOWN
+            bits += linked(depth, sigma, width, region, max_slope, y, x, 1, 1) * FALLING
+            if x + 1 < breadth:
+                bits += linked(depth, sigma, width, region, max_slope, y, x + 1, 1, -1) * RISING
+            out[y, x] = ti.cast(bits, ti.u8)
+
+
+def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, max_slope: float, out: U8 | None = None) -> U8:
+    """Find which neighbouring pixels are on one surface.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        In mm or rad; of no account outside the regions.
+    sigma : (H, W) float32
+        Its standard deviation, in the same unit.
+    width : (H, W) float32
+        What a pixel is wide there, in the same unit.
+    region : (H, W) int32
+        Surfaces from 1, 0: none. Pixels of two regions are never linked.
+    max_slope : float
+        By how many widths of a pixel the depth may change from one to the next.
+    out : (H, W) uint8, optional
+        Where the result goes.
+
+    Returns
+    -------
+    (H, W) uint8
+        Bits: `RIGHT` and `DOWN` to the next pixels, `FALLING` to the one below the right one, `RISING` between the
+        right one and the one below.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    depth = checks.read_array("depth", depth, (None, None), np.float32)
+    shape = (int(depth.shape[0]), int(depth.shape[1]))
+    sigma = checks.read_array("sigma", sigma, shape, np.float32)
+    width = checks.read_array("width", width, shape, np.float32)
+    region = checks.read_array("region", region, shape, np.int32)
+    out = checks.out_array("out", out, shape, np.uint8)
+    link_pixels_kernel(depth, sigma, width, region, max_slope, out)
+    return out
