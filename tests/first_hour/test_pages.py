@@ -12,16 +12,18 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.missing import skip_but_fail_in_ci
 from support.newcomers_things import make_things
 from support.page_blocks import PageBlocks
 
 from hardware.settings import RigSettings
-from pipeline import DecodeSettings
+from pipeline import Calibration, DecodeSettings
 from pipeline.acquisition.rig_file import read_rig
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1500)]
@@ -30,6 +32,8 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = {page.name: page for page in sorted((ROOT / "docs").glob("*.md"))}
 PROGRAMS = Path(sys.executable).parent
 COMMAND_S = 600
+#: What the things that pages take for given may take to make.
+MAKING_S = 900
 _SHOWN = 3000  # of what a command said, characters
 TEST_COMMAND = (
     'python3 -m venv .venv && .venv/bin/python -m pip install -e ".[headless,test]" && .venv/bin/python -m pytest -n 2'
@@ -64,10 +68,39 @@ images = [colorphase.read_image("picture.png")] * 2
 
 
 @pytest.fixture(scope="session")
-def things(tmp_path_factory, cpu):
-    folder = tmp_path_factory.mktemp("things")
-    make_things(folder)
+def things(tmp_path_factory, cpu, worker_id):
+    """Make what the pages take for given, once for all processes that run these tests."""
+    if worker_id == "master":
+        folder = tmp_path_factory.mktemp("things")
+        make_things(folder)
+        return folder
+    folder = tmp_path_factory.getbasetemp().parent / "things"
+    made = folder.with_name("things.made")
+    try:
+        folder.mkdir()
+    except FileExistsError:  # another process is at it
+        deadline = time.monotonic() + MAKING_S
+        while not made.exists():
+            assert time.monotonic() < deadline, "the process that makes them has failed"
+            time.sleep(0.5)
+    else:
+        make_things(folder)
+        made.touch()
     return folder
+
+
+def test_the_set_to_practise_on_is_complete(things):
+    assert len(list((things / "captures").glob("*.png"))) == 65
+    practice = things / "practice"
+    for name, count in (("poses", 10), ("second-board", 2)):
+        assert [len(list(pose.glob("*.png"))) for pose in sorted((practice / name).iterdir())] == [30] * count
+    truth = Calibration.read(practice / "truth.json")
+    assert np.linalg.norm(truth.translation_mm) == pytest.approx(180) and truth.scale_proof is None
+    known = json.loads((practice / "objects.json").read_text())
+    assert known["ball"] == {"radius_mm": 85.0, "middle_mm": [0.0, 0.0, 880.0]}
+    np.testing.assert_allclose(np.linalg.norm(known["plane"]["normal"]), 1, atol=1e-5)
+    pictures = [path for place in (practice, things / "captures") for path in place.rglob("*.png")]
+    assert sum(path.stat().st_size for path in pictures) < 100e6
 
 
 class Reader:

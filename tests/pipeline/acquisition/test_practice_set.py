@@ -1,13 +1,10 @@
-"""The captures to practise on: complete, or not there; and what a calibration makes of them, faults put in or not."""
-
-import json
+"""The captures to practise on: whole, or not at all; and what a calibration makes of them, faults put in or not."""
 
 import cv2
 import numpy as np
 import pytest
 from support.board_rig import MovedCaptures
 
-from pipeline import Calibration
 from pipeline.acquisition import practice_set
 from pipeline.acquisition.practice_set import (
     BALL_MIDDLE_MM,
@@ -90,23 +87,6 @@ def test_nothing_stays_of_a_set_that_was_interrupted(cpu, tmp_path, monkeypatch)
     with pytest.raises(OutputError, match=r"cannot write .*: its folder is a file"):
         (tmp_path / "file").touch()
         write_practice(tmp_path / "file" / "practice", "cpu", print)
-
-
-@pytest.mark.long
-def test_a_set_is_complete(cpu, tmp_path):
-    said = []
-    write_practice(tmp_path / "practice", "cpu", said.append)
-    folder = tmp_path / "practice"
-    assert len(list((folder / "light").glob("*.png"))) == 65
-    for name, count in (("poses", 10), ("second-board", 2)):
-        assert [len(list(pose.glob("*.png"))) for pose in sorted((folder / name).iterdir())] == [30] * count
-    truth = Calibration.read(folder / "truth.json")
-    assert np.linalg.norm(truth.translation_mm) == pytest.approx(180) and truth.scale_proof is None
-    known = json.loads((folder / "objects.json").read_text())
-    assert known["ball"] == {"radius_mm": 85.0, "middle_mm": [0.0, 0.0, 880.0]}
-    np.testing.assert_allclose(np.linalg.norm(known["plane"]["normal"]), 1, atol=1e-5)
-    assert sum(path.stat().st_size for path in folder.rglob("*.png")) < 100e6
-    assert "poses: pose 10 of 10" in said
 
 
 @pytest.mark.long

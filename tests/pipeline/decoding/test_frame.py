@@ -34,15 +34,16 @@ def assert_same(one, other):
         np.testing.assert_array_equal(one[name], other[name], err_msg=name)
 
 
-def test_a_hundred_frames_that_nobody_has_looked_at(arch):
+def test_many_frames_that_nobody_has_looked_at(arch):
     """Each has its own values, though buffers of frames that are gone are used again."""
     decoder, images, some = frames(arch, 4)
-    kept = [decoder.decode(images[k % 4]) for k in range(100)]
+    count = 100 if arch == "cpu" else 20  # where a frame takes two seconds
+    kept = [decoder.decode(images[k % 4]) for k in range(count)]
     expected = [values(frame) for frame in some]
     for k, frame in enumerate(kept):
         np.testing.assert_array_equal(frame.unwrapped_phase, expected[k % 4]["unwrapped_phase"])
         np.testing.assert_array_equal(frame.points, expected[k % 4]["points"])
-    assert_same(values(kept[-1]), expected[99 % 4])
+    assert_same(values(kept[-1]), expected[(count - 1) % 4])
 
 
 def test_arrays_outlive_their_frame(cpu):
