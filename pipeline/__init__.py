@@ -19,6 +19,7 @@ __all__ = ["Calibration", "DecodeSettings", "DecodeWarning", "DecodedFrame", "De
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    import pipeline.output  # noqa: F401  # it says how frames and calibrations show themselves
     from pipeline.calibration import Calibration
     from pipeline.decoder import Decoder
     from pipeline.decoding.frame import DecodedFrame

@@ -30,14 +30,14 @@ def explain(error: OSError) -> str:
     return _ADVICE.get(error.errno or 0, error.strerror or str(error))
 
 
-def write_atomically(path: str | Path, content: bytes | Callable[[BinaryIO], None]) -> None:
+def write_atomically(path: str | Path, content: bytes | memoryview | Callable[[BinaryIO], None]) -> None:
     """Write a file through a temporary one in the same folder, so that nothing half-written stays.
 
     Parameters
     ----------
     path : str or Path
         The file to make or replace.
-    content : bytes or callable
+    content : bytes, memoryview or callable
         What it holds, or a function that writes it to an open binary file.
 
     Raises
@@ -82,14 +82,14 @@ def make_folder(path: Path) -> None:
     sync(*(folder.parent for folder in reversed(missing)))
 
 
-def replace_file(path: Path, content: bytes | Callable[[BinaryIO], None], *, safe: bool = False) -> None:
+def replace_file(path: Path, content: bytes | memoryview | Callable[[BinaryIO], None], *, safe: bool = False) -> None:
     """Write a file through a temporary one in the same folder; see `write_atomically`.
 
     Parameters
     ----------
     path : Path
         The file to make or replace.
-    content : bytes or callable
+    content : bytes, memoryview or callable
         What it holds, or a function that writes it to an open binary file.
     safe : bool
         Whether what it holds is on the disk before it appears under its name, in case the power fails.

@@ -19,8 +19,9 @@ FLOORS = {
         "raw phase depth unwrapping order_evidence scene"
     ),
     "pipeline": (
-        "errors limits models settings robust files locking processes zarr_chunks footage recording calibration "
-        "pattern decoding orders decoder simulation planning output diagnosis batch acquisition verification cli"
+        "errors showing limits models settings robust files locking processes zarr_chunks footage recording "
+        "calibration pattern decoding orders decoder simulation planning output diagnosis batch acquisition "
+        "verification cli"
     ),
     "hardware": (
         "errors drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "
@@ -56,6 +57,8 @@ LATE = (
     "av",
     "pygame",
     "pypylon",
+    "matplotlib",
+    "xarray",
 )
 
 

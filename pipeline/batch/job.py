@@ -14,10 +14,11 @@ from pipeline.decoder import Decoder
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
+from pipeline.footage.frame_times import frame_times
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
-from pipeline.output.store import ResultStore, result_attributes
+from pipeline.output.store import ResultStore, camera_attribute, result_attributes
 from pipeline.output.store_size import frame_bytes
 from pipeline.settings import DecodeSettings
 from tikernels.arrays import LevelsImage
@@ -162,17 +163,25 @@ class Job:
         OutputError
             It holds something else, or cannot be written.
         """
-        also = {"light": None if light is None else light.as_json(), "rims": asdict(rims or RimVotes())}
+        also = {
+            "light": None if light is None else light.as_json(),
+            "rims": asdict(rims or RimVotes()),
+            **camera_attribute(self._calibration_of_part()),
+        }
         identity, size_px = self.identity(source), self.size_px(source)
-        return ResultStore.make(self.store, identity, self.fields, len(source), size_px, also)
+        return ResultStore.make(
+            self.store, identity, self.fields, len(source), size_px, also, times=frame_times(source)
+        )
 
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
-        calibration = self.calibration
-        if calibration is not None and self.crop is not None:
-            size_px = (self.crop.width, self.crop.height)
-            calibration = calibration.cropped(self.crop.x, self.crop.y, size_px)
-        return Decoder(self.settings, calibration, arch=self.arch)
+        return Decoder(self.settings, self._calibration_of_part(), arch=self.arch)
+
+    def _calibration_of_part(self) -> Calibration | None:
+        """Return the calibration of what is decoded of a frame."""
+        if self.calibration is None or self.crop is None:
+            return self.calibration
+        return self.calibration.cropped(self.crop.x, self.crop.y, (self.crop.width, self.crop.height))
 
     def develop(self, stored: StoredFrame, out: LevelsImage | None) -> LevelsImage:
         """Return what is decoded of a frame, as RGB, in a buffer that can be handed in as `out` again."""

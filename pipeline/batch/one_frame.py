@@ -19,7 +19,7 @@ from pipeline.output.folder import output_folder, write_frame
 from pipeline.output.range_image import write_png
 from pipeline.output.render import render_mesh
 from pipeline.output.report import frame_report, measure_against_truth
-from pipeline.output.surface_mesh import frame_mesh
+from pipeline.output.surface_mesh import MeshOptions, frame_mesh
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
@@ -40,6 +40,7 @@ def decode_picture(
     calibration: Calibration | None,
     stored_as: StoredAs,
     arch: str,
+    part: MeshOptions,
     *,
     force: bool,
     tell: Callable[[str], None],
@@ -60,6 +61,8 @@ def decode_picture(
         What is known of its pixels that the file does not say.
     arch : str
         Where to compute.
+    part : MeshOptions
+        What becomes of it in its mesh.
     force : bool
         Whether the folder may hold other things.
     tell : callable
@@ -94,7 +97,7 @@ def decode_picture(
             raise FootageError(f"nothing was measured in {picture.name}, so nothing is written")
         report = frame_report(frame, settings, calibration, picture.name)
         report["transfer_because"] = transfer_because
-        write_frame(folder, frame, settings, calibration, report, tell)
+        write_frame(folder, frame, settings, calibration, report, part, tell=tell)
         tell(f"moving all into {out}")
     return frame
 
@@ -160,7 +163,7 @@ def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str],
         report = {**frame_report(frame, settings, calibration, "simulated bust"), "against_truth": measured}
         write_png(folder / "frame.png", np.asarray(truth.image, np.uint8))
         calibration.write(folder / "calibration.json")
-        write_frame(folder, frame, settings, calibration, report, tell)
+        write_frame(folder, frame, settings, calibration, report, tell=tell)
         picture = out / "render.png"
         tell("drawing the mesh")
         try:

@@ -27,6 +27,7 @@ from pipeline.models import (
     build,
     read_file,
 )
+from pipeline.showing import to_html
 from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
@@ -299,6 +300,9 @@ class Calibration(Model):
     def digest(self) -> str:
         """Return a SHA-256 of the contents, by which results name the calibration they were made with."""
         return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+    def _repr_html_(self) -> str | None:
+        return to_html(self)
 
 
 def choose_pattern(

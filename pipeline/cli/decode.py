@@ -26,14 +26,17 @@ from pipeline.cli.console import (
     say,
     steps,
 )
-from pipeline.cli.results import write_meshes
+from pipeline.cli.export import write_frames
+from pipeline.cli.mesh_choice import MeshChoice
 from pipeline.errors import SettingsError
 from pipeline.footage.image_folder import IMAGE_SUFFIXES
 from pipeline.footage.source import StoredAs
 from pipeline.output.folder import STORE, refuse_others
+from pipeline.output.formats.table import FORMATS, Kind
 from pipeline.output.report import depth_in_words
 from pipeline.output.store import chosen_fields
-from pipeline.output.stored_result import MeshKind, StoredResult, mesh_fields
+from pipeline.output.stored_result import StoredResult, mesh_fields
+from pipeline.output.surface_mesh import MeshOptions
 from pipeline.settings import DecodeSettings
 
 _MESHES = "meshes"
@@ -63,8 +66,8 @@ class FootageOptions:
     """In how many processes to decode; left out, one for each core, or a single one with a GPU."""
     cluster: str | None = None
     """Decode on a Dask cluster: the scheduler's address, as tcp://10.0.0.1:8786."""
-    export: MeshKind | None = None
-    """Write a mesh of each frame, too, into the folder meshes."""
+    export: Kind | None = None
+    """Write each frame in another format, too, as ply, glb or pcd, into the folder meshes."""
 
     def crop(self) -> Crop | None:
         """Return the part of each frame that is decoded.
@@ -82,7 +85,7 @@ class FootageOptions:
         return Crop(*parts)
 
 
-_FOOTAGE, _AS_SET = FootageOptions(), SettingsOptions()
+_FOOTAGE, _AS_SET, _ALL = FootageOptions(), SettingsOptions(), MeshChoice()
 _AS_IT_SAYS = StoredAs()
 
 
@@ -98,6 +101,7 @@ def decode(
     force: bool = False,
     chosen: SettingsOptions = _AS_SET,
     video: FootageOptions = _FOOTAGE,
+    part: MeshChoice = _ALL,
     stored_as: Annotated[StoredAs, Parameter(name="*")] = _AS_IT_SAYS,
 ) -> None:
     """Decode a picture, or footage: a folder of pictures, a video or a recording.
@@ -127,7 +131,11 @@ def decode(
     """
     how, rig = chosen.applied_to(read_settings(settings)), _within(read_calibration(calibration), depth_range)
     if input.suffix.lower() not in IMAGE_SUFFIXES or input.is_dir():
-        _decode_video(input, out, how, rig, arch, video, stored_as, force=force)
+        if part != _ALL and video.export is None:
+            raise SettingsError(
+                "--crop, --no-background and --triangles are for meshes: add --export, or leave them away"
+            )
+        _decode_video(input, out, how, rig, arch, video, part.options(), stored_as, force=force)
         return
     if video != _FOOTAGE:
         raise SettingsError(
@@ -136,7 +144,7 @@ def decode(
     from pipeline.batch.one_frame import decode_picture
 
     with steps() as step:
-        frame = decode_picture(input, out, how, rig, stored_as, arch, force=force, tell=step)
+        frame = decode_picture(input, out, how, rig, stored_as, arch, part.options(), force=force, tell=step)
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
     relative = depth_in_words(partial(getattr, frame), in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
     if relative is not None:
@@ -164,6 +172,7 @@ def _decode_video(
     calibration: Calibration | None,
     arch: str,
     options: FootageOptions,
+    part: MeshOptions,
     stored_as: StoredAs,
     *,
     force: bool,
@@ -183,7 +192,7 @@ def _decode_video(
         arch=arch,
     )
     if options.export is not None:
-        _check_meshes(out, job, in_mm=in_mm)
+        _check_meshes(out, job, options.export, in_mm=in_mm)
     if "://" not in out and Path(out).is_dir() and not force:
         refuse_others(Path(out), (STORE, _MESHES))
     with counted("decoding") as show:
@@ -201,7 +210,7 @@ def _decode_video(
     _say_summary(summary, job.store)
     _say_whether_relative(job.store)
     if options.export is not None:
-        write_meshes(job.store, Path(out, _MESHES), options.export, force=force)
+        write_frames(job.store, Path(out, _MESHES), options.export, part, force=force)
     if summary.bad:
         sys.exit(SOME_ARE_BAD)
 
@@ -213,13 +222,15 @@ def _wanted_fields(names: tuple[str, ...] | None, *, in_mm: bool) -> tuple[str, 
     return None if names == ("all",) else names
 
 
-def _check_meshes(out: str, job: Job, *, in_mm: bool) -> None:
-    """Refuse meshes that could not be made, before footage is decoded for hours."""
+def _check_meshes(out: str, job: Job, kind: Kind, *, in_mm: bool) -> None:
+    """Refuse files that could not be made, before footage is decoded for hours."""
     if "://" in out:
         raise SettingsError(f"meshes go into folders here: leave --export away, and run colorphase export {job.store}")
     lacking = [name for name in mesh_fields(in_mm=in_mm) if name not in job.fields]
     if lacking:
         raise SettingsError(f"meshes are made of {' and '.join(lacking)}: add that to --fields")
+    if FORMATS[kind].encode_mesh is None and not in_mm:
+        raise SettingsError(f"{FORMATS[kind].meaning} is in mm: give a --calibration that holds the geometry")
 
 
 def _say_whether_relative(location: str) -> None:

@@ -12,10 +12,11 @@ from pipeline.cli.console import run, without_controls
 from pipeline.cli.decode import decode
 from pipeline.cli.demo import demo
 from pipeline.cli.devices import devices
+from pipeline.cli.drawing import render
+from pipeline.cli.export import export
 from pipeline.cli.inspect import inspect
 from pipeline.cli.plan import plan
 from pipeline.cli.project import pattern, project, projector
-from pipeline.cli.results import export, render
 from pipeline.cli.rig_template import rig
 from pipeline.cli.verify import verify
 

@@ -5,13 +5,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from dataclasses import field as attribute
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
 from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers, clear_buffers
+from pipeline.decoding.field_plot import plot_image
 from pipeline.decoding.fields import (
     MODULATION_DIGITS,
     PHASE_DIGITS,
@@ -22,8 +23,10 @@ from pipeline.decoding.fields import (
     fields_of,
 )
 from pipeline.decoding.frame_reader import size_text
+from pipeline.decoding.labels import make_dataset
 from pipeline.decoding.surface_search import FoundSurfaces, OnlyColor
 from pipeline.errors import SettingsError
+from pipeline.showing import to_html, to_pyvista
 from tikernels import runtime
 from tikernels.arrays import F32, Array
 from tikernels.depth.point_uncertainty import point_sigma
@@ -34,6 +37,12 @@ from tikernels.phase.texture import measure_texture
 from tikernels.phase.uncertainty import estimate_phase_sigma
 from tikernels.phase.white_light import FrameLight
 from tikernels.transposing import transpose
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import FigureBase
+    from pyvista import PolyData
+    from xarray import Dataset
 
 Floats = npt.NDArray[np.float32]
 
@@ -166,6 +175,11 @@ class DecodedFrame:
     def calibrated(self) -> bool:
         """Whether `range_image` is a depth in mm."""
         return self._setup.rays is not None
+
+    @property
+    def range_unit(self) -> Literal["mm", "rad"]:
+        """Of `range_image`."""
+        return "mm" if self.calibrated else "rad"
 
     @property
     def front_is_clear(self) -> bool:
@@ -319,6 +333,59 @@ class DecodedFrame:
         measured = self._measured
         surfaces = measured.surfaces if measured.at_rest else None  # motion bends what a frame says of them
         return FrameMemory(self._setup.stripes, measured.phase_counts, measured.surface, measured.orders, surfaces)
+
+    def plot(self, field: str = "range_image", ax: "Axes | None" = None) -> "FigureBase":
+        """Draw a field with its scale, in its unit, from its 1st to its 99th percentile.
+
+        Parameters
+        ----------
+        field : str
+            Which; one with a number, a flag or a colour a pixel.
+        ax : matplotlib.axes.Axes, optional
+            Where to draw; None: a figure of its own, which a notebook shows and `savefig` writes, without a screen.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            What it is drawn in.
+
+        Raises
+        ------
+        SettingsError
+            There is no such field, it is no picture, or not without a calibration.
+        """
+        entry = FIELDS.get(field)
+        pictures = [name for name in self._there() if FIELDS[name].axes in (("y", "x"), ("y", "x", "rgb"))]
+        if entry is None or field not in pictures:
+            raise SettingsError(f"cannot plot {field!r}: choose one of {', '.join(pictures)}")
+        unit = self.range_unit if entry.unit == "range" else entry.unit
+        return plot_image(getattr(self, field), field.replace("_", " "), unit, ax)
+
+    def to_xarray(self) -> "Dataset":
+        """Return all fields as an `xarray.Dataset`, with the units and coordinates of a ``result.zarr``.
+
+        Raises
+        ------
+        OutputError
+            xarray is not installed.
+        """
+        fields = {name: (FIELDS[name], getattr(self, name)) for name in self._there()}
+        return make_dataset(fields, self.mask.shape, self.range_unit, self.warnings)
+
+    def to_pyvista(self) -> "PolyData":
+        """Return the frame's mesh, as `frame_mesh` makes it, as `pyvista.PolyData`.
+
+        Its points have ``Normals``, ``colors`` (sRGB) and ``flags``, and what a mesh knows of its vertices, such as
+        ``sigma_mm``; its `field_data` has ``unit``, "mm" or "rad". Nothing is drawn.
+        """
+        return to_pyvista(self)
+
+    def _repr_html_(self) -> str | None:
+        return to_html(self)
+
+    def _there(self) -> list[str]:
+        """Return the names of the fields that this frame has."""
+        return [name for name, entry in FIELDS.items() if self.calibrated or not entry.in_mm]
 
     def fetch(self, fields: Iterable[str]) -> None:
         """Read from the device now what these fields are made of; looking at them later asks it nothing more."""

@@ -62,7 +62,9 @@ class VideoFile:
                 self._says = recording.completing(says)
                 self.transfer = recording.transfer
                 self.transfer_because = "the recording says so" if self.transfer else "the recording does not say"
-            self._is_recording = recording is not None
+            self.is_recording = recording is not None
+            self._stamp_s = float(stream.time_base or 0)
+            self._rate_hz = None if recording is None else recording.rate_hz
             self._index = index_frames(container, stream, recording)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
             self._note_missing_end(container, stream)
@@ -82,6 +84,14 @@ class VideoFile:
         """When each frame is to be shown, in the order of their numbers; empty where nothing tells."""
         shown = zip(self._index.numbers, self._index.stamps, strict=False)
         return [stamp for number, stamp in sorted(shown) if number >= 0]
+
+    @property
+    def times_s(self) -> list[float]:
+        """When each frame is to be shown, s since the first; empty where nothing tells."""
+        if self._rate_hz is not None:  # stamps are rounded to ms
+            return [float(number / self._rate_hz) for number in range(len(self))]
+        stamps = self.stamps
+        return [(stamp - stamps[0]) * self._stamp_s for stamp in stamps]
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield frames by number; see `Source`."""
@@ -198,7 +208,7 @@ class VideoFile:
 
     def _fault(self, packet: Any) -> str | None:
         """Return what is wrong with a recording's packet, which has a checksum of its own; other files have none."""
-        if not self._is_recording:
+        if not self.is_recording:
             return None
         try:
             with open(self._url.removeprefix("file:"), "rb") as file:

@@ -41,6 +41,7 @@ class ZarrRecording:
     """
 
     notes: tuple[str, ...] = ()
+    is_recording = True
 
     def __init__(self, path: Path, says: StoredAs) -> None:
         import zarr  # slow to import, and only needed here
@@ -78,11 +79,17 @@ class ZarrRecording:
         self.transfer_because = "the recording says so" if tags.transfer else "the recording does not say"
         if len(self) == 0:
             raise FootageError(f"{path} holds no frames")
+        self._rate_hz = tags.rate_hz
         self.size_px = (width, height)
         self.format = says.applied_to(format)
 
     def __len__(self) -> int:
         return self._n_frames
+
+    @property
+    def times_s(self) -> list[float]:
+        """When each frame was taken by the recording's rate, s since the first."""
+        return [float(number / self._rate_hz) for number in range(len(self))]
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield frames by number; see `Source`."""

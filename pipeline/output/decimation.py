@@ -44,12 +44,4 @@ def decimate_mesh(mesh: Mesh, max_triangles: int) -> Mesh:
     # Splitting would make two vertices of one.
     fewer = surface.decimate_pro(1 - max_triangles / len(mesh.faces), splitting=False)
     kept, corners = np.unique(fewer.point_data["number"][fewer.regular_faces], return_inverse=True)
-    return replace(
-        mesh,
-        vertices=mesh.vertices[kept],
-        faces=corners.reshape(-1, 3).astype(np.int32),
-        colors=None if mesh.colors is None else mesh.colors[kept],
-        properties={name: values[kept] for name, values in mesh.properties.items()},
-        normals=None if mesh.normals is None else mesh.normals[kept],
-        flags=None if mesh.flags is None else mesh.flags[kept],
-    )
+    return replace(mesh, faces=corners.reshape(-1, 3).astype(np.int32), **mesh.vertices_at(kept))

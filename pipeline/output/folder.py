@@ -9,7 +9,9 @@ import json
 import shutil
 import tempfile
 from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +21,10 @@ from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.files import explain, sync
 from pipeline.locking import LOCK, locked
 from pipeline.output.mesh_files import write_mesh
+from pipeline.output.provenance import provenance_of
 from pipeline.output.range_image import shade_range, write_png, write_range_image
-from pipeline.output.store import holds_footage, is_there, write_store
-from pipeline.output.surface_mesh import frame_mesh
+from pipeline.output.store import chosen_fields, holds_footage, is_there, write_store
+from pipeline.output.surface_mesh import MeshOptions, counted_mesh
 from pipeline.settings import DecodeSettings
 
 #: The result in an output folder.
@@ -176,6 +179,7 @@ def write_frame(
     settings: DecodeSettings,
     calibration: Calibration | None,
     report: dict[str, Any],
+    part: MeshOptions | None = None,
     tell: Callable[[str], None] = lambda what: None,
 ) -> None:
     """Write one frame's ``result.zarr``, ``mesh.ply``, ``range.png``, ``shaded.png`` and ``report.json`` into a folder.
@@ -187,13 +191,24 @@ def write_frame(
     OSError
         The folder cannot be written.
     """
-    tell("storing every field")
-    write_store(folder / "result.zarr", frame, settings, calibration)
-    tell("meshing")
-    mesh = frame_mesh(frame)
-    tell(f"writing a mesh of {len(mesh.faces):,} triangles")
-    write_mesh(mesh, folder / "mesh.ply")
-    tell("drawing range.png and shaded.png")
-    write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
-    write_png(folder / "shaded.png", shade_range(frame.range_image, frame.mask, frame.points))
+    tell("reading every field")
+    for name in chosen_fields(None, in_mm=frame.calibrated):
+        getattr(frame, name)
+
+    def draw_and_store() -> None:
+        write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
+        write_png(folder / "shaded.png", shade_range(frame.range_image, frame.mask, frame.points))
+        write_store(folder / STORE, frame, settings, calibration)
+
+    # What a picture of many pixels takes is compressing and copying; none of it needs the kernels but the mesh.
+    with ThreadPoolExecutor(1, "store") as beside:
+        tell("meshing, drawing and storing")
+        stored = beside.submit(draw_and_store)
+        mesh, counts = counted_mesh(frame, part)
+        mesh = replace(mesh, provenance=provenance_of(report))
+        tell(f"writing a mesh of {len(mesh.faces):,} triangles")
+        write_mesh(mesh, folder / "mesh.ply")
+        tell("drawing and storing")
+        stored.result()
+    report = {**report, "mesh": asdict(counts)}
     (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")

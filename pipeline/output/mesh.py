@@ -6,6 +6,8 @@ from typing import Any, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.showing import to_html
+
 Unit = Literal["mm", "rad"]
 
 #: What files say of a mesh in rad.
@@ -19,6 +21,8 @@ FLAGS = "flags"
 #: Bits of a vertex's flags; without any it lies where the pixel was measured.
 SMOOTHED, FILLED = 1, 2
 RESERVED = (*POSITION, *NORMAL, *COLOR, FLAGS)
+#: What a mesh may say of how it was made (`pipeline.output.provenance`).
+PROVENANCE = ("software", "source", "frame", "time_s", "calibration_sha256", "settings")
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,6 +46,12 @@ class Mesh:
     flags : (N,) uint8, optional
         What of each vertex was not measured: bits `SMOOTHED` (1: moved along its pixel's ray to the surface through its
         neighbours) and `FILLED` (2: the surface around a small hole goes on there).
+    texture : (H, W, 3) uint8, optional
+        sRGB: a picture that the surface wears; `colors` are its colours at the vertices.
+    pixels : (N, 2) float32, optional
+        Where each vertex is in the texture: x and y of the camera's pixel, px, 0 at the middle of the first one.
+    provenance : dict of str
+        How the mesh was made: version, settings, calibration, frame, time; kept by every format that has room for it.
 
     Raises
     ------
@@ -56,6 +66,9 @@ class Mesh:
     unit: Unit = "mm"
     normals: npt.NDArray[np.float32] | None = None
     flags: npt.NDArray[np.uint8] | None = None
+    texture: npt.NDArray[np.uint8] | None = None
+    pixels: npt.NDArray[np.float32] | None = None
+    provenance: dict[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         known = f", {' '.join(self.properties)}" if self.properties else ""
@@ -74,6 +87,12 @@ class Mesh:
             wanted.append(("normals", self.normals, (count, 3), np.float32))
         if self.flags is not None:
             wanted.append(("flags", self.flags, (count,), np.uint8))
+        if self.pixels is not None:
+            wanted.append(("pixels", self.pixels, (count, 2), np.float32))
+        if self.texture is not None:
+            wanted.append(("texture", self.texture, (*self.texture.shape[:2], 3), np.uint8))
+            if self.pixels is None:
+                raise ValueError("texture: give the vertices' pixels in it, too")
         for name, values, shape, dtype in wanted:
             if values.shape != shape or values.dtype != dtype:
                 raise ValueError(f"{name}: got {values.shape} {values.dtype}, expected {shape} {np.dtype(dtype)}")
@@ -86,6 +105,30 @@ class Mesh:
             raise ValueError("vertices: some are not finite; leave masked pixels out of the mesh")
         if self.faces.size and not (self.faces.min() >= 0 and self.faces.max() < count):
             raise ValueError(f"faces: got corners {self.faces.min()} to {self.faces.max()} of {count} vertices")
+
+    def _repr_html_(self) -> str | None:
+        return to_html(self)
+
+    def vertices_at(self, kept: npt.NDArray[np.intp]) -> dict[str, Any]:
+        """Return all that is known of some vertices, by the names of the parameters, without the faces."""
+        arrays = {
+            name: None if (values := getattr(self, name)) is None else values[kept]
+            for name in ("vertices", "colors", "normals", "flags", "pixels")
+        }
+        return {**arrays, "properties": {name: values[kept] for name, values in self.properties.items()}}
+
+    def texture_places(self) -> npt.NDArray[np.float64]:
+        """Return where each vertex is in the texture, (N, 2): 0 at its left and top edge, 1 at the right and bottom.
+
+        Raises
+        ------
+        ValueError
+            It has no texture.
+        """
+        if self.texture is None or self.pixels is None:
+            raise ValueError("this mesh has no texture")
+        height, width = self.texture.shape[:2]
+        return np.asarray((self.pixels + 0.5) / (width, height), np.float64)
 
 
 def vertex_normals(mesh: Mesh) -> npt.NDArray[np.float32]:

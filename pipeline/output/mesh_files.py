@@ -1,22 +1,14 @@
-"""Meshes to files that other programs open, and meshes in PLY back.
+"""Meshes to files that other programs open, and back."""
 
-Numbers keep the camera frame of OpenCV (x right, y down, z forward) and their unit in PLY, OBJ and STL. VRML wraps the
-same numbers in a transform, and glTF holds converted ones, because both fix y up, z towards the viewer, and metres.
-"""
-
-import struct
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
-from pipeline.output.gltf import encode_glb, encode_gltf
-from pipeline.output.mesh import NOT_METRIC, Mesh, face_normals, metres_a_unit
-from pipeline.output.ply import decode_ply, encode_ply
+from pipeline.output.formats.axes import in_camera_frame
+from pipeline.output.formats.mesh_reading import READ_SUFFIXES, read_foreign
+from pipeline.output.formats.ply import decode_ply
+from pipeline.output.formats.table import FORMATS, MESH_FORMATS, encode_as
+from pipeline.output.mesh import Mesh
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> None:
@@ -25,116 +17,54 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     Parameters
     ----------
     mesh : Mesh
-        What to write. PLY keeps all of it; OBJ and glTF its colours and normals, glTF its flags, too; VRML its colours;
-        STL its shape.
+        What to write; `pipeline.output.formats.table` says what each format keeps of it, and which way is up there.
     path : str or Path
-        A .ply, .wrl, .obj, .stl, .glb or .gltf file.
+        A .ply, .obj, .stl, .glb, .gltf or .wrl file. An OBJ file with a texture has an .mtl and a .png beside it.
 
     Raises
     ------
     OutputError
         If the suffix is unknown, the file cannot be written, or the mesh is empty and the format glTF.
-
-    Notes
-    -----
-    glTF is y-up, right-handed and in metres, so (x, y, z) becomes (x, -y, -z) / 1000. A mesh in rad has no metres: it
-    keeps its numbers, and its ``extras`` say what they are.
     """
-    suffix = Path(path).suffix.lower()
-    if suffix not in _ENCODERS:
-        raise OutputError(f"cannot write {path}: unknown mesh format '{suffix}', use one of {', '.join(_ENCODERS)}")
-    write_atomically(path, _ENCODERS[suffix](mesh))
+    path = Path(path)
+    form = MESH_FORMATS.get(path.suffix.lower())
+    if form is None:
+        known = ", ".join(MESH_FORMATS)
+        raise OutputError(f"cannot write {path}: unknown mesh format '{path.suffix}', use one of {known}")
+    files = encode_as(form, mesh, path.stem)
+    own = path.suffix.lower()
+    # What a file names is there before it.
+    for suffix in sorted(files, key=lambda suffix: suffix == own):
+        write_atomically(path if suffix == own else path.with_suffix(suffix), files[suffix])
 
 
 def read_mesh(path: str | Path) -> Mesh:
-    """Read a PLY file of triangles, binary or ASCII.
+    """Read a mesh of triangles: PLY, binary or ASCII, OBJ, STL or glTF.
 
     Parameters
     ----------
     path : str or Path
-        The file. Without our comment on the unit it is taken to be in mm.
+        The file. Its unit and which way is up there are taken to be what `write_mesh` has written: what has another
+        suffix is read as PLY.
 
     Returns
     -------
     Mesh
-        With every property of the vertices.
+        In the camera frame. Of a PLY file with every property of the vertices; of others with colours.
 
     Raises
     ------
     FootageError
         If the file is missing, truncated, or no mesh of triangles.
     """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    form = FORMATS["ply"] if suffix not in READ_SUFFIXES else MESH_FORMATS[suffix]
     try:
-        return decode_ply(Path(path).read_bytes())
+        mesh = read_foreign(path) if suffix in READ_SUFFIXES else decode_ply(path.read_bytes())
     except OSError as error:
         raise FootageError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:
-        raise FootageError(f"cannot read {path} as a PLY mesh: {error}") from error
-
-
-def _encode_stl(mesh: Mesh) -> bytes:
-    normals = face_normals(mesh)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    triangles = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-    triangles["normal"] = normals / np.where(lengths > 0, lengths, 1)
-    triangles["corners"] = mesh.vertices[mesh.faces]
-    unit = "unit mm" if mesh.unit == "mm" else f"unit rad, {NOT_METRIC}"
-    return struct.pack("<80sI", f"binary STL, {unit}".encode(), len(triangles)) + triangles.tobytes()
-
-
-def _encode_obj(mesh: Mesh) -> bytes:
-    vertices = _rows("v %.7g %.7g %.7g\n", mesh.vertices)
-    if mesh.colors is not None:
-        vertices = _rows("v %.7g %.7g %.7g %.4f %.4f %.4f\n", np.hstack([mesh.vertices, mesh.colors / np.float32(255)]))
-    if mesh.normals is None:
-        faces = _rows("f %d %d %d\n", mesh.faces + 1)
-        return f"{_unit_comment(mesh)}{vertices}{faces}".encode()
-    normals = _rows("vn %.4f %.4f %.4f\n", mesh.normals)
-    # A corner names its vertex and its normal, which have the same number here.
-    faces = _rows("f %d//%d %d//%d %d//%d\n", np.repeat(mesh.faces + 1, 2, axis=1))
-    return f"{_unit_comment(mesh)}{vertices}{normals}{faces}".encode()
-
-
-def _unit_comment(mesh: Mesh) -> str:
-    return "# unit mm\n" if mesh.unit == "mm" else f"# unit rad\n# {NOT_METRIC}\n"
-
-
-def _encode_vrml(mesh: Mesh) -> bytes:
-    scale = metres_a_unit(mesh)
-    vertices = _rows("%.7g %.7g %.7g,\n", mesh.vertices)
-    faces = _rows("%d,%d,%d,-1,\n", mesh.faces)
-    colors = ""
-    if mesh.colors is not None:
-        colors = "color Color { color [\n" + _rows("%.4f %.4f %.4f,\n", mesh.colors / np.float32(255)) + "] }\n"
-    return f"""#VRML V2.0 utf8
-{_unit_comment(mesh)}Transform {{
-rotation 1 0 0 3.14159265
-scale {scale} {scale} {scale}
-children Shape {{
-appearance Appearance {{ material Material {{ }} }}
-geometry IndexedFaceSet {{
-solid FALSE
-creaseAngle 3.14159265
-coord Coordinate {{ point [
-{vertices}] }}
-{colors}coordIndex [
-{faces}]
-}}
-}}
-}}
-""".encode()
-
-
-def _rows(row: str, table: npt.NDArray[Any]) -> str:
-    # One format of the whole table is several times faster than numpy.savetxt.
-    return row * len(table) % tuple(table.ravel().tolist())
-
-
-_ENCODERS: dict[str, Callable[[Mesh], bytes]] = {
-    ".ply": encode_ply,
-    ".wrl": _encode_vrml,
-    ".obj": _encode_obj,
-    ".stl": _encode_stl,
-    ".glb": encode_glb,
-    ".gltf": encode_gltf,
-}
+        kind = suffix[1:].upper() if suffix in READ_SUFFIXES else "PLY"
+        raise FootageError(f"cannot read {path} as a {kind} mesh: {error}") from error
+    return in_camera_frame(mesh, form.axes, 0.001 if form.unit == "m" else 1.0)

@@ -8,11 +8,12 @@ import numpy.typing as npt
 
 from pipeline.files import write_atomically
 from pipeline.output.mesh import Unit
+from pipeline.output.pictures.color_scale import ColorScale, color_bar_width, draw_color_bar
+from pipeline.output.pictures.lighting import CLAY
+from pipeline.output.pictures.object_choice import object_pixels
 
 # Grey level of pixels that hold no value.
 _HIDDEN = 48
-#: RGB of a fully lit surface that has no colour of its own.
-CLAY = np.array([236, 228, 216], np.float32)
 
 
 def depth_colors(
@@ -35,15 +36,14 @@ def depth_colors(
         RGB; dark grey where there is no value.
     """
     mask = mask & np.isfinite(values)
-    low, high = _limits(values, mask) if limits is None else limits
-    fractions = np.where(mask, (values - low) / (high - low), 0).clip(0, 1)
-    return np.where(mask[..., None], _colormap(fractions), np.uint8(_HIDDEN))
+    scale = ColorScale.over(values[mask], "", "") if limits is None else ColorScale(*limits, "", "")
+    return np.where(mask[..., None], scale.colors(np.where(mask, values, scale.low)), np.uint8(_HIDDEN))
 
 
 def write_range_image(
     path: str | Path, values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], unit: Unit
 ) -> None:
-    """Write a range image as a coloured PNG with a scale beside it.
+    """Write a range image as a coloured PNG with a scale beside it; its limits are those of the object, not of a wall.
 
     Parameters
     ----------
@@ -61,13 +61,19 @@ def write_range_image(
     OutputError
         If the file cannot be written.
     """
-    image = depth_colors(values, mask)
     mask = mask & np.isfinite(values)
+    chosen = object_pixels(values, mask) if unit == "mm" else mask
+    name, told = ("depth", "mm") if unit == "mm" else ("", "rad, not mm")
+    scale = ColorScale.over(values[chosen], name, told, grey_beyond=not np.array_equal(chosen, mask))
+    image = np.where(mask[..., None], scale.colors(np.where(mask, values, scale.low)), np.uint8(_HIDDEN))
     height = max(len(image), 160)  # room for the scale's numbers beside a small image
-    canvas = np.full((height, image.shape[1], 3), _HIDDEN, np.uint8)
-    canvas[: len(image)] = image
-    limits = _limits(values, mask) if mask.any() else None
-    write_png(path, np.hstack([canvas, _scale_bar(height, limits, unit)]))
+    gap = round(height / 40)
+    width = gap * 3 + color_bar_width(scale, height - 2 * gap)
+    canvas = np.full((height, image.shape[1] + width, 3), _HIDDEN, np.uint8)
+    canvas[: len(image), : image.shape[1]] = image
+    if mask.any():  # else there is nothing to tell
+        draw_color_bar(canvas, scale, (image.shape[1] + gap, gap), height - 2 * gap)
+    write_png(path, canvas)
 
 
 def shade_range(
@@ -121,49 +127,12 @@ def write_png(path: str | Path, image: npt.NDArray[np.uint8]) -> None:
     OutputError
         If the file cannot be written.
     """
-    write_atomically(path, cv2.imencode(".png", image[..., ::-1])[1].tobytes())
+    write_atomically(path, encode_png(image))
 
 
-def _limits(values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> tuple[float, float]:
-    """Return the 1st and the 99th percentile, never equal."""
-    low, high = np.percentile(values[mask], (1, 99)).tolist() if mask.any() else (0.0, 1.0)
-    return low, max(high, low + 1e-6 * max(abs(low), 1.0))
-
-
-def _colormap(fractions: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
-    levels = (20 + 215 * fractions).round().astype(np.uint8)  # the map's ends are too dark to tell apart
-    colors: npt.NDArray[np.uint8] = cv2.applyColorMap(levels, cv2.COLORMAP_TURBO)[..., ::-1]
-    return colors
-
-
-def _scale_bar(height: int, limits: tuple[float, float] | None, unit: Unit) -> npt.NDArray[np.uint8]:
-    """Draw a colour scale with round numbers, (height, W, 3); without limits there is nothing to tell."""
-    size = max(height / 480, 0.75)
-    gap, width = round(14 * size), round(110 * size)
-    bar = np.full((height, width, 3), _HIDDEN, np.uint8)
-    if limits is None:
-        return bar
-    low, high = limits
-    top, bottom = 3 * gap, height - gap
-    bar[top:bottom, gap : 2 * gap] = _colormap(np.linspace(1, 0, bottom - top)[:, None])
-
-    def write(text: str, x: int, y: int) -> None:
-        cv2.putText(bar, text, (x, y), cv2.FONT_HERSHEY_SIMPLEX, 0.45 * size, (235, 235, 235), 1, cv2.LINE_AA)
-
-    write(unit if unit == "mm" else "rad, not mm", gap if unit == "mm" else gap // 3, 2 * gap)
-    step = _round_step((high - low) / 6)
-    decimals = max(0, -int(np.floor(np.log10(step))))
-    for value in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:
-        y = round(bottom - 1 - (value - low) / (high - low) * (bottom - 1 - top))
-        bar[y, 2 * gap : 2 * gap + gap // 3] = 235
-        write(f"{value + 0.0:.{decimals}f}", 2 * gap + gap // 2, y + round(5 * size))
-    return bar
-
-
-def _round_step(step: float) -> float:
-    """Return the least of 1, 2 and 5 times a power of ten that is at least ``step``."""
-    power: float = 10.0 ** np.floor(np.log10(step))
-    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step)
+def encode_png(image: npt.NDArray[np.uint8]) -> bytes:
+    """Return an RGB image, (H, W, 3) uint8, as a PNG file."""
+    return bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
 
 
 def _slope(surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:

@@ -15,8 +15,10 @@ from typing import Any
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.frame import FIELDS, DecodedFrame
+from pipeline.decoding.labels import COORDINATES
 from pipeline.errors import DamageError, OutputError, SettingsError
 from pipeline.files import make_folder
+from pipeline.footage.frame_times import FrameTimes
 from pipeline.output.store_files import StoreFiles
 from pipeline.output.store_marks import FrameMark, OtherFrame, frame_fault, identity_digest, marked_frames, read_mark
 from pipeline.output.store_metadata import DONE, MARK_BYTES, new_metadata, read_metadata
@@ -36,6 +38,12 @@ def result_attributes(settings: DecodeSettings, calibration: Calibration | None)
         "calibration_sha256": None if calibration is None else calibration.digest(),
         "range_unit": "mm" if calibration is not None and calibration.has_geometry else "rad",
     }
+
+
+def camera_attribute(calibration: Calibration | None) -> dict[str, Any]:
+    """Return what a store says of the camera whose pixels it holds, for programs that need its lens."""
+    lens = None if calibration is None else calibration.camera
+    return {"camera": None if lens is None else json.loads(lens.model_dump_json())}
 
 
 def chosen_fields(names: Sequence[str] | None, *, in_mm: bool) -> tuple[str, ...]:
@@ -110,6 +118,7 @@ class ResultStore:
         n_frames: int,
         size_px: tuple[int, int],
         also: dict[str, Any] | None = None,
+        times: FrameTimes | None = None,
     ) -> "ResultStore":
         """Make a store, or write a damaged one's metadata anew; and open it.
 
@@ -121,6 +130,8 @@ class ResultStore:
             Of the whole footage: how many frames, their width and height.
         also : dict, optional
             Further attributes of a new store, which an old one keeps as they were.
+        times : FrameTimes, optional
+            When the frames were taken, where that is known.
 
         Raises
         ------
@@ -135,7 +146,7 @@ class ResultStore:
             _refuse_others(files, identity_digest(whole))
         if not there:
             with files.explained():
-                content = new_metadata({**whole, **(also or {})}, fields, n_frames, size_px)
+                content = new_metadata({**whole, **(also or {})}, fields, n_frames, size_px, times)
                 for key, text in content.items():  # the group's comes last: who has it has all of them
                     folder = key.rpartition("/")[0]
                     if files.folder is not None:
@@ -233,7 +244,8 @@ class ResultStore:
     def remove_leftovers(self) -> None:
         """Remove the files that a writer who was killed left half-written; while nobody writes."""
         with self._files.explained():
-            self._files.remove_leftovers("", *self._fields, DONE)
+            coordinates = self._files.folders(COORDINATES)
+            self._files.remove_leftovers("", *self._fields, DONE, *coordinates)
 
 
 def is_there(location: str | Path) -> bool:
@@ -285,7 +297,8 @@ def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calib
     """
     height, width = frame.mask.shape
     fields = chosen_fields(None, in_mm=frame.calibrated)
-    store = ResultStore.make(path, result_attributes(settings, calibration), fields, 1, (width, height))
+    attributes, camera = result_attributes(settings, calibration), camera_attribute(calibration)
+    store = ResultStore.make(path, attributes, fields, 1, (width, height), camera)
     store.commit([store.write(0, frame)])
 
 

@@ -2,7 +2,7 @@
 
 import errno
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -120,6 +120,10 @@ class StoreFiles:
         if self.folder.is_file():
             return None
         return {entry.name: os.listdir(entry) if entry.is_dir() else [] for entry in os.scandir(self.folder)}
+
+    def folders(self, keys: Iterable[str]) -> list[str]:
+        """Return which of some names are folders here; behind a URL, where there are none, nothing."""
+        return [] if self.folder is None else [key for key in keys if (self.folder / key).is_dir()]
 
     def remove_leftovers(self, *keys: str) -> None:
         """Remove the files in folders that a writer who was killed left half-written; while nobody writes."""

@@ -17,8 +17,9 @@ from pipeline.output.store_files import StoreFiles
 from pipeline.output.store_metadata import DONE, MARK_BYTES
 from pipeline.zarr_chunks import chunk_key, with_checksum, without_checksum
 
-#: The attributes that footage itself has told, and tells again; the others are what its frames depend on.
-LEARNT = ("light", "rims")
+#: The attributes that footage itself has told, and tells again, and what follows from others; the rest are what its
+#: frames depend on.
+LEARNT = ("light", "rims", "camera")
 
 _KEY = re.compile(r"c\.(\d{1,18})\.0")
 # Bytes of a chunk's checksum, at its end.
@@ -96,7 +97,7 @@ def read_mark(files: StoreFiles, number: int, identity: str) -> FrameMark:
     except OSError as error:
         raise DamageError(f"its mark cannot be read: {error.strerror or error}") from None
     except (ValueError, TypeError):
-        raise DamageError("its mark is another program's") from None
+        raise DamageError("its mark is of another program, or of a newer version of this one") from None
     if mark.identity != identity:
         raise OtherFrame("it was decoded otherwise than its store says")
     return mark

@@ -1,24 +1,28 @@
 """Frames of a ``result.zarr``, read one at a time."""
 
 import json
+import warnings
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.calibration.model import Lens
 from pipeline.decoding.frame import FIELDS
 from pipeline.decoding.front_side import RimVotes
-from pipeline.errors import DamageError, FootageError
+from pipeline.errors import DamageError, DecodeWarning, FootageError
 from pipeline.output.mesh import Mesh
+from pipeline.output.provenance import provenance_of
+from pipeline.output.range_grid import RangeGrid
 from pipeline.output.store_files import StoreFiles
 from pipeline.output.store_marks import FrameMark, frame_fault, identity_digest, marked_frames, read_chunk, read_mark
-from pipeline.output.store_metadata import DONE, read_metadata
-from pipeline.output.surface_mesh import surface_mesh
+from pipeline.output.store_metadata import DONE, read_metadata, read_times
+from pipeline.output.surface_mesh import MeshCounts, MeshOptions, surface_mesh
+from pipeline.showing import to_html
 from pipeline.zarr_chunks import decode_chunk
-
-MeshKind = Literal["ply", "glb"]
 
 
 def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
@@ -55,6 +59,7 @@ class StoredResult:
             self._files = StoreFiles(location)
             found = read_metadata(self._files)
             self.done = () if found is None else tuple(sorted(marked_frames(self._files)))
+            self._times = None if found is None else read_times(self._files)
         except DamageError as error:
             raise FootageError(f"{error}: run colorphase decode again as before, which mends it") from None
         except OSError as error:
@@ -64,8 +69,22 @@ class StoredResult:
         self.attributes: dict[str, Any] = found[0]
         self._shapes = found[1]
         self._identity = identity_digest(self.attributes)
-        self.fields = frozenset(self._shapes) - {DONE}
+        stored = frozenset(self._shapes) - {DONE}
+        self.fields = stored & FIELDS.keys()
+        if strange := sorted(stored - FIELDS.keys()):
+            by = self.attributes["colorphase_version"]
+            warnings.warn(
+                f"{self.name} was written by colorphase {by}, and this version leaves out fields that it does not know "
+                f"({', '.join(strange)}): update colorphase to read them",
+                DecodeWarning,
+                stacklevel=2,
+            )
         self._mark: tuple[int, FrameMark] | None = None  # of the frame that was read last
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of what was decoded of each frame."""
+        return next((shape[2], shape[1]) for shape in self._shapes.values() if len(shape) > 2)
 
     @property
     def in_mm(self) -> bool:
@@ -111,6 +130,17 @@ class StoredResult:
         if name not in self.fields:
             raise FootageError(f"{self.name} holds no {name}: decode with that field")
 
+    def require_mm(self) -> None:
+        """Refuse to go on without places in mm.
+
+        Raises
+        ------
+        FootageError
+            The frames were decoded without a calibration.
+        """
+        if not self.in_mm:
+            raise FootageError(f"{self.name} is in rad, not in mm: decode with a --calibration that holds the geometry")
+
     def frame_digest(self, number: int) -> str:
         """Return what tells a frame from all others, also from itself decoded otherwise.
 
@@ -136,13 +166,40 @@ class StoredResult:
     def _damaged(self, number: int, error: DamageError) -> FootageError:
         return FootageError(f"{self.name}: frame {number}: {error}: decode again as before, which mends it")
 
-    def mesh(self, number: int, fields: Collection[str] | None = None) -> Mesh:
-        """Return a frame as a mesh, with what is known of its vertices: if it is stored, and among `fields`.
+    @property
+    def camera(self) -> Lens | None:
+        """The camera whose pixels the frames have; None: without a calibration."""
+        lens = self.attributes.get("camera")
+        return None if lens is None else Lens.model_validate(lens)
+
+    def provenance(self, number: int) -> dict[str, str]:
+        """Return how a frame was made, as files carry it."""
+        return provenance_of(self.attributes, number, self.time_s(number))
+
+    def mesh(self, number: int, fields: Collection[str] | None = None, options: MeshOptions | None = None) -> Mesh:
+        """Return a frame as a mesh; see `counted_mesh`."""
+        return self.counted_mesh(number, fields, options)[0]
+
+    def counted_mesh(
+        self, number: int, fields: Collection[str] | None = None, options: MeshOptions | None = None
+    ) -> tuple[Mesh, MeshCounts]:
+        """Return a frame as a mesh, and what became of its pixels.
+
+        Parameters
+        ----------
+        number : int
+            The frame.
+        fields : collection of str, optional
+            What the mesh is to carry, as far as it is stored; None: all.
+        options : MeshOptions, optional
+            What to leave out, and whether to smooth.
 
         Raises
         ------
         FootageError
             What it is made of was not stored, or is damaged.
+        SettingsError
+            The options ask for mm, and there are none.
         """
         points = self.read("points", number) if self.in_mm else None
         values = self.read("range_image", number) if points is None else points[..., 2]
@@ -153,5 +210,48 @@ class StoredResult:
             for name, field in FIELDS.items()
             if field.vertex is not None and name in asked
         }
-        colors = self.read("texture", number)[mask] if "texture" in asked else None
-        return surface_mesh(values, mask, points, properties, colors=colors)
+        region, texture = (self.read(name, number) if name in asked else None for name in ("region", "texture"))
+        mesh, counts = surface_mesh(values, mask, points, properties, region, options, texture)
+        return replace(mesh, provenance=self.provenance(number)), counts
+
+    def grid(self, number: int) -> RangeGrid:
+        """Return a frame's places with all that is stored of them, in the camera's grid.
+
+        Raises
+        ------
+        FootageError
+            There are no places in mm, or the frame is damaged.
+        """
+        self.require_mm()
+        mask = self.read("mask", number)
+        points = np.where(mask[..., None], self.read("points", number), np.float32(np.nan))
+        time_s = self.time_s(number)
+        return RangeGrid(
+            points,
+            self.read("texture", number) if "texture" in self.fields else None,
+            {
+                field.vertex: np.where(mask, self.read(name, number), np.float32(np.nan))
+                for name, field in FIELDS.items()
+                if field.vertex is not None and name in self.fields
+            },
+            self.camera,
+            float(number) if time_s is None else time_s,  # pictures, as if one a second
+            self.provenance(number),
+        )
+
+    def time_s(self, number: int) -> float | None:
+        """Return when a frame was taken, s, since 1970 or since the first frame; None: the footage does not say."""
+        return None if self._times is None else self._times.of(number)
+
+    def warnings(self, number: int) -> list[str]:
+        """Return what the user should know of a frame.
+
+        Raises
+        ------
+        FootageError
+            Its mark is damaged.
+        """
+        return list(self._mark_of(number).warnings)
+
+    def _repr_html_(self) -> str | None:
+        return to_html(self)

@@ -1,6 +1,7 @@
 """A decoded frame as a triangle mesh, top to bottom: what is wanted, steps, specks, holes, smoothing, triangles."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +22,11 @@ from tikernels.depth.surface_fit import fit_surface
 
 Floats = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.bool_]
+
+# Vertices that are placed at a time.
+_BLOCK = 2**15
+# The property that tells how probably a vertex is whole cycles off.
+_WRONG = "order_error_probability"
 
 
 @dataclass(frozen=True)
@@ -90,8 +96,8 @@ def counted_mesh(frame: DecodedFrame, options: MeshOptions | None = None) -> tup
         for name, field in FIELDS.items()
         if field.vertex is not None and (frame.calibrated or not field.in_mm)
     }
-    colors = frame.texture[mask]
-    return _meshed(frame.range_image, mask, frame.points, properties, frame.region, options or MeshOptions(), colors)
+    known = (frame.range_image, mask, frame.points, properties, frame.region)
+    return surface_mesh(*known, options or MeshOptions(), frame.texture)
 
 
 def surface_mesh(
@@ -101,8 +107,8 @@ def surface_mesh(
     properties: dict[str, Floats],
     region: npt.NDArray[np.int32] | None = None,
     options: MeshOptions | None = None,
-    colors: npt.NDArray[np.uint8] | None = None,
-) -> Mesh:
+    texture: npt.NDArray[np.uint8] | None = None,
+) -> tuple[Mesh, MeshCounts]:
     """Join the pixels of a range image into a mesh, cut at depth steps.
 
     Parameters
@@ -120,26 +126,22 @@ def surface_mesh(
         Connected surfaces; without it all pixels may be one.
     options : MeshOptions, optional
         What to leave out, and whether to smooth.
-    colors : (N, 3) uint8, optional
-        sRGB of each masked pixel, row by row.
+    texture : (H, W, 3) uint8, optional
+        sRGB.
+
+    Returns
+    -------
+    Mesh
+        See `frame_mesh`.
+    MeshCounts
+        What became of the pixels.
 
     Raises
     ------
     SettingsError
         See `frame_mesh`.
     """
-    return _meshed(values, mask, points, properties, region, options or MeshOptions(), colors)[0]
-
-
-def _meshed(
-    values: Floats,
-    mask: Pixels,
-    points: Floats | None,
-    properties: dict[str, Floats],
-    region: npt.NDArray[np.int32] | None,
-    options: MeshOptions,
-    colors: npt.NDArray[np.uint8] | None,
-) -> tuple[Mesh, MeshCounts]:
+    options = options or MeshOptions()
     unit: Unit = "rad" if points is None else "mm"
     surface = RangeSurface.of(values, mask, points, properties.get(f"sigma_{unit}"), region)
     left_out = _left_out(surface, points, options)
@@ -166,8 +168,16 @@ def _meshed(
     carried = {name: values[number] for name, values in properties.items()}
     if f"sigma_{unit}" in carried:
         carried[f"sigma_{unit}"] = surface.sigma.ravel()[places]
-    painted = None if colors is None else colors[number]
-    mesh = Mesh(vertices, faces, painted, carried, unit=unit, normals=normals, flags=flags.ravel()[places])
+    if unit == "mm" and {"sigma_mm", _WRONG} <= carried.keys():
+        width = surface.width.ravel()[places]
+        carried["confidence"] = _confidence(carried["sigma_mm"], width, carried[_WRONG])
+        carried["confidence"][flags.ravel()[places] & FILLED != 0] = 0
+    more: dict[str, Any] = {"normals": normals, "flags": flags.ravel()[places]}
+    if texture is not None:
+        y, x = np.divmod(places, mask.shape[1])
+        more |= {"pixels": np.column_stack([x, y]).astype(np.float32), "texture": texture}
+        more["colors"] = texture.reshape(-1, 3)[np.flatnonzero(mask)[number]]
+    mesh = Mesh(vertices, faces, properties=carried, unit=unit, **more)
     if options.max_triangles is not None:
         mesh = decimate_mesh(mesh, options.max_triangles)
     return mesh, _counted(mesh, *(int(pixels.sum()) for pixels in (*left_out, specks, teeth)))
@@ -198,9 +208,21 @@ def _placed(
     if points is None:
         y, x = np.divmod(places, mask.shape[1])
         return np.column_stack([x, y, depth]).astype(np.float32), relief_normals(slope)
+    vertices, normals = (np.empty((len(places), 3), np.float32) for _ in range(2))
     if not len(places):
-        return np.empty((0, 3), np.float32), np.empty((0, 3), np.float32)
+        return vertices, normals
     rays = PixelRays.of(points, mask)
+    # In blocks that stay in the processor's cache: of a large picture each temporary would be fresh memory.
+    for start in range(0, len(places), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        vertices[part], normals[part] = _placed_along(rays, places[part], depth[part], slope[part], mask, points)
+    return vertices, normals
+
+
+def _placed_along(
+    rays: PixelRays, places: npt.NDArray[np.intp], depth: Floats, slope: Floats, mask: Pixels, points: Floats
+) -> tuple[Floats, Floats]:
+    """Return the vertices along the rays of some pixels, by their depth, and their normals."""
     measured = mask.ravel()[places]
     there = points.reshape(-1, 3)[places]
     along = np.asarray(there / np.where(measured, there[:, 2], np.float32(1))[:, None], np.float32)
@@ -213,6 +235,19 @@ def _source_pixels(mask: Pixels, holes: FilledHoles, places: npt.NDArray[np.intp
     source = np.arange(mask.size, dtype=np.int32)
     source[holes.filled] = holes.beside
     return np.asarray(np.cumsum(mask.ravel(), dtype=np.int32)[source[places]] - 1)
+
+
+def _confidence(sigma: Floats, width: Floats, wrong: Floats) -> Floats:
+    """Return how probably a vertex lies within one pixel's width of the surface, along its ray, 0..1.
+
+    That of a normal error, by formula 7.1.26 of M. Abramowitz, I. A. Stegun, Handbook of Mathematical Functions, 1964,
+    times that of the right order.
+    """
+    x = width / np.maximum(np.float32(np.sqrt(2)) * sigma, np.float32(1e-12))
+    t = 1 / (1 + np.float32(0.3275911) * x)
+    tail = t * (0.254829592 + t * (-0.284496736 + t * (1.421413741 + t * (-1.453152027 + t * 1.061405429))))
+    within = 1 - tail * np.exp(-(np.minimum(x, 9) ** 2))
+    return np.asarray(np.clip(within * (1 - wrong), 0, 1), np.float32)
 
 
 def _counted(mesh: Mesh, cropped: int, background: int, specks: int, teeth: int) -> MeshCounts:

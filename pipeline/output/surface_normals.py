@@ -67,9 +67,12 @@ class PixelRays:
             at = np.arange(length)[:, None] / size
             return at**powers if order == 0 else powers * at ** np.maximum(powers - 1, 0) / size
 
-        rows, columns = terms(self.shape[0], down), terms(self.shape[1], right)
+        width = self.shape[1]
+        first = int(places.min(initial=self.shape[0] * width)) // width  # the rows before are not asked for
+        last = int(places.max(initial=0)) // width + 1
+        rows, columns = terms(self.shape[0], down)[first:last], terms(width, right)
         grids = ((rows @ self.coefficients[..., k]).astype(np.float32) @ columns.T.astype(np.float32) for k in range(2))
-        return np.column_stack([grid.ravel()[places] for grid in grids])
+        return np.column_stack([grid.ravel()[places - first * width] for grid in grids])
 
 
 def surface_normals(depth: Floats, slope: Floats, rays: Floats, changes: tuple[Floats, Floats]) -> Floats:

@@ -18,15 +18,17 @@ def plane(distance_mm):
     return points, mask
 
 
-def store(path, distances, missing=(), in_mm=True, step=1, leave_out=()):
+def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), also=()):
     """Write a store as a run over footage does; None stands for a frame without any surface."""
-    fields = ["mask", "modulation", "phase_sigma", "range_image", *(["points", "point_sigma"] if in_mm else [])]
+    fields = ["mask", "modulation", "phase_sigma", "range_image", *(["points", "point_sigma"] if in_mm else []), *also]
     fields = chosen_fields([name for name in fields if name not in leave_out], in_mm=in_mm)
     identity = {"colorphase_version": "1", "settings": {}, "step": step, "range_unit": "mm" if in_mm else "rad"}
     written = ResultStore.make(path, identity, fields, len(distances), (WIDTH, HEIGHT))
     for number, distance in enumerate(distances):
         if number not in missing:
-            written.commit([written.write(number, _frame(distance, in_mm))])
+            frame = _frame(distance, in_mm)
+            vars(frame).update(dict.fromkeys(also, frame.modulation))
+            written.commit([written.write(number, frame)])
     return path
 
 

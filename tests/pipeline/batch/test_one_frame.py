@@ -11,6 +11,7 @@ from pipeline.errors import DecodeWarning, FootageError, OutputError
 from pipeline.footage.source import StoredAs
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.range_image import write_png
+from pipeline.output.surface_mesh import MeshOptions
 from pipeline.settings import DecodeSettings
 
 AS_IT_SAYS = StoredAs()
@@ -18,7 +19,9 @@ AS_IT_SAYS = StoredAs()
 
 def decode(picture, out, *, force=False):
     said = []
-    frame = decode_picture(picture, out, DecodeSettings(), None, AS_IT_SAYS, "cpu", force=force, tell=said.append)
+    frame = decode_picture(
+        picture, out, DecodeSettings(), None, AS_IT_SAYS, "cpu", MeshOptions(), force=force, tell=said.append
+    )
     return frame, said
 
 
@@ -37,10 +40,10 @@ def test_a_picture_gives_all_files(tmp_path):
     assert frame.mask.any() and said == [
         "reading",
         "compiling kernels, and decoding 128x96 px",
-        "storing every field",
-        "meshing",
+        "reading every field",
+        "meshing, drawing and storing",
         f"writing a mesh of {n_triangles:,} triangles",
-        "drawing range.png and shaded.png",
+        "drawing and storing",
         f"moving all into {tmp_path / 'out'}",
     ]
     names = sorted(path.name for path in (tmp_path / "out").iterdir())

@@ -124,12 +124,13 @@ def test_the_store_is_plain_zarr(job):
     decode_footage(job, stop=3)
     group = zarr.open_group(job.store, mode="r")
     assert group.metadata.zarr_format == 3
-    assert set(group.array_keys()) == {*job.fields, "done"}
+    assert set(group.array_keys()) == {*job.fields, "done", "frame", "time", "y", "x", "rgb"}
     for name in job.fields:
         size = tuple({"y": 96, "x": 128}.get(axis, 3) for axis in FIELDS[name].axes)
         assert group[name].shape == (N_FRAMES, *size)
         assert group[name].chunks == (1, *size)
         assert group[name].dtype == FIELDS[name].dtype
+    np.testing.assert_allclose(group["time"], np.arange(N_FRAMES) / 30)  # those that are not done, too
     assert bytes(group["done"][5]).strip() == b""
     assert np.isnan(group["range_image"][5]).all() and not group["mask"][5].any()
 
@@ -277,7 +278,7 @@ def test_two_runs_do_not_write_to_one_store(job, undisturbed):
 def test_a_store_half_made_is_completed(job, undisturbed):
     decode_footage(job, stop=1)
     store = Path(job.store)
-    for name in ("range_image", "done"):
+    for name in ("range_image", "done", "x"):
         shutil.rmtree(store / name)
     decode_footage(job)
     assert contents(store) == undisturbed

@@ -36,7 +36,7 @@ def test_decode_with_a_calibration(folder):
     assert report["warnings"] == []
     group = zarr.open_group(out / "result.zarr", mode="r")
     assert group.metadata.zarr_format == 3
-    assert set(group.array_keys()) == {*FIELDS, "done"}
+    assert set(group.array_keys()) == {*FIELDS, "done", "frame", "y", "x", "xyz", "rgb"}
     assert group.attrs["calibration_sha256"] == report["calibration_sha256"]
     for name in FIELDS:
         assert group[name].shape[0] == 1
@@ -47,7 +47,35 @@ def test_decode_with_a_calibration(folder):
     measured = mesh.flags & FILLED == 0
     assert 0.97 * mask.sum() < measured.sum() <= mask.sum()
     assert mesh.unit == "mm"
+    assert mesh.provenance["source"] == "frame.png"
+    assert mesh.provenance["calibration_sha256"] == report["calibration_sha256"]
+    assert json.loads(mesh.provenance["settings"])["smoothing_px"] == 3
+    assert report["mesh"]["vertices"] == len(mesh.vertices) and report["mesh"]["triangles"] == len(mesh.faces)
+    assert report["mesh"]["filled"] == (mesh.flags & FILLED != 0).sum()
     assert read_image(out / "range.png").shape[0] == 240
+
+
+def test_a_part_of_the_surface_becomes_the_mesh(folder, command):
+    rig = ("--calibration", "calibration.json", "--arch", "cpu")
+    box = ("--crop", "-40", "-40", "1", "60", "30", "5000")
+    done = command("decode", "frame.png", "--out", "part", *rig, *box, "--triangles", "500", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    mesh = read_mesh(folder / "part" / "mesh.ply")
+    assert (mesh.vertices >= (-40, -40, 1)).all() and (mesh.vertices <= (60, 30, 5000)).all()
+    counts = json.loads((folder / "part" / "report.json").read_text())["mesh"]
+    assert 0 < len(mesh.faces) <= 500 and counts["triangles"] == len(mesh.faces) and counts["cropped"] > 1000
+    (folder / "still").mkdir()
+    shutil.copy(folder / "frame.png", folder / "still" / "frame.png")
+    for arguments, message in [
+        (("frame.png", *box), "can be left out of a mesh in mm only: give a calibration"),
+        (("frame.png", *rig, "--crop", "5", "0", "0", "1", "9", "9"), "crop"),
+        (("frame.png", *rig, "--triangles", "0"), "must be 1 or more"),
+        (("still", *rig, *box), "--crop, --no-background and --triangles are for meshes: add --export, or leave them"),
+        (("still", "--export", "pcd"), "is in mm: give a --calibration that holds the geometry"),
+    ]:
+        refused = command("decode", *arguments, "--out", "refused", cwd=folder)
+        assert refused.returncode in (1, 2) and message in refused.stderr, refused.stderr
+        assert refused.stderr.count("\n") == 1 and not (folder / "refused").exists()
 
 
 def test_decode_without_one_is_relative(folder, command):
@@ -196,7 +224,8 @@ def test_decode_footage(folder, command):
         assert refused.returncode in (1, 2) and message in refused.stderr, refused.stderr
         assert "Traceback" not in refused.stderr
     with_meshes = command("decode", film, *options, "--export", "glb", cwd=folder)
-    assert with_meshes.returncode == 3 and "3 meshes in footage/meshes" in with_meshes.stdout, with_meshes.stderr
+    assert with_meshes.returncode == 3, with_meshes.stderr
+    assert "3 frames as glTF 2.0 in one binary file in footage/meshes" in with_meshes.stdout
     names = sorted(path.name for path in (folder / "footage" / "meshes").iterdir())
     assert names == ["exported.json", "frame_000000.glb", "frame_000001.glb", "frame_000003.glb"]
     strict = command("decode", film, *options[2:], "--out", "strict", "--strict", cwd=folder)

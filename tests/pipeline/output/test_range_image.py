@@ -35,11 +35,15 @@ def test_range_image_shows_values_and_scale(tmp_path: Path, unit: Any) -> None:
     picture = read_png(path)
     assert picture.shape[0] == 200
     assert picture.shape[1] > 250
-    np.testing.assert_array_equal(picture[:, :200], depth_colors(depth, mask))
     assert (picture[:10, :200] == GREY).all()
-    near, far = picture[100, 100].astype(int), picture[20, 20].astype(int)
+    near, rim, far = (picture[100, x].astype(int) for x in (100, 33, 5))
     assert near[2] > near[0] + 50, "near is blue"
-    assert far[0] > far[2] + 50, "far is red"
+    if unit == "mm":
+        assert rim[0] > rim[2] + 50, "the object's far rim is red"
+        assert np.ptp(far) == 0, "the wall behind it has no colour"
+    else:
+        np.testing.assert_array_equal(picture[:, :200], depth_colors(depth, mask))
+        assert far[0] > far[2] + 50, "far is red"
     assert (picture[:, 200:] > 200).all(axis=-1).sum() > 30, "numbers in white"
 
 

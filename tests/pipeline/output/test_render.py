@@ -1,4 +1,4 @@
-"""Pictures of meshes: what they show where the machine can draw, and what is said where it cannot."""
+"""Still pictures: what they show where the machine can draw, and what is refused."""
 
 import subprocess
 import sys
@@ -8,64 +8,50 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.missing import skip_but_fail_in_ci
+from support.drawn_surfaces import SIZE, dome, read_picture, require_drawing, shown, walled
+from support.stored_planes import store
 
 from pipeline.errors import OutputError, RenderError
-from pipeline.output import render
 from pipeline.output.mesh import Mesh
-from pipeline.output.render import render_mesh
+from pipeline.output.pictures import drawing_process
+from pipeline.output.pictures.picture_job import PictureOptions
+from pipeline.output.pictures.viewpoint import FIELD_OF_VIEW_DEG, Viewpoint
+from pipeline.output.render import buffer_path, render_frame, render_mesh
 
-SIZE = (240, 180)
-
-
-def dome(unit: Any = "mm", colors: bool = True) -> Mesh:
-    """Return a half ball of 50 mm that bulges towards the camera: red on the left, blue on the right, green below."""
-    polar, around = np.meshgrid(np.linspace(0.01, np.pi / 2, 40), np.linspace(0, 2 * np.pi, 80))
-    x, y = 50 * np.sin(polar) * np.cos(around), 50 * np.sin(polar) * np.sin(around)
-    vertices = np.stack([x, y, 400 - 50 * np.cos(polar)], axis=-1).reshape(-1, 3).astype(np.float32)
-    first = np.arange(80 * 40).reshape(80, 40)[:-1, :-1].reshape(-1, 1)
-    faces = (first + np.array([[[0, 40, 1]], [[1, 40, 41]]], np.int32)).reshape(-1, 3).astype(np.int32)
-    painted = np.stack([vertices[:, 0] < 0, vertices[:, 1] > 0, vertices[:, 0] > 0], axis=1) * np.uint8(255)
-    return Mesh(vertices, faces, painted if colors else None, unit=unit)
-
-
-def white(mesh: Mesh) -> Mesh:
-    return Mesh(mesh.vertices, mesh.faces, np.full(mesh.vertices.shape, 230, np.uint8))
-
-
-def draw(mesh: Mesh, folder: Path, **options: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Return the picture, (H, W, 3) RGB, and which pixels differ from the background at the left edge."""
-    render_mesh(mesh, folder / "Büste.png", size_px=SIZE, **options)
-    assert [path.name for path in folder.iterdir()] == ["Büste.png"]
-    picture = cv2.imdecode(np.fromfile(folder / "Büste.png", np.uint8), cv2.IMREAD_COLOR)[..., ::-1].astype(int)
-    return picture, abs(picture - picture[:, :1]).max(axis=-1) > 8
+EMPTY = Mesh(dome().vertices, np.empty((0, 3), np.int32))
 
 
 @pytest.fixture(scope="module")
 def can_draw(tmp_path_factory: pytest.TempPathFactory) -> None:
-    try:
-        render_mesh(dome(), tmp_path_factory.mktemp("probe") / "probe.png", size_px=SIZE)
-    except RenderError as error:
-        skip_but_fail_in_ci(f"no usable OpenGL: {error}")
+    require_drawing(tmp_path_factory.mktemp("probe"))
+
+
+def draw(mesh: Mesh, folder: Path, **options: Any) -> np.ndarray:
+    options = {"size_px": SIZE, **options}
+    render_mesh(mesh, folder / "Büste.png", PictureOptions(**options))
+    assert [path.name for path in folder.iterdir()] == ["Büste.png"]
+    return read_picture(folder / "Büste.png")
 
 
 @pytest.mark.usefixtures("can_draw")
 def test_a_dome_fills_the_picture_and_is_lit_from_the_upper_left(tmp_path: Path) -> None:
-    picture, shown = draw(white(dome()), tmp_path, view="front")
+    picture = draw(dome(), tmp_path, view="front")
     assert picture.shape == (SIZE[1], SIZE[0], 3)
-    rows, columns = np.flatnonzero(shown.any(axis=1)), np.flatnonzero(shown.any(axis=0))
+    inside = shown(picture)
+    rows, columns = np.flatnonzero(inside.any(axis=1)), np.flatnonzero(inside.any(axis=0))
     height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
     assert 0.85 * SIZE[1] < height < SIZE[1]
     assert abs(width - height) <= 3
-    assert shown.sum() == pytest.approx(np.pi / 4 * height * width, rel=0.05)
+    assert inside.sum() == pytest.approx(np.pi / 4 * height * width, rel=0.05)
     (y, x), reach = (SIZE[1] // 2, SIZE[0] // 2), height // 3
     brightness = picture.sum(axis=-1)
     assert brightness[y - reach // 2, x - reach // 2] > brightness[y, x] > brightness[y + reach, x + reach]
+    assert np.ptp(picture[y, x]) < 30, "grey clay, whatever colours the mesh has"
 
 
 @pytest.mark.usefixtures("can_draw")
 def test_the_view_is_the_cameras(tmp_path: Path) -> None:
-    picture, _ = draw(dome(), tmp_path, view="front")
+    picture = draw(dome(), tmp_path, view="front", colors="texture")
     (y, x), reach = (SIZE[1] // 2, SIZE[0] // 2), SIZE[1] // 4
     left, right, below = picture[y - reach, x - reach], picture[y - reach, x + reach], picture[y + reach, x]
     assert left[0] > left[2] + 80, "red on the left"
@@ -74,20 +60,69 @@ def test_the_view_is_the_cameras(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("can_draw")
-@pytest.mark.parametrize("unit", ["mm", pytest.param("rad", marks=pytest.mark.long)])
-def test_without_colors_depth_is_colored(tmp_path: Path, unit: Any) -> None:
-    picture, shown = draw(dome(unit, colors=False), tmp_path)
-    colors = picture[shown]
-    assert 0.25 < shown.mean() < 0.9
-    assert np.ptp(colors[:, 0] - colors[:, 2]) > 100, "from blue to red"
+def test_depth_has_the_limits_of_the_object_before_a_wall(tmp_path: Path) -> None:
+    picture = draw(walled(dome()), tmp_path, view="front", colors="depth")
+    y, x = SIZE[1] // 2, SIZE[0] // 2
+    assert picture[y, x, 2] > picture[y, x, 0] + 50, "the nearest point is blue"
+    wall = picture[y, x - 70]
+    assert np.ptp(wall) < 8, "the wall is grey"
+    row = picture[y]
+    assert (row[:, 0] - row[:, 2]).max() > 60, "the dome's rim is red"
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_buffers_are_of_the_same_view(tmp_path: Path) -> None:
+    eye = Viewpoint(position=(0, 0, 0), focal_point=(0, 0, 400))
+    options = PictureOptions(camera=eye, size_px=SIZE)
+    said = render_mesh(dome(), tmp_path / "dome.png", options, buffers=("depth", "normals"))
+    assert said.endswith((", EGL", ", OSMesa", ", GLX"))
+    depth = cv2.imread(str(buffer_path(tmp_path / "dome.png", "depth")), cv2.IMREAD_UNCHANGED)
+    assert depth.dtype == np.float32 and depth.shape == SIZE[::-1]
+    y, x = SIZE[1] // 2, SIZE[0] // 2
+    assert depth[y, x] == pytest.approx(350, abs=0.5)
+    assert np.isnan(depth[0, 0])
+    radius_px = np.sqrt(np.isfinite(depth).sum() / np.pi)
+    # The rim, 50 mm wide at 400 mm; nearer parts of the ball stand out by 1 / sqrt(1 - 1/64).
+    expected = 50 / np.sqrt(400**2 - 50**2) / np.tan(np.radians(FIELD_OF_VIEW_DEG / 2)) * SIZE[1] / 2
+    assert radius_px == pytest.approx(expected, rel=0.02)
+    normals = read_picture(buffer_path(tmp_path / "dome.png", "normals")) / 127.5 - 1
+    assert normals[y, x] == pytest.approx([0, 0, 1], abs=0.05)
+    assert normals[y, x + 40, 0] > 0.3 and normals[y - 40, x, 1] > 0.3, "to the right, and up"
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_the_deviation_from_another_mesh_has_a_sign(tmp_path: Path) -> None:
+    # 1 mm nearer on the left than the other one, 1 mm farther on the right.
+    mesh = dome()
+    moved = mesh.vertices + np.where(mesh.vertices[:, :1] < 0, [[0, 0, -1]], [[0, 0, 1]]).astype(np.float32)
+    options = PictureOptions(view="front", size_px=SIZE)
+    render_mesh(Mesh(moved, mesh.faces), tmp_path / "moved.png", options, compared=mesh)
+    picture = read_picture(tmp_path / "moved.png")
+    left, right = picture[SIZE[1] // 2, SIZE[0] // 2 - 20], picture[SIZE[1] // 2, SIZE[0] // 2 + 20]
+    assert left[0] > left[2] + 60, "red is before the other mesh"
+    assert right[2] > right[0] + 60, "blue is behind it"
+    with pytest.raises(RenderError, match="mesh to compare with has 3200 points and no faces"):
+        render_mesh(mesh, tmp_path / "moved.png", options, compared=EMPTY)
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_a_frame_of_a_store(tmp_path: Path) -> None:
+    path = store(tmp_path / "r.zarr", [400.0, None])
+    options = PictureOptions(view="front", colors="sigma", size_px=(320, 240))
+    render_frame(path, 0, tmp_path / "frame.png", options)
+    picture = read_picture(tmp_path / "frame.png")
+    assert shown(picture).mean() > 0.3
+    assert (picture[:, 250:] > 200).all(axis=-1).sum() > 30, "numbers in white beside the colour bar"
+    with pytest.raises(RenderError, match="frame 1 shows no surface: choose another --frame"):
+        render_frame(path, 1, tmp_path / "frame.png", options)
 
 
 @pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
-def test_a_dead_screen_does_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("unit", ["mm", "rad"])
+def test_a_dead_screen_does_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit: Any) -> None:
     monkeypatch.setenv("DISPLAY", "203.0.113.1:7")  # an address that never answers
-    _, shown = draw(dome(), tmp_path)
-    assert shown.any()
+    assert 0.25 < shown(draw(dome(unit), tmp_path, colors="depth")).mean() < 0.9
 
 
 @pytest.mark.long
@@ -99,52 +134,44 @@ def test_a_namesake_in_the_current_folder_is_not_run(tmp_path: Path, monkeypatch
     draw(dome(), tmp_path / "out")
 
 
+@pytest.mark.usefixtures("can_draw")
 @pytest.mark.parametrize(
-    ("program", "said"),
+    ("mesh", "options", "said"),
     [
-        (
-            "import os, signal; os.kill(os.getpid(), signal.SIGSEGV)",
-            "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri",
-        ),
-        ("raise SystemExit('libGL.so.1: cannot open shared object file')", "libosmesa6"),
-        ("raise SystemExit(0)", "OpenGL"),
-        ("raise ValueError('the moon is in the way')", "^cannot draw: ValueError: the moon is in the way$"),
+        (dome(), {"colors": "sigma"}, "--colors sigma: the mesh holds no sigma_mm: use --colors clay"),
+        (dome(colors=False), {"colors": "texture"}, "the mesh has no colours: use --colors clay"),
+        (dome("rad"), {"colors": "sphere"}, "needs a mesh in mm: decode with a calibration"),
+        (dome("rad"), {"camera": Viewpoint(position=(0, 0, 0), focal_point=(0, 0, 1))}, "a camera in mm needs"),
     ],
 )
-def test_a_child_that_dies_is_told_in_one_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, program: str, said: str
-) -> None:
-    monkeypatch.setattr(render, "_COMMAND", [sys.executable, "-c", program])
-    with pytest.raises(RenderError, match=said) as caught:
-        render_mesh(dome(), tmp_path / "picture.png")
-    assert "\n" not in str(caught.value)
+def test_what_a_mesh_does_not_have(tmp_path: Path, mesh: Mesh, options: Any, said: str) -> None:
+    with pytest.raises(RenderError, match=f"^cannot draw: .*{said}"):
+        render_mesh(mesh, tmp_path / "picture.png", PictureOptions(size_px=SIZE, **options))
     assert not list(tmp_path.iterdir())
 
 
-def test_a_child_that_hangs_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(render, "_COMMAND", [sys.executable, "-c", "import time; time.sleep(60)"])
-    with pytest.raises(RenderError, match=r"more than 0\.5 s: .*libosmesa6"):
-        render_mesh(dome(), tmp_path / "picture.png", timeout_s=0.5)
-
-
-def test_an_empty_mesh_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(RenderError, match="mesh is empty"):
-        render_mesh(Mesh(dome().vertices, np.empty((0, 3), np.int32)), tmp_path / "picture.png")
-
-
-def test_an_unknown_view_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="'above', expected one of three-quarter, front"):
-        render_mesh(dome(), tmp_path / "picture.png", view="above")  # type: ignore[arg-type]
+def test_what_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(RenderError, match="mesh has 3200 points and no faces: give one of triangles"):
+        render_mesh(EMPTY, tmp_path / "picture.png")
+    with pytest.raises(RenderError, match="mesh is empty: decode the frame again"):
+        render_mesh(Mesh(EMPTY.vertices[:0], EMPTY.faces), tmp_path / "picture.png")
+    with pytest.raises(OutputError, match=r"a still picture, in which no eye moves: name it \.mp4"):
+        render_mesh(dome(), tmp_path / "picture.png", PictureOptions(turn_deg=10))
+    with pytest.raises(RenderError, match="not in mm"):
+        render_mesh(dome(), tmp_path / "picture.png", compared=dome("rad"))
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(render, "_COMMAND", [sys.executable, "-c", "open('picture.png', 'x')"])
+    program = "open('picture.png', 'x'); open('done', 'x')"
+    monkeypatch.setattr(drawing_process, "COMMAND", [sys.executable, "-c", program])
     with pytest.raises(OutputError, match="create the folder first"):
         render_mesh(dome(), tmp_path / "none" / "picture.png")
 
 
 def test_importing_does_not_load_the_drawing_library() -> None:
     check = (
-        "import sys, pipeline.output.render; raise SystemExit('pyvista' in sys.modules or 'vtkmodules' in sys.modules)"
+        "import sys, pipeline.output.render, pipeline.output.film;"
+        "raise SystemExit('pyvista' in sys.modules or 'vtkmodules' in sys.modules or 'matplotlib' in sys.modules)"
     )
     subprocess.run([sys.executable, "-c", check], check=True)

@@ -6,11 +6,12 @@ import zarr
 from support.stored_planes import store
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.errors import FootageError
+from pipeline.decoding.frame import FIELDS
+from pipeline.errors import DecodeWarning, FootageError
 from pipeline.output.mesh_files import read_mesh, write_mesh
 from pipeline.output.store import write_store
 from pipeline.output.stored_result import StoredResult
-from pipeline.output.surface_mesh import frame_mesh
+from pipeline.output.surface_mesh import counted_mesh, frame_mesh
 from pipeline.simulation import TYPICAL_CROSSTALK, simulate_frame, simulated_rig
 
 pytestmark = pytest.mark.usefixtures("cpu")
@@ -89,3 +90,49 @@ def test_a_texture_colours_the_mesh(tmp_path):
     x, y = np.rint(place).astype(int).T
     measured = frame.mask[y, x]
     np.testing.assert_array_equal(mesh.colors[measured], frame.texture[y, x][measured])
+
+
+def test_a_grid_holds_what_is_stored_and_the_camera(tmp_path):
+    rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
+    frame = Decoder(calibration=rig, arch="cpu").decode(simulate_frame(rig).image)
+    write_store(tmp_path / "r.zarr", frame, DecodeSettings(), rig)
+    stored = StoredResult(tmp_path / "r.zarr")
+    grid = stored.grid(0)
+    np.testing.assert_array_equal(grid.points, np.where(frame.mask[..., None], frame.points, np.nan))
+    np.testing.assert_array_equal(grid.texture, frame.texture)
+    assert grid.properties.keys() == {"modulation", "order_error_probability", "sigma_rad", "sigma_mm"}
+    assert (np.isnan(grid.properties["modulation"]) == ~frame.mask).all()
+    np.testing.assert_array_equal(grid.camera.matrix, rig.camera.matrix)
+    assert grid.provenance["calibration_sha256"] == rig.digest() and grid.provenance["frame"] == "0"
+    # Through the camera that the store holds, a point lands on its pixel.
+    y, x = np.argwhere(frame.mask)[100]
+    seen = grid.camera.matrix @ grid.points[y, x] / grid.points[y, x, 2]
+    np.testing.assert_allclose(seen[:2], (x, y), atol=1e-3)
+
+
+def test_surfaces_that_the_decoder_told_apart_stay_apart(tmp_path):
+    """A store that holds regions cuts its meshes as a frame does."""
+    rig = simulated_rig((128, 96), period_px=2 * 768 / 44)
+    frame = Decoder(calibration=rig, arch="cpu").decode(simulate_frame(rig).image)
+    write_store(tmp_path / "r.zarr", frame, DecodeSettings(), rig)
+    (mesh, counts), (expected, wanted) = StoredResult(tmp_path / "r.zarr").counted_mesh(0), counted_mesh(frame)
+    np.testing.assert_array_equal(mesh.faces, expected.faces)
+    assert counts == wanted
+
+
+def test_without_mm_there_is_no_grid(tmp_path):
+    stored = StoredResult(store(tmp_path / "r.zarr", [400.0], in_mm=False))
+    assert stored.camera is None
+    with pytest.raises(FootageError, match="is in rad, not in mm: decode with a --calibration that holds the geometry"):
+        stored.grid(0)
+
+
+def test_a_newer_version_is_read_as_far_as_it_is_known(tmp_path, monkeypatch):
+    monkeypatch.setitem(FIELDS, "gloss", FIELDS["modulation"])
+    path = store(tmp_path / "r.zarr", [400.0], also=("gloss",))
+    assert "gloss" in StoredResult(path).fields
+    monkeypatch.delitem(FIELDS, "gloss")
+    with pytest.warns(DecodeWarning, match=r"this version leaves out fields that it does not know \(gloss\): update"):
+        stored = StoredResult(path)
+    assert "gloss" not in stored.fields and stored.fault(0) is None
+    assert len(stored.mesh(0).faces) > 1000

@@ -34,7 +34,7 @@ def meshed(depth, mask=None, sigma_mm=0.05, **more):
     }
     points = sheet(depth.astype(np.float32))
     points[~mask] = np.nan
-    return surface_mesh(points[..., 2], mask, points, properties, **more)
+    return surface_mesh(points[..., 2], mask, points, properties, **more)[0]
 
 
 def bust(calibrated=True, size_px=(640, 480), seed=0, scene="bust"):
@@ -80,7 +80,7 @@ def test_regions_are_not_joined():
 def test_without_points_a_step_is_a_radian():
     phase = np.where(np.arange(50) < 25, 0.0, 1.2) * np.ones((40, 1))
     sigma = {"sigma_rad": np.full(2000, 0.01, np.float32)}
-    mesh = surface_mesh(phase.astype(np.float32), np.ones(SHAPE, bool), None, sigma)
+    mesh, _ = surface_mesh(phase.astype(np.float32), np.ones(SHAPE, bool), None, sigma)
     assert mesh.unit == "rad" and mesh.vertices[:, 0].max() == 49
     assert len(mesh.faces) == 2 * 39 * 48
     np.testing.assert_allclose(mesh.normals, [[0, 0, -1]] * 2000, atol=1e-3)

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.limits import MAX_PIXELS, max_pixels
-from pipeline.output.mesh import COLOR, FLAGS, NORMAL, NOT_METRIC, POSITION, RESERVED, Mesh
+from pipeline.output.formats.file_text import Content, Heading
+from pipeline.output.mesh import COLOR, FLAGS, NORMAL, POSITION, PROVENANCE, RESERVED, Mesh
 
 _TYPES = dict(
     zip(
@@ -28,36 +29,40 @@ _LONGEST_HEAD = 2**16
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
 
 
-def encode_ply(mesh: Mesh) -> bytes:
-    """Return a mesh as a binary PLY file, its unit in a comment."""
-    columns: dict[str, npt.NDArray[Any]] = dict(zip(POSITION, mesh.vertices.T, strict=True))
+def encode_ply(mesh: Mesh, heading: Heading) -> dict[str, Content]:
+    """Return a mesh as a binary PLY file, remarks as its comments."""
+    groups: list[tuple[tuple[str, ...], npt.NDArray[Any]]] = [(POSITION, mesh.vertices)]
     if mesh.normals is not None:
-        columns |= zip(NORMAL, mesh.normals.T, strict=True)
+        groups.append((NORMAL, mesh.normals))
     if mesh.colors is not None:
-        columns |= zip(COLOR, mesh.colors.T, strict=True)
+        groups.append((COLOR, mesh.colors))
     if mesh.flags is not None:
-        columns[FLAGS] = mesh.flags
-    columns |= mesh.properties
-    vertices = np.empty(
-        len(mesh.vertices), [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()]
-    )
-    for name, values in columns.items():
-        vertices[name] = values
-    faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, mesh.faces
-    header = [
+        groups.append(((FLAGS,), mesh.flags))
+    groups += [((name,), values) for name, values in mesh.properties.items()]
+    vertex = np.dtype([(names[0], values.dtype.newbyteorder("<"), values.shape[1:]) for names, values in groups])
+    face = np.dtype([("count", "u1"), ("corners", "<i4", 3)])
+    kinds = {name: "uchar" if values.dtype == np.uint8 else "float" for names, values in groups for name in names}
+    head = [
         "ply",
         "format binary_little_endian 1.0",
-        f"comment unit {mesh.unit}",
-        *([f"comment {NOT_METRIC}"] if mesh.unit == "rad" else []),
+        *heading.comments("comment").splitlines(),
         *(["comment flags 0 measured, 1 smoothed, 2 filled"] if mesh.flags is not None else []),
-        f"element vertex {len(vertices)}",
-        *(f"property {'uchar' if values.dtype == np.uint8 else 'float'} {name}" for name, values in columns.items()),
-        f"element face {len(faces)}",
+        f"element vertex {len(mesh.vertices)}",
+        *(f"property {kind} {name}" for name, kind in kinds.items()),
+        f"element face {len(mesh.faces)}",
         "property list uchar int vertex_indices",
         "end_header\n",
     ]
-    return "\n".join(header).encode() + vertices.tobytes() + faces.tobytes()
+    start = "\n".join(head).encode()
+    # Everything goes straight to its place: joining the parts would take as long as making them.
+    middle = len(start) + len(mesh.vertices) * vertex.itemsize
+    content = np.empty(middle + len(mesh.faces) * face.itemsize, np.uint8)
+    content[: len(start)] = np.frombuffer(start, np.uint8)
+    vertices, faces = content[len(start) : middle].view(vertex), content[middle:].view(face)
+    for names, values in groups:
+        vertices[names[0]] = values
+    faces["count"], faces["corners"] = 3, mesh.faces
+    return {".ply": content.data}
 
 
 def decode_ply(data: bytes) -> Mesh:
@@ -103,6 +108,9 @@ def decode_ply(data: bytes) -> Mesh:
         unit="rad" if ["comment", "unit", "rad"] in lines else "mm",
         normals=_columns(vertices, NORMAL, np.float32) if {*NORMAL} <= {*names} else None,
         flags=_whole(_columns(vertices, (FLAGS,))[:, 0], "flags", np.uint8) if flagged else None,
+        provenance={
+            line[1]: " ".join(line[2:]) for line in lines if line[:1] == ["comment"] and {*line[1:2]} & {*PROVENANCE}
+        },
     )
 
 

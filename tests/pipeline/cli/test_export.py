@@ -1,4 +1,4 @@
-"""`colorphase render` and `export` as their user meets them; what they do has tests of its own."""
+"""`colorphase export` as its user meets it; what they do has tests of its own."""
 
 import pytest
 from support.command_line import colorphase
@@ -24,28 +24,24 @@ def test_every_frame_is_exported(store, command, tmp_path):
     done = command("decode", "pictures", "--out", "relative", "--arch", "cpu", cwd=store.parents[1])
     assert done.returncode == 0, done.stderr
     found = command("export", str(store.parents[1] / "relative" / "result.zarr"), "--out", "meshes")
-    assert found == (0, "1 meshes in meshes\n", "")
+    assert found == (0, "1 frame as Stanford PLY, binary in meshes\n", "")
     assert read_mesh(tmp_path / "meshes" / "frame_000000.ply").unit == "rad"
     again = ("export", str(store.parents[1] / "relative" / "result.zarr"), "--out", "meshes")
     assert command(*again) == (
         0,
-        "1 meshes in meshes were exported before, and are whole: --force writes them again\n",
+        "1 frame as Stanford PLY, binary in meshes were exported before, and are whole: --force writes them again\n",
         "",
     )
     (tmp_path / "meshes" / "frame_000000.ply").write_text("cleaned by hand")
     code, said, complained = command(*again)
     assert (code, said, complained.count("\n")) == (1, "", 1)
     assert "frame_000000.ply has been changed since we wrote it): choose another folder, or add --force" in complained
-    assert command(*again, "--force") == (0, "1 meshes in meshes\n", "")
+    assert command(*again, "--force") == (0, "1 frame as Stanford PLY, binary in meshes\n", "")
 
 
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (("render", "none.ply", "--out", "x.gif"), 1, "name it .png, or give a result.zarr"),
-        (("render", "none.ply", "--out", "x.png"), 1, "cannot read none.ply"),
-        (("render", "none.ply", "--out", "x.png", "--sway", "181"), 2, "must be 0 to 180"),
-        (("render", "none.ply", "--out", "x.png", "--fps", "nan"), 2, "must be 0.1 to 1000"),
         (("export", "none.zarr", "--out", "meshes"), 1, "decode first"),
         (("export", "none.zarr", "--out", "meshes", "--kind", "fbx"), 2, "Invalid value"),
     ],

@@ -1,17 +1,21 @@
-"""Meshes of a store's frames: made once, made again where they must be, and nothing of the user's is lost."""
+"""A store's frames as files: made once, made again where they must be, and nothing of the user's is lost."""
 
 import json
 
+import cv2
 import numpy as np
 import pytest
+from PIL import Image
 from support.stored_planes import plane, store
 
-from pipeline.errors import FootageError, OutputError
+from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.locking import locked
-from pipeline.output import mesh_export
-from pipeline.output.mesh_export import export_frames
+from pipeline.output import frame_export
+from pipeline.output.formats.table import FORMATS
+from pipeline.output.frame_export import export_frames
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.stored_result import StoredResult
+from pipeline.output.surface_mesh import MeshOptions
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -58,11 +62,66 @@ def test_a_second_export_writes_nothing(result, tmp_path, kind):
     }
 
 
-def test_two_kinds_share_a_folder(result, tmp_path):
+def test_all_kinds_share_a_folder(result, tmp_path):
+    for kind, form in FORMATS.items():
+        done = export_frames(result, tmp_path / "out", kind)
+        # A bag has a message of every frame, also of one that is NaN all over.
+        assert done.empty == ([] if form.holds_all_frames else [1]), kind
+    for kind in FORMATS:
+        assert export_frames(result, tmp_path / "out", kind).written == [], kind
+    kinds = {name.partition(".")[2] for name in names(tmp_path / "out")}
+    assert kinds == {"json", *FORMATS} - {"mcap"} | {""}
+    assert names(tmp_path / "out" / "bag") == ["bag.mcap", "metadata.yaml"]
+
+
+def test_depths_of_a_film_have_one_step(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0, 900.0])
+    export_frames(path, tmp_path / "out", "png")
+    for number, distance_mm in ((0, 400.0), (1, 900.0)):
+        file = str(tmp_path / "out" / f"frame_00000{number}.png")
+        with Image.open(file) as picture:
+            assert picture.text["depth_step_mm"] == "0.02" and picture.text["frame"] == str(number)
+        assert cv2.imread(file, cv2.IMREAD_UNCHANGED)[0, 0] * 0.02 == distance_mm
+
+
+def test_a_bag_that_was_stopped_is_made_anew(result, tmp_path):
+    export_frames(result, tmp_path / "out", "mcap")
+    (tmp_path / "out" / "bag" / "metadata.yaml").unlink()
+    assert export_frames(result, tmp_path / "out", "mcap").written == [0, 1, 2, 3]
+    (tmp_path / "out" / "bag" / "bag.mcap").write_bytes(b"cut by hand")
+    with pytest.raises(OutputError, match=r"bag/bag\.mcap has been changed since we wrote it"):
+        export_frames(result, tmp_path / "out", "mcap")
+
+
+@pytest.mark.parametrize("kind", ["pcd", "png", "tiff", "mcap"])
+def test_grids_are_in_mm(tmp_path, kind):
+    path = store(tmp_path / "r.zarr", [400.0], in_mm=False)
+    with pytest.raises(FootageError, match="is in rad, not in mm: decode with a --calibration that holds the geometry"):
+        export_frames(path, tmp_path / "out", kind)
+    whole = store(tmp_path / "whole.zarr", [400.0])
+    with pytest.raises(SettingsError, match=f"{kind} keeps the whole grid of pixels: cropping and the like are for"):
+        export_frames(whole, tmp_path / "out", kind, options=MeshOptions(max_triangles=3))
+    assert not (tmp_path / "out").exists()
+
+
+def test_other_options_make_other_meshes(result, tmp_path):
     export_frames(result, tmp_path / "out", "ply")
-    export_frames(result, tmp_path / "out", "glb")
-    assert export_frames(result, tmp_path / "out", "ply").written == []
-    assert export_frames(result, tmp_path / "out", "glb").written == []
+    few = MeshOptions(max_triangles=40)
+    assert len(export_frames(result, tmp_path / "out", "ply", options=few).written) == 4
+    assert len(read_mesh(tmp_path / "out" / "frame_000000.ply").faces) <= 40
+    counts = json.loads((tmp_path / "out" / "exported.json").read_text())["items"]["frame_000000.ply"]["counts"]
+    assert counts["triangles"] <= 40 and counts["filled"] == 0 and counts["cropped"] == 0
+    assert export_frames(result, tmp_path / "out", "ply", options=few).written == []
+
+
+@pytest.mark.parametrize("kind", ["ply", "obj", "pcd", "png"])
+def test_what_is_whole_is_exported(tmp_path, kind):
+    path = store(tmp_path / "r.zarr", [400.0, 401.0, 402.0])
+    next((path / "points").glob("c.1.*")).write_bytes(b"nothing")
+    done = export_frames(path, tmp_path / "out", kind)
+    assert done.written == [0, 2] and done.damaged.keys() == {1}
+    assert "frame 1: points is damaged" in done.damaged[1] and "decode again as before" in done.damaged[1]
+    assert export_frames(path, tmp_path / "out", kind).before == [0, 2]
 
 
 def test_what_is_missing_or_decoded_anew_is_written(result, tmp_path):
@@ -139,7 +198,7 @@ def test_other_files_stay(result, tmp_path):
     [
         ("done/c.*", "holds no frame that is done: decode first"),
         ("mask", "array is missing"),
-        ("points/c.0.*", "frame 0: points is missing"),
+        ("points/c.*", "frame 0: points is missing"),
     ],
 )
 def test_an_export_of_nothing_leaves_no_folder(tmp_path, lost, message):
@@ -160,9 +219,9 @@ def test_two_exports_do_not_write_to_one_folder(result, tmp_path):
 
 def test_another_version_exports_anew(result, tmp_path, monkeypatch):
     export_frames(result, tmp_path / "out", "ply")
-    monkeypatch.setattr(mesh_export, "version", lambda package: "0.0")
+    monkeypatch.setattr(frame_export, "version", lambda package: "0.0")
     assert len(export_frames(result, tmp_path / "out", "ply").written) == len(StoredResult(result).done)
-    assert json.loads((tmp_path / "out" / "exported.json").read_text())["meshes"].keys() == {
+    assert json.loads((tmp_path / "out" / "exported.json").read_text())["items"].keys() == {
         f"frame_00000{number}.ply" for number in range(4)
     }
 

@@ -29,7 +29,7 @@ def test_normals_and_flags_have_the_names_that_programs_look_for(tmp_path: Path,
         line for line in head if line.startswith("property float n")
     ]
     assert "property uchar flags" in head and "comment flags 0 measured, 1 smoothed, 2 filled" in head
-    np.testing.assert_allclose(pyvista.read(tmp_path / "mesh.ply").point_data["Normals"], mesh.normals)
+    np.testing.assert_allclose(pyvista.read(tmp_path / "mesh.ply").point_data["Normals"], mesh.normals * (1, -1, -1))
 
 
 def test_ply_of_an_empty_mesh(tmp_path: Path) -> None:
@@ -40,7 +40,7 @@ def test_ply_of_an_empty_mesh(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("binary", [True, False])
 def test_other_programs_ply_is_read(tmp_path: Path, mesh: Mesh, binary: bool) -> None:
-    other = pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces)
+    other = pyvista.PolyData.from_regular_faces(mesh.vertices * np.float32((1, -1, -1)), mesh.faces)  # y up
     other["RGB"] = mesh.colors
     other.save(tmp_path / "other.ply", binary=binary, texture="RGB")
     read = read_mesh(tmp_path / "other.ply")

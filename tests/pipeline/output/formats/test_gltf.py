@@ -6,8 +6,10 @@ import struct
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
+from support.tilted_sheets import tilted_grid, tilted_mesh
 
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import write_mesh
@@ -48,7 +50,8 @@ def test_gltf_is_y_up_and_in_metres(tmp_path: Path, mesh: Mesh, suffix: str) -> 
 def test_gltf_never_calls_radians_metres(tmp_path: Path, mesh: Mesh) -> None:
     write_mesh(Mesh(mesh.vertices, mesh.faces, unit="rad"), tmp_path / "mesh.glb")
     scene, _ = load_gltf(tmp_path / "mesh.glb")
-    assert scene["asset"]["extras"]["unit"] == "rad, not metric: z is relative phase, x and y are px"
+    assert scene["asset"]["extras"]["unit"] == "rad"
+    assert scene["asset"]["extras"]["note"] == "not metric: z is relative phase, x and y are px"
     assert scene["accessors"][0]["max"][0] == mesh.vertices[:, 0].max()
 
 
@@ -63,3 +66,16 @@ def load_gltf(path: Path) -> tuple[dict[str, Any], bytes]:
     assert (kind, 28 + text_length + buffer_length) == (b"BIN\0", len(data))
     assert text_length % 4 == buffer_length % 4 == 0
     return json.loads(data[20 : 20 + text_length]), data[28 + text_length :]
+
+
+def test_a_texture_is_in_the_file(cpu, tmp_path: Path) -> None:
+    mesh = tilted_mesh()
+    write_mesh(mesh, tmp_path / "mesh.glb")
+    scene, buffer = load_gltf(tmp_path / "mesh.glb")
+    attributes = scene["meshes"][0]["primitives"][0]["attributes"]
+    assert attributes.keys() == {"POSITION", "NORMAL", "TEXCOORD_0", "_FLAGS"}
+    view = scene["bufferViews"][scene["images"][0]["bufferView"]]
+    picture = buffer[view["byteOffset"] : view["byteOffset"] + view["byteLength"]]
+    np.testing.assert_array_equal(cv2.imdecode(np.frombuffer(picture, np.uint8), 1)[..., ::-1], tilted_grid().texture)
+    assert scene["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"] == {"index": 0}
+    assert all(view["byteOffset"] % 4 == 0 for view in scene["bufferViews"])

@@ -1,0 +1,59 @@
+"""`colorphase export`: a result as files for other programs."""
+
+import sys
+from pathlib import Path
+
+from pipeline.cli.console import SOME_ARE_BAD, counted, frames, remark, say
+from pipeline.cli.mesh_choice import MeshChoice
+from pipeline.output.folder import STORE
+from pipeline.output.formats.table import FORMATS, Kind
+from pipeline.output.frame_export import export_frames
+from pipeline.output.surface_mesh import MeshOptions
+from tikernels import runtime
+
+_ALL = MeshChoice()
+
+
+def export(input: str, /, *, out: Path, kind: Kind = "ply", force: bool = False, part: MeshChoice = _ALL) -> None:
+    """Write every frame of a result in a format that other programs open.
+
+    Run again, it writes what is missing, or made of a frame that has been decoded anew. Exit code 3: some frames are
+    damaged, the rest is written.
+
+    Example: colorphase export film/result.zarr --out meshes --kind glb, or
+    colorphase export face --out print --kind stl --no-background
+
+    Parameters
+    ----------
+    input
+        The result.zarr, or the folder that it is in; or an fsspec URL.
+    out
+        The folder for frame_000000.ply and so on.
+    kind
+        The format: meshes as ply, obj, stl, glb, gltf or wrl; the camera's grid of points as pcd; depth as 16-bit png
+        or tiff; all frames in one ROS bag as mcap.
+    force
+        Write all again, and replace files of these names that were changed or are not ours.
+    """
+    inside = Path(input, STORE)
+    if not write_frames(str(inside) if inside.is_dir() else input, out, kind, part.options(), force=force):
+        sys.exit(SOME_ARE_BAD)
+
+
+def write_frames(store: str, folder: Path, kind: Kind, options: MeshOptions, *, force: bool) -> bool:
+    """Write every frame of a store that is done, say what became of them, and return whether all could be read."""
+    runtime.init("cpu")
+    with counted("frames") as show:
+        done = export_frames(store, folder, kind, show, options=options, force=force)
+    if done.empty:
+        remark(f"{frames(len(done.empty))} empty, as frame {done.empty[0]}: there is no file of what shows no surface")
+    for number, why in sorted(done.damaged.items())[:1]:
+        remark(f"{frames(len(done.damaged))} damaged and left out; frame {number}: {why}")
+    n_files = len(done.written) + len(done.before) - len(done.empty)
+    what = f"{n_files} frame{'s' if n_files != 1 else ''} as {FORMATS[kind].meaning} in {folder}"
+    if not done.written:
+        say(f"{what} were exported before, and are whole: --force writes them again")
+    else:
+        before = f", {len(done.before)} of them before" if done.before else ""
+        say(f"{what}{before}")
+    return not done.damaged

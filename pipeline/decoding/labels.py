@@ -1,0 +1,151 @@
+"""What a frame's arrays say of themselves: one table for the store and for xarray.
+
+Names and units are those of the CF (Climate and Forecast) conventions 1.11: https://cfconventions.org.
+"""
+
+from collections.abc import Iterable
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.decoding.fields import Field
+from pipeline.errors import OutputError
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+#: The coordinates that there may be; each is an array of one axis.
+COORDINATES = ("frame", "time", "y", "x", "xyz", "rgb")
+#: The names of what `dataset_labels` says, and of the list of coordinates beside it.
+DATASET_LABELS = ("Conventions", "title", "source", "history", "coordinates")
+
+Coordinate = tuple[tuple[str, ...], npt.NDArray[Any], dict[str, Any]]
+"""The names of its axes, its values, and what it says of itself: what xarray makes a variable of."""
+
+# UDUNITS knows no grey levels.
+_UNITS = {"grey levels": "1"}
+# What 0 and 1 mean.
+_MEANINGS = {"mask": "not_measured measured", "absolute": "relative_to_its_region absolute"}
+_LABELS = {
+    "frame": {"long_name": "number of the frame in its footage"},
+    "y": {"long_name": "row of the camera's picture", "units": "1", "comment": "px, at the centres of pixels"},
+    "x": {"long_name": "column of the camera's picture", "units": "1", "comment": "px, at the centres of pixels"},
+    "xyz": {"long_name": "axis of the camera's frame", "comment": "x right, y down, z forward"},
+    "rgb": {"long_name": "channel", "comment": "sRGB"},
+}
+
+
+def dataset_labels(made_by: str | None = None) -> dict[str, str]:
+    """Return what a set of fields says of itself; `made_by` is the version of colorphase that decoded it, if another.
+
+    Neither times nor hosts nor paths are in it, so that the same footage gives the same bytes.
+    """
+    program = f"colorphase {made_by or version('colorphase')}"
+    return {
+        "Conventions": "CF-1.11",
+        "title": "range images from single colour frames",
+        "source": f"colour frames of three phase-shifted fringes, one in each of R, G and B, decoded by {program}",
+        "history": f"decoded by {program}",
+    }
+
+
+def field_labels(name: str, field: Field[Any], range_unit: str) -> dict[str, Any]:
+    """Return what a field's array says of itself; `range_unit` is that of ranges, "mm" or "rad"."""
+    labels: dict[str, Any] = {"long_name": name.replace("_", " "), "comment": " ".join(field.meaning.split())}
+    if field.unit is not None:
+        unit = range_unit if field.unit == "range" else field.unit
+        labels["units"] = _UNITS.get(unit, unit)
+    if name in _MEANINGS:
+        labels |= {"flag_values": [0, 1], "flag_meanings": _MEANINGS[name]}
+    return labels
+
+
+def axis_coordinates(
+    axes: Iterable[str], size_px: tuple[int, int], corner_px: tuple[int, int] = (0, 0)
+) -> dict[str, Coordinate]:
+    """Return the coordinates along the axes of fields.
+
+    Parameters
+    ----------
+    axes : iterable of str
+        Which of y, x, xyz and rgb.
+    size_px, corner_px : (2,) int
+        Width and height of a frame, and x and y of its first pixel in the camera's picture, where a part is decoded.
+    """
+    (width, height), (x, y) = size_px, corner_px
+    values: dict[str, npt.NDArray[Any]] = {
+        "y": np.arange(y, y + height, dtype=np.int32),
+        "x": np.arange(x, x + width, dtype=np.int32),
+        "xyz": np.array(["x", "y", "z"], np.object_),
+        "rgb": np.array(["R", "G", "B"], np.object_),
+    }
+    return {name: ((name,), values[name], dict(_LABELS[name])) for name in COORDINATES if name in set(axes)}
+
+
+def frame_coordinates(
+    n_frames: int, seconds: npt.NDArray[np.float64] | None = None, since: str | None = None
+) -> dict[str, Coordinate]:
+    """Return the coordinates along the frames of footage: their numbers and, where it is known, their times.
+
+    Parameters
+    ----------
+    n_frames : int
+        How many there are.
+    seconds : (n_frames,) float64, optional
+        When each was taken.
+    since : str, optional
+        What that counts from, UTC; None: the first frame. Then the unit is ``s``, which says nothing of a date.
+    """
+    numbers: Coordinate = (("frame",), np.arange(n_frames, dtype=np.int64), dict(_LABELS["frame"]))
+    if seconds is None:
+        return {"frame": numbers}
+    if since is None:
+        labels = {"long_name": "time since the first frame", "units": "s"}
+    else:
+        labels = {
+            "long_name": "time at which the frame was exposed",
+            "standard_name": "time",
+            "units": f"seconds since {since}",
+            "calendar": "standard",
+        }
+    return {"frame": numbers, "time": (("frame",), seconds, labels)}
+
+
+def make_dataset(
+    fields: dict[str, tuple[Field[Any], npt.NDArray[Any]]],
+    shape: tuple[int, ...],
+    range_unit: str,
+    warnings: Iterable[str],
+) -> "Dataset":
+    """Return a frame's fields, with all that is said of them, as an `xarray.Dataset`.
+
+    Parameters
+    ----------
+    fields : dict of (Field, array)
+        By their names.
+    shape : (2,) int
+        Rows and columns of the frame.
+    range_unit : str
+        Of ranges, "mm" or "rad".
+    warnings : iterable of str
+        What the user should know, which becomes the ``comment``.
+
+    Raises
+    ------
+    OutputError
+        xarray is not installed.
+    """
+    try:
+        import xarray  # slow to import, and of the extra `xarray`
+    except ImportError:
+        raise OutputError("xarray is not installed: pip install 'colorphase[xarray]'") from None
+    arrays = {
+        name: (field.axes, values, field_labels(name, field, range_unit)) for name, (field, values) in fields.items()
+    }
+    axes = {axis for field, _ in fields.values() for axis in field.axes}
+    labels = {**dataset_labels(), "range_unit": range_unit}
+    if comment := "\n".join(warnings):
+        labels["comment"] = comment
+    return xarray.Dataset(arrays, axis_coordinates(axes, (shape[1], shape[0])), labels)

@@ -1,0 +1,1 @@
+"""The files that other programs open, one encoder each; `table` says which there are."""

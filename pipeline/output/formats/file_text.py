@@ -1,0 +1,29 @@
+"""What files say in words: a heading before the numbers, and numbers as text."""
+
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy.typing as npt
+
+#: What a file holds.
+Content: TypeAlias = bytes | memoryview
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A file's name, and remarks about what is in it."""
+
+    stem: str
+    """The file's name without its suffix, which files beside it share."""
+    remarks: dict[str, str]
+    """Unit, axes, and how the content was made; one line each."""
+
+    def comments(self, mark: str) -> str:
+        """Return the remarks as lines that begin with a mark."""
+        return "".join(f"{mark} {name} {value}\n" for name, value in self.remarks.items())
+
+
+def text_rows(row: str, table: npt.NDArray[Any]) -> str:
+    """Return a table as text, by the format of one row."""
+    # One format of the whole table is several times faster than numpy.savetxt.
+    return row * len(table) % tuple(table.ravel().tolist())

@@ -1,0 +1,142 @@
+"""Frames to a bag in MCAP, as ROS 2, Foxglove and others play it; ROS is not needed.
+
+Of every frame: ``/camera/points`` (PointCloud2, organised), ``/camera/depth`` (Image, 32FC1), ``/camera/image`` (Image,
+rgb8: the surface's colour without fringes) and ``/camera/camera_info`` (CameraInfo, of pictures as the lens made them).
+Lengths are in m, in the optical frame of REP 103, which the messages call `FRAME_ID`.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration.model import Lens
+from pipeline.errors import OutputError
+from pipeline.output.range_grid import RangeGrid
+
+#: Of the messages' headers.
+FRAME_ID = "camera_optical_frame"
+_NS = 1_000_000_000
+
+
+def write_bag(folder: Path, grids: Iterable[RangeGrid], remarks: dict[str, str]) -> None:
+    """Write frames as a bag: a folder with an MCAP file of its name, and ``metadata.yaml``.
+
+    Parameters
+    ----------
+    folder : Path
+        Made; it must not exist.
+    grids : iterable of RangeGrid
+        The frames in the order of time; one at a time is in memory.
+    remarks : dict
+        How they were made: the bag's custom data.
+
+    Raises
+    ------
+    OutputError
+        The package that writes bags is missing.
+    """
+    try:
+        from rosbags.rosbag2 import CompressionMode, StoragePlugin, Writer
+        from rosbags.rosbag2.enums import CompressionFormat
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise OutputError("bags need the package rosbags: pip install 'colorphase[mcap]'") from None
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    for name, value in remarks.items():
+        writer.set_custom_data(name, value)
+    with writer:
+        topics: dict[str, Any] = {}
+        for grid in grids:
+            messages = _Messages(types.types, grid)
+            for topic, message in messages.by_topic():
+                kind = message.__msgtype__
+                if topic not in topics:
+                    topics[topic] = writer.add_connection(f"/camera/{topic}", kind, typestore=types)
+                writer.write(topics[topic], messages.stamp_ns, types.serialize_cdr(message, kind))
+
+
+class _Messages:
+    """A frame as messages."""
+
+    def __init__(self, types: Any, grid: RangeGrid) -> None:
+        self._types, self._grid = types, grid
+        self.stamp_ns = round(grid.time_s * _NS)
+
+    def by_topic(self) -> Iterable[tuple[str, Any]]:
+        """Yield each topic and its message."""
+        yield "points", self._points()
+        yield "depth", self._image("32FC1", self._grid.depth * np.float32(0.001))
+        if self._grid.texture is not None:
+            yield "image", self._image("rgb8", self._grid.texture)
+        if self._grid.camera is not None:
+            yield "camera_info", self._camera_info(self._grid.camera)
+
+    def _of(self, kind: str, **values: Any) -> Any:
+        return self._types[kind](**values)
+
+    def _header(self) -> Any:
+        stamp = self._of("builtin_interfaces/msg/Time", sec=self.stamp_ns // _NS, nanosec=self.stamp_ns % _NS)
+        return self._of("std_msgs/msg/Header", stamp=stamp, frame_id=FRAME_ID)
+
+    def _points(self) -> Any:
+        records = self._grid.records()
+        fields = [
+            self._of("sensor_msgs/msg/PointField", name=name, offset=4 * index, datatype=7, count=1)  # 7: FLOAT32
+            for index, name in enumerate(records.dtype.names or ())
+        ]
+        height, width = records.shape
+        step = records.dtype.itemsize
+        return self._of(
+            "sensor_msgs/msg/PointCloud2",
+            header=self._header(),
+            height=height,
+            width=width,
+            fields=fields,
+            is_bigendian=False,
+            point_step=step,
+            row_step=step * width,
+            data=_bytes_of(records),
+            is_dense=False,  # some are NaN
+        )
+
+    def _image(self, encoding: str, values: npt.NDArray[Any]) -> Any:
+        height, width = values.shape[:2]
+        return self._of(
+            "sensor_msgs/msg/Image",
+            header=self._header(),
+            height=height,
+            width=width,
+            encoding=encoding,
+            is_bigendian=0,
+            step=values.nbytes // height,
+            data=_bytes_of(values),
+        )
+
+    def _camera_info(self, camera: Lens) -> Any:
+        width, height = camera.size_px
+        whole = self._of(
+            "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
+        )
+        return self._of(
+            "sensor_msgs/msg/CameraInfo",
+            header=self._header(),
+            height=height,
+            width=width,
+            distortion_model="plumb_bob",
+            d=camera.distortion,
+            k=camera.matrix.ravel(),
+            r=np.eye(3).ravel(),
+            p=np.hstack([camera.matrix, np.zeros((3, 1))]).ravel(),
+            binning_x=0,
+            binning_y=0,
+            roi=whole,
+        )
+
+
+def _bytes_of(values: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+    return np.ascontiguousarray(values).view(np.uint8).ravel()

@@ -1,0 +1,293 @@
+"""The frames of a ``result.zarr`` as files for other programs, in a folder that may hold other things, too.
+
+``exported.json`` there says of each item, a frame's files or the bag of all frames, what it was made of, and the files'
+SHA-256. What has both is not made again, and what has another SHA-256 is its user's. So an export that is stopped goes
+on where it was; a file that a killed one has not written down is known by being what would be written.
+"""
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.errors import FootageError, OutputError, SettingsError
+from pipeline.files import explain, write_atomically
+from pipeline.locking import locked
+from pipeline.output.folder import file_digest
+from pipeline.output.formats.ros_bag import write_bag
+from pipeline.output.formats.table import FORMATS, Kind, encode_as
+from pipeline.output.mesh import Mesh
+from pipeline.output.provenance import provenance_of
+from pipeline.output.range_grid import RangeGrid
+from pipeline.output.stored_result import StoredResult, mesh_fields
+from pipeline.output.surface_mesh import MeshOptions
+
+_RECORD = "exported.json"
+_ITEMS = "items"
+_WORK = ".export."
+# The folder, and the MCAP file in it, of a bag.
+_BAG = "bag"
+# Bytes; a record takes some 400 of a frame.
+_MOST_RECORD = 2**28
+
+
+@dataclass
+class Exported:
+    """What became of an export."""
+
+    written: list[int] = field(default_factory=list)  # numbers of frames
+    before: list[int] = field(default_factory=list)  # whose files were there already
+    empty: list[int] = field(default_factory=list)  # that show no surface: there is no file of them
+    damaged: dict[int, str] = field(default_factory=dict)  # that cannot be read, and why
+
+
+@dataclass(frozen=True)
+class _Item:
+    """What is known of an item that was exported."""
+
+    made_of: str
+    sha256: dict[str, str]  # of each file, by its path in the folder; empty: the frame shows no surface
+    counts: dict[str, int] = field(default_factory=dict, compare=False)  # what became of a mesh's pixels
+
+
+def export_frames(
+    location: str | Path,
+    folder: str | Path,
+    kind: Kind,
+    tell: Callable[[int, int], None] = lambda done, of: None,
+    *,
+    options: MeshOptions | None = None,
+    force: bool = False,
+) -> Exported:
+    """Write every frame of a store that is done, ``frame_000012.ply`` and so on, unless it is there.
+
+    Parameters
+    ----------
+    location : str or Path
+        The ``result.zarr``.
+    folder : str or Path
+        Where to; made if it does not exist.
+    kind : str
+        The format, one of `FORMATS`. All frames go into one bag where it is ``"mcap"``.
+    tell : callable
+        Is told how many of how many frames have been looked at.
+    options : MeshOptions, optional
+        What to leave out of meshes.
+    force : bool
+        Whether all are written again, and may replace files of others.
+
+    Raises
+    ------
+    FootageError
+        There is no such store, it lacks what is needed, or nothing of it can be read.
+    OutputError
+        The folder cannot be written, is being written by another run, or holds a file of such a name that was changed
+        or is not one of ours; then nothing is replaced.
+    SettingsError
+        The options are of no use for this format, or ask for mm, and there are none.
+    """
+    result, folder, form = StoredResult(location), Path(folder), FORMATS[kind]
+    if not result.done:
+        raise FootageError(f"{result.name} holds no frame that is done: decode first")
+    for name in mesh_fields(in_mm=result.in_mm):
+        result.require(name)
+    if form.encode_mesh is None:
+        result.require_mm()
+        if options is not None and options != MeshOptions():
+            raise SettingsError(f"{kind} keeps the whole grid of pixels: cropping and the like are for meshes")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with locked(folder / _RECORD):
+            for left in folder.glob(f"{_WORK}*"):  # of a killed export
+                shutil.rmtree(left)
+            work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
+            try:
+                made_by = _Maker(result, kind, options or MeshOptions())
+                return _Export(made_by, folder, work, tell).run(force=force)
+            finally:
+                shutil.rmtree(work, ignore_errors=True)
+    except (FootageError, OutputError):  # OSErrors too, but not about this folder
+        raise
+    except OSError as error:
+        raise OutputError(f"cannot write {folder}: {explain(error)}") from error
+    finally:
+        with suppress(OSError):  # what holds something stays
+            folder.rmdir()
+
+
+class _Maker:
+    """Makes a store's frames into files of one kind."""
+
+    def __init__(self, result: StoredResult, kind: Kind, options: MeshOptions) -> None:
+        self._result, self._kind, self._options = result, kind, options
+        self._form = FORMATS[kind]
+        self._farthest_mm = self._farthest() if self._form.has_step else 0.0
+
+    def items(self) -> dict[str, tuple[int, ...]]:
+        """Return what is to be made: the name of each item, and the frames in it."""
+        if self._form.holds_all_frames:
+            return {_BAG: self._result.done}
+        return {f"frame_{number:06d}.{self._kind}": (number,) for number in self._result.done}
+
+    def made_of(self, numbers: tuple[int, ...]) -> str:
+        """Return what tells an item, and its making, from others.
+
+        Raises
+        ------
+        FootageError
+            A frame's mark is damaged.
+        """
+        frames = [self._result.frame_digest(number) for number in numbers]
+        whole = [version("colorphase"), asdict(self._options), self._farthest_mm, frames]
+        return hashlib.sha256(json.dumps(whole).encode()).hexdigest()[:32]
+
+    def make(self, name: str, numbers: tuple[int, ...], work: Path) -> tuple[list[str], dict[str, int]]:
+        """Write an item's files into a folder; return their names, and what became of a mesh's pixels.
+
+        Raises
+        ------
+        FootageError
+            A frame is damaged.
+        OutputError
+            The format cannot hold it.
+        """
+        if self._form.holds_all_frames:
+            grids = (self._result.grid(number) for number in numbers)
+            write_bag(work / name, grids, provenance_of(self._result.attributes))
+            return [f"{name}/{entry.name}" for entry in sorted((work / name).iterdir())], {}
+        number, counts = numbers[0], {}
+        shape: Mesh | RangeGrid | None = None
+        if self._form.encode_mesh is not None:
+            mesh, counted = self._result.counted_mesh(number, options=self._options)
+            shape, counts = (mesh if len(mesh.faces) else None), asdict(counted)
+        else:
+            grid = self._result.grid(number)
+            shape = grid if np.isfinite(grid.depth).any() else None
+        if shape is None:
+            return [], counts
+        files = encode_as(self._form, shape, Path(name).stem, self._farthest_mm)
+        for suffix, content in files.items():
+            (work / name).with_suffix(suffix).write_bytes(content)
+        return [Path(name).with_suffix(suffix).name for suffix in files], counts
+
+    def _farthest(self) -> float:
+        """Return the largest depth of all frames, mm; a damaged frame has none."""
+        farthest = 0.0
+        for number in self._result.done:
+            with suppress(FootageError):
+                depth = self._result.grid(number).depth
+                farthest = max(farthest, float(np.nanmax(depth, initial=0.0, where=np.isfinite(depth))))
+        return farthest
+
+
+class _Export:
+    """One export, while nobody else writes to its folder."""
+
+    def __init__(self, maker: _Maker, folder: Path, work: Path, tell: Callable[[int, int], None]) -> None:
+        self._maker, self._folder, self._work, self._tell = maker, folder, work, tell
+        self._known = _read_record(folder)
+        self._items = maker.items()
+        self._of = sum(map(len, self._items.values()))
+        self._done = Exported()
+
+    def run(self, *, force: bool) -> Exported:
+        """Write what is missing, what could be somebody else's first: it may refuse before anything is replaced."""
+        made_of: dict[str, str] = {}
+        for name, numbers in self._items.items():
+            try:
+                made_of[name] = self._maker.made_of(numbers)
+            except FootageError as error:
+                self._damaged(numbers, error)
+        if not force:
+            self._refuse_changed()
+        whole = [name for name in made_of if not force and self._is_whole(name, made_of[name])]
+        unknown = [name for name in made_of if name not in self._known and (self._folder / name).exists()]
+        todo = [name for name in dict.fromkeys([*unknown, *made_of]) if name not in whole]
+        self._done.before += [number for name in whole for number in self._items[name]]
+        try:
+            self._tell(len(self._done.before), self._of)
+            for name in todo:
+                self._make(name, made_of[name], force=force)
+                self._tell(len(self._done.before) + len(self._done.written) + len(self._done.damaged), self._of)
+        except KeyboardInterrupt:
+            n_there = len(self._done.before) + len(self._done.written)
+            raise KeyboardInterrupt(
+                f"stopped: {n_there} of {self._of} frames are exported; the same command goes on from there"
+            ) from None
+        finally:
+            if self._done.written:
+                about = {name: asdict(item) for name, item in sorted(self._known.items())}
+                write_atomically(self._folder / _RECORD, (json.dumps({_ITEMS: about}, indent=1) + "\n").encode())
+        self._done.empty += [
+            number
+            for name, numbers in self._items.items()
+            for number in numbers
+            if (item := self._known.get(name)) is not None and not item.sha256
+        ]
+        if self._done.damaged and not self._done.written and not self._done.before:
+            raise FootageError(next(iter(self._done.damaged.values())))
+        return self._done
+
+    def _make(self, name: str, made_of: str, *, force: bool) -> None:
+        """Write an item's files, unless one of their names is that of another file than it."""
+        numbers = self._items[name]
+        try:
+            files, counts = self._maker.make(name, numbers, self._work)
+        except FootageError as error:
+            self._damaged(numbers, error)
+            return
+        digests = {file: str(file_digest(self._work / file)) for file in files}
+        before = self._known.get(name, _Item("", {})).sha256
+        for file, digest in digests.items():
+            if not force and file_digest(self._folder / file) not in (None, digest, before.get(file)):
+                raise self._refused(file, "is not ours")
+        for file in before.keys() - digests.keys():  # of a frame that showed a surface before
+            (self._folder / file).unlink(missing_ok=True)
+        for file in reversed(files):  # the first one names the others
+            (self._folder / file).parent.mkdir(exist_ok=True)
+            os.replace(self._work / file, self._folder / file)
+        self._known[name] = _Item(made_of, digests, counts)
+        self._done.written += numbers
+
+    def _damaged(self, numbers: tuple[int, ...], error: FootageError) -> None:
+        self._done.damaged |= dict.fromkeys(numbers, str(error))
+
+    def _is_whole(self, name: str, made_of: str) -> bool:
+        """Whether an item is there as it would be written."""
+        item = self._known.get(name)
+        if item is None or item.made_of != made_of:
+            return False
+        return all(file_digest(self._folder / file) == digest for file, digest in item.sha256.items())
+
+    def _refuse_changed(self) -> None:
+        """Refuse a folder in which a file is not as it was written."""
+        if (self._folder / _RECORD).exists() and not self._known:
+            raise self._refused(_RECORD, "is not ours")
+        for name in self._items:
+            for file, digest in self._known.get(name, _Item("", {})).sha256.items():
+                if file_digest(self._folder / file) not in (None, digest):
+                    raise self._refused(file, "has been changed since we wrote it")
+
+    def _refused(self, name: str, why: str) -> OutputError:
+        return OutputError(f"{self._folder} holds something else ({name} {why}): choose another folder, or add --force")
+
+
+def _read_record(folder: Path) -> dict[str, _Item]:
+    """Return what is known of what was exported to a folder, by name; nothing where it says nothing of ours."""
+    try:
+        with (folder / _RECORD).open("rb") as file:
+            items = json.loads(file.read(_MOST_RECORD))[_ITEMS]
+        return {
+            str(name): _Item(str(about["made_of"]), dict(about["sha256"]), dict(about["counts"]))
+            for name, about in items.items()
+        }
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return {}

@@ -1,0 +1,188 @@
+"""What frames, results, meshes and calibrations show in a notebook, and a frame as PyVista's data.
+
+Nothing here draws with VTK, which dies where there is no GL: pictures are shaded range images.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration import Calibration
+from pipeline.decoding.frame import DecodedFrame
+from pipeline.errors import FootageError
+from pipeline.output.mesh import FILLED, SMOOTHED, Mesh
+from pipeline.output.range_image import encode_png, shade_range
+from pipeline.output.stored_result import StoredResult
+from pipeline.output.surface_mesh import frame_mesh
+from pipeline.showing import html_block, to_html, to_pyvista
+
+Floats = npt.NDArray[np.float32]
+Pixels = npt.NDArray[np.bool_]
+
+# Of a picture, px: beside it there is room for the figures.
+_WIDTH_PX = 320
+# Vertices a pixel of a mesh's picture, so that hardly any is left without one.
+_VERTICES_A_PIXEL = 2
+# Of which one is made: enough for its width.
+_MOST_VERTICES = 2 * _WIDTH_PX**2
+
+
+@to_html.register
+def _frame_html(frame: DecodedFrame) -> str:
+    mask, unit = frame.mask, frame.range_unit
+    height, width = mask.shape
+    period = "no fringe was found" if frame.period_px is None else f"{frame.period_px:.2f} px"
+    figures = {
+        "size": f"{width} x {height} px",
+        "period": period,
+        "noise": f"{frame.noise_levels:.3g} grey levels",
+        **_range_figures(frame.range_image, mask, unit),
+        "regions": str(len(frame.order_is_known) - 1),
+        "absolute": _share(frame.absolute[mask]),
+        "phase sigma, median": _median(frame.phase_sigma[mask], "rad"),
+    }
+    if frame.point_sigma is not None:
+        figures["point sigma, median"] = _median(frame.point_sigma[mask], "mm")
+    return html_block("Decoded frame", figures, frame.warnings, _thumbnail(frame.range_image, mask, frame.points))
+
+
+@to_html.register
+def _result_html(result: StoredResult) -> str:
+    unit = "mm" if result.in_mm else "rad"
+    width, height = result.size_px
+    footage = result.attributes.get("footage", {})
+    figures = {
+        "footage": str(footage.get("name", "a picture")),
+        "frames": f"{len(result.done)} of {len(result.wanted)} done",
+        "size": f"{width} x {height} px",
+        "fields": ", ".join(sorted(result.fields)),
+        "decoded by": f"colorphase {result.attributes['colorphase_version']}",
+    }
+    picture, warnings = None, [] if result.done else ["no frame is done"]
+    if result.done:
+        number = result.done[0]
+        try:
+            warnings = [f"frame {number}: {text}" for text in result.warnings(number)]
+            ranges = "points" if "points" in result.fields else "range_image"
+            if {"mask", ranges} <= result.fields:
+                values, mask = result.read(ranges, number), result.read("mask", number)
+                points = values if ranges == "points" else None
+                depth = values[..., 2] if ranges == "points" else values
+                figures |= {f"frame {number}, {name}": text for name, text in _range_figures(depth, mask, unit).items()}
+                picture = _thumbnail(depth, mask, points)
+        except FootageError as error:
+            warnings.append(str(error))
+    return html_block("Stored result", figures, warnings, picture)
+
+
+@to_html.register
+def _mesh_html(mesh: Mesh) -> str:
+    figures = {"vertices": f"{len(mesh.vertices):,}", "triangles": f"{len(mesh.faces):,}"}
+    if len(mesh.vertices):
+        low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+        units = ("mm",) * 3 if mesh.unit == "mm" else ("px", "px", "rad")
+        for axis, unit, least, most in zip("xyz", units, low, high, strict=True):
+            figures[axis] = f"{least:.4g} to {most:.4g} {unit}"
+    if mesh.flags is not None:
+        for name, bit in (("smoothed", SMOOTHED), ("filled", FILLED)):
+            figures[name] = f"{int((mesh.flags & bit != 0).sum()):,} vertices"
+    known = [name for name in ("colors", "normals") if getattr(mesh, name) is not None]
+    figures["of each vertex"] = ", ".join([*known, *mesh.properties]) or "its place only"
+    warnings = [] if mesh.unit == "mm" else ["not metric: z is relative phase in rad, x and y are px"]
+    return html_block("Mesh", figures, warnings, _mesh_picture(mesh))
+
+
+@to_html.register
+def _calibration_html(calibration: Calibration) -> str:
+    figures = {}
+    for name, lens in (("camera", calibration.camera), ("projector", calibration.projector)):
+        if lens is not None:
+            width, height = lens.size_px
+            focal = f"{lens.matrix[0, 0]:.1f}, {lens.matrix[1, 1]:.1f}"
+            figures[name] = f"{width} x {height} px, focal lengths {focal} px"
+    if calibration.translation_mm is not None:
+        figures["baseline"] = f"{np.linalg.norm(calibration.translation_mm):.1f} mm"
+    if calibration.pattern is not None:
+        pattern = calibration.pattern
+        code = "no code" if pattern.code is None else f"code {pattern.code}"
+        figures["pattern"] = f"{pattern.stripes}, {pattern.period_px:g} px a cycle, {code}"
+    if calibration.depth_range_mm is not None:
+        nearest, farthest = calibration.depth_range_mm
+        figures["depth range"] = f"{nearest:g} to {farthest:g} mm"
+    figures["crosstalk"] = "not measured" if calibration.crosstalk_matrix is None else "measured"
+    figures["response"] = "not measured" if calibration.response is None else "measured"
+    if calibration.has_geometry:
+        proof = calibration.scale_proof
+        figures["scale"] = "by the side of the board's squares alone" if proof is None else f"proved by a {proof}"
+    known = calibration.uncertainty
+    if known is not None and known.reprojection_px is not None:
+        camera, projector = known.reprojection_px
+        figures["reprojection, RMS"] = f"camera {camera:.3f} px, projector {projector:.3f} px"
+    if known is not None and known.depth_bias_mm is not None:
+        figures["depth, sigma by the calibration"] = f"{known.depth_bias_mm:.3g} mm"
+    warnings = [] if calibration.has_geometry else ["no geometry: frames are decoded to phases, in rad"]
+    return html_block("Calibration", figures, warnings)
+
+
+@to_pyvista.register
+def mesh_surface(mesh: Mesh) -> Any:
+    """Return a mesh as `pyvista.PolyData`; see `DecodedFrame.to_pyvista`."""
+    import pyvista  # slow to import, and only needed here
+
+    surface = pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces)
+    surface.field_data["unit"] = [mesh.unit]
+    if not len(mesh.vertices):  # PyVista takes no empty arrays
+        return surface
+    known = {**mesh.properties, "colors": mesh.colors, "flags": mesh.flags, "Normals": mesh.normals}
+    for name, values in known.items():
+        if values is not None:
+            surface.point_data[name] = values
+    if mesh.normals is not None:
+        surface.point_data.active_normals_name = "Normals"
+    return surface
+
+
+@to_pyvista.register
+def _frame_surface(frame: DecodedFrame) -> Any:
+    return mesh_surface(frame_mesh(frame))
+
+
+def _range_figures(values: Floats, mask: Pixels, unit: str) -> dict[str, str]:
+    known = values[mask & np.isfinite(values)]
+    if not known.size:
+        return {"coverage": _share(mask)}
+    low, middle, high = np.percentile(known, (1, 50, 99))
+    span = f"{low:.4g} to {high:.4g} {unit}, median {middle:.4g} {unit}"
+    return {"coverage": _share(mask), "range, 1 to 99 %": span}
+
+
+def _share(flags: Pixels) -> str:
+    return f"{100 * flags.mean():.1f} %" if flags.size else "nothing is measured"
+
+
+def _median(values: Floats, unit: str) -> str:
+    known = values[np.isfinite(values)]
+    return f"{np.median(known):.3g} {unit}" if known.size else "unknown"
+
+
+def _thumbnail(values: Floats, mask: Pixels, points: Floats | None) -> bytes:
+    step = math.ceil(mask.shape[1] / _WIDTH_PX)
+    small = np.s_[::step, ::step]
+    return encode_png(shade_range(values[small], mask[small], None if points is None else points[small]))
+
+
+def _mesh_picture(mesh: Mesh) -> bytes | None:
+    """Return a mesh as it is seen along z, by its vertices."""
+    if not len(mesh.faces):
+        return None
+    some = mesh.vertices[:: math.ceil(len(mesh.vertices) / _MOST_VERTICES)]
+    places = some[np.argsort(-some[:, 2])]  # the nearest comes last, and stays
+    low, span = places.min(axis=0), np.ptp(places, axis=0)
+    pixel = max(math.sqrt(_VERTICES_A_PIXEL * span[0] * span[1] / len(places)), span[:2].max() / (_WIDTH_PX - 1))
+    column, row = ((places[:, :2] - low[:2]) / pixel).astype(np.intp).T
+    seen = np.full((row.max() + 1, column.max() + 1, 3), np.nan, np.float32)
+    seen[row, column] = places
+    mask = np.isfinite(seen[..., 2])
+    return encode_png(shade_range(seen[..., 2], mask, seen if mesh.unit == "mm" else None))

@@ -1,0 +1,137 @@
+"""The process that draws one picture, or parts of a film, and says in lines of JSON what is done.
+
+Frames become meshes, pictures and packets of a film one after another, so that a film takes no more memory than a
+picture.
+"""
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from pipeline.errors import RenderError
+from pipeline.files import sync
+from pipeline.output.mesh import Mesh
+from pipeline.output.mesh_files import read_mesh
+from pipeline.output.pictures.drawing_process import DONE
+from pipeline.output.pictures.film_encoding import FilmEncoder
+from pipeline.output.pictures.mesh_distance import distance_from
+from pipeline.output.pictures.picture_job import FilmPart, PictureJob
+from pipeline.output.pictures.picture_source import MeshSource, StoreSource
+from pipeline.output.pictures.scene import Scene
+from pipeline.output.pictures.surface_renderer import SurfaceRenderer
+from pipeline.output.range_image import write_png
+from tikernels import runtime
+
+
+class _Drawing:
+    """One job."""
+
+    def __init__(self, job: PictureJob) -> None:
+        self._job, self._options = job, job.options
+        self._source = _source_of(job)
+        distance = None if job.compared is None else distance_from(read_mesh(job.compared))
+        self._scene = Scene(self._samples(), job.options, distance)
+        self._renderer = SurfaceRenderer(job.options.size_px)
+
+    def run(self) -> None:
+        """Draw all, and say by what."""
+        if self._job.picture is not None:
+            self._draw_still(self._job.picture)
+        for part in self._job.parts:
+            self._draw_part(part)
+        _say({"renderer": self._renderer.name()})
+
+    def _samples(self) -> list[Mesh]:
+        """Return what tells limits and the eye's place: of a still itself."""
+        return self._source.samples() if self._job.picture is None else [self._wanted()]
+
+    def _wanted(self) -> Mesh:
+        """Return the surface of a still."""
+        mesh = self._source.mesh(self._job.numbers[0])
+        if mesh is None:
+            raise RenderError(_nothing(self._source, self._job.numbers[0]))
+        return mesh
+
+    def _draw_still(self, path: str) -> None:
+        still = self._wanted()
+        self._scene.show(self._renderer, still)
+        write_png(path, self._scene.picture(self._renderer, 0.0))
+        if not self._job.buffers:
+            return
+        renderer = SurfaceRenderer(self._options.size_px, samples=1, ground=False)
+        self._scene.show(renderer, still)
+        if "depth" in self._job.buffers:
+            cv2.imwrite("depth.tiff", renderer.depth(self._scene.viewpoint(0.0)))
+        if "normals" in self._job.buffers:
+            write_png("normals.png", self._scene.normal_image(renderer))
+
+    def _draw_part(self, part: FilmPart) -> None:
+        numbers, held = self._job.numbers, []
+        shown = self._show_what_was_before(part.first)
+        partial = f"{part.path}.{os.getpid()}.mp4"
+        with FilmEncoder(partial, self._options.size_px, self._options.fps) as encoder:
+            for i in range(part.first, part.stop):
+                number, label = numbers[i], ""
+                if number != shown:
+                    mesh = self._source.mesh(number)
+                    if mesh is None:
+                        held.append(number)
+                    else:
+                        self._scene.show(self._renderer, mesh)
+                        shown = number
+                if self._job.store is not None and len(set(numbers[:2])) > 1:
+                    label = f"frame {number}" + ("" if number == shown else ", not there")
+                if shown is None:
+                    encoder.add(self._renderer.ground())
+                else:
+                    encoder.add(self._scene.picture(self._renderer, i / max(len(numbers) - 1, 1), label))
+                _say({"part": part.first, "drawn": i + 1 - part.first})
+        broken = {number: why for number, why in self._broken().items() if number in held}
+        size = Path(partial).stat().st_size
+        about = {"held": held, "broken": broken, "codec": encoder.codec, "bytes": size}
+        sync(Path(partial))
+        Path(part.path).with_suffix(".json").write_text(json.dumps(about), encoding="utf-8")
+        os.replace(partial, part.path)
+
+    def _show_what_was_before(self, first: int) -> int | None:
+        """Show what a part's first picture shows, if its frame is not there; return the number of that."""
+        numbers = self._job.numbers
+        if first == 0 or self._source.mesh(numbers[first]) is not None:
+            return None
+        for number in reversed(numbers[:first]):
+            mesh = self._source.mesh(number)
+            if mesh is not None:
+                self._scene.show(self._renderer, mesh)
+                return number
+        return None
+
+    def _broken(self) -> dict[int, str]:
+        return self._source.broken if isinstance(self._source, StoreSource) else {}
+
+
+def _source_of(job: PictureJob) -> MeshSource | StoreSource:
+    if job.mesh is not None:
+        return MeshSource(job.mesh)
+    runtime.init("cpu")  # meshes are joined while a graphics card draws
+    return StoreSource(str(job.store), job.options.colors)
+
+
+def _nothing(source: MeshSource | StoreSource, number: int) -> str:
+    if isinstance(source, StoreSource) and number in source.broken:
+        return source.broken[number]
+    return f"frame {number} shows no surface: choose another --frame"
+
+
+def _say(what: dict[str, Any]) -> None:
+    print(json.dumps(what), flush=True)
+
+
+if __name__ == "__main__":
+    np.seterr(all="ignore")
+    _Drawing(PictureJob.model_validate_json(Path(sys.argv[1]).read_text(encoding="utf-8"))).run()
+    Path(DONE).touch()

@@ -1,0 +1,125 @@
+"""Drawing in a child process: the drawing library ends the whole process where a machine has no graphics library."""
+
+import json
+import os
+import queue
+import re
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any
+
+from pipeline.errors import RenderError
+from pipeline.output.pictures.picture_job import PictureJob
+
+# The child sees the modules that we see, and never those of the folder that we happen to be in.
+COMMAND = [sys.executable, "-P", "-m", "pipeline.output.pictures.drawing_child"]
+#: The file that a child leaves in its folder when all is done.
+DONE = "done"
+_GRAPHICS_CURE = (
+    "on Debian or Ubuntu run 'apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri' or 'apt-get install libosmesa6', "
+    "elsewhere install a working OpenGL driver"
+)
+# The last line of a traceback names the error's class before its message.
+_OUR_ERRORS = re.compile(r"^(pipeline|tikernels)\.errors\.\w+: ")
+_GRAPHICS_WORDS = ("opengl", "libgl", "egl", "glx", "osmesa", "x server", "shared object")
+
+
+def draw_apart(
+    job: PictureJob,
+    folder: Path,
+    timeout_s: float,
+    tell: Callable[[dict[str, Any]], None] = lambda _: None,
+    *,
+    threads: int | None = None,
+) -> str:
+    """Draw in a child process; what goes wrong there becomes one line here.
+
+    Parameters
+    ----------
+    job : PictureJob
+        What is to be drawn; its files' names are relative to `folder`, or absolute.
+    folder : Path
+        Where the child runs; nothing else does.
+    timeout_s : float
+        Time without a line from it after which it is given up, s.
+    tell : callable
+        Is given what it says.
+    threads : int, optional
+        Of kernels and of a software renderer; None: one a core.
+
+    Returns
+    -------
+    str
+        What has drawn it, as in "llvmpipe (LLVM 15.0.6, 256 bits), EGL".
+
+    Raises
+    ------
+    RenderError
+        It cannot draw.
+    """
+    # Off screen needs no X server, and a dead one would be waited for.
+    environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
+    if threads is not None:
+        names = ("TI_CPU_MAX_NUM_THREADS", "QD_CPU_MAX_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+        # Mesa's renderer counts the threads beside the one that calls it.
+        few = {**dict.fromkeys(names, str(threads)), "LP_NUM_THREADS": str(threads - 1)}
+        environment = few | environment  # a user's own numbers win
+    (folder / "job.json").write_text(job.model_dump_json(), encoding="utf-8")
+    said: dict[str, Any] = {}
+
+    def hear(line: str) -> None:
+        try:
+            what = json.loads(line)
+        except ValueError:  # of a library
+            return
+        if isinstance(what, dict):
+            said.update(what)
+            tell(what)
+
+    # A graphics card or its stand-in first; OSMesa is only found by name where it is alone.
+    for window in ({}, {"VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}):
+        code, errors = _listen([*COMMAND, "job.json"], folder, environment | window, timeout_s, hear)
+        if code == 0 and (folder / DONE).exists():
+            return str(said.get("renderer", "an unknown renderer"))
+        last_line = (errors.strip().splitlines() or [""])[-1]
+        crashed = code not in (0, 1)
+        if last_line and not crashed and not any(word in last_line.lower() for word in _GRAPHICS_WORDS):
+            raise RenderError(f"cannot draw: {_OUR_ERRORS.sub('', last_line)}")
+    raise RenderError(f"cannot draw, the graphics library (OpenGL) is missing or broken: {_GRAPHICS_CURE}")
+
+
+def _listen(
+    command: list[str], folder: Path, environment: dict[str, str], timeout_s: float, tell: Callable[[str], None]
+) -> tuple[int, str]:
+    """Run a child to its end, and return its exit code and what it wrote to standard error."""
+    with tempfile.TemporaryFile() as errors:
+        try:
+            child = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=errors)
+        except OSError as error:
+            raise RenderError(f"cannot start {command[0]} to draw: {error.strerror}") from error
+        lines: queue.Queue[bytes] = queue.Queue()
+
+        def read(output: IO[bytes]) -> None:
+            for line in output:
+                lines.put(line)
+            lines.put(b"")
+
+        with child:
+            reader = threading.Thread(target=read, args=(child.stdout,), daemon=True)
+            reader.start()
+            try:
+                while line := lines.get(timeout=timeout_s):
+                    tell(line.decode(errors="replace").strip())
+                code = child.wait(timeout_s)
+            except (queue.Empty, subprocess.TimeoutExpired) as error:
+                raise RenderError(f"drawing took more than {timeout_s:g} s: {_GRAPHICS_CURE}") from error
+            finally:
+                child.kill()  # does nothing to one that has ended
+                reader.join()
+        errors.seek(0)
+        return code, errors.read().decode(errors="replace")

@@ -1,0 +1,52 @@
+"""Depth in 16 bits, read back by programs that are not ours."""
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from support.tilted_sheets import tilted_grid
+
+from pipeline.errors import OutputError
+from pipeline.output.formats.depth_picture import depth_step_mm, encode_depth_png
+from pipeline.output.formats.file_text import Heading
+from pipeline.output.formats.table import FORMATS, encode_as
+
+
+@pytest.mark.parametrize("kind", ["png", "tiff"])
+def test_depth_is_levels_times_the_step(tmp_path, kind):
+    grid = tilted_grid()
+    path = tmp_path / f"depth.{kind}"
+    path.write_bytes(encode_as(FORMATS[kind], grid, "depth", 546)[f".{kind}"])
+    levels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    with Image.open(path) as picture:
+        said = picture.text if kind == "png" else json.loads(picture.tag_v2[270])
+    assert levels.dtype == np.uint16 and levels.shape == grid.depth.shape
+    step = float(said["depth_step_mm"])
+    assert step == 0.01
+    known = np.isfinite(grid.depth)
+    np.testing.assert_array_equal(levels == 0, ~known)
+    np.testing.assert_allclose(levels[known] * step, grid.depth[known], atol=step / 2 + 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("farthest_mm", "step_mm"), [(655.35, 0.01), (655.36, 0.02), (1310, 0.02), (3000, 0.05), (9e4, 2.0), (0.0, 2e-8)]
+)
+def test_the_step_is_the_finest_round_one(farthest_mm, step_mm):
+    assert depth_step_mm(farthest_mm) == pytest.approx(step_mm)
+    assert depth_step_mm(farthest_mm) * 65535 >= farthest_mm
+
+
+def test_what_does_not_fit_is_refused():
+    grid = tilted_grid()
+    with pytest.raises(OutputError, match=r"depth reaches 546 mm, which 16 bits of 0\.001 mm do not hold"):
+        encode_depth_png(grid, Heading("d", {"depth_step_mm": "0.001"}))
+
+
+def test_nothing_measured_is_all_zero():
+    grid = tilted_grid()
+    empty = replace(grid, points=np.full_like(grid.points, np.nan))
+    content = encode_as(FORMATS["png"], empty, "d", 0.0)[".png"]
+    assert not cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED).any()
