@@ -29,7 +29,7 @@ from pipeline.cli.main import app
         (("capture", "--rig", "black.png", "--out", "x"), "black.png is not what it should be: it is no text file"),
         (("render", "frame.png", "--out", "x.png"), "PLY"),
         (("render", "none.ply", "--out", "x.png"), "cannot read none.ply"),
-        (("render", "none.ply", "--out", "x.gif"), "name it .png, or give a result.zarr"),
+        (("render", "none.ply", "--out", "x.gif"), "name it .png for a still picture, .mp4 for a film"),
         (("pattern", "x.png", "--size", "wide"), "as in 1024x768"),
         (("pattern", "x.png", "--period", "1"), "period_px"),
         (("pattern", "x/y.png"), "create the folder first"),
