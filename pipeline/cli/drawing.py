@@ -8,7 +8,7 @@ from cyclopts import Parameter
 
 from pipeline.cli.console import SOME_ARE_BAD, bounded, counted, frames, remark, say, steps
 from pipeline.errors import OutputError, SettingsError
-from pipeline.output.folder import STORE
+from pipeline.output.folder import store_in
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.pictures.color_meaning import Colors
 from pipeline.output.pictures.picture_job import MOST_SIDE_PX, Buffer, PictureOptions
@@ -103,12 +103,8 @@ def render(
 
 def _store(input: str) -> str | None:
     """Return where the result.zarr is; None: the input is a mesh."""
-    if "://" in input:
-        return input
-    inside = Path(input, STORE)
-    if inside.is_dir():
-        return str(inside)
-    return input if Path(input).is_dir() or Path(input).suffix == ".zarr" else None
+    place = store_in(input)
+    return place if "://" in place or Path(place).is_dir() or Path(place).suffix == ".zarr" else None
 
 
 def _refuse_useless(given: set[str], result: StoredResult | None, frame: int | None, *, film: bool) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pipeline.cli.console import SOME_ARE_BAD, counted, frames, remark, say
 from pipeline.cli.mesh_choice import MeshChoice
-from pipeline.output.folder import STORE
+from pipeline.output.folder import store_in
 from pipeline.output.formats.table import FORMATS, Kind
 from pipeline.output.frame_export import export_frames
 from pipeline.output.surface_mesh import MeshOptions
@@ -35,8 +35,7 @@ def export(input: str, /, *, out: Path, kind: Kind = "ply", force: bool = False,
     force
         Write all again, and replace files of these names that were changed or are not ours.
     """
-    inside = Path(input, STORE)
-    if not write_frames(str(inside) if inside.is_dir() else input, out, kind, part.options(), force=force):
+    if not write_frames(store_in(input), out, kind, part.options(), force=force):
         sys.exit(SOME_ARE_BAD)
 
 

@@ -20,7 +20,7 @@ class MeshChoice:
     background: Annotated[bool, Parameter(negative="--no-background")] = True
     """Keep the largest plane; --no-background leaves it out, as a wall or a table."""
     triangles: Annotated[int | None, Parameter(validator=bounded(1))] = None
-    """Of a mesh that has more triangles keep so many of its vertices that it has this number."""
+    """The most triangles that a mesh may have; of a larger one vertices are left out."""
     smooth: bool = True
     """Move vertices to the surface through their neighbours; --no-smooth leaves each where it was measured."""
 

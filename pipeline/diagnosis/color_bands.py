@@ -31,7 +31,7 @@ _SIGMAS_A_MEDIAN = 0.6745
 _LEAST_ROWS = 0.1
 # How often means are taken of means.
 _MEANS = 3
-# Cycles at least in a picture: so many make the difference of two such means, and some rows of them.
+# The fewest cycles in a picture: the difference of two such means takes this many, and a few rows are left of it.
 _MIN_CYCLES = _MEANS + 2
 
 

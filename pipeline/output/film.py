@@ -30,8 +30,8 @@ from pipeline.output.pictures.picture_job import FilmPart, PictureJob, PictureOp
 from pipeline.output.pictures.picture_source import MeshSource, StoreSource
 from pipeline.output.render import absolute_location, refuse_empty, write_compared
 
-# Pictures of a part: so many are lost for each process where a film is stopped, and players find a picture of them at
-# once. Short films have four parts, for more than one process to draw.
+# Pictures of a part: the most that a process loses where a film is stopped, and between two pictures that players can
+# jump to. Short films have four parts, for more than one process to draw.
 _MOST_PICTURES, _LEAST_PICTURES, _SHORT_PARTS = 24, 6, 4
 
 

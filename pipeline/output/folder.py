@@ -138,6 +138,12 @@ def _reported(path: Path) -> dict[str, str]:
         return {}
 
 
+def store_in(place: str) -> str:
+    """Return where a store is: in an output folder of `colorphase decode`, or at the place itself."""
+    inside = Path(place, STORE)
+    return str(inside) if "://" not in place and inside.is_dir() else place
+
+
 def file_digest(file: Path) -> str | None:
     """Return a file's SHA-256; None where there is no file."""
     try:

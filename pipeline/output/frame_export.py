@@ -89,8 +89,8 @@ def export_frames(
     FootageError
         There is no such store, it lacks what is needed, or nothing of it can be read.
     OutputError
-        The folder cannot be written, is being written by another run, or holds a file of such a name that was changed
-        or is not one of ours; then nothing is replaced.
+        The folder cannot be written, is being written by another run, or holds a file of such a name that was changed,
+        or that no export has written; then nothing is replaced.
     SettingsError
         The options are of no use for this format, or ask for mm, and there are none.
     """
@@ -281,7 +281,7 @@ class _Export:
 
 
 def _read_record(folder: Path) -> dict[str, _Item]:
-    """Return what is known of what was exported to a folder, by name; nothing where it says nothing of ours."""
+    """Return what is known of what was exported to a folder, by name; nothing where there is no record."""
     try:
         with (folder / _RECORD).open("rb") as file:
             items = json.loads(file.read(_MOST_RECORD))[_ITEMS]

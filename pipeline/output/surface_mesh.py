@@ -165,12 +165,8 @@ def surface_mesh(
     depth = (fitted.depth if options.smoothed else surface.depth).ravel()[places]
     vertices, normals = _placed(places, depth, fitted.slope.reshape(-1, 2)[places], mask, points)
     number = _source_pixels(mask, holes, places)
-    carried = {name: values[number] for name, values in properties.items()}
-    if f"sigma_{unit}" in carried:
-        carried[f"sigma_{unit}"] = surface.sigma.ravel()[places]
-    if unit == "mm" and {"sigma_mm", _WRONG} <= carried.keys():
-        width = surface.width.ravel()[places]
-        carried["confidence"] = _confidence(carried["sigma_mm"], width, carried[_WRONG])
+    carried = _carried(surface, places, unit, {name: values[number] for name, values in properties.items()})
+    if "confidence" in carried:
         carried["confidence"][flags.ravel()[places] & FILLED != 0] = 0
     more: dict[str, Any] = {"normals": normals, "flags": flags.ravel()[places]}
     if texture is not None:
@@ -181,6 +177,19 @@ def surface_mesh(
     if options.max_triangles is not None:
         mesh = decimate_mesh(mesh, options.max_triangles)
     return mesh, _counted(mesh, *(int(pixels.sum()) for pixels in (*left_out, specks, teeth)))
+
+
+def _carried(
+    surface: RangeSurface, places: npt.NDArray[np.intp], unit: Unit, properties: dict[str, Floats]
+) -> dict[str, Floats]:
+    """Return what is known of each vertex, with the surface's own sigma and, in mm, a confidence."""
+    carried = dict(properties)
+    if f"sigma_{unit}" in carried:
+        carried[f"sigma_{unit}"] = surface.sigma.ravel()[places]
+    if unit == "mm" and {"sigma_mm", _WRONG} <= carried.keys():
+        width = surface.width.ravel()[places]
+        carried["confidence"] = _confidence(carried["sigma_mm"], width, carried[_WRONG])
+    return carried
 
 
 def _left_out(surface: RangeSurface, points: Floats | None, options: MeshOptions) -> tuple[Pixels, Pixels]:

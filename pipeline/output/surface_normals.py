@@ -16,7 +16,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.bool_]
 
-# So many rays tell a cubic's twenty coefficients to less than float32 keeps.
+# Rays that a cubic is fitted to: its twenty coefficients are then known better than float32 keeps them.
 _SAMPLES = 4000
 _DEGREE = 3
 

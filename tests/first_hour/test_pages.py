@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = {page.name: page for page in sorted((ROOT / "docs").glob("*.md"))}
 PROGRAMS = Path(sys.executable).parent
 COMMAND_S = 600
-#: What the things that pages take for given may take to make.
+#: The longest time that making the files takes which pages read, s.
 MAKING_S = 900
 _SHOWN = 3000  # of what a command said, characters
 TEST_COMMAND = (
@@ -69,7 +69,7 @@ images = [colorphase.read_image("picture.png")] * 2
 
 @pytest.fixture(scope="session")
 def things(tmp_path_factory, cpu, worker_id):
-    """Make what the pages take for given, once for all processes that run these tests."""
+    """Make the files that the pages read, once for all processes that run these tests."""
     if worker_id == "master":
         folder = tmp_path_factory.mktemp("things")
         make_things(folder)

@@ -109,7 +109,7 @@ def test_times_that_have_a_date(tmp_path):
 
 
 def test_times_since_the_first_frame(tmp_path):
-    """In s, which xarray takes for neither a date nor a duration of its own, in any version."""
+    """The unit is s: no version of xarray decodes that into dates or durations."""
     make(tmp_path / "result.zarr")
     with xarray.open_zarr(tmp_path / "result.zarr", consolidated=False) as result:
         np.testing.assert_array_equal(result.time, SECONDS)
