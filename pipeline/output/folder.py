@@ -201,20 +201,21 @@ def write_frame(
     for name in chosen_fields(None, in_mm=frame.calibrated):
         getattr(frame, name)
 
-    def draw_and_store() -> None:
-        write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
-        write_png(folder / "shaded.png", shade_range(frame.range_image, frame.mask, frame.points))
-        write_store(folder / STORE, frame, settings, calibration)
+    tell("drawing range.png and shaded.png")
+    write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
+    write_png(folder / "shaded.png", shade_range(frame.range_image, frame.mask, frame.points))
+    # Storing is compressing and writing, beside which the mesh is made. Nothing is imported or drawn there: Python 3.11
+    # fails where two threads parse source at once, as compiling a kernel does, and matplotlib when it is imported.
+    import zarr  # noqa: F401 - so that the thread does not
 
-    # What a picture of many pixels takes is compressing and copying; none of it needs the kernels but the mesh.
     with ThreadPoolExecutor(1, "store") as beside:
-        tell("meshing, drawing and storing")
-        stored = beside.submit(draw_and_store)
+        tell("meshing and storing")
+        stored = beside.submit(write_store, folder / STORE, frame, settings, calibration)
         mesh, counts = counted_mesh(frame, part)
         mesh = replace(mesh, provenance=provenance_of(report))
         tell(f"writing a mesh of {len(mesh.faces):,} triangles")
         write_mesh(mesh, folder / "mesh.ply")
-        tell("drawing and storing")
+        tell("storing every field")
         stored.result()
     report = {**report, "mesh": asdict(counts)}
     (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")

@@ -1,5 +1,6 @@
 """What a reader of the documentation has at hand, under the names that its pages use."""
 
+import shutil
 from itertools import islice
 from pathlib import Path
 
@@ -8,7 +9,7 @@ import numpy as np
 from support.command_line import colorphase
 from support.video_files import encode
 
-from pipeline.acquisition.practice_set import PLANE, POSES, practice_poses, write_practice
+from pipeline.acquisition.practice_set import PLANE, POSES, practice_poses
 from pipeline.calibration.board import Board
 from pipeline.output.range_image import write_png
 from pipeline.recording.recorder import Recorder
@@ -53,10 +54,10 @@ def make_things(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
     planes = [_yuv(np.asarray(image, np.uint8)) for image in (*images, *images, *images)]
     encode(folder / "film.mp4", planes, "libx264", "yuv420p", {"crf": "10"})
-    practice = folder / "practice"
-    write_practice(practice, "cpu", lambda said: None)
-    (practice / "light").rename(folder / "captures")
-    (practice / PLANE).rename(folder / "plane.png")
+    done = colorphase("calibrate", "simulate", "--out", "practice", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    shutil.copytree(folder / "practice" / "light", folder / "captures")
+    shutil.copy(folder / "practice" / PLANE, folder / "plane.png")
     for number, captures in enumerate(islice(practice_poses(_BOARD, 8, 5), 8)):
         pose = folder / POSES / f"pose-{number}"
         pose.mkdir(parents=True)

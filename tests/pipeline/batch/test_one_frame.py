@@ -1,5 +1,7 @@
 """One picture into a folder: what a picture that cannot be decoded leaves, and what is said meanwhile."""
 
+import subprocess
+import sys
 import warnings
 
 import numpy as np
@@ -15,6 +17,28 @@ from pipeline.output.surface_mesh import MeshOptions
 from pipeline.settings import DecodeSettings
 
 AS_IT_SAYS = StoredAs()
+#: Decodes a picture, and prints the names of the threads that have parsed source meanwhile.
+PARSED = """
+import ast, builtins, sys, threading, warnings
+sys.path[:] = sys.argv[1:]
+threads, compiled = set(), builtins.compile
+
+def noted(source, filename, mode, flags=0, *more, **named):
+    if flags & ast.PyCF_ONLY_AST:
+        threads.add(threading.current_thread().name)
+    return compiled(source, filename, mode, flags, *more, **named)
+
+builtins.compile = noted
+warnings.simplefilter("ignore")
+from pathlib import Path
+from pipeline.batch.one_frame import decode_picture
+from pipeline.footage.source import StoredAs
+from pipeline.output.surface_mesh import MeshOptions
+from pipeline.settings import DecodeSettings
+how = (DecodeSettings(), None, StoredAs(), "cpu", MeshOptions())
+decode_picture(Path("fringes.png"), "out", *how, force=False, tell=lambda what: None)
+print(threads)
+"""
 
 
 def decode(picture, out, *, force=False):
@@ -41,9 +65,10 @@ def test_a_picture_gives_all_files(tmp_path):
         "reading",
         "compiling kernels, and decoding 128x96 px",
         "reading every field",
-        "meshing, drawing and storing",
+        "drawing range.png and shaded.png",
+        "meshing and storing",
         f"writing a mesh of {n_triangles:,} triangles",
-        "drawing and storing",
+        "storing every field",
         f"moving all into {tmp_path / 'out'}",
     ]
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
@@ -65,6 +90,13 @@ def test_kernels_of_a_large_picture_are_compiled_before_and_change_nothing(tmp_p
     with pytest.warns(DecodeWarning, match="no fringe stands out") as warned, pytest.raises(FootageError):
         decode(tmp_path / "black.png", tmp_path / "black")
     assert len(warned) == 1
+
+
+def test_source_is_parsed_by_one_thread_only(tmp_path):
+    """Python 3.11 raises SystemError where two do at once; compiling kernels and importing matplotlib parse."""
+    fringes(tmp_path / "fringes.png")
+    done = subprocess.run([sys.executable, "-c", PARSED, *sys.path], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "{'MainThread'}"), done.stderr
 
 
 def test_a_black_picture_leaves_nothing(tmp_path):
