@@ -441,7 +441,7 @@ def triangulate(unwrapped_phase: Array, rays: Array, projector: ProjectorGeometr
     return np.where((depth > 0)[..., None], depth[..., None] * directions, np.nan)
 
 
-def link_pixels(depth: Array, sigma: Array, width: Array, region: Array, max_slope: float) -> Array:
+def link_pixels(depth: Array, sigma: Array, width: Array, region: Array) -> Array:
     """Return links: 1 to the right, 2 down, 4 to the one below the right one, 8 from the right one to the one below."""
     height, breadth = region.shape
     links = np.zeros(region.shape, np.uint8)
@@ -459,12 +459,12 @@ def link_pixels(depth: Array, sigma: Array, width: Array, region: Array, max_slo
                 continue
             apart = np.hypot(down, right) * min(width[j, i], width[n, m])
             rise, noise = float(depth[n, m] - depth[j, i]), sigma[j, i] ** 2 + sigma[n, m] ** 2
-            here, doubt = _slope_beside(depth, sigma, width, region, max_slope, (j, i), (down, right))
-            there, other = _slope_beside(depth, sigma, width, region, max_slope, (n, m), (-down, -right))
+            here, doubt = _slope_beside(depth, sigma, width, region, (j, i), (down, right))
+            there, other = _slope_beside(depth, sigma, width, region, (n, m), (-down, -right))
             expected = max(0.0, here * np.sign(rise), -there * np.sign(rise))
             near = abs(rise) <= apart + 3 * np.sqrt(noise)
             goes_on = abs(rise) <= apart + expected + 3 * np.sqrt(noise + max(doubt, other))
-            if abs(rise) <= max_slope * apart and (near or goes_on):
+            if abs(rise) <= np.tan(np.radians(85)) * apart and (near or goes_on):
                 links[y, x] |= bit
     return links
 
@@ -474,7 +474,6 @@ def _slope_beside(
     sigma: Array,
     width: Array,
     region: Array,
-    max_slope: float,
     place: tuple[int, int],
     way: tuple[int, int],
 ) -> tuple[float, float]:
@@ -487,7 +486,7 @@ def _slope_beside(
     own = region[j, i] == region[place]
     rows, columns, j, i = rows[own], columns[own], j[own], i[own]
     z = depth[j, i].astype(np.float64) - depth[place]
-    bound = max_slope * width[place] * np.hypot(rows, columns)
+    bound = np.tan(np.radians(85)) * width[place] * np.hypot(rows, columns)
     rest = z
     slope, variance = 0.0, 0.0
     for _ in range(2):

@@ -72,6 +72,7 @@ if TYPE_CHECKING:
     I32Array2: TypeAlias = Any
     I32Array3: TypeAlias = Any
     U8Array2: TypeAlias = Any
+    U8Array3: TypeAlias = Any
     AnyArray2: TypeAlias = Any
     AnyArray3: TypeAlias = Any
     vec2: TypeAlias = Any
@@ -95,7 +96,7 @@ if TYPE_CHECKING:
 else:
     F32Array1, F32Array2, F32Array3, F32Array4 = (ti.types.ndarray(dtype=ti.f32, ndim=n) for n in (1, 2, 3, 4))
     I32Array1, I32Array2, I32Array3 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2, 3))
-    U8Array2 = ti.types.ndarray(dtype=ti.u8, ndim=2)
+    U8Array2, U8Array3 = (ti.types.ndarray(dtype=ti.u8, ndim=n) for n in (2, 3))
     AnyArray2, AnyArray3 = (ti.types.ndarray(ndim=n) for n in (2, 3))
     vec2, vec3, vec4, vec5, vec6, vec8, vec16 = (ti.types.vector(n, ti.f32) for n in (2, 3, 4, 5, 6, 8, 16))
     # A CPU loads and adds all sixteen at once: of an array of numbers it does not know that they lie in a row.

@@ -17,7 +17,7 @@ from pipeline.output.specks import find_surfaces, links_within
 from pipeline.output.surface_normals import PixelRays, relief_normals, surface_normals
 from tikernels import runtime
 from tikernels.depth.meshing import triangulate_mesh
-from tikernels.depth.step_cutting import link_pixels
+from tikernels.depth.step_cutting import cut_steep_links, link_pixels
 from tikernels.depth.surface_fit import fit_surface
 
 Floats = npt.NDArray[np.float32]
@@ -146,10 +146,10 @@ def surface_mesh(
     surface = RangeSurface.of(values, mask, points, properties.get(f"sigma_{unit}"), region)
     left_out = _left_out(surface, points, options)
     surface = surface.without(left_out[0] | left_out[1])
+    measured = surface.region != 0
     with runtime.lock:
         links = _links(surface)
         kept, specks = find_surfaces(links)
-        teeth = (surface.region != 0) & ~kept & ~specks
         holes = fill_holes(surface.without(~kept))
         surface = holes.surface
         if len(holes.filled):
@@ -157,7 +157,15 @@ def surface_mesh(
             kept = find_surfaces(links)[0]
         links = links_within(links, kept)
         fitted = fit_surface(surface.depth, surface.sigma, kept, links)
+        # What the fit knows better than single pixels did.
+        links = runtime.to_host(cut_steep_links(links, fitted.depth, fitted.sigma, surface.width, MAX_SLOPE))
+        kept, pieces = find_surfaces(links)
+        links = links_within(links, kept)
         faces = triangulate_mesh(surface.depth, kept, links)
+    from_measured = kept.copy()
+    from_measured.ravel()[holes.filled] = False
+    specks = (specks | pieces) & measured
+    teeth = measured & ~from_measured & ~specks
     flags = np.zeros(mask.shape, np.uint8)
     flags[(fitted.level > 0) & options.smoothed] = SMOOTHED
     flags.ravel()[holes.filled] |= FILLED
@@ -207,7 +215,7 @@ def _left_out(surface: RangeSurface, points: Floats | None, options: MeshOptions
 
 
 def _links(surface: RangeSurface) -> npt.NDArray[np.uint8]:
-    return runtime.to_host(link_pixels(surface.depth, surface.sigma, surface.width, surface.region, MAX_SLOPE))
+    return runtime.to_host(link_pixels(surface.depth, surface.sigma, surface.width, surface.region))
 
 
 def _placed(

@@ -9,15 +9,17 @@ find z = a + b_u u + b_v v + c_uu u^2 + c_uv u v + c_vv v^2, of 7 x 7 samples th
 linked to tell the bend, a weak prior (that there is none) leaves a plane.
 """
 
+from enum import IntEnum
+
 import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels._taichi import F32Array2, U8Array2, f32, i32, mat6, ti, vec6
+from tikernels._taichi import F32Array2, F32Array4, Static, U8Array2, U8Array3, i32, mat6, ti, vec6
 from tikernels.arrays import F32, U8
 from tikernels.depth.step_cutting import DOWN, RIGHT
 from tikernels.launching import kernel
-from tikernels.strips import SPREAD
+from tikernels.strips import SPREAD, STRIP, strip_at, strip_count
 
 #: Samples on either side of the pixel, and the largest distance that links are followed to, px: four to a sample.
 SIDE = 3
@@ -29,6 +31,34 @@ _ALIKE = (6.2, 3.0, 1.1)
 _FLAT = 1e-3
 # And that it does not slope.
 _LEVEL = 1e-5
+# Precisions below count as this: of pixels that do not count, whose fits are of no account.
+_LEAST = 1e-20
+# Windows of samples 1, 2 and 4 px apart.
+_WINDOWS = 3
+# Sums of w u^a v^b up to the fourth power together, by b and then a; and behind them of w z u^a v^b up to the second.
+_SUMS, _RIGHT_SIDE = 21, 15
+_lanes, _whole_lanes = ti.types.vector(STRIP, ti.f32), ti.types.vector(STRIP, ti.i32)
+_window_sums = ti.types.matrix(_SUMS, STRIP, ti.f32)
+# A piece of a row with all that its windows reach.
+_segment = ti.types.vector(STRIP + 2 * FARTHEST, ti.f32)
+
+
+class Run(IntEnum):
+    """How many pixels in a row, or a column, are linked with one."""
+
+    LEFT = 0
+    RIGHT = 1
+    ABOVE = 2
+    BELOW = 3
+
+
+class Fit(IntEnum):
+    """What a quadric says of its pixel."""
+
+    VALUE = 0  # above the pixel's own
+    SLOPE_DOWN = 1  # a px
+    SLOPE_RIGHT = 2
+    VARIANCE = 3  # of the value
 
 
 @ti.func
@@ -50,89 +80,12 @@ def solved(normal: mat6, rest: vec6):
 
 
 @ti.func
-def row_moments(
-    depth: F32Array2,
-    precision: F32Array2,
-    j: i32,
-    x: i32,
-    first: i32,
-    last: i32,
-    stride: i32,
-    taper: f32,
-    middle: f32,
-):
-    """Return a row's sums of w u^0 to w u^4, and of w z u^0 to w z u^2, z above the middle pixel's value."""
-    s0, s1, s2, s3, s4, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for i in range(first, last + 1):
-        u = ti.cast(i, ti.f32)
-        weight = taper * precision[j, x + i * stride] * (1.0 - u * u * ti.static(1.0 / (SIDE + 1) ** 2))
-        z = weight * (depth[j, x + i * stride] - middle)
-        s0 += weight
-        t0 += z
-        weight, z = weight * u, z * u
-        s1 += weight
-        t1 += z
-        weight, z = weight * u, z * u
-        s2 += weight
-        t2 += z
-        weight *= u
-        s3 += weight
-        s4 += weight * u
-    return s0, s1, s2, s3, s4, t0, t1, t2
-
-
-@ti.func
-def fitted_quadric(
-    depth: F32Array2,
-    precision: F32Array2,
-    left: U8Array2,
-    right: U8Array2,
-    y: i32,
-    x: i32,
-    up: i32,
-    down: i32,
-    stride: i32,
-    own: f32,
-):
-    """Return value above the pixel's own, slopes down and to the right a px, and the value's variance.
-
-    What does not count has no precision; `own` is the pixel's variance.
-    """
-    middle = depth[y, x]
-    m00, m01, m02, m03, m04 = 0.0, 0.0, 0.0, 0.0, 0.0
-    m10, m11, m12, m13 = 0.0, 0.0, 0.0, 0.0
-    m20, m21, m22 = 0.0, 0.0, 0.0
-    m30, m31, m40 = 0.0, 0.0, 0.0
-    z00, z01, z02, z10, z11, z20 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(-ti.min(SIDE, up // stride), ti.min(SIDE, down // stride) + 1):
-        j = y + k * stride
-        v = ti.cast(k, ti.f32)
-        taper = own * (1.0 - v * v * ti.static(1.0 / (SIDE + 1) ** 2))
-        first = -ti.min(SIDE, ti.cast(left[j, x], ti.i32) // stride)
-        last = ti.min(SIDE, ti.cast(right[j, x], ti.i32) // stride)
-        s0, s1, s2, s3, s4, t0, t1, t2 = row_moments(depth, precision, j, x, first, last, stride, taper, middle)
-        v2 = v * v
-        m00 += s0
-        m01 += s1
-        m02 += s2
-        m03 += s3
-        m04 += s4
-        m10 += v * s0
-        m11 += v * s1
-        m12 += v * s2
-        m13 += v * s3
-        m20 += v2 * s0
-        m21 += v2 * s1
-        m22 += v2 * s2
-        m30 += v2 * v * s0
-        m31 += v2 * v * s1
-        m40 += v2 * v2 * s0
-        z00 += t0
-        z01 += t1
-        z02 += t2
-        z10 += v * t0
-        z11 += v * t1
-        z20 += v2 * t0
+def quadric_of(sums: Static, lane: i32):
+    """Return value and slopes of a lane's quadric by its sums (see `_SUMS`), and the value's share of the variance."""
+    m00, m01, m02, m03, m04 = sums[0, lane], sums[1, lane], sums[2, lane], sums[3, lane], sums[4, lane]
+    m10, m11, m12, m13 = sums[5, lane], sums[6, lane], sums[7, lane], sums[8, lane]
+    m20, m21, m22 = sums[9, lane], sums[10, lane], sums[11, lane]
+    m30, m31, m40 = sums[12, lane], sums[13, lane], sums[14, lane]
     # In the order u^2, u v, v^2, u, v, 1.
     normal = mat6(
         [
@@ -144,32 +97,100 @@ def fitted_quadric(
             [m02, m11, m20, m01, m10, m00],
         ]
     )
-    rest = vec6(z02, z11, z20, z01, z10, z00)
-    value, slope_down, slope_right, share = solved(normal, rest)
-    apart = 1.0 / stride
-    alike = ti.select(stride == 1, _ALIKE[0], ti.select(stride == 2, _ALIKE[1], _ALIKE[2]))
-    return value, slope_down * apart, slope_right * apart, own * share * alike
+    rest = vec6(
+        sums[_RIGHT_SIDE + 2, lane],
+        sums[_RIGHT_SIDE + 4, lane],
+        sums[_RIGHT_SIDE + 5, lane],
+        sums[_RIGHT_SIDE + 1, lane],
+        sums[_RIGHT_SIDE + 3, lane],
+        sums[_RIGHT_SIDE, lane],
+    )
+    return solved(normal, rest)
 
 
-@ti.func
-def column_run(links: U8Array2, y: i32, x: i32):
-    """Return how many linked pixels there are above a pixel, and below."""
-    up, down, on = 0, 0, 1
-    for k in range(ti.min(y, FARTHEST)):
-        on *= ti.cast((links[y - k - 1, x] & DOWN) != 0, i32)
-        up += on
-    on = 1
-    for k in range(ti.min(links.shape[0] - y, FARTHEST)):
-        on *= ti.cast((links[y + k, x] & DOWN) != 0, i32)
-        down += on
-    return up, down
+@kernel
+def fit_windows_kernel(
+    depth: F32Array2,  # (H, W)
+    precision: F32Array2,  # (H, W) 1 / sigma^2; 0 where a pixel does not count
+    runs: U8Array3,  # (4, H, W) linked pixels: see `Run`
+    top: i32,  # the first row that is wanted
+    out: F32Array4,  # (3, 4, rows, W) see `Fit`, of samples 1, 2 and 4 px apart
+):
+    """Fit the quadrics of some rows in all three windows."""
+    height, width, rows = depth.shape[0], depth.shape[1], out.shape[2]
+    strips = rows * strip_count(width, STRIP)
+    for t in range(_WINDOWS * strips):
+        window = t // strips
+        stride = 1 << window
+        row, first, count = strip_at(t - window * strips, width, STRIP)
+        y, start = top + row, first - FARTHEST
+        values, weights = _segment(0.0), _segment(0.0)
+        middle, own, sums = _lanes(0.0), _lanes(0.0), _window_sums(0.0)
+        above, below, left, right = _whole_lanes(0), _whole_lanes(0), _whole_lanes(0), _whole_lanes(0)
+        for lane in range(count):
+            middle[lane] = depth[y, first + lane]
+            own[lane] = 1.0 / ti.max(precision[y, first + lane], _LEAST)
+            above[lane] = ti.cast(runs[Run.ABOVE, y, first + lane], i32) >> window
+            below[lane] = ti.cast(runs[Run.BELOW, y, first + lane], i32) >> window
+        for k in range(-SIDE, SIDE + 1):
+            j = y + k * stride
+            if j >= 0 and j < height:
+                for i in range(ti.max(0, -start), ti.min(STRIP + 2 * FARTHEST, width - start)):
+                    values[i] = depth[j, start + i]
+                    weights[i] = precision[j, start + i]
+                for lane in range(count):
+                    left[lane] = ti.cast(runs[Run.LEFT, j, first + lane], i32) >> window
+                    right[lane] = ti.cast(runs[Run.RIGHT, j, first + lane], i32) >> window
+                v = ti.cast(k, ti.f32)
+                v2 = v * v
+                taper = 1.0 - v2 * ti.static(1.0 / (SIDE + 1) ** 2)
+                for lane in range(STRIP):
+                    reached = (k >= -above[lane]) & (k <= below[lane])
+                    scale = ti.select(reached, taper * own[lane], 0.0)
+                    s0, s1, s2, s3, s4, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+                    for i in ti.static(range(-SIDE, SIDE + 1)):
+                        place = lane + FARTHEST + i * stride
+                        counts = (i >= -left[lane]) & (i <= right[lane]) & reached
+                        weight = scale * weights[place] * ti.static(1.0 - i * i / (SIDE + 1) ** 2)
+                        weight = ti.select(counts, weight, 0.0)
+                        # What does not count may be no number.
+                        z = ti.select(counts, weight * (values[place] - middle[lane]), 0.0)
+                        s0 += weight
+                        s1 += i * weight
+                        s2 += ti.static(i**2) * weight
+                        s3 += ti.static(i**3) * weight
+                        s4 += ti.static(i**4) * weight
+                        t0 += z
+                        t1 += i * z
+                        t2 += ti.static(i**2) * z
+                    for n, part in ti.static(enumerate((s0, s1, s2, s3, s4))):
+                        sums[n, lane] += part
+                    for n, part in ti.static(enumerate((s0, s1, s2, s3))):
+                        sums[5 + n, lane] += v * part
+                    for n, part in ti.static(enumerate((s0, s1, s2))):
+                        sums[9 + n, lane] += v2 * part
+                    for n, part in ti.static(enumerate((s0, s1))):
+                        sums[12 + n, lane] += v2 * v * part
+                    sums[14, lane] += v2 * v2 * s0
+                    for n, part in ti.static(enumerate((t0, t1, t2, v * t0, v * t1, v2 * t0))):
+                        sums[_RIGHT_SIDE + n, lane] += part
+        apart, alike = 1.0 / stride, ti.select(window == 0, _ALIKE[0], ti.select(window == 1, _ALIKE[1], _ALIKE[2]))
+        for lane in range(STRIP):
+            value, slope_down, slope_right, share = quadric_of(sums, lane)
+            values[lane], weights[lane] = value, own[lane] * share * alike
+            middle[lane], own[lane] = slope_down * apart, slope_right * apart
+        for lane in range(count):
+            place = first + lane
+            out[window, Fit.VALUE, row, place] = values[lane]
+            out[window, Fit.SLOPE_DOWN, row, place] = middle[lane]
+            out[window, Fit.SLOPE_RIGHT, row, place] = own[lane]
+            out[window, Fit.VARIANCE, row, place] = weights[lane]
 
 
 @kernel
 def measure_runs_kernel(
     links: U8Array2,  # (H, W) bits
-    out_left: U8Array2,  # (H, W) linked pixels to the left
-    out_right: U8Array2,  # (H, W) and to the right
+    out: U8Array3,  # (4, H, W) see `Run`
 ):
     height, width = links.shape[0], links.shape[1]
     for t in range(height * SPREAD):
@@ -178,19 +199,55 @@ def measure_runs_kernel(
             for x in range(width):
                 if x > 0:
                     run = ti.select((links[y, x - 1] & RIGHT) != 0, ti.min(run + 1, FARTHEST), 0)
-                out_left[y, x] = ti.cast(run, ti.u8)
+                out[Run.LEFT, y, x] = ti.cast(run, ti.u8)
             run = 0
             for k in range(width):
                 x = width - 1 - k
                 run = ti.select((links[y, x] & RIGHT) != 0, ti.min(run + 1, FARTHEST), 0)
-                out_right[y, x] = ti.cast(run, ti.u8)
+                out[Run.RIGHT, y, x] = ti.cast(run, ti.u8)
+    for t in range(strip_count(width, STRIP) * SPREAD):
+        if t % SPREAD == 0:
+            first = t // SPREAD * STRIP
+            end = ti.min(first + STRIP, width)
+            for x in range(first, end):
+                out[Run.ABOVE, 0, x] = ti.cast(0, ti.u8)
+                out[Run.BELOW, height - 1, x] = ti.cast(0, ti.u8)
+            for y in range(1, height):
+                for x in range(first, end):
+                    run = ti.min(ti.cast(out[Run.ABOVE, y - 1, x], i32) + 1, FARTHEST)
+                    out[Run.ABOVE, y, x] = ti.cast(ti.select((links[y - 1, x] & DOWN) != 0, run, 0), ti.u8)
+            for k in range(1, height):
+                y = height - 1 - k
+                for x in range(first, end):
+                    run = ti.min(ti.cast(out[Run.BELOW, y + 1, x], i32) + 1, FARTHEST)
+                    out[Run.BELOW, y, x] = ti.cast(ti.select((links[y, x] & DOWN) != 0, run, 0), ti.u8)
 
 
-def measure_runs(links: U8) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-    """Return how many pixels are linked in a row to the left and to the right of each, up to `FARTHEST`."""
-    left, right = (np.empty(links.shape, np.uint8) for _ in range(2))
-    measure_runs_kernel(links, left, right)
-    return left, right
+def measure_runs(links: U8) -> npt.NDArray[np.uint8]:
+    """Return how many pixels are linked with each one way after the other, up to `FARTHEST`, (4, H, W): see `Run`."""
+    runs = np.zeros((len(Run), *links.shape), np.uint8)
+    if runs.size:
+        measure_runs_kernel(links, runs)
+    return runs
+
+
+def fit_windows(depth: F32, precision: F32, runs: U8, top: int, out: npt.NDArray[np.float32]) -> None:
+    """Fit the quadrics of the rows from `top` on in all three windows.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Of no account where there is no precision.
+    precision : (H, W) float32
+        1 / sigma^2; 0 where a pixel does not count.
+    runs : (4, H, W) uint8
+        What `measure_runs` found.
+    top : int
+        The first row.
+    out : (3, 4, rows, W) float32
+        What the quadrics of samples 1, 2 and 4 px apart say: see `Fit`.
+    """
+    fit_windows_kernel(depth, precision, runs, top, out)
 
 
 def precision_of(sigma: F32, counts: U8) -> npt.NDArray[np.float32]:

@@ -6,8 +6,15 @@ them by no more than the surface goes on changing beside them, a pixel's own wid
     |z_q - z_p| <= max(0, g_p, g_q) l + w l + 3 sqrt(sigma_p^2 + sigma_q^2 + l^2 var(g)),
 
 g_p and g_q the slopes of planes in that direction, each fitted to the pixels on one side of the edge: to those within
-three pixels, weighed by 1 / sigma^2, twice, the second time by Tukey's weights of what the first plane leaves. And a
-surface may be seen no more obliquely than `max_slope`, |z_q - z_p| <= max_slope w l.
+three pixels, weighed by 1 / sigma^2, twice, the second time by Tukey's weights of what the first plane leaves. And
+nothing is seen more obliquely than 85 degrees, |z_q - z_p| <= 11 w l.
+
+Of a surface that has been fitted to what is so linked, and knows its depth better, `cut_steep_links` takes the links
+that may be steeper than a slope m, by three standard deviations:
+
+    |z_q - z_p| + 3 sqrt(sigma_p^2 + sigma_q^2) > m w,
+
+along a diagonal as well, so that no triangle is steeper than along its sides.
 
 References
 ----------
@@ -17,7 +24,7 @@ A. E. Beaton, J. W. Tukey, Technometrics 16, 147 (1974), doi:10.1080/00401706.19
 import numpy as np
 
 from tikernels import checks
-from tikernels._taichi import F32Array2, I32Array2, U8Array2, f32, i32, ti
+from tikernels._taichi import F32Array2, I32Array2, U8Array2, f32, i32, ti, u1
 from tikernels.arrays import F32, I32, U8
 from tikernels.launching import kernel
 from tikernels.strips import STRIP, strip_at, strip_count
@@ -25,8 +32,12 @@ from tikernels.strips import STRIP, strip_at, strip_count
 #: Bits of a pixel's links: to its right neighbour, to the one below, to the one below the right one; and from its right
 #: neighbour to the one below.
 RIGHT, DOWN, FALLING, RISING = 1, 2, 4, 8
+# Each bit, and the pixels at its link's ends: rows and columns from the pixel that keeps it.
+_EDGES = ((RIGHT, 0, 0, 0, 1), (DOWN, 0, 0, 1, 0), (FALLING, 0, 0, 1, 1), (RISING, 0, 1, 1, 0))
 # In noise that is normal three standard deviations leave one edge in 370 apart that belongs together.
 _SURE = 3.0
+# What is turned away by more than 85 degrees is a step, in widths of a pixel.
+_STEEPEST = float(np.tan(np.radians(85.0)))
 # Pixels that a plane is fitted to on either side: as many as the phase's smoothing takes, so that two planes on both
 # sides of a step have little in common.
 _REACH = 3
@@ -51,7 +62,6 @@ def slope_beside(
     sigma: F32Array2,
     width: F32Array2,
     region: I32Array2,
-    max_slope: f32,
     y: i32,
     x: i32,
     down: i32,
@@ -74,7 +84,7 @@ def slope_beside(
                         away = ti.sqrt(ti.cast(dy * dy + dx * dx, ti.f32))
                         rest = depth[j, i] - middle - row_slope * dy - column_slope * dx
                         # At first whatever may hang together with the pixel counts, then what its plane explains.
-                        bound = max_slope * width[y, x] * away
+                        bound = _STEEPEST * width[y, x] * away
                         noise = _SURE * ti.sqrt(squared(sigma[j, i]) + squared(width[y, x]))
                         bound = noise if ti.static(turn == 1) else bound
                         inside = ti.max(0.0, 1.0 - squared(rest / ti.max(bound, 1e-12)))
@@ -111,7 +121,6 @@ def linked(
     sigma: F32Array2,
     width: F32Array2,
     region: I32Array2,
-    max_slope: f32,
     y: i32,
     x: i32,
     down: i32,
@@ -125,13 +134,13 @@ def linked(
             apart = ti.sqrt(ti.cast(down * down + right * right, ti.f32)) * ti.min(width[y, x], width[j, i])
             rise = depth[j, i] - depth[y, x]
             noise = squared(sigma[y, x]) + squared(sigma[j, i])
-            if ti.abs(rise) <= max_slope * apart:
+            if ti.abs(rise) <= _STEEPEST * apart:
                 if ti.abs(rise) <= apart + _SURE * ti.sqrt(noise):
                     result = 1
                 else:
                     # Both slopes point the way the edge does.
-                    here, doubt = slope_beside(depth, sigma, width, region, max_slope, y, x, down, right)
-                    there, other = slope_beside(depth, sigma, width, region, max_slope, j, i, -down, -right)
+                    here, doubt = slope_beside(depth, sigma, width, region, y, x, down, right)
+                    there, other = slope_beside(depth, sigma, width, region, j, i, -down, -right)
                     expected, way = 0.0, ti.select(rise > 0.0, 1.0, -1.0)
                     if doubt >= 0.0:
                         expected = ti.max(expected, way * here)
@@ -148,22 +157,21 @@ def link_pixels_kernel(
     sigma: F32Array2,  # (H, W) the same
     width: F32Array2,  # (H, W) the same, what a pixel is wide
     region: I32Array2,  # (H, W) 0: none
-    max_slope: f32,
     out: U8Array2,  # (H, W) bits
 ):
     height, breadth = depth.shape[0], depth.shape[1]
     for t in range(height * strip_count(breadth, STRIP)):
         y, first, count = strip_at(t, breadth, STRIP)
         for x in range(first, first + count):
-            bits = linked(depth, sigma, width, region, max_slope, y, x, 0, 1) * RIGHT
-            bits += linked(depth, sigma, width, region, max_slope, y, x, 1, 0) * DOWN
-            bits += linked(depth, sigma, width, region, max_slope, y, x, 1, 1) * FALLING
+            bits = linked(depth, sigma, width, region, y, x, 0, 1) * RIGHT
+            bits += linked(depth, sigma, width, region, y, x, 1, 0) * DOWN
+            bits += linked(depth, sigma, width, region, y, x, 1, 1) * FALLING
             if x + 1 < breadth:
-                bits += linked(depth, sigma, width, region, max_slope, y, x + 1, 1, -1) * RISING
+                bits += linked(depth, sigma, width, region, y, x + 1, 1, -1) * RISING
             out[y, x] = ti.cast(bits, ti.u8)
 
 
-def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, max_slope: float, out: U8 | None = None) -> U8:
+def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, out: U8 | None = None) -> U8:
     """Find which neighbouring pixels are on one surface.
 
     Parameters
@@ -176,8 +184,6 @@ def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, max_slope: floa
         What a pixel is wide there, in the same unit.
     region : (H, W) int32
         Surfaces from 1, 0: none. Pixels of two regions are never linked.
-    max_slope : float
-        By how many widths of a pixel the depth may change from one to the next.
     out : (H, W) uint8, optional
         Where the result goes.
 
@@ -198,5 +204,75 @@ def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, max_slope: floa
     width = checks.read_array("width", width, shape, np.float32)
     region = checks.read_array("region", region, shape, np.int32)
     out = checks.out_array("out", out, shape, np.uint8)
-    link_pixels_kernel(depth, sigma, width, region, max_slope, out)
+    link_pixels_kernel(depth, sigma, width, region, out)
+    return out
+
+
+@ti.func
+def surely_less_steep(
+    depth: F32Array2, sigma: F32Array2, width: F32Array2, max_slope: f32, y: i32, x: i32, j: i32, i: i32
+) -> u1:
+    """Whether the depth changes by no more than `max_slope` widths between two pixels, by three standard deviations."""
+    noise = _SURE * ti.sqrt(squared(sigma[y, x]) + squared(sigma[j, i]))
+    return ti.abs(depth[j, i] - depth[y, x]) + noise <= max_slope * ti.min(width[y, x], width[j, i])
+
+
+@kernel
+def cut_steep_links_kernel(
+    links: U8Array2,  # (H, W) bits
+    depth: F32Array2,  # (H, W) mm or rad
+    sigma: F32Array2,  # (H, W) the same
+    width: F32Array2,  # (H, W) the same, what a pixel is wide
+    max_slope: f32,
+    out: U8Array2,  # (H, W) bits
+):
+    height, breadth = depth.shape[0], depth.shape[1]
+    for t in range(height * strip_count(breadth, STRIP)):
+        y, first, count = strip_at(t, breadth, STRIP)
+        for x in range(first, first + count):
+            held, bits = ti.cast(links[y, x], i32), 0
+            for bit, top, left, bottom, right in ti.static(_EDGES):
+                # No link leads out of the image.
+                if held & bit != 0:
+                    ends = y + top, x + left, y + bottom, x + right
+                    if surely_less_steep(depth, sigma, width, max_slope, *ends):
+                        bits += bit
+            out[y, x] = ti.cast(bits, ti.u8)
+
+
+def cut_steep_links(links: U8, depth: F32, sigma: F32, width: F32, max_slope: float, out: U8 | None = None) -> U8:
+    """Take the links that may be steeper than a slope.
+
+    Parameters
+    ----------
+    links : (H, W) uint8
+        See `link_pixels`.
+    depth : (H, W) float32
+        In mm or rad; of no account where nothing is linked.
+    sigma : (H, W) float32
+        Its standard deviation, in the same unit.
+    width : (H, W) float32
+        What a pixel is wide there, in the same unit.
+    max_slope : float
+        By how many widths of a pixel the depth may change from one to the next.
+    out : (H, W) uint8, optional
+        Where the result goes; may be the links.
+
+    Returns
+    -------
+    (H, W) uint8
+        What is left of the links.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one, or `out` cannot be written.
+    """
+    links = checks.read_array("links", links, (None, None), np.uint8)
+    shape = (int(links.shape[0]), int(links.shape[1]))
+    depth = checks.read_array("depth", depth, shape, np.float32)
+    sigma = checks.read_array("sigma", sigma, shape, np.float32)
+    width = checks.read_array("width", width, shape, np.float32)
+    out = checks.out_array("out", out, shape, np.uint8)
+    cut_steep_links_kernel(links, depth, sigma, width, max_slope, out)
     return out

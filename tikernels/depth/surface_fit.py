@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks
-from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, i32, ti
+from tikernels._taichi import F32Array2, F32Array3, F32Array4, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Mask
-from tikernels.depth.quadric import column_run, fitted_quadric, measure_runs, precision_of
+from tikernels.depth.quadric import Fit, fit_windows, measure_runs, precision_of
 from tikernels.launching import kernel
 from tikernels.strips import STRIP, strip_at, strip_count
 
@@ -31,8 +31,9 @@ _LEVELS = 3
 _HALF = 1.5
 # The window that most pixels around one take counts, px; and no wider one than the narrowest of those beside it.
 _ODD_PX, _NEAR_PX = 7, 5
-# Levels are means over so few pixels that they differ by more than this or not at all.
-_SAME_LEVEL = 1e-3
+# Rows that are fitted at a time, so that all windows' fits of a large picture need not be kept; and those beside them
+# that tell which window counts.
+_ROWS, _BESIDE = 256, _ODD_PX // 2 + 2 * (_NEAR_PX // 2)
 
 
 class FittedSurface(NamedTuple):
@@ -57,89 +58,70 @@ def in_common(low: f32, high: f32, value: f32, variance: f32):
 
 @kernel
 def choose_windows_kernel(
-    depth: F32Array2,  # (H, W)
+    fits: F32Array4,  # (3, 4, rows, W) see `fit_windows`
     precision: F32Array2,  # (H, W) 1 / sigma^2
     mask: U8Array2,  # (H, W)
-    links: U8Array2,  # (H, W) bits
-    left: U8Array2,  # (H, W) linked pixels to the left
-    right: U8Array2,  # (H, W) and to the right
-    out_depth: F32Array2,  # (H, W)
-    out_slope: F32Array3,  # (H, W, 2) a px, down and to the right
-    out_sigma: F32Array2,  # (H, W)
-    out_level: U8Array2,  # (H, W)
+    top: i32,  # the first of the rows
+    out_level: U8Array2,  # (rows, W)
 ):
-    height, width = depth.shape[0], depth.shape[1]
-    for t in range(height * strip_count(width, STRIP)):
-        y, first, count = strip_at(t, width, STRIP)
+    width = mask.shape[1]
+    for t in range(out_level.shape[0] * strip_count(width, STRIP)):
+        row, first, count = strip_at(t, width, STRIP)
+        y = top + row
         for x in range(first, first + count):
-            best, by_row, by_column, doubt, level = 0.0, 0.0, 0.0, 0.0, 0
+            level = 0
             if mask[y, x] != 0:
-                up, down = column_run(links, y, x)
-                own = 1.0 / precision[y, x]
-                doubt = own
-                low, high = in_common(-1e30, 1e30, 0.0, own)
+                low, high = in_common(-1e30, 1e30, 0.0, 1.0 / precision[y, x])
                 # The second window, the third where that is accepted, the first where it is not.
-                stride = 2
+                window = 1
                 for _ in range(2):
-                    value, at_row, at_column, variance = fitted_quadric(
-                        depth, precision, left, right, y, x, up, down, stride, own
-                    )
+                    value, variance = fits[window, Fit.VALUE, row, x], fits[window, Fit.VARIANCE, row, x]
                     lowest, highest = in_common(low, high, value, variance)
                     accepted = lowest <= highest
                     if accepted:
-                        low, high = lowest, highest
-                        best, doubt = value, ti.min(variance, own)
-                        level = ti.select(stride == 4, 3, stride)
-                    if accepted or stride == 1:  # the narrowest tells the slope in any case
-                        by_row, by_column = at_row, at_column
-                    stride = ti.select(accepted, 4, 1)
-            out_depth[y, x] = depth[y, x] + best
-            out_slope[y, x, 0], out_slope[y, x, 1] = by_row, by_column
-            out_sigma[y, x] = ti.sqrt(doubt)
-            out_level[y, x] = ti.cast(level, ti.u8)
+                        low, high, level = lowest, highest, window + 1
+                    window = ti.select(accepted, 2, 0)
+            out_level[row, x] = ti.cast(level, ti.u8)
 
 
 @kernel
 def blend_windows_kernel(
+    fits: F32Array4,  # (3, 4, rows, W) see `fit_windows`
     depth: F32Array2,  # (H, W)
     precision: F32Array2,  # (H, W) 1 / sigma^2
     mask: U8Array2,  # (H, W)
-    links: U8Array2,  # (H, W) bits
-    left: U8Array2,  # (H, W) linked pixels to the left
-    right: U8Array2,  # (H, W) and to the right
-    level: F32Array2,  # (H, W) what to take, between whole levels a mean of both
-    taken: U8Array2,  # (H, W) what has been taken
-    fitted: F32Array2,  # (H, W) with that; becomes what is to be taken
-    slope: F32Array3,  # (H, W, 2) likewise
-    sigma: F32Array2,  # (H, W) likewise
+    top: i32,  # the first of the rows
+    level: F32Array2,  # (rows, W) what to take, between whole levels a mean of both
+    wanted: i32,  # the first row that is wanted
+    wanted_rows: i32,  # and how many are
+    out_depth: F32Array2,  # (H, W)
+    out_slope: F32Array3,  # (H, W, 2) a px, down and to the right
+    out_sigma: F32Array2,  # (H, W)
 ):
-    height, width = depth.shape[0], depth.shape[1]
-    for t in range(height * strip_count(width, STRIP)):
-        y, first, count = strip_at(t, width, STRIP)
+    width = mask.shape[1]
+    for t in range(wanted_rows * strip_count(width, STRIP)):
+        number, first, count = strip_at(t, width, STRIP)
+        y = wanted + number
+        row = y - top
         for x in range(first, first + count):
-            # Read and written in any case: a GPU gets only what a kernel reads.
-            value, doubt = fitted[y, x], sigma[y, x]
-            by_row, by_column = slope[y, x, 0], slope[y, x, 1]
-            if mask[y, x] != 0 and ti.abs(level[y, x] - taken[y, x]) > _SAME_LEVEL:
-                up, down = column_run(links, y, x)
+            value, doubt, by_row, by_column = 0.0, 0.0, 0.0, 0.0
+            if mask[y, x] != 0:
                 own = 1.0 / precision[y, x]
-                lower = ti.min(ti.cast(level[y, x], i32), _LEVELS - 1)
-                value, doubt, by_row, by_column = depth[y, x], 0.0, 0.0, 0.0
+                lower = ti.min(ti.cast(level[row, x], i32), _LEVELS - 1)
                 for k in range(2):
-                    part = ti.abs(1.0 - k - level[y, x] + lower)
+                    part = ti.abs(1.0 - k - level[row, x] + lower)
                     # Level 0 is the pixel itself, with the slope of the narrowest window.
-                    above, at_row, at_column, variance = fitted_quadric(
-                        depth, precision, left, right, y, x, up, down, 1 << ti.max(lower + k - 1, 0), own
-                    )
-                    by_row += part * at_row
-                    by_column += part * at_column
+                    window = ti.max(lower + k - 1, 0)
+                    by_row += part * fits[window, Fit.SLOPE_DOWN, row, x]
+                    by_column += part * fits[window, Fit.SLOPE_RIGHT, row, x]
                     if lower + k > 0:
-                        value += part * above
-                        doubt += part * ti.sqrt(ti.min(variance, own))
+                        value += part * fits[window, Fit.VALUE, row, x]
+                        doubt += part * ti.sqrt(ti.min(fits[window, Fit.VARIANCE, row, x], own))
                     else:
                         doubt += part * ti.sqrt(own)
-            fitted[y, x], sigma[y, x] = value, doubt
-            slope[y, x, 0], slope[y, x, 1] = by_row, by_column
+            out_depth[y, x] = depth[y, x] + value
+            out_slope[y, x, 0], out_slope[y, x, 1] = by_row, by_column
+            out_sigma[y, x] = doubt
 
 
 def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
@@ -171,13 +153,21 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
     sigma = checks.read_array("sigma", sigma, shape, np.float32)
     mask = checks.read_mask("mask", mask, shape)
     links = checks.read_array("links", links, shape, np.uint8)
-    known = (depth, precision_of(sigma, mask), mask, links, *measure_runs(links))
-    chosen = np.empty(shape, np.uint8)
-    fitted, slope, doubt = np.empty(shape, np.float32), np.empty((*shape, 2), np.float32), np.empty(shape, np.float32)
-    choose_windows_kernel(*known, fitted, slope, doubt, chosen)
-    # What few pixels say of their window against all others is chance, and so are the lines along which a quadric
-    # happens to be right.
-    narrowest = cv2.erode(cv2.medianBlur(chosen, _ODD_PX), np.ones((_NEAR_PX, _NEAR_PX), np.uint8))
-    level = cv2.blur(narrowest.astype(np.float32), (_NEAR_PX, _NEAR_PX))
-    blend_windows_kernel(*known, level, chosen, fitted, slope, doubt)
-    return FittedSurface(fitted, slope, doubt, np.asarray(level, np.float32))
+    precision, runs = precision_of(sigma, mask), measure_runs(links)
+    fitted, level, doubt = (np.empty(shape, np.float32) for _ in range(3))
+    slope = np.empty((*shape, 2), np.float32)
+    for first in range(0, shape[0], _ROWS):
+        last = min(first + _ROWS, shape[0])
+        top, bottom = max(first - _BESIDE, 0), min(last + _BESIDE, shape[0])
+        fits = np.empty((_LEVELS, len(Fit), bottom - top, shape[1]), np.float32)
+        fit_windows(depth, precision, runs, top, fits)
+        chosen = np.empty((bottom - top, shape[1]), np.uint8)
+        choose_windows_kernel(fits, precision, mask, top, chosen)
+        # What few pixels say of their window against all others is chance, and so are the lines along which a quadric
+        # happens to be right.
+        narrowest = cv2.erode(cv2.medianBlur(chosen, _ODD_PX), np.ones((_NEAR_PX, _NEAR_PX), np.uint8))
+        wide = cv2.blur(narrowest.astype(np.float32), (_NEAR_PX, _NEAR_PX))
+        level[first:last] = wide[first - top : last - top]
+        rows = (first, last - first)
+        blend_windows_kernel(fits, depth, precision, mask, top, wide, *rows, fitted, slope, doubt)
+    return FittedSurface(fitted, slope, doubt, level)

@@ -79,7 +79,9 @@ def test_ctrl_c_at_the_terminal(folder, tmp_path):
         _, said = process.communicate(timeout=120)
     assert process.returncode == 130
     n_done = len(list(marks.glob("c.*")))
-    assert said == f"stopped: {n_done} of {N_FRAMES} frames are done; the same command goes on from there\n"
+    *progress, last = said.splitlines()
+    assert all("after 30 s" in line for line in progress), said  # a slow machine tells how far it is
+    assert last == f"stopped: {n_done} of {N_FRAMES} frames are done; the same command goes on from there"
     assert n_done < CHAIN_FRAMES
     assert not list((tmp_path / "out").rglob("*.part*"))
 

@@ -150,7 +150,10 @@ def test_a_frame_takes_its_standard_deviations_along(calibrated):
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_bust_is_a_surface(seed):
-    """The demo's: sigma is honest, nothing joins what is 5 mm apart, and smoothing takes half of the error away."""
+    """The demo's: sigma is honest, nothing joins what is 5 mm apart, and smoothing takes half of the error away.
+
+    Rims end where the light does on nine tenths of their length; the goal is 95 %, and the rest is too dim.
+    """
     truth, frame = bust(seed=seed)
     rough, smooth = (
         judge_mesh(frame_mesh(frame, options), truth.points[..., 2], truth.mask, truth.rig.camera)
@@ -158,7 +161,8 @@ def test_the_bust_is_a_surface(seed):
     )
     assert smooth.within_three > 0.99 and smooth.beyond_six < 1e-4
     assert smooth.filled_within_three > 0.9
-    assert smooth.complete > 0.97
+    assert smooth.complete > 0.98
+    assert smooth.rims > 0.88
     assert smooth.across_steps == rough.across_steps == 0
     assert smooth.depth_median_mm < 0.5 * rough.depth_median_mm
     assert smooth.depth_rms_mm < 0.8 * rough.depth_rms_mm

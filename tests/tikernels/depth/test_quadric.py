@@ -25,9 +25,11 @@ def test_a_plane_and_a_bowl_keep_value_and_slopes(arch):
 def test_runs_end_at_steps_and_at_the_farthest(arch):
     links = all_linked((4, 40))
     links[:, 19] &= 2
-    left, right = measure_runs(links)
+    left, right, above, below = measure_runs(links)
     np.testing.assert_array_equal(left[0, [0, 5, 19, 20, 25, 39]], [0, 5, FARTHEST, 0, 5, FARTHEST])
     np.testing.assert_array_equal(right[0, [0, 10, 19, 20, 39]], [FARTHEST, 9, 0, FARTHEST, 0])
+    np.testing.assert_array_equal(above[:, 0], [0, 1, 2, 3])
+    np.testing.assert_array_equal(below[:, 0], [3, 2, 1, 0])
 
 
 def test_what_does_not_count_has_no_precision(cpu):
