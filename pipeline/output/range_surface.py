@@ -20,7 +20,7 @@ _MAX_STEP_RAD = 1.0
 # tell it, px.
 _APART_PX = 4
 # Rows that tell what a pixel is wide: a median of more changes nothing.
-_ASKED_ROWS = 300
+_ASKED_ROWS = 40
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -14,17 +15,17 @@ from pipeline.output.holes import FilledHoles, fill_holes
 from pipeline.output.mesh import FILLED, SMOOTHED, Mesh, Unit
 from pipeline.output.range_surface import MAX_SLOPE, RangeSurface
 from pipeline.output.specks import find_surfaces, links_within
-from pipeline.output.surface_normals import PixelRays, relief_normals, surface_normals
 from tikernels import runtime
 from tikernels.depth.meshing import triangulate_mesh
 from tikernels.depth.step_cutting import cut_steep_links, link_pixels
 from tikernels.depth.surface_fit import fit_surface
+from tikernels.depth.vertex_placing import place_vertices
 
 Floats = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.bool_]
 
-# Vertices that are placed at a time.
-_BLOCK = 2**15
+# A link depends on no pixel that is farther away, px: on one of its ends, and what tells the slope beside that.
+_REACH = 5
 # The property that tells how probably a vertex is whole cycles off.
 _WRONG = "order_error_probability"
 
@@ -153,7 +154,7 @@ def surface_mesh(
         holes = fill_holes(surface.without(~kept))
         surface = holes.surface
         if len(holes.filled):
-            links = _links(surface)
+            links = _linked_again(surface, holes.filled, links)
             kept = find_surfaces(links)[0]
         links = links_within(links, kept)
         fitted = fit_surface(surface.depth, surface.sigma, kept, links)
@@ -170,8 +171,12 @@ def surface_mesh(
     flags[(fitted.level > 0) & options.smoothed] = SMOOTHED
     flags.ravel()[holes.filled] |= FILLED
     places = np.flatnonzero(kept)
-    depth = (fitted.depth if options.smoothed else surface.depth).ravel()[places]
-    vertices, normals = _placed(places, depth, fitted.slope.reshape(-1, 2)[places], mask, points)
+    depth = fitted.depth if options.smoothed else surface.depth
+    if points is None:
+        vertices, normals = _relief(places, mask.shape[1], depth.ravel()[places], fitted.slope.reshape(-1, 2)[places])
+    else:
+        with runtime.lock:
+            vertices, normals = place_vertices(depth, fitted.slope, points, mask, kept)
     number = _source_pixels(mask, holes, places)
     carried = _carried(surface, places, unit, {name: values[number] for name, values in properties.items()})
     if "confidence" in carried:
@@ -218,33 +223,24 @@ def _links(surface: RangeSurface) -> npt.NDArray[np.uint8]:
     return runtime.to_host(link_pixels(surface.depth, surface.sigma, surface.width, surface.region))
 
 
-def _placed(
-    places: npt.NDArray[np.intp], depth: Floats, slope: Floats, mask: Pixels, points: Floats | None
-) -> tuple[Floats, Floats]:
-    """Return the vertices at some pixels, by their depth, and their normals."""
-    if points is None:
-        y, x = np.divmod(places, mask.shape[1])
-        return np.column_stack([x, y, depth]).astype(np.float32), relief_normals(slope)
-    vertices, normals = (np.empty((len(places), 3), np.float32) for _ in range(2))
-    if not len(places):
-        return vertices, normals
-    rays = PixelRays.of(points, mask)
-    # In blocks that stay in the processor's cache: of a large picture each temporary would be fresh memory.
-    for start in range(0, len(places), _BLOCK):
-        part = slice(start, start + _BLOCK)
-        vertices[part], normals[part] = _placed_along(rays, places[part], depth[part], slope[part], mask, points)
-    return vertices, normals
+def _linked_again(
+    surface: RangeSurface, filled: npt.NDArray[np.intp], links: npt.NDArray[np.uint8]
+) -> npt.NDArray[np.uint8]:
+    """Return the links of a surface of which some pixels have been filled since."""
+    pixels = np.zeros(links.shape, np.uint8)
+    pixels.ravel()[filled] = 1
+    near, around = (
+        cv2.dilate(pixels, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) != 0 for reach in (_REACH, 2 * _REACH)
+    )
+    return np.where(near, _links(surface.without(~around)), links)
 
 
-def _placed_along(
-    rays: PixelRays, places: npt.NDArray[np.intp], depth: Floats, slope: Floats, mask: Pixels, points: Floats
-) -> tuple[Floats, Floats]:
-    """Return the vertices along the rays of some pixels, by their depth, and their normals."""
-    measured = mask.ravel()[places]
-    there = points.reshape(-1, 3)[places]
-    along = np.asarray(there / np.where(measured, there[:, 2], np.float32(1))[:, None], np.float32)
-    along[~measured] = rays.at(places[~measured])
-    return along * depth[:, None], surface_normals(depth, slope, along, rays.changes(places))
+def _relief(places: npt.NDArray[np.intp], width: int, depth: Floats, slope: Floats) -> tuple[Floats, Floats]:
+    """Return the vertices of a relief over an image, in px and rad, and their normals towards the camera."""
+    y, x = np.divmod(places, width)
+    normals = np.column_stack([slope[:, 1], slope[:, 0], np.full(len(slope), -1, np.float32)])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.column_stack([x, y, depth]).astype(np.float32), normals
 
 
 def _source_pixels(mask: Pixels, holes: FilledHoles, places: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:

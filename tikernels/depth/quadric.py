@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels._taichi import F32Array2, F32Array4, Static, U8Array2, U8Array3, i32, mat6, ti, vec6
+from tikernels._taichi import F32Array2, F32Array4, Static, U8Array2, U8Array3, f32, i32, mat6, ti, vec6
 from tikernels.arrays import F32, U8
 from tikernels.depth.step_cutting import DOWN, RIGHT
 from tikernels.launching import kernel
@@ -108,6 +108,57 @@ def quadric_of(sums: Static, lane: i32):
     return solved(normal, rest)
 
 
+@ti.func
+def add_row(
+    sums: Static,
+    values: Static,
+    weights: Static,
+    middle: Static,
+    scale: Static,
+    left: Static,
+    right: Static,
+    v: f32,
+    stride: i32,
+):
+    """Add a row's samples to the sums of every lane: values above the middle's, by weights and the lane's scale.
+
+    `left` and `right` say how many samples count.
+    """
+    v2 = v * v
+    for lane in range(STRIP):
+        place = lane + FARTHEST
+        s0, t0 = weights[place], weights[place] * (values[place] - middle[lane])
+        s1, s2, s3, s4, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        # Two samples at a time, as far to the left as to the right.
+        for i in ti.static(range(1, SIDE + 1)):
+            tap = ti.static(1.0 - i * i / (SIDE + 1) ** 2)
+            one, other = place - i * stride, place + i * stride
+            w1 = ti.select(i <= left[lane], tap * weights[one], 0.0)
+            w2 = ti.select(i <= right[lane], tap * weights[other], 0.0)
+            z1, z2 = w1 * (values[one] - middle[lane]), w2 * (values[other] - middle[lane])
+            s0 += w2 + w1
+            s1 += i * (w2 - w1)
+            s2 += ti.static(i**2) * (w2 + w1)
+            s3 += ti.static(i**3) * (w2 - w1)
+            s4 += ti.static(i**4) * (w2 + w1)
+            t0 += z2 + z1
+            t1 += i * (z2 - z1)
+            t2 += ti.static(i**2) * (z2 + z1)
+        s0, s1, s2, s3, s4 = scale[lane] * s0, scale[lane] * s1, scale[lane] * s2, scale[lane] * s3, scale[lane] * s4
+        t0, t1, t2 = scale[lane] * t0, scale[lane] * t1, scale[lane] * t2
+        for n, part in ti.static(enumerate((s0, s1, s2, s3, s4))):
+            sums[n, lane] += part
+        for n, part in ti.static(enumerate((s0, s1, s2, s3))):
+            sums[5 + n, lane] += v * part
+        for n, part in ti.static(enumerate((s0, s1, s2))):
+            sums[9 + n, lane] += v2 * part
+        for n, part in ti.static(enumerate((s0, s1))):
+            sums[12 + n, lane] += v2 * v * part
+        sums[14, lane] += v2 * v2 * s0
+        for n, part in ti.static(enumerate((t0, t1, t2, v * t0, v * t1, v2 * t0))):
+            sums[_RIGHT_SIDE + n, lane] += part
+
+
 @kernel
 def fit_windows_kernel(
     depth: F32Array2,  # (H, W)
@@ -125,7 +176,7 @@ def fit_windows_kernel(
         row, first, count = strip_at(t - window * strips, width, STRIP)
         y, start = top + row, first - FARTHEST
         values, weights = _segment(0.0), _segment(0.0)
-        middle, own, sums = _lanes(0.0), _lanes(0.0), _window_sums(0.0)
+        middle, own, scale, sums = _lanes(0.0), _lanes(0.0), _lanes(0.0), _window_sums(0.0)
         above, below, left, right = _whole_lanes(0), _whole_lanes(0), _whole_lanes(0), _whole_lanes(0)
         for lane in range(count):
             middle[lane] = depth[y, first + lane]
@@ -136,44 +187,17 @@ def fit_windows_kernel(
             j = y + k * stride
             if j >= 0 and j < height:
                 for i in range(ti.max(0, -start), ti.min(STRIP + 2 * FARTHEST, width - start)):
-                    values[i] = depth[j, start + i]
                     weights[i] = precision[j, start + i]
+                    # What does not count may be no number.
+                    values[i] = ti.select(weights[i] > 0.0, depth[j, start + i], 0.0)
                 for lane in range(count):
                     left[lane] = ti.cast(runs[Run.LEFT, j, first + lane], i32) >> window
                     right[lane] = ti.cast(runs[Run.RIGHT, j, first + lane], i32) >> window
-                v = ti.cast(k, ti.f32)
-                v2 = v * v
-                taper = 1.0 - v2 * ti.static(1.0 / (SIDE + 1) ** 2)
+                taper = 1.0 - k * k * ti.static(1.0 / (SIDE + 1) ** 2)
                 for lane in range(STRIP):
                     reached = (k >= -above[lane]) & (k <= below[lane])
-                    scale = ti.select(reached, taper * own[lane], 0.0)
-                    s0, s1, s2, s3, s4, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-                    for i in ti.static(range(-SIDE, SIDE + 1)):
-                        place = lane + FARTHEST + i * stride
-                        counts = (i >= -left[lane]) & (i <= right[lane]) & reached
-                        weight = scale * weights[place] * ti.static(1.0 - i * i / (SIDE + 1) ** 2)
-                        weight = ti.select(counts, weight, 0.0)
-                        # What does not count may be no number.
-                        z = ti.select(counts, weight * (values[place] - middle[lane]), 0.0)
-                        s0 += weight
-                        s1 += i * weight
-                        s2 += ti.static(i**2) * weight
-                        s3 += ti.static(i**3) * weight
-                        s4 += ti.static(i**4) * weight
-                        t0 += z
-                        t1 += i * z
-                        t2 += ti.static(i**2) * z
-                    for n, part in ti.static(enumerate((s0, s1, s2, s3, s4))):
-                        sums[n, lane] += part
-                    for n, part in ti.static(enumerate((s0, s1, s2, s3))):
-                        sums[5 + n, lane] += v * part
-                    for n, part in ti.static(enumerate((s0, s1, s2))):
-                        sums[9 + n, lane] += v2 * part
-                    for n, part in ti.static(enumerate((s0, s1))):
-                        sums[12 + n, lane] += v2 * v * part
-                    sums[14, lane] += v2 * v2 * s0
-                    for n, part in ti.static(enumerate((t0, t1, t2, v * t0, v * t1, v2 * t0))):
-                        sums[_RIGHT_SIDE + n, lane] += part
+                    scale[lane] = ti.select(reached, taper * own[lane], 0.0)
+                add_row(sums, values, weights, middle, scale, left, right, ti.cast(k, ti.f32), stride)
         apart, alike = 1.0 / stride, ti.select(window == 0, _ALIKE[0], ti.select(window == 1, _ALIKE[1], _ALIKE[2]))
         for lane in range(STRIP):
             value, slope_down, slope_right, share = quadric_of(sums, lane)

@@ -34,6 +34,10 @@ from tikernels.strips import STRIP, strip_at, strip_count
 RIGHT, DOWN, FALLING, RISING = 1, 2, 4, 8
 # Each bit, and the pixels at its link's ends: rows and columns from the pixel that keeps it.
 _EDGES = ((RIGHT, 0, 0, 0, 1), (DOWN, 0, 0, 1, 0), (FALLING, 0, 0, 1, 1), (RISING, 0, 1, 1, 0))
+_whole_lanes = ti.types.vector(STRIP, ti.i32)
+_two_rows, _two_whole_rows = (ti.types.vector(2 * (STRIP + 1), kind) for kind in (ti.f32, ti.i32))
+# An edge that is not clear has its bit here times this.
+_UNSURE = 16
 # In noise that is normal three standard deviations leave one edge in 370 apart that belongs together.
 _SURE = 3.0
 # What is turned away by more than 85 degrees is a step, in widths of a pixel.
@@ -116,7 +120,7 @@ def slope_beside(
 
 
 @ti.func
-def linked(
+def goes_on(
     depth: F32Array2,
     sigma: F32Array2,
     width: F32Array2,
@@ -125,30 +129,25 @@ def linked(
     x: i32,
     down: i32,
     right: i32,
-) -> i32:
-    """Whether a pixel and the one in the direction (down, right) from it are on one surface."""
-    result = 0
+) -> u1:
+    """Whether the surface beside an edge, from a pixel in a direction, goes on as steeply as its ends are apart."""
     j, i = y + down, x + right
-    if 0 <= i < depth.shape[1] and j < depth.shape[0]:
-        if region[y, x] != 0 and region[j, i] == region[y, x]:
-            apart = ti.sqrt(ti.cast(down * down + right * right, ti.f32)) * ti.min(width[y, x], width[j, i])
-            rise = depth[j, i] - depth[y, x]
-            noise = squared(sigma[y, x]) + squared(sigma[j, i])
-            if ti.abs(rise) <= _STEEPEST * apart:
-                if ti.abs(rise) <= apart + _SURE * ti.sqrt(noise):
-                    result = 1
-                else:
-                    # Both slopes point the way the edge does.
-                    here, doubt = slope_beside(depth, sigma, width, region, y, x, down, right)
-                    there, other = slope_beside(depth, sigma, width, region, j, i, -down, -right)
-                    expected, way = 0.0, ti.select(rise > 0.0, 1.0, -1.0)
-                    if doubt >= 0.0:
-                        expected = ti.max(expected, way * here)
-                    if other >= 0.0:
-                        expected = ti.max(expected, -way * there)
-                    noise += ti.max(doubt, other, 0.0)
-                    result = ti.cast(ti.abs(rise) <= expected + apart + _SURE * ti.sqrt(noise), ti.i32)
-    return result
+    apart = ti.sqrt(ti.cast(down * down + right * right, ti.f32)) * ti.min(width[y, x], width[j, i])
+    rise = depth[j, i] - depth[y, x]
+    way = ti.select(rise > 0.0, 1.0, -1.0)
+    noise, doubt, expected, found = squared(sigma[y, x]) + squared(sigma[j, i]), 0.0, 0.0, False
+    # The other side is asked where the one is not enough.
+    for side in range(2):
+        if not found:
+            sign = 1 - 2 * side
+            slope, variance = slope_beside(
+                depth, sigma, width, region, y + side * down, x + side * right, sign * down, sign * right
+            )
+            if variance >= 0.0:
+                expected = ti.max(expected, way * sign * slope)
+                doubt = ti.max(doubt, variance)
+            found = ti.abs(rise) <= expected + apart + _SURE * ti.sqrt(noise + doubt)
+    return found
 
 
 @kernel
@@ -159,16 +158,66 @@ def link_pixels_kernel(
     region: I32Array2,  # (H, W) 0: none
     out: U8Array2,  # (H, W) bits
 ):
+    """Link what is near, 32 pixels at once, and ask of each other edge whether the surface goes on."""
+    height, breadth = depth.shape[0], depth.shape[1]
+    for t in range(height * strip_count(breadth, STRIP)):
+        y, first, count = strip_at(t, breadth, STRIP)
+        # Two rows of pixels; of none is their region.
+        depths, sigmas, widths = _two_rows(0.0), _two_rows(0.0), _two_rows(0.0)
+        regions, near, unsure = _two_whole_rows(0), _whole_lanes(0), _whole_lanes(0)
+        for row in range(2):
+            if y + row < height:
+                for k in range(ti.min(STRIP + 1, breadth - first)):
+                    place = row * (STRIP + 1) + k
+                    depths[place] = depth[y + row, first + k]
+                    sigmas[place] = sigma[y + row, first + k]
+                    widths[place] = width[y + row, first + k]
+                    regions[place] = region[y + row, first + k]
+        for k in range(STRIP):
+            for bit, top, left, bottom, right in ti.static(_EDGES):
+                a, b = k + top * (STRIP + 1) + left, k + bottom * (STRIP + 1) + right
+                apart = ti.min(widths[a], widths[b]) * ti.static(np.hypot(bottom - top, right - left))
+                rise = ti.abs(depths[b] - depths[a])
+                noise = squared(sigmas[a]) + squared(sigmas[b])
+                beyond = ti.max(rise - apart, 0.0)
+                may = (regions[a] != 0) & (regions[a] == regions[b]) & (rise <= _STEEPEST * apart)
+                close = squared(beyond) <= _SURE * _SURE * noise
+                near[k] += ti.select(may & close, bit, 0)
+                unsure[k] += ti.select(may & ~close, bit, 0)
+        for k in range(count):
+            out[y, first + k] = ti.cast(near[k] + _UNSURE * unsure[k], ti.u8)
+
+
+@ti.func
+def settled(depth: F32Array2, sigma: F32Array2, width: F32Array2, region: I32Array2, y: i32, x: i32, bits: i32) -> i32:
+    """Return a pixel's links, with those of the edges that were not clear where the surface goes on."""
+    links = bits & (_UNSURE - 1)
+    for n in range(4):
+        if bits & (_UNSURE << n) != 0:
+            # As in _EDGES.
+            left = ti.select(n == 3, 1, 0)
+            down, right = ti.select(n == 0, 0, 1), ti.select(n == 1, 0, ti.select(n == 3, -1, 1))
+            if goes_on(depth, sigma, width, region, y, x + left, down, right):
+                links |= 1 << n
+    return links
+
+
+@kernel
+def link_slopes_kernel(
+    depth: F32Array2,  # (H, W) mm or rad
+    sigma: F32Array2,  # (H, W) the same
+    width: F32Array2,  # (H, W) the same, what a pixel is wide
+    region: I32Array2,  # (H, W) 0: none
+    out: U8Array2,  # (H, W) bits
+):
+    """Ask of every edge that is not clear whether the surface goes on."""
     height, breadth = depth.shape[0], depth.shape[1]
     for t in range(height * strip_count(breadth, STRIP)):
         y, first, count = strip_at(t, breadth, STRIP)
         for x in range(first, first + count):
-            bits = linked(depth, sigma, width, region, y, x, 0, 1) * RIGHT
-            bits += linked(depth, sigma, width, region, y, x, 1, 0) * DOWN
-            bits += linked(depth, sigma, width, region, y, x, 1, 1) * FALLING
-            if x + 1 < breadth:
-                bits += linked(depth, sigma, width, region, y, x + 1, 1, -1) * RISING
-            out[y, x] = ti.cast(bits, ti.u8)
+            if out[y, x] >= _UNSURE:
+                bits = settled(depth, sigma, width, region, y, x, ti.cast(out[y, x], i32))
+                out[y, x] = ti.cast(bits, ti.u8)
 
 
 def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, out: U8 | None = None) -> U8:
@@ -205,6 +254,7 @@ def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, out: U8 | None 
     region = checks.read_array("region", region, shape, np.int32)
     out = checks.out_array("out", out, shape, np.uint8)
     link_pixels_kernel(depth, sigma, width, region, out)
+    link_slopes_kernel(depth, sigma, width, region, out)
     return out
 
 

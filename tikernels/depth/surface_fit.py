@@ -165,9 +165,19 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
         choose_windows_kernel(fits, precision, mask, top, chosen)
         # What few pixels say of their window against all others is chance, and so are the lines along which a quadric
         # happens to be right.
-        narrowest = cv2.erode(cv2.medianBlur(chosen, _ODD_PX), np.ones((_NEAR_PX, _NEAR_PX), np.uint8))
+        narrowest = cv2.erode(_median(chosen), np.ones((_NEAR_PX, _NEAR_PX), np.uint8))
         wide = cv2.blur(narrowest.astype(np.float32), (_NEAR_PX, _NEAR_PX))
         level[first:last] = wide[first - top : last - top]
         rows = (first, last - first)
         blend_windows_kernel(fits, depth, precision, mask, top, wide, *rows, fitted, slope, doubt)
     return FittedSurface(fitted, slope, doubt, level)
+
+
+def _median(level: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return the median around each pixel: at least what half of the pixels are at least."""
+    result = np.zeros_like(level)
+    for least in range(1, _LEVELS + 1):
+        counts = (level >= least).view(np.uint8)
+        counts = cv2.boxFilter(counts, -1, (_ODD_PX, _ODD_PX), normalize=False, borderType=cv2.BORDER_REPLICATE)
+        result += counts > _ODD_PX**2 // 2
+    return result

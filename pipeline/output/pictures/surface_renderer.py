@@ -8,8 +8,8 @@ import numpy.typing as npt
 
 from pipeline.output.pictures.viewpoint import FIELD_OF_VIEW_DEG, Viewpoint
 
-# The ground, from below to above.
-_GROUND = ("#1d2127", "#3a414b")
+# The ground's RGB, above and below.
+_GROUND = ((58, 65, 75), (29, 33, 39))
 _WINDOWS = {"vtkEGLRenderWindow": "EGL", "vtkOSOpenGLRenderWindow": "OSMesa", "vtkXOpenGLRenderWindow": "GLX"}
 
 
@@ -28,14 +28,21 @@ class SurfaceRenderer:
 
     def __init__(self, size_px: tuple[int, int], samples: int = 2, *, ground: bool = True) -> None:
         import pyvista  # slow to import, and only the child may draw
+        from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 
         self._pyvista, self._size_px, self._samples = pyvista, size_px, samples
-        self._plotter = pyvista.Plotter(
-            off_screen=True, window_size=[samples * side for side in size_px], lighting="none"
-        )
-        below, above = _GROUND if ground else ("black", "black")
-        self._plotter.set_background(below, top=above)
+        self._sides_px = [samples * side for side in size_px]
+        self._plotter = pyvista.Plotter(off_screen=True, window_size=self._sides_px, lighting="none")
         self._plotter.disable_anti_aliasing()  # its own costs three times as much
+        # The surface alone is drawn, with its part in every pixel: the library's ground costs a sixth of a picture.
+        self._plotter.set_background("black")
+        self._plotter.renderer.SetBackgroundAlpha(0.0)
+        self._plotter.render_window.SetAlphaBitPlanes(True)
+        self._pixels = vtkUnsignedCharArray()
+        width, height = size_px
+        above, below = np.array(_GROUND, np.float64) * ground
+        fall = np.linspace(above, below, height)
+        self._ground = np.repeat(np.rint(fall).astype(np.uint8)[:, None], width, axis=1)
         self._surface: Any = None
 
     def show(self, vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]) -> None:
@@ -53,16 +60,19 @@ class SurfaceRenderer:
     def image(self, eye: Viewpoint) -> npt.NDArray[np.uint8]:
         """Return what is seen, (H, W, 3) RGB."""
         self._look(eye)
-        image = np.asarray(self._plotter.screenshot(return_img=True))
-        if self._samples == 1:
-            return np.ascontiguousarray(image)
-        return np.asarray(cv2.resize(image, self._size_px, interpolation=cv2.INTER_AREA), np.uint8)
+        width, height = self._sides_px
+        self._plotter.render_window.GetRGBACharPixelData(0, 0, width - 1, height - 1, 1, self._pixels)
+        pixels = self._pyvista.convert_array(self._pixels).reshape(height, width, 4)
+        if self._samples > 1:
+            pixels = cv2.resize(pixels, self._size_px, interpolation=cv2.INTER_AREA)
+        # Rows come from below.
+        red, green, blue, part = cv2.split(cv2.flip(pixels, 0))
+        behind = cv2.multiply(self._ground, cv2.merge([255 - part] * 3), scale=1 / 255)
+        return np.asarray(cv2.add(cv2.merge([red, green, blue]), behind), np.uint8)
 
     def ground(self) -> npt.NDArray[np.uint8]:
         """Return a picture of nothing."""
-        self._plotter.remove_actor("surface", render=False)
-        self._plotter.render()
-        return np.asarray(cv2.resize(self._plotter.screenshot(return_img=True), self._size_px), np.uint8)
+        return self._ground.copy()
 
     def depth(self, eye: Viewpoint) -> npt.NDArray[np.float32]:
         """Return how far before the eye what is seen lies, along the line of sight, (H, W) mm; NaN where nothing is."""
@@ -84,4 +94,4 @@ class SurfaceRenderer:
         camera.position, camera.focal_point, camera.up = eye.position, eye.focal_point, eye.up
         camera.view_angle = FIELD_OF_VIEW_DEG
         self._plotter.renderer.ResetCameraClippingRange()
-        self._plotter.render()  # a screenshot alone is of what was rendered last
+        self._plotter.render_window.Render()

@@ -1,0 +1,152 @@
+"""Put vertices on their pixels' rays, with normals by the slopes of the depth.
+
+A point is z r(x, y), with r = (r_x, r_y, 1) its pixel's ray. From column to column and from row to row it moves by
+
+    t_x = z_x r + z r_x,    t_y = z_y r + z r_y,
+
+and t_y x t_x points back at the camera. The rays are read off the points themselves: a cubic of the pixel's place, as
+OpenCV's first radial coefficient and its tangential ones make them.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from tikernels import checks, runtime
+from tikernels._taichi import F32Array2, F32Array3, I32Array1, U8Array2, f32, i32, ti, vec3, vec4
+from tikernels.arrays import F32, Mask
+from tikernels.launching import kernel
+from tikernels.strips import SPREAD
+
+Floats = npt.NDArray[np.float32]
+
+# Rays that a cubic is fitted to: its twenty coefficients are then known better than float32 keeps them.
+_SAMPLES = 4000
+_DEGREE = 3
+
+
+@ti.func
+def cubic_of_row(cubic: F32Array3, axis: i32, v: f32, changes: i32) -> vec4:
+    """Return the coefficients, by powers of the column, of the cubic in a row; or of its change from row to row."""
+    result = vec4(0.0)
+    powers = ti.select(changes == 0, vec4(1.0, v, v * v, v * v * v), vec4(0.0, 1.0, 2.0 * v, 3.0 * v * v))
+    for column in ti.static(range(_DEGREE + 1)):
+        for row in ti.static(range(_DEGREE + 1)):
+            result[column] += cubic[row, column, axis] * powers[row]
+    return result
+
+
+@ti.func
+def cubic_at(coefficients: vec4, u: f32) -> f32:
+    """Return a row's cubic at a column."""
+    return coefficients.x + u * (coefficients.y + u * (coefficients.z + u * coefficients.w))
+
+
+@ti.func
+def slope_at(coefficients: vec4, u: f32) -> f32:
+    """Return the derivative of a row's cubic at a column."""
+    return coefficients.y + u * (2.0 * coefficients.z + 3.0 * u * coefficients.w)
+
+
+@kernel
+def place_vertices_kernel(
+    depth: F32Array2,  # (H, W) mm
+    slope: F32Array3,  # (H, W, 2) mm a px, down and to the right
+    points: F32Array3,  # (H, W, 3) mm
+    measured: U8Array2,  # (H, W) where there are points
+    kept: U8Array2,  # (H, W) pixels that become vertices
+    cubic: F32Array3,  # (4, 4, 2) of the rays' x and y, by powers of row and column
+    size: f32,  # px, that rows and columns are divided by
+    first: I32Array1,  # (H,) number of a row's first vertex
+    out_vertices: F32Array2,  # (N, 3) mm
+    out_normals: F32Array2,  # (N, 3)
+):
+    height, width = depth.shape[0], depth.shape[1]
+    for t in range(height * SPREAD):
+        if t % SPREAD == 0:
+            y, number = t // SPREAD, first[t // SPREAD]
+            v = y / size
+            ray_x, ray_y = cubic_of_row(cubic, 0, v, 0), cubic_of_row(cubic, 1, v, 0)
+            down_x, down_y = cubic_of_row(cubic, 0, v, 1), cubic_of_row(cubic, 1, v, 1)
+            for x in range(width):
+                if kept[y, x] != 0:
+                    u, z = x / size, depth[y, x]
+                    ray = vec3(cubic_at(ray_x, u), cubic_at(ray_y, u), 1.0)
+                    if measured[y, x] != 0:
+                        away = 1.0 / points[y, x, 2]
+                        ray = vec3(points[y, x, 0] * away, points[y, x, 1] * away, 1.0)
+                    per_pixel = z / size
+                    along = slope[y, x, 1] * ray + per_pixel * vec3(slope_at(ray_x, u), slope_at(ray_y, u), 0.0)
+                    down = slope[y, x, 0] * ray + per_pixel * vec3(cubic_at(down_x, u), cubic_at(down_y, u), 0.0)
+                    normal = down.cross(along).normalized()
+                    for k in ti.static(range(3)):
+                        out_vertices[number, k] = z * ray[k]
+                        out_normals[number, k] = normal[k]
+                    number += 1
+
+
+def place_vertices(depth: F32, slope: F32, points: Floats, mask: Mask, kept: Mask) -> tuple[Floats, Floats]:
+    """Put vertices on their pixels' rays.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        mm.
+    slope : (H, W, 2) float32
+        Its change a px down and to the right, mm.
+    points : (H, W, 3) float32
+        mm, camera frame.
+    mask : (H, W) bool or uint8
+        Where there are points; elsewhere rays are those of the cubic.
+    kept : (H, W) bool or uint8
+        Pixels that become vertices.
+
+    Returns
+    -------
+    vertices : (N, 3) float32
+        mm, row by row.
+    normals : (N, 3) float32
+        Unit vectors, towards the camera.
+
+    Raises
+    ------
+    ShapeError
+        A shape or dtype is another one.
+    """
+    depth = checks.read_array("depth", depth, (None, None), np.float32)
+    shape = (int(depth.shape[0]), int(depth.shape[1]))
+    slope = checks.read_array("slope", slope, (*shape, 2), np.float32)
+    points = checks.read_array("points", points, (*shape, 3), np.float32)
+    mask, kept = checks.read_mask("mask", mask, shape), checks.read_mask("kept", kept, shape)
+    counts = np.count_nonzero(runtime.to_host(kept), axis=1)
+    vertices, normals = (np.empty((int(counts.sum()), 3), np.float32) for _ in range(2))
+    if len(vertices):
+        first = (np.cumsum(counts) - counts).astype(np.int32)
+        rays = (ray_cubic(runtime.to_host(points), runtime.to_host(mask) != 0), float(max(shape)))
+        place_vertices_kernel(depth, slope, points, mask, kept, *rays, first, vertices, normals)
+    return vertices, normals
+
+
+def ray_cubic(points: Floats, mask: npt.NDArray[np.bool_]) -> Floats:
+    """Read the rays of an image's pixels off its points.
+
+    Parameters
+    ----------
+    points : (H, W, 3) float32
+        mm, camera frame.
+    mask : (H, W) bool
+        Where they are; in one pixel at least.
+
+    Returns
+    -------
+    (4, 4, 2) float32
+        x and y at unit depth by powers of row and column, both over the longer side; 0 beyond the third together.
+    """
+    places = np.flatnonzero(mask)
+    y, x = np.divmod(places[:: max(1, len(places) // _SAMPLES)], mask.shape[1])
+    sampled = points[y, x].astype(np.float64)
+    down, right = np.nonzero(np.add.outer(range(_DEGREE + 1), range(_DEGREE + 1)) <= _DEGREE)
+    size = max(mask.shape)
+    terms = (y[:, None] / size) ** down * (x[:, None] / size) ** right
+    cubic = np.zeros((_DEGREE + 1, _DEGREE + 1, 2), np.float32)
+    cubic[down, right] = np.linalg.lstsq(terms, sampled[:, :2] / sampled[:, 2:])[0]
+    return cubic
