@@ -201,21 +201,26 @@ def write_frame(
     for name in chosen_fields(None, in_mm=frame.calibrated):
         getattr(frame, name)
 
-    tell("drawing range.png and shaded.png")
+    tell("drawing range.png")
     write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
-    write_png(folder / "shaded.png", shade_range(frame.range_image, frame.mask, frame.points))
-    # Storing is compressing and writing, beside which the mesh is made. Nothing is imported or drawn there: Python 3.11
-    # fails where two threads parse source at once, as compiling a kernel does, and matplotlib when it is imported.
+    # Storing is compressing and writing, beside which the mesh is made. Nothing is imported or lettered there: Python
+    # 3.11 fails where two threads parse source at once, as compiling a kernel does, and matplotlib when it is imported.
     import zarr  # noqa: F401 - so that the thread does not
 
-    with ThreadPoolExecutor(1, "store") as beside:
+    with ThreadPoolExecutor(1, "beside") as beside:
         tell("meshing and storing")
         stored = beside.submit(write_store, folder / STORE, frame, settings, calibration)
+        shaded = beside.submit(_write_shaded, folder / "shaded.png", frame)
         mesh, counts = counted_mesh(frame, part)
         mesh = replace(mesh, provenance=provenance_of(report))
         tell(f"writing a mesh of {len(mesh.faces):,} triangles")
         write_mesh(mesh, folder / "mesh.ply")
         tell("storing every field")
         stored.result()
+        shaded.result()
     report = {**report, "mesh": asdict(counts)}
     (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_shaded(path: Path, frame: DecodedFrame) -> None:
+    write_png(path, shade_range(frame.range_image, frame.mask, frame.points))

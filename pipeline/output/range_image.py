@@ -14,6 +14,10 @@ from pipeline.output.pictures.object_choice import object_pixels
 
 # Grey level of pixels that hold no value.
 _HIDDEN = 48
+# Rows that are shaded at a time: of a large picture each temporary would be fresh memory.
+_ROWS = 64
+# Lines of pixels that tell steps from slopes, and pixels of a side that tell the object from a wall.
+_ASKED_LINES = 500
 
 
 def depth_colors(
@@ -62,9 +66,11 @@ def write_range_image(
         If the file cannot be written.
     """
     mask = mask & np.isfinite(values)
-    chosen = object_pixels(values, mask) if unit == "mm" else mask
+    every = max(1, min(mask.shape) // _ASKED_LINES)
+    some, seen = values[::every, ::every], mask[::every, ::every]
+    chosen = object_pixels(some, seen) if unit == "mm" else seen
     name, told = ("depth", "mm") if unit == "mm" else ("", "rad, not mm")
-    scale = ColorScale.over(values[chosen], name, told, grey_beyond=not np.array_equal(chosen, mask))
+    scale = ColorScale.over(some[chosen], name, told, grey_beyond=not np.array_equal(chosen, seen))
     image = np.where(mask[..., None], scale.colors(np.where(mask, values, scale.low)), np.uint8(_HIDDEN))
     height = max(len(image), 160)  # room for the scale's numbers beside a small image
     gap = round(height / 40)
@@ -100,23 +106,60 @@ def shade_range(
     Slopes come from the neighbours on both sides; one that is masked or beyond a depth step does not count.
     """
     surface = values[..., None] if points is None else points
-    mask = mask & np.isfinite(values) & np.isfinite(surface).all(axis=-1)
-    surface = np.where(mask[..., None], surface, 0)
-    along_x = _slope(surface, mask)
-    along_y = _slope(surface.swapaxes(0, 1), mask.T).swapaxes(0, 1)
-    if points is None:
-        slopes = np.concatenate([along_x, along_y], axis=-1)
-        # The steep tenth starts at 50 degrees; the typical slope may be a flat wall's noise.
-        steep = np.percentile(np.linalg.norm(slopes[mask], axis=-1), 90) if mask.any() else 0
-        slopes *= 1.2 / steep if steep > 0 else 1
-        normals = np.concatenate([slopes, np.full_like(values, -1)[..., None]], axis=-1)
-    else:
-        normals = np.cross(along_y, along_x)
-        normals[~normals.any(axis=-1)] = (0, 0, -1)
-    light = np.array([-1, -1, -2], np.float32)  # from the surface to the lamp
-    cosines = normals @ light / (np.linalg.norm(normals, axis=-1) * np.linalg.norm(light))
-    shaded = (0.15 + 0.85 * cosines.clip(0, 1))[..., None] * CLAY
-    return np.where(mask[..., None], shaded, _HIDDEN).astype(np.uint8)
+    most = [_largest_slope(surface, mask, axis) for axis in range(2)]
+    steep = _steep_slope(values, mask, most) if points is None else 1.0
+    light = (np.array([-1, -1, -2]) / np.sqrt(6)).astype(np.float32)  # from the surface to the lamp
+    shaded = np.empty((*mask.shape, 3), np.uint8)
+    for rows in _blocks(len(mask)):
+        along_x, along_y, known = _slopes(surface, mask, rows, most)
+        if points is None:
+            normals = np.concatenate([along_x, along_y, np.full_like(along_x, -steep)], axis=-1)
+        else:
+            normals = np.cross(along_y, along_x)
+            normals[~normals.any(axis=-1)] = (0, 0, -1)
+        cosines = normals @ light / np.linalg.norm(normals, axis=-1)
+        lit = (np.float32(0.15) + np.float32(0.85) * cosines.clip(0, 1))[..., None] * CLAY
+        shaded[rows] = np.where(known[..., None], lit, np.float32(_HIDDEN))
+    return shaded
+
+
+def _blocks(height: int) -> list[slice]:
+    return [slice(first, min(first + _ROWS, height)) for first in range(0, height, _ROWS)]
+
+
+def _steep_slope(values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], most: list[float]) -> float:
+    """Return the slope that is shown as 50 degrees: where the steep tenth starts, as the usual one may be noise."""
+    found = []
+    for rows in _blocks(len(mask)):
+        along_x, along_y, known = _slopes(values[..., None], mask, rows, most)
+        found.append(np.hypot(along_x, along_y)[known])
+    sizes = np.concatenate(found) if found else np.empty(0, np.float32)
+    steep = float(np.percentile(sizes, 90)) / 1.2 if len(sizes) else 0.0
+    return steep if steep > 0 else 1.0
+
+
+def _largest_slope(surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], axis: int) -> float:
+    """Return the largest change of depth from one pixel to the next that is a slope, and no step."""
+    every = max(1, mask.shape[1 - axis] // _ASKED_LINES)
+    depth, known = np.moveaxis(surface[..., -1], axis, 1)[::every], np.moveaxis(mask, axis, 1)[::every]
+    with np.errstate(invalid="ignore"):  # of pixels without a value
+        reach = np.abs(np.diff(depth, axis=1))[known[:, 1:] & known[:, :-1]]
+    reach = reach[np.isfinite(reach)]
+    # A depth step stands far out of the slopes of surfaces, and is rare.
+    return 4 * float(np.percentile(reach, 95)) if len(reach) else 0.0
+
+
+def _slopes(
+    surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], rows: slice, most: list[float]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+    """Return the slopes a pixel to the right and down in some rows, (H, W, C) each, and where there is a value."""
+    top, bottom = max(rows.start - 1, 0), min(rows.stop + 1, len(mask))
+    inner = slice(rows.start - top, rows.stop - top)
+    piece = surface[top:bottom]
+    known = mask[top:bottom] & np.isfinite(piece).all(axis=-1)
+    piece = np.where(known[..., None], piece, np.float32(0))
+    along_y = _slope(piece.swapaxes(0, 1), known.T, most[0]).swapaxes(0, 1)
+    return _slope(piece[inner], known[inner], most[1]), along_y[inner], known[inner]
 
 
 def write_png(path: str | Path, image: npt.NDArray[np.uint8]) -> None:
@@ -135,14 +178,10 @@ def encode_png(image: npt.NDArray[np.uint8]) -> bytes:
     return bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
 
 
-def _slope(surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.float32]:
+def _slope(surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], most: float) -> npt.NDArray[np.float32]:
     """Return the slope a pixel from left to right, (H, W, C); 0 where neither side has one."""
     steps = np.diff(surface, axis=1)
-    reach = np.abs(steps[..., -1])
-    whole = mask[:, 1:] & mask[:, :-1]
-    if whole.any():
-        # A depth step stands far out of the slopes of surfaces, and is rare.
-        whole = whole & (reach <= 4 * np.percentile(reach[whole], 95))
+    whole = mask[:, 1:] & mask[:, :-1] & (np.abs(steps[..., -1]) <= most)
     steps[~whole] = 0
     sums, counts = np.zeros_like(surface), np.zeros(mask.shape, np.float32)
     for side in (np.s_[:, 1:], np.s_[:, :-1]):

@@ -65,7 +65,7 @@ def test_a_picture_gives_all_files(tmp_path):
         "reading",
         "compiling kernels, and decoding 128x96 px",
         "reading every field",
-        "drawing range.png and shaded.png",
+        "drawing range.png",
         "meshing and storing",
         f"writing a mesh of {n_triangles:,} triangles",
         "storing every field",
