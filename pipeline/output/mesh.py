@@ -19,7 +19,7 @@ NORMAL = ("nx", "ny", "nz")
 COLOR = ("red", "green", "blue")
 FLAGS = "flags"
 #: Bits of a vertex's flags; without any it lies where the pixel was measured.
-SMOOTHED, FILLED = 1, 2
+SMOOTHED, FILLED, RIM = 1, 2, 4
 RESERVED = (*POSITION, *NORMAL, *COLOR, FLAGS)
 #: What a mesh may say of how it was made (`pipeline.output.provenance`).
 PROVENANCE = ("software", "source", "frame", "time_s", "calibration_sha256", "settings")
@@ -45,7 +45,8 @@ class Mesh:
         Unit vectors across the surface, towards the camera.
     flags : (N,) uint8, optional
         What of each vertex was not measured: bits `SMOOTHED` (1: moved along its pixel's ray to the surface through its
-        neighbours) and `FILLED` (2: the surface around a small hole goes on there).
+        neighbours) and `FILLED` (2: nothing was measured there: the surface around a small hole goes on, or, with `RIM`
+        (4), the vertex has moved along the surface, by less than half a pixel, to the line in which that ends).
     texture : (H, W, 3) uint8, optional
         sRGB: a picture that the surface wears; `colors` are its colours at the vertices.
     pixels : (N, 2) float32, optional

@@ -12,8 +12,9 @@ from pipeline.errors import SettingsError
 from pipeline.output.background import inside_box, on_largest_plane
 from pipeline.output.decimation import decimate_mesh
 from pipeline.output.holes import FilledHoles, fill_holes
-from pipeline.output.mesh import FILLED, SMOOTHED, Mesh, Unit
+from pipeline.output.mesh import FILLED, RIM, SMOOTHED, Mesh, Unit
 from pipeline.output.range_surface import MAX_SLOPE, RangeSurface
+from pipeline.output.rims import rim_shifts
 from pipeline.output.specks import find_surfaces, links_within
 from tikernels import runtime
 from tikernels.depth.meshing import triangulate_mesh
@@ -55,7 +56,9 @@ class MeshCounts:
     smoothed: int
     """Vertices that were moved to the surface through their neighbours."""
     filled: int
-    """Vertices where nothing was measured."""
+    """Vertices in holes, where nothing was measured."""
+    rim: int
+    """Vertices that have moved to the line in which a surface ends."""
     cropped: int
     """Pixels outside the box."""
     background: int
@@ -169,24 +172,22 @@ def surface_mesh(
     from_measured.ravel()[holes.filled] = False
     specks = (specks | pieces) & measured
     teeth = measured & ~from_measured & ~specks
-    flags = np.zeros(mask.shape, np.uint8)
-    flags[(fitted.level > 0) & options.smoothed] = SMOOTHED
-    flags.ravel()[holes.filled] |= FILLED
+    shift = rim_shifts(kept) if options.smoothed else np.zeros((*mask.shape, 2), np.float32)
     places = np.flatnonzero(kept)
+    flags = _flags(fitted.level, holes, shift, options)[places]
     depth = fitted.depth if options.smoothed else surface.depth
     if points is None:
-        vertices, normals = _relief(places, mask.shape[1], depth.ravel()[places], fitted.slope.reshape(-1, 2)[places])
+        vertices, normals = _relief(places, depth, fitted.slope, shift)
     else:
         with runtime.lock:
-            vertices, normals = place_vertices(depth, fitted.slope, points, mask, kept)
+            vertices, normals = place_vertices(depth, fitted.slope, shift, points, mask, kept)
     number = _source_pixels(mask, holes, places)
     carried = _carried(surface, places, unit, {name: values[number] for name, values in properties.items()})
     if "confidence" in carried:
-        carried["confidence"][flags.ravel()[places] & FILLED != 0] = 0
-    more: dict[str, Any] = {"normals": normals, "flags": flags.ravel()[places]}
+        carried["confidence"][flags & (FILLED | RIM) == FILLED] = 0
+    more: dict[str, Any] = {"normals": normals, "flags": flags}
     if texture is not None:
-        y, x = np.divmod(places, mask.shape[1])
-        more |= {"pixels": np.column_stack([x, y]).astype(np.float32), "texture": texture}
+        more |= {"pixels": _columns_and_rows(places, shift), "texture": texture}
         more["colors"] = texture.reshape(-1, 3)[np.flatnonzero(mask)[number]]
     mesh = Mesh(vertices, faces, properties=carried, unit=unit, **more)
     if options.max_triangles is not None:
@@ -237,12 +238,29 @@ def _linked_again(
     return np.where(near, _links(surface.without(~around)), links)
 
 
-def _relief(places: npt.NDArray[np.intp], width: int, depth: Floats, slope: Floats) -> tuple[Floats, Floats]:
+def _flags(level: Floats, holes: FilledHoles, shift: Floats, options: MeshOptions) -> npt.NDArray[np.uint8]:
+    """Return what of each pixel's vertex was not measured, in the flat image."""
+    flags = np.zeros(level.size, np.uint8)
+    flags[(level.ravel() > 0) & options.smoothed] = SMOOTHED
+    flags[holes.filled] |= FILLED
+    flags[shift.reshape(-1, 2).any(axis=1)] |= FILLED | RIM
+    return flags
+
+
+def _columns_and_rows(places: npt.NDArray[np.intp], shift: Floats) -> Floats:
+    """Return x and y of some pixels' vertices, px."""
+    y, x = np.divmod(places, shift.shape[1])
+    down, right = shift.reshape(-1, 2)[places].T
+    return np.column_stack([x + right, y + down]).astype(np.float32)
+
+
+def _relief(places: npt.NDArray[np.intp], depth: Floats, slope: Floats, shift: Floats) -> tuple[Floats, Floats]:
     """Return the vertices of a relief over an image, in px and rad, and their normals towards the camera."""
-    y, x = np.divmod(places, width)
+    slope = slope.reshape(-1, 2)[places]
     normals = np.column_stack([slope[:, 1], slope[:, 0], np.full(len(slope), -1, np.float32)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.column_stack([x, y, depth]).astype(np.float32), normals
+    moved = depth.ravel()[places] + (slope * shift.reshape(-1, 2)[places]).sum(axis=1)
+    return np.column_stack([_columns_and_rows(places, shift), moved]), normals
 
 
 def _source_pixels(mask: Pixels, holes: FilledHoles, places: npt.NDArray[np.intp]) -> npt.NDArray[np.int32]:
@@ -271,5 +289,6 @@ def _confidence(sigma: Floats, width: Floats, wrong: Floats) -> Floats:
 
 def _counted(mesh: Mesh, cropped: int, background: int, specks: int, teeth: int) -> MeshCounts:
     flags = np.zeros(0, np.uint8) if mesh.flags is None else mesh.flags
-    smoothed, filled = (int((flags & bit != 0).sum()) for bit in (SMOOTHED, FILLED))
-    return MeshCounts(len(mesh.vertices), len(mesh.faces), smoothed, filled, cropped, background, specks, teeth)
+    smoothed, filled, rim = (int((flags & bit != 0).sum()) for bit in (SMOOTHED, FILLED, RIM))
+    told = (smoothed, filled - rim, rim)
+    return MeshCounts(len(mesh.vertices), len(mesh.faces), *told, cropped, background, specks, teeth)

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration.model import Lens
-from pipeline.output.mesh import FILLED, Mesh
+from pipeline.output.mesh import FILLED, RIM, Mesh
 
 #: Neighbouring pixels whose depths differ by this much, mm, see two surfaces.
 STEP_MM = 5.0
@@ -29,7 +29,9 @@ class MeshQuality:
     beyond_six: float
     """Measured vertices beyond six."""
     filled_within_three: float
-    """The same of those that were filled; NaN: none were."""
+    """The same of those in holes that were filled; NaN: none were."""
+    rim_within_three: float
+    """The same of those that have moved to a rim, between pixels; NaN: none have."""
     depth_median_mm: float
     """Median size of the depth's error."""
     depth_rms_mm: float
@@ -49,7 +51,7 @@ def judge_mesh(mesh: Mesh, depth_mm: npt.NDArray[np.floating], lit: Pixels, came
     Parameters
     ----------
     mesh : Mesh
-        Of one camera frame; its vertices lie on pixels' rays.
+        Of one camera frame; its vertices lie on pixels' rays, but for those that have moved to a rim.
     depth_mm : (H, W)
         True depth; NaN or infinite where nothing is.
     lit : (H, W) bool
@@ -64,11 +66,13 @@ def judge_mesh(mesh: Mesh, depth_mm: npt.NDArray[np.floating], lit: Pixels, came
     known = np.isfinite(truth)
     error = mesh.vertices[:, 2] - truth
     deviation = np.abs(error) / mesh.properties["sigma_mm"]
-    filled = mesh.flags & FILLED != 0
-    measured, made = known & ~filled, known & filled
+    filled, moved = mesh.flags & (FILLED | RIM) == FILLED, mesh.flags & RIM != 0
+    measured, made = known & ~filled & ~moved, known & filled
     corners = truth[mesh.faces]
     covered = np.zeros(lit.shape, bool)
     covered[y, x] = True
+    off_rim = np.abs(mesh.vertices[moved, 2] - _depth_between(depth_mm, place[moved, :2]))
+    off_rim = (off_rim / mesh.properties["sigma_mm"][moved])[np.isfinite(off_rim)]
     tilt = np.einsum("ni,ni->n", mesh.normals, true_normals(depth_mm, camera)[y, x])
     return MeshQuality(
         vertices=len(mesh.vertices),
@@ -77,6 +81,7 @@ def judge_mesh(mesh: Mesh, depth_mm: npt.NDArray[np.floating], lit: Pixels, came
         within_three=float((deviation[measured] < 3).mean()),
         beyond_six=float((deviation[measured] > 6).mean()),
         filled_within_three=float((deviation[made] < 3).mean()) if made.any() else float("nan"),
+        rim_within_three=float((off_rim < 3).mean()) if len(off_rim) else float("nan"),
         depth_median_mm=float(np.median(np.abs(error[measured]))),
         depth_rms_mm=float(np.sqrt(np.mean(error[measured] ** 2))),
         complete=float((covered & lit).sum() / lit.sum()),
@@ -95,6 +100,18 @@ def true_normals(depth_mm: npt.NDArray[np.floating], camera: Lens) -> npt.NDArra
     across = np.cross(down, along)
     across[np.maximum(np.abs(along[..., 2]), np.abs(down[..., 2])) >= STEP_MM] = np.nan
     return across / np.linalg.norm(across, axis=-1, keepdims=True)
+
+
+def _depth_between(depth_mm: npt.NDArray[np.floating], place: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    """Return the true depth at places between pixels, (N,); NaN where a step is between them."""
+    x, y = place.T
+    left = np.clip(np.floor(x).astype(int), 0, depth_mm.shape[1] - 2)
+    top = np.clip(np.floor(y).astype(int), 0, depth_mm.shape[0] - 2)
+    corners = np.stack([depth_mm[top + j, left + i] for j in (0, 1) for i in (0, 1)])
+    u, v = x - left, y - top
+    between = (1 - v) * ((1 - u) * corners[0] + u * corners[1]) + v * ((1 - u) * corners[2] + u * corners[3])
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(np.ptp(corners, axis=0) < STEP_MM, between, np.nan))
 
 
 def _share_of_rims(

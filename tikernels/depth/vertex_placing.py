@@ -1,4 +1,4 @@
-"""Put vertices on their pixels' rays, with normals by the slopes of the depth.
+"""Put vertices on their pixels' rays, or beside them, with normals by the slopes of the depth.
 
 A point is z r(x, y), with r = (r_x, r_y, 1) its pixel's ray. From column to column and from row to row it moves by
 
@@ -51,6 +51,7 @@ def slope_at(coefficients: vec4, u: f32) -> f32:
 def place_vertices_kernel(
     depth: F32Array2,  # (H, W) mm
     slope: F32Array3,  # (H, W, 2) mm a px, down and to the right
+    shift: F32Array3,  # (H, W, 2) px, likewise
     points: F32Array3,  # (H, W, 3) mm
     measured: U8Array2,  # (H, W) where there are points
     kept: U8Array2,  # (H, W) pixels that become vertices
@@ -69,9 +70,15 @@ def place_vertices_kernel(
             down_x, down_y = cubic_of_row(cubic, 0, v, 1), cubic_of_row(cubic, 1, v, 1)
             for x in range(width):
                 if kept[y, x] != 0:
-                    u, z = x / size, depth[y, x]
-                    ray = vec3(cubic_at(ray_x, u), cubic_at(ray_y, u), 1.0)
-                    if measured[y, x] != 0:
+                    dy, dx = shift[y, x, 0], shift[y, x, 1]
+                    u, z = (x + dx) / size, depth[y, x] + dy * slope[y, x, 0] + dx * slope[y, x, 1]
+                    beside = dy / size
+                    ray = vec3(
+                        cubic_at(ray_x, u) + beside * cubic_at(down_x, u),
+                        cubic_at(ray_y, u) + beside * cubic_at(down_y, u),
+                        1.0,
+                    )
+                    if measured[y, x] != 0 and dy == 0.0 and dx == 0.0:
                         away = 1.0 / points[y, x, 2]
                         ray = vec3(points[y, x, 0] * away, points[y, x, 1] * away, 1.0)
                     per_pixel = z / size
@@ -84,7 +91,7 @@ def place_vertices_kernel(
                     number += 1
 
 
-def place_vertices(depth: F32, slope: F32, points: Floats, mask: Mask, kept: Mask) -> tuple[Floats, Floats]:
+def place_vertices(depth: F32, slope: F32, shift: F32, points: Floats, mask: Mask, kept: Mask) -> tuple[Floats, Floats]:
     """Put vertices on their pixels' rays.
 
     Parameters
@@ -93,6 +100,8 @@ def place_vertices(depth: F32, slope: F32, points: Floats, mask: Mask, kept: Mas
         mm.
     slope : (H, W, 2) float32
         Its change a px down and to the right, mm.
+    shift : (H, W, 2) float32
+        By how much vertices lie below and to the right of their pixels, px.
     points : (H, W, 3) float32
         mm, camera frame.
     mask : (H, W) bool or uint8
@@ -103,7 +112,7 @@ def place_vertices(depth: F32, slope: F32, points: Floats, mask: Mask, kept: Mas
     Returns
     -------
     vertices : (N, 3) float32
-        mm, row by row.
+        mm, row by row, on the surface by its depth and slope.
     normals : (N, 3) float32
         Unit vectors, towards the camera.
 
@@ -115,6 +124,7 @@ def place_vertices(depth: F32, slope: F32, points: Floats, mask: Mask, kept: Mas
     depth = checks.read_array("depth", depth, (None, None), np.float32)
     shape = (int(depth.shape[0]), int(depth.shape[1]))
     slope = checks.read_array("slope", slope, (*shape, 2), np.float32)
+    shift = checks.read_array("shift", shift, (*shape, 2), np.float32)
     points = checks.read_array("points", points, (*shape, 3), np.float32)
     mask, kept = checks.read_mask("mask", mask, shape), checks.read_mask("kept", kept, shape)
     counts = np.count_nonzero(runtime.to_host(kept), axis=1)
@@ -122,7 +132,7 @@ def place_vertices(depth: F32, slope: F32, points: Floats, mask: Mask, kept: Mas
     if len(vertices):
         first = (np.cumsum(counts) - counts).astype(np.int32)
         rays = (ray_cubic(runtime.to_host(points), runtime.to_host(mask) != 0), float(max(shape)))
-        place_vertices_kernel(depth, slope, points, mask, kept, *rays, first, vertices, normals)
+        place_vertices_kernel(depth, slope, shift, points, mask, kept, *rays, first, vertices, normals)
     return vertices, normals
 
 

@@ -46,7 +46,7 @@ def encode_ply(mesh: Mesh, heading: Heading) -> dict[str, Content]:
         "ply",
         "format binary_little_endian 1.0",
         *heading.comments("comment").splitlines(),
-        *(["comment flags 0 measured, 1 smoothed, 2 filled"] if mesh.flags is not None else []),
+        *(["comment flags 0 measured, 1 smoothed, 2 filled, 6 moved to a rim"] if mesh.flags is not None else []),
         f"element vertex {len(mesh.vertices)}",
         *(f"property {kind} {name}" for name, kind in kinds.items()),
         f"element face {len(mesh.faces)}",

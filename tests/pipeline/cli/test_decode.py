@@ -11,7 +11,7 @@ from support.command_line import colorphase
 from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.decoding.frame import FIELDS
 from pipeline.footage.image_file import read_image
-from pipeline.output.mesh import FILLED
+from pipeline.output.mesh import FILLED, RIM
 from pipeline.output.mesh_files import read_mesh
 
 
@@ -44,14 +44,15 @@ def test_decode_with_a_calibration(folder):
     mask = group["mask"][0]
     mesh = read_mesh(out / "mesh.ply")
     assert mask.sum() == np.isfinite(group["points"][0]).all(axis=-1).sum()
-    measured = mesh.flags & FILLED == 0
+    measured = mesh.flags & (FILLED | RIM) != FILLED
     assert 0.97 * mask.sum() < measured.sum() <= mask.sum()
     assert mesh.unit == "mm"
     assert mesh.provenance["source"] == "frame.png"
     assert mesh.provenance["calibration_sha256"] == report["calibration_sha256"]
     assert json.loads(mesh.provenance["settings"])["smoothing_px"] == 3
     assert report["mesh"]["vertices"] == len(mesh.vertices) and report["mesh"]["triangles"] == len(mesh.faces)
-    assert report["mesh"]["filled"] == (mesh.flags & FILLED != 0).sum()
+    assert report["mesh"]["filled"] == (mesh.flags & (FILLED | RIM) == FILLED).sum()
+    assert report["mesh"]["rim"] == (mesh.flags & RIM != 0).sum() > 0
     assert read_image(out / "range.png").shape[0] == 240
 
 

@@ -7,6 +7,7 @@ from pipeline.simulation import simulated_rig
 from tikernels.depth.vertex_placing import place_vertices, ray_cubic
 
 SIZE = (96, 80)
+STILL = np.zeros((SIZE[1], SIZE[0], 2), np.float32)
 LENS = (-0.1, 0.0, 0.001, -0.002, 0.0)
 
 
@@ -43,7 +44,7 @@ def test_a_plane_has_its_own_normal_everywhere(arch):
     depth, slope, points, normal = tilted_plane()
     inside, mask = np.zeros((2, *depth.shape), bool)
     inside[1:-1, 1:-1], mask[:, ::3], mask[:, 1::3] = True, True, True
-    vertices, normals = place_vertices(depth, slope, np.where(mask[..., None], points, np.nan), mask, inside)
+    vertices, normals = place_vertices(depth, slope, STILL, np.where(mask[..., None], points, np.nan), mask, inside)
     np.testing.assert_allclose(vertices, points[inside], atol=0.1)
     measured = mask[inside]
     np.testing.assert_allclose(vertices[measured], points[inside & mask], rtol=1e-6)
@@ -55,16 +56,30 @@ def test_a_plane_has_its_own_normal_everywhere(arch):
 def test_vertices_move_along_their_rays(arch):
     depth, slope, points, _ = tilted_plane()
     whole = np.ones(depth.shape, bool)
-    vertices, _ = place_vertices(depth + np.float32(5), slope, points, whole, whole)
+    vertices, _ = place_vertices(depth + np.float32(5), slope, STILL, points, whole, whole)
     along = vertices / points.reshape(-1, 3)
     np.testing.assert_allclose(along, along[:, :1] * np.ones(3), rtol=1e-5)
     np.testing.assert_allclose(vertices[:, 2], depth.ravel() + 5, rtol=1e-6)
 
 
+def test_a_vertex_beside_its_pixel_is_on_the_surface(arch):
+    """On the plane, half way to the next pixel to the right and a quarter of the way to the one above."""
+    depth, slope, points, normal = tilted_plane()
+    whole = np.ones(depth.shape, bool)
+    shift = np.zeros_like(STILL)
+    shift[1:-1, 1:-1] = -0.25, 0.5
+    vertices, _ = place_vertices(depth, slope, shift, points, whole, whole)
+    assert np.abs(vertices @ normal + 700).max() < 0.03
+    moved = vertices.reshape(points.shape)[1:-1, 1:-1]
+    pixel_mm = np.linalg.norm(points[1:-1, 2:] - points[1:-1, 1:-1], axis=-1)
+    right = np.linalg.norm(moved - points[1:-1, 1:-1], axis=-1)
+    np.testing.assert_allclose(right, np.hypot(0.5, 0.25) * pixel_mm, rtol=0.3)
+
+
 def test_nothing_kept_is_no_vertex(arch):
     depth, slope, points, _ = tilted_plane()
     nothing = np.zeros(depth.shape, bool)
-    vertices, normals = place_vertices(depth, slope, points, nothing, nothing)
+    vertices, normals = place_vertices(depth, slope, STILL, points, nothing, nothing)
     assert vertices.shape == normals.shape == (0, 3)
 
 
@@ -75,4 +90,4 @@ def test_menu(menu):
     def place(**inputs):
         return place_vertices(**inputs)[0]
 
-    menu(place, depth=depth, slope=slope, points=points, mask=whole, kept=whole)
+    menu(place, depth=depth, slope=slope, shift=STILL, points=points, mask=whole, kept=whole)

@@ -28,7 +28,7 @@ def test_normals_and_flags_have_the_names_that_programs_look_for(tmp_path: Path,
     assert [f"property float n{axis}" for axis in "xyz"] == [
         line for line in head if line.startswith("property float n")
     ]
-    assert "property uchar flags" in head and "comment flags 0 measured, 1 smoothed, 2 filled" in head
+    assert "property uchar flags" in head and "comment flags 0 measured, 1 smoothed, 2 filled, 6 moved to a rim" in head
     np.testing.assert_allclose(pyvista.read(tmp_path / "mesh.ply").point_data["Normals"], mesh.normals * (1, -1, -1))
 
 
