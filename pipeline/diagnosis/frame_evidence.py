@@ -40,6 +40,8 @@ _EVEN = 0.5
 # A surface whose phase changes by less, rad, keeps its brightness: by 0.3 rad, some 2 mm of 900, light that falls with
 # the square of the distance changes by half a per cent. Noise makes less.
 _STILL_RAD = 0.3
+# Motion shows where a pixel's standard deviation is at most this many times what most have.
+_AS_SURE = 2.0
 # Places at least that tell a drift.
 _MIN_PLACES = 12
 
@@ -176,12 +178,19 @@ def stands_still(first: KeptFrame, later: KeptFrame) -> bool:
 
 
 def measure_motion(first: InspectedFrame, second: InspectedFrame) -> npt.NDArray[np.float32]:
-    """Return by how much the phase differs, rad, where both frames have one; half a cycle is the most that shows."""
+    """Return by how much the phase differs, rad, where both are sure of it; half a cycle is the most that shows."""
     if first.frame is None or second.frame is None:
         return np.zeros(0, np.float32)
-    both = first.frame.mask & second.frame.mask
+    both = _sure_pixels(first.frame) & _sure_pixels(second.frame)
     change = second.frame.wrapped_phase[both] - first.frame.wrapped_phase[both]
     return np.asarray(np.abs(change - np.float32(2 * np.pi) * np.rint(change / np.float32(2 * np.pi))))
+
+
+def _sure_pixels(frame: DecodedFrame) -> npt.NDArray[np.bool_]:
+    """Return the pixels that are about as sure as most: dim ones differ by their noise from frame to frame."""
+    sigma = frame.phase_sigma
+    usual = float(np.median(sigma[frame.mask])) if frame.mask.any() else 0.0
+    return np.asarray(frame.mask & (sigma <= _AS_SURE * usual))
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ a side, g the usual change there (`phase_change.py`), and b the brightness witho
     |p + 2 pi k - (2 u_1 - u_2)| < 0.5 t + 2.5 sqrt(var(p) + 2 var(u_1)),    t = |u_1 - u_2 - g|,
     |log(b / b_1)| < 0.06 + 0.6 t,
 
-because what turns away may turn away further, and gets darker, and what does not does neither. The side that fits best
-of four tells the order k. Two of the eight pixels around must be of the same surface, and none of another: what sees
-two surfaces at once belongs to neither. Rims grow by a pixel a turn.
+because what turns away may turn away further, and gets darker, and what does not does neither. Where noise would let
+0.8 rad pass, which is a step (`smoothing.py`), nothing is told. The side that fits best of four tells the order k. Two
+of the eight pixels around must be of the same surface, and none of another: what sees two surfaces at once belongs to
+neither. Rims grow by a pixel a turn.
 
 What lies beyond the new rim may shine into its pixels by blur. Of their variance that makes
 
@@ -30,6 +31,7 @@ from tikernels.arrays import F32, I32, U8
 from tikernels.launching import kernel
 from tikernels.phase.phase_fit import MAX_MISFIT
 from tikernels.phase.phase_vector import PI
+from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.phase.wrapped_phase import has_phase
 from tikernels.unwrapping.continuity import frame_rates
 from tikernels.unwrapping.tables import cell_bounds, cells_of
@@ -76,10 +78,11 @@ def goes_on(
                 expected = unwrapped[y1, x1] + slope
                 value = phase[y, x] + 2.0 * PI * ti.round((expected - phase[y, x]) * (0.5 / PI))
                 noise = ti.sqrt(1.0 / ti.max(precision[y, x], _LEAST) + 2.0 * ti.abs(variance[y1, x1]))
-                share = ti.abs(value - expected) / (_BEND * turn + _SURE * noise)
+                most = _BEND * turn + _SURE * noise
+                share = ti.abs(value - expected) / most
                 ratio = ti.max(brightness[y, x], _LEAST) / ti.max(brightness[y1, x1], _LEAST)
                 alike = ti.abs(ti.log(ratio)) < _ALIKE + _DARKENS * turn
-                if alike and share < best and ti.abs(slope) < _STEP:
+                if alike and share < best and ti.abs(slope) < _STEP and most < MAX_DEPARTURE:
                     best = share
                     result = vec2(value, ti.cast(region[y1, x1], f32))
     return result
