@@ -1,7 +1,7 @@
 """A decoded frame as a triangle mesh, top to bottom: what is wanted, steps, specks, holes, smoothing, triangles."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -19,7 +19,7 @@ from pipeline.output.specks import find_surfaces, links_within
 from tikernels import runtime
 from tikernels.depth.meshing import triangulate_mesh
 from tikernels.depth.step_cutting import cut_steep_links, link_pixels
-from tikernels.depth.surface_fit import fit_surface
+from tikernels.depth.surface_fit import FittedSurface, fit_surface
 from tikernels.depth.vertex_placing import place_vertices
 
 Floats = npt.NDArray[np.float32]
@@ -152,6 +152,45 @@ def surface_mesh(
     surface = RangeSurface.of(values, mask, points, properties.get(f"sigma_{unit}"), region)
     left_out = _left_out(surface, points, options)
     surface = surface.without(left_out[0] | left_out[1])
+    joined = _joined(surface)
+    holes, kept, fitted = joined.holes, joined.kept, joined.fitted
+    shift = rim_shifts(kept) if options.smoothed else np.zeros((*mask.shape, 2), np.float32)
+    places = np.flatnonzero(kept)
+    flags = _flags(fitted.level, holes, shift, options)[places]
+    depth = fitted.depth if options.smoothed else holes.surface.depth
+    if points is None:
+        vertices, normals = _relief(places, depth, fitted.slope, shift)
+    else:
+        with runtime.lock:
+            vertices, normals = place_vertices(depth, fitted.slope, shift, points, mask, kept)
+    number = _source_pixels(mask, holes, places)
+    carried = _carried(holes.surface, places, unit, {name: values[number] for name, values in properties.items()})
+    if "confidence" in carried:
+        carried["confidence"][flags & (FILLED | RIM) == FILLED] = 0
+    more: dict[str, Any] = {"normals": normals, "flags": flags}
+    if texture is not None:
+        more |= {"pixels": _columns_and_rows(places, shift), "texture": texture}
+        more["colors"] = texture.reshape(-1, 3)[np.flatnonzero(mask)[number]]
+    mesh = Mesh(vertices, joined.faces, properties=carried, unit=unit, **more)
+    if options.max_triangles is not None:
+        mesh = decimate_mesh(mesh, options.max_triangles)
+    return mesh, _counted(mesh, *(int(pixels.sum()) for pixels in (*left_out, joined.specks, joined.teeth)))
+
+
+class _Joined(NamedTuple):
+    """A range image whose pixels are joined."""
+
+    holes: FilledHoles
+    fitted: FittedSurface
+    kept: Pixels
+    """(H, W): what becomes a vertex."""
+    faces: npt.NDArray[np.int32]
+    specks: Pixels
+    teeth: Pixels
+
+
+def _joined(surface: RangeSurface) -> _Joined:
+    """Link a range image's pixels, fill its holes, fit a surface to it, and cut what that says is a step."""
     measured = surface.region != 0
     with runtime.lock:
         links = _links(surface)
@@ -171,28 +210,7 @@ def surface_mesh(
     from_measured = kept.copy()
     from_measured.ravel()[holes.filled] = False
     specks = (specks | pieces) & measured
-    teeth = measured & ~from_measured & ~specks
-    shift = rim_shifts(kept) if options.smoothed else np.zeros((*mask.shape, 2), np.float32)
-    places = np.flatnonzero(kept)
-    flags = _flags(fitted.level, holes, shift, options)[places]
-    depth = fitted.depth if options.smoothed else surface.depth
-    if points is None:
-        vertices, normals = _relief(places, depth, fitted.slope, shift)
-    else:
-        with runtime.lock:
-            vertices, normals = place_vertices(depth, fitted.slope, shift, points, mask, kept)
-    number = _source_pixels(mask, holes, places)
-    carried = _carried(surface, places, unit, {name: values[number] for name, values in properties.items()})
-    if "confidence" in carried:
-        carried["confidence"][flags & (FILLED | RIM) == FILLED] = 0
-    more: dict[str, Any] = {"normals": normals, "flags": flags}
-    if texture is not None:
-        more |= {"pixels": _columns_and_rows(places, shift), "texture": texture}
-        more["colors"] = texture.reshape(-1, 3)[np.flatnonzero(mask)[number]]
-    mesh = Mesh(vertices, faces, properties=carried, unit=unit, **more)
-    if options.max_triangles is not None:
-        mesh = decimate_mesh(mesh, options.max_triangles)
-    return mesh, _counted(mesh, *(int(pixels.sum()) for pixels in (*left_out, specks, teeth)))
+    return _Joined(holes, fitted, kept, faces, specks, measured & ~from_measured & ~specks)
 
 
 def _carried(

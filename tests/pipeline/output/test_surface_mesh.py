@@ -160,7 +160,8 @@ def test_the_bust_is_a_surface(seed):
         for options in (AS_MEASURED, MeshOptions())
     )
     assert smooth.within_three > 0.99 and smooth.beyond_six < 1e-4
-    assert smooth.filled_within_three > 0.9 and smooth.rim_within_three > 0.95
+    assert smooth.filled == 0 or smooth.filled_within_three > 0.9
+    assert smooth.rim_within_three > 0.95
     assert smooth.complete > 0.98
     assert smooth.rims > 0.88
     assert smooth.across_steps == rough.across_steps == 0
