@@ -93,13 +93,12 @@ def blend_windows_kernel(
     top: i32,  # the first of the rows
     level: F32Array2,  # (rows, W) what to take, between whole levels a mean of both
     wanted: i32,  # the first row that is wanted
-    wanted_rows: i32,  # and how many are
-    out_depth: F32Array2,  # (H, W)
-    out_slope: F32Array3,  # (H, W, 2) a px, down and to the right
-    out_sigma: F32Array2,  # (H, W)
+    out_depth: F32Array2,  # (wanted rows, W)
+    out_slope: F32Array3,  # (wanted rows, W, 2) a px, down and to the right
+    out_sigma: F32Array2,  # (wanted rows, W)
 ):
     width = mask.shape[1]
-    for t in range(wanted_rows * strip_count(width, STRIP)):
+    for t in range(out_depth.shape[0] * strip_count(width, STRIP)):
         number, first, count = strip_at(t, width, STRIP)
         y = wanted + number
         row = y - top
@@ -119,9 +118,9 @@ def blend_windows_kernel(
                         doubt += part * ti.sqrt(ti.min(fits[window, Fit.VARIANCE, row, x], own))
                     else:
                         doubt += part * ti.sqrt(own)
-            out_depth[y, x] = depth[y, x] + value
-            out_slope[y, x, 0], out_slope[y, x, 1] = by_row, by_column
-            out_sigma[y, x] = doubt
+            out_depth[number, x] = depth[y, x] + value
+            out_slope[number, x, 0], out_slope[number, x, 1] = by_row, by_column
+            out_sigma[number, x] = doubt
 
 
 def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
@@ -168,8 +167,9 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
         narrowest = cv2.erode(_median(chosen), np.ones((_NEAR_PX, _NEAR_PX), np.uint8))
         wide = cv2.blur(narrowest.astype(np.float32), (_NEAR_PX, _NEAR_PX))
         level[first:last] = wide[first - top : last - top]
-        rows = (first, last - first)
-        blend_windows_kernel(fits, depth, precision, mask, top, wide, *rows, fitted, slope, doubt)
+        # The rows alone: what a GPU writes to a part of an array, it would write to all of it.
+        out = (fitted[first:last], slope[first:last], doubt[first:last])
+        blend_windows_kernel(fits, depth, precision, mask, top, wide, first, *out)
     return FittedSurface(fitted, slope, doubt, level)
 
 

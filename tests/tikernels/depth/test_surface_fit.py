@@ -5,6 +5,8 @@ import pytest
 import reference
 from support.linked_pixels import all_linked
 
+from pipeline.output.specks import links_within
+from tikernels.depth import surface_fit
 from tikernels.depth.step_cutting import DOWN
 from tikernels.depth.surface_fit import fit_surface
 
@@ -76,6 +78,17 @@ def test_nothing_comes_over_a_step(arch):
     fitted = fit_surface(depth, sigma, np.ones(SHAPE, bool), links)
     assert np.abs(fitted.depth - np.where(x < 20, 800, 805)).max() < 4 * 0.05
     assert np.abs(fitted.slope).max() < 0.1
+
+
+def test_a_large_picture_is_fitted_in_pieces(arch, monkeypatch):
+    y, x = np.indices(SHAPE)
+    depth, sigma = noisy(800 + 0.01 * (x - 20.0) ** 2 + 0.3 * np.sin(y / 3), 0.1)
+    mask = np.random.default_rng(3).random(SHAPE) > 0.02
+    links = links_within(all_linked(SHAPE), mask)
+    whole = fit_surface(depth, sigma, mask, links)
+    monkeypatch.setattr(surface_fit, "_ROWS", 9)
+    for name, value in fit_surface(depth, sigma, mask, links)._asdict().items():
+        np.testing.assert_array_equal(value, getattr(whole, name), err_msg=name)
 
 
 def test_pixels_off_the_mask_stay_as_they_are(arch):
