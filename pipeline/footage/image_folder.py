@@ -74,8 +74,8 @@ class ImageFolder:
             self.size_px = (planes[0].shape[1], planes[0].shape[0])
             return
         if len(names) > 1:
-            reason = f"{name}: none of its {len(names)} pictures can be; the first: {reason}"
-        raise FootageError(f"cannot read {reason}")
+            reason = f"cannot read {name}: none of its {len(names)} pictures can be read; the first: {reason}"
+        raise FootageError(reason)
 
     @classmethod
     def in_folder(cls, folder: Path, says: StoredAs) -> "ImageFolder":

@@ -25,6 +25,13 @@ RESERVED = (*POSITION, *NORMAL, *COLOR, FLAGS)
 PROVENANCE = ("software", "source", "frame", "time_s", "calibration_sha256", "settings")
 
 
+def flag_counts(flags: npt.NDArray[np.uint8]) -> dict[str, int]:
+    """Return how many vertices were smoothed, filled in holes, and moved to a rim."""
+    in_holes = flags & (FILLED | RIM) == FILLED
+    kinds = {"smoothed": flags & SMOOTHED, "filled": in_holes, "rim": flags & RIM}
+    return {name: int(np.count_nonzero(there)) for name, there in kinds.items()}
+
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """A triangle mesh in the camera frame.

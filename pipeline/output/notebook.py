@@ -12,7 +12,7 @@ import numpy.typing as npt
 from pipeline.calibration import Calibration
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import FootageError
-from pipeline.output.mesh import FILLED, RIM, SMOOTHED, Mesh
+from pipeline.output.mesh import Mesh, flag_counts
 from pipeline.output.range_image import encode_png, shade_range
 from pipeline.output.stored_result import StoredResult
 from pipeline.output.surface_mesh import frame_mesh
@@ -86,9 +86,8 @@ def _mesh_html(mesh: Mesh) -> str:
         for axis, unit, least, most in zip("xyz", units, low, high, strict=True):
             figures[axis] = f"{least:.4g} to {most:.4g} {unit}"
     if mesh.flags is not None:
-        for name, bits in (("smoothed", SMOOTHED), ("filled", FILLED), ("moved to a rim", RIM)):
-            counted = mesh.flags if bits != FILLED else np.where(mesh.flags & RIM, 0, mesh.flags)
-            figures[name] = f"{int((counted & bits != 0).sum()):,} vertices"
+        for name, count in flag_counts(mesh.flags).items():
+            figures[name] = f"{count:,} vertices"
     known = [name for name in ("colors", "normals") if getattr(mesh, name) is not None]
     figures["of each vertex"] = ", ".join([*known, *mesh.properties]) or "its place only"
     warnings = [] if mesh.unit == "mm" else ["not metric: z is relative phase in rad, x and y are px"]

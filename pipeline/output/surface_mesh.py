@@ -12,7 +12,7 @@ from pipeline.errors import SettingsError
 from pipeline.output.background import inside_box, on_largest_plane
 from pipeline.output.decimation import decimate_mesh
 from pipeline.output.holes import FilledHoles, fill_holes
-from pipeline.output.mesh import FILLED, RIM, SMOOTHED, Mesh, Unit
+from pipeline.output.mesh import FILLED, RIM, SMOOTHED, Mesh, Unit, flag_counts
 from pipeline.output.range_surface import MAX_SLOPE, RangeSurface
 from pipeline.output.rims import rim_shifts
 from pipeline.output.specks import find_surfaces, links_within
@@ -306,7 +306,6 @@ def _confidence(sigma: Floats, width: Floats, wrong: Floats) -> Floats:
 
 
 def _counted(mesh: Mesh, cropped: int, background: int, specks: int, teeth: int) -> MeshCounts:
-    flags = np.zeros(0, np.uint8) if mesh.flags is None else mesh.flags
-    smoothed, filled, rim = (int((flags & bit != 0).sum()) for bit in (SMOOTHED, FILLED, RIM))
-    told = (smoothed, filled - rim, rim)
-    return MeshCounts(len(mesh.vertices), len(mesh.faces), *told, cropped, background, specks, teeth)
+    moved = flag_counts(np.zeros(0, np.uint8) if mesh.flags is None else mesh.flags)
+    left_out = {"cropped": cropped, "background": background, "specks": specks, "teeth": teeth}
+    return MeshCounts(len(mesh.vertices), len(mesh.faces), **moved, **left_out)

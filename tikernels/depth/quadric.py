@@ -33,8 +33,8 @@ _FLAT = 1e-3
 _LEVEL = 1e-5
 # Precisions below count as this: of pixels that do not count, whose fits are of no account.
 _LEAST = 1e-20
-# Windows of samples 1, 2 and 4 px apart.
-_WINDOWS = 3
+#: Windows of samples 1, 2 and 4 px apart.
+WINDOWS = 3
 # Sums of w u^a v^b up to the fourth power together, by b and then a; and behind them of w z u^a v^b up to the second.
 _SUMS, _RIGHT_SIDE = 21, 15
 _lanes, _whole_lanes = ti.types.vector(STRIP, ti.f32), ti.types.vector(STRIP, ti.i32)
@@ -170,7 +170,7 @@ def fit_windows_kernel(
     """Fit the quadrics of some rows in all three windows."""
     height, width, rows = depth.shape[0], depth.shape[1], out.shape[2]
     strips = rows * strip_count(width, STRIP)
-    for t in range(_WINDOWS * strips):
+    for t in range(WINDOWS * strips):
         window = t // strips
         stride = 1 << window
         row, first, count = strip_at(t - window * strips, width, STRIP)

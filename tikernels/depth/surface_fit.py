@@ -20,12 +20,10 @@ import numpy.typing as npt
 from tikernels import checks
 from tikernels._taichi import F32Array2, F32Array3, F32Array4, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Mask
-from tikernels.depth.quadric import Fit, fit_windows, measure_runs, precision_of
+from tikernels.depth.quadric import WINDOWS, Fit, fit_windows, measure_runs, precision_of
 from tikernels.launching import kernel
 from tikernels.strips import STRIP, strip_at, strip_count
 
-# Windows with samples 1, 2 and 4 px apart.
-_LEVELS = 3
 # Half of an interval that must share a value with the others, in standard deviations: with 2 the rim of a simulated
 # head is flattened by a millimetre, with 1 the wall behind it keeps a tenth more of its noise.
 _HALF = 1.5
@@ -106,7 +104,7 @@ def blend_windows_kernel(
             value, doubt, by_row, by_column = 0.0, 0.0, 0.0, 0.0
             if mask[y, x] != 0:
                 own = 1.0 / precision[y, x]
-                lower = ti.min(ti.cast(level[row, x], i32), _LEVELS - 1)
+                lower = ti.min(ti.cast(level[row, x], i32), WINDOWS - 1)
                 for k in range(2):
                     part = ti.abs(1.0 - k - level[row, x] + lower)
                     # Level 0 is the pixel itself, with the slope of the narrowest window.
@@ -158,7 +156,7 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
     for first in range(0, shape[0], _ROWS):
         last = min(first + _ROWS, shape[0])
         top, bottom = max(first - _BESIDE, 0), min(last + _BESIDE, shape[0])
-        fits = np.empty((_LEVELS, len(Fit), bottom - top, shape[1]), np.float32)
+        fits = np.empty((WINDOWS, len(Fit), bottom - top, shape[1]), np.float32)
         fit_windows(depth, precision, runs, top, fits)
         chosen = np.empty((bottom - top, shape[1]), np.uint8)
         choose_windows_kernel(fits, precision, mask, top, chosen)
@@ -176,7 +174,7 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
 def _median(level: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """Return the median around each pixel: at least what half of the pixels are at least."""
     result = np.zeros_like(level)
-    for least in range(1, _LEVELS + 1):
+    for least in range(1, WINDOWS + 1):
         counts = (level >= least).view(np.uint8)
         counts = cv2.boxFilter(counts, -1, (_ODD_PX, _ODD_PX), normalize=False, borderType=cv2.BORDER_REPLICATE)
         result += counts > _ODD_PX**2 // 2

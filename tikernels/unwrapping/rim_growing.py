@@ -19,8 +19,8 @@ What lies beyond the new rim may shine into its pixels by blur. Of their varianc
 
 with b_max the brightest of the eight pixels around that belongs to no surface.
 
-Of the 2,300 to 2,800 pixels so added to a simulated bust 99 % lie within three standard deviations of the true surface
-and none beyond six; of 1,600 on the rendered face 97 % and 12, of which six took the wall's phase by chance.
+Of the 2,200 to 2,700 pixels so added to a simulated bust 99 % lie within three standard deviations of the true surface
+and none beyond six; of 1,600 on a rendered face 97 % and 11, of which some took the wall's phase by chance.
 """
 
 import numpy as np
@@ -44,7 +44,7 @@ _BEND, _SURE = 0.5, 2.5
 _ALIKE, _DARKENS = 0.06, 0.6
 # Neighbours whose phases differ by more (rad) see two surfaces.
 _STEP = 1.5
-# Of the eight pixels around one, so many must be of its surface.
+# Of the eight pixels around one, those that must be of its surface at least.
 _LEAST_COUNT = 2
 # A pixel at the new rim may see this share of the light beyond it, by blur.
 _LEAK = 0.1

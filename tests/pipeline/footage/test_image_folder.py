@@ -176,7 +176,9 @@ def test_a_folder_without_pictures(tmp_path):
 def test_a_folder_of_which_nothing_can_be_read(tmp_path):
     for i in range(3):
         (tmp_path / f"{i}.png").write_bytes(b"rubbish")
-    with pytest.raises(FootageError, match=r"none of its 3 pictures can be; the first: .*0\.png is not a picture"):
+    with pytest.raises(
+        FootageError, match=r"cannot read .*: none of its 3 pictures can be read; the first: .*0\.png is not a picture"
+    ):
         open_source(tmp_path)
 
 

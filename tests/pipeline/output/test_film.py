@@ -139,8 +139,10 @@ def test_turning_and_swaying(tmp_path):
         options = PictureOptions(view="front", size_px=SIZE, **motion)
         render_film(path, tmp_path / f"{name}.mp4", options)
         seen, _ = read_film(tmp_path / f"{name}.mp4")
-        widths[name] = [int(np.ptp(np.nonzero(shown(picture))[1])) for picture in seen]
-    assert np.all(np.diff(widths["turn"]) <= 2)
+        # The codec leaves a line of the ground here and there that differs: columns of more than that are the surface.
+        columns = [np.flatnonzero(shown(picture).sum(axis=0) > 4) for picture in seen]
+        widths[name] = [int(np.ptp(places)) for places in columns]
+    assert np.all(np.diff(widths["turn"]) <= 0)
     assert widths["turn"][-1] < 0.75 * widths["turn"][0]
     first, left, middle, right, last = widths["sway"]
     assert max(left, right) < 0.9 * first
