@@ -64,6 +64,28 @@ def check_size(what: str, width: int, height: int) -> None:
         )
 
 
+def check_mesh_size(vertices: int, faces: int, repeated: int = 1) -> None:
+    """Refuse meshes larger than a frame's: a pixel is a vertex, and four make two triangles.
+
+    Parameters
+    ----------
+    vertices, faces : int
+        How many there are.
+    repeated : int
+        How often the file's kind may repeat a vertex.
+
+    Raises
+    ------
+    ValueError
+        `max_pixels` allows fewer.
+    """
+    if vertices > repeated * max_pixels() or faces > 2 * max_pixels():
+        raise ValueError(
+            f"it has {vertices} vertices and {faces} faces, and {max_pixels()} pixels make fewer: "
+            f"set {MAX_PIXELS} to a larger number if your camera has that many"
+        )
+
+
 def read_text(path: str | Path, encoding: str = "utf-8") -> str:
     """Return what a text file holds.
 

@@ -6,9 +6,14 @@ from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
 from pipeline.output.formats.axes import in_camera_frame
 from pipeline.output.formats.mesh_reading import READ_SUFFIXES, read_foreign
+from pipeline.output.formats.pcd import decode_pcd
 from pipeline.output.formats.ply import decode_ply
-from pipeline.output.formats.table import FORMATS, MESH_FORMATS, encode_as
+from pipeline.output.formats.table import MESH_FORMATS, encode_as
+from pipeline.output.formats.vrml import decode_vrml
 from pipeline.output.mesh import Mesh
+from pipeline.output.surface_mesh import grid_mesh
+
+_DECODERS = {"ply": decode_ply, "wrl": decode_vrml}
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> None:
@@ -39,7 +44,7 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
 
 
 def read_mesh(path: str | Path) -> Mesh:
-    """Read a mesh of triangles: PLY, binary or ASCII, OBJ, STL or glTF.
+    """Read a mesh of triangles: PLY, binary or ASCII, OBJ, STL, glTF, VRML; or an organised PCD, which becomes one.
 
     Parameters
     ----------
@@ -50,21 +55,27 @@ def read_mesh(path: str | Path) -> Mesh:
     Returns
     -------
     Mesh
-        In the camera frame. Of a PLY file with every property of the vertices; of others with colours.
+        In the camera frame. Of a PLY or PCD file with every property of the vertices; of others with colours. A PCD's
+        grid is joined as a frame's pixels are (`frame_mesh`).
 
     Raises
     ------
     FootageError
-        If the file is missing, truncated, or no mesh of triangles.
+        If the file is missing, truncated, or holds nothing of the kind.
     """
     path = Path(path)
     suffix = path.suffix.lower()
-    form = FORMATS["ply"] if suffix not in READ_SUFFIXES else MESH_FORMATS[suffix]
+    kind = suffix[1:] if suffix in (*READ_SUFFIXES, ".pcd", ".wrl") else "ply"
     try:
-        mesh = read_foreign(path) if suffix in READ_SUFFIXES else decode_ply(path.read_bytes())
+        if kind == "pcd":
+            return grid_mesh(decode_pcd(path.read_bytes()))
+        if kind in _DECODERS:
+            mesh = _DECODERS[kind](path.read_bytes())
+        else:
+            mesh = read_foreign(path)
     except OSError as error:
         raise FootageError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:
-        kind = suffix[1:].upper() if suffix in READ_SUFFIXES else "PLY"
-        raise FootageError(f"cannot read {path} as a {kind} mesh: {error}") from error
-    return in_camera_frame(mesh, form.axes, 0.001 if form.unit == "m" else 1.0)
+        raise FootageError(f"cannot read {path} as a {kind.upper()} mesh: {error}") from error
+    form = MESH_FORMATS[f".{kind}"]
+    return in_camera_frame(mesh, form.axes, 0.001 if form.unit == "m" and mesh.unit == "mm" else 1.0)

@@ -13,6 +13,7 @@ from pipeline.output.background import inside_box, on_largest_plane
 from pipeline.output.decimation import decimate_mesh
 from pipeline.output.holes import FilledHoles, fill_holes
 from pipeline.output.mesh import FILLED, RIM, SMOOTHED, Mesh, Unit, flag_counts
+from pipeline.output.range_grid import RangeGrid
 from pipeline.output.range_surface import MAX_SLOPE, RangeSurface
 from pipeline.output.rims import rim_shifts
 from pipeline.output.specks import find_surfaces, links_within
@@ -104,6 +105,13 @@ def counted_mesh(frame: DecodedFrame, options: MeshOptions | None = None) -> tup
     }
     known = (frame.range_image, mask, frame.points, properties, frame.region)
     return surface_mesh(*known, options or MeshOptions(), frame.texture)
+
+
+def grid_mesh(grid: RangeGrid) -> Mesh:
+    """Join a grid of points into a mesh as `frame_mesh` joins a frame's; everything that it knows goes along."""
+    mask = np.isfinite(grid.depth)
+    properties = {name: values[mask] for name, values in grid.properties.items()}
+    return surface_mesh(grid.depth, mask, grid.points, properties, texture=grid.texture)[0]
 
 
 def surface_mesh(

@@ -10,11 +10,12 @@ three pixels, weighed by 1 / sigma^2, twice, the second time by Tukey's weights 
 nothing is seen more obliquely than 85 degrees, |z_q - z_p| <= 11 w l.
 
 Of a surface that has been fitted to what is so linked, and knows its depth better, `cut_steep_links` takes the links
-that may be steeper than a slope m, by three standard deviations:
+that may be steeper than a slope m:
 
-    |z_q - z_p| + 3 sqrt(sigma_p^2 + sigma_q^2) > m w,
+    |z_q - z_p| + 2.5 sqrt(sigma_p^2 + sigma_q^2) > m w,
 
-along a diagonal as well, so that no triangle is steeper than along its sides.
+for the errors of neighbours' fits are alike, and differ by less than those of single pixels. Along a diagonal as well,
+so that no triangle is steeper than along its sides.
 
 References
 ----------
@@ -40,6 +41,8 @@ _two_rows, _two_whole_rows = (ti.types.vector(2 * (STRIP + 1), kind) for kind in
 _UNSURE = 16
 # In noise that is normal three standard deviations leave one edge in 370 apart that belongs together.
 _SURE = 3.0
+# Of fits, whose errors are alike from pixel to pixel: of simulated scenes 99.3 % are off by less.
+_SURE_OF_FITS = 2.5
 # What is turned away by more than 85 degrees is a step, in widths of a pixel.
 _STEEPEST = float(np.tan(np.radians(85.0)))
 # Pixels that a plane is fitted to on either side: as many as the phase's smoothing takes, so that two planes on both
@@ -262,8 +265,8 @@ def link_pixels(depth: F32, sigma: F32, width: F32, region: I32, out: U8 | None 
 def surely_less_steep(
     depth: F32Array2, sigma: F32Array2, width: F32Array2, max_slope: f32, y: i32, x: i32, j: i32, i: i32
 ) -> u1:
-    """Whether the depth changes by no more than `max_slope` widths between two pixels, by three standard deviations."""
-    noise = _SURE * ti.sqrt(squared(sigma[y, x]) + squared(sigma[j, i]))
+    """Whether the depth changes by no more than `max_slope` widths between two pixels, by their standard deviations."""
+    noise = _SURE_OF_FITS * ti.sqrt(squared(sigma[y, x]) + squared(sigma[j, i]))
     return ti.abs(depth[j, i] - depth[y, x]) + noise <= max_slope * ti.min(width[y, x], width[j, i])
 
 

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from tikernels import checks
+from tikernels import checks, runtime
 from tikernels._taichi import F32Array2, F32Array3, F32Array4, U8Array2, f32, i32, ti
 from tikernels.arrays import F32, U8, Mask
 from tikernels.depth.quadric import WINDOWS, Fit, fit_windows, measure_runs, precision_of
@@ -29,6 +29,9 @@ from tikernels.strips import STRIP, strip_at, strip_count
 _HALF = 1.5
 # The window that most pixels around one take counts, px; and no wider one than the narrowest of those beside it.
 _ODD_PX, _NEAR_PX = 7, 5
+# Where a surface ends it often bends away, and a wide window has seen one side only: as near as this, px, a pixel takes
+# no wider window than its own choice, and not the widest.
+_END_PX, _WIDEST_AT_END = 3, WINDOWS - 1
 # Rows that are fitted at a time, so that all windows' fits of a large picture need not be kept; and those beside them
 # that tell which window counts.
 _ROWS, _BESIDE = 256, _ODD_PX // 2 + 2 * (_NEAR_PX // 2)
@@ -150,7 +153,7 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
     sigma = checks.read_array("sigma", sigma, shape, np.float32)
     mask = checks.read_mask("mask", mask, shape)
     links = checks.read_array("links", links, shape, np.uint8)
-    precision, runs = precision_of(sigma, mask), measure_runs(links)
+    precision, runs, counts = precision_of(sigma, mask), measure_runs(links), runtime.to_host(mask)
     fitted, level, doubt = (np.empty(shape, np.float32) for _ in range(3))
     slope = np.empty((*shape, 2), np.float32)
     for first in range(0, shape[0], _ROWS):
@@ -160,10 +163,7 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
         fit_windows(depth, precision, runs, top, fits)
         chosen = np.empty((bottom - top, shape[1]), np.uint8)
         choose_windows_kernel(fits, precision, mask, top, chosen)
-        # What few pixels say of their window against all others is chance, and so are the lines along which a quadric
-        # happens to be right.
-        narrowest = cv2.erode(_median(chosen), np.ones((_NEAR_PX, _NEAR_PX), np.uint8))
-        wide = cv2.blur(narrowest.astype(np.float32), (_NEAR_PX, _NEAR_PX))
+        wide = _agreed(chosen, counts[top:bottom])
         level[first:last] = wide[first - top : last - top]
         # The rows alone: what a GPU writes to a part of an array, it would write to all of it.
         out = (fitted[first:last], slope[first:last], doubt[first:last])
@@ -171,11 +171,25 @@ def fit_surface(depth: F32, sigma: F32, mask: Mask, links: U8) -> FittedSurface:
     return FittedSurface(fitted, slope, doubt, level)
 
 
-def _median(level: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Return the median around each pixel: at least what half of the pixels are at least."""
-    result = np.zeros_like(level)
+def _agreed(chosen: npt.NDArray[np.uint8], mask: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+    """Return which window to take, by what the pixels around each one chose: what is off the mask has no say.
+
+    What few pixels say of their window against all others is chance, and so are the lines along which a quadric happens
+    to be right.
+    """
+    inside = (mask != 0).view(np.uint8)
+    half = _summed(inside, _ODD_PX) // 2
+    most = np.zeros_like(chosen)
     for least in range(1, WINDOWS + 1):
-        counts = (level >= least).view(np.uint8)
-        counts = cv2.boxFilter(counts, -1, (_ODD_PX, _ODD_PX), normalize=False, borderType=cv2.BORDER_REPLICATE)
-        result += counts > _ODD_PX**2 // 2
-    return result
+        most += _summed((chosen >= least).view(np.uint8), _ODD_PX) > half
+    near = np.ones((_NEAR_PX, _NEAR_PX), np.uint8)
+    narrowest = cv2.erode(np.where(inside, most, np.uint8(WINDOWS)), near) * inside
+    mean = _summed(narrowest, _NEAR_PX) / np.maximum(_summed(inside, _NEAR_PX), 1, dtype=np.float32)
+    end = cv2.erode(inside, np.ones((2 * _END_PX + 1, 2 * _END_PX + 1), np.uint8)) == 0
+    return np.asarray(np.where(end, np.minimum(mean, np.minimum(chosen, _WIDEST_AT_END)), mean) * inside)
+
+
+def _summed(pixels: npt.NDArray[np.uint8], size_px: int) -> npt.NDArray[np.uint8]:
+    """Return the sum over a square around each pixel; beyond the image goes on what is at its border."""
+    summed = cv2.boxFilter(pixels, -1, (size_px, size_px), normalize=False, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(summed)

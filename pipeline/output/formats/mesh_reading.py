@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.limits import MAX_PIXELS, max_pixels
+from pipeline.limits import MAX_PIXELS, check_mesh_size, max_pixels
 from pipeline.output.mesh import Mesh
 
 #: What this reads.
@@ -55,11 +55,7 @@ def read_foreign(path: Path) -> Mesh:
         raise ValueError(f"it is damaged, or no such file ({type(error).__name__})") from None
     if not len(faces):
         raise ValueError("it has no triangles")
-    if len(vertices) > 6 * max_pixels() or len(faces) > 2 * max_pixels():
-        raise ValueError(
-            f"it has {len(vertices)} vertices and {len(faces)} faces, and {max_pixels()} pixels make fewer: "
-            f"set {MAX_PIXELS} to a larger number if your camera has that many"
-        )
+    check_mesh_size(len(vertices), len(faces), repeated=6)
     return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors)
 
 

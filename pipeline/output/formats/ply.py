@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.limits import MAX_PIXELS, max_pixels
+from pipeline.limits import check_mesh_size
 from pipeline.output.formats.file_text import Content, Heading
 from pipeline.output.mesh import COLOR, FLAGS, NORMAL, POSITION, PROVENANCE, RESERVED, Mesh
 
@@ -82,11 +82,7 @@ def decode_ply(data: bytes) -> Mesh:
     names = vertex.names or ()
     if not {*POSITION} <= {*names} or "corners" not in (face.names or ()):
         raise ValueError("its vertices have no x, y and z, or its faces no corners")
-    if vertex_count > max_pixels() or face_count > 2 * max_pixels():  # a pixel is a vertex, and four make two triangles
-        raise ValueError(
-            f"it has {vertex_count} vertices and {face_count} faces, and {max_pixels()} pixels make fewer: "
-            f"set {MAX_PIXELS} to a larger number if your camera has that many"
-        )
+    check_mesh_size(vertex_count, face_count)
     if ["format", "ascii", "1.0"] in lines:
         vertex, face = _as_doubles(vertex), _as_doubles(face)
         body = np.array(body.split(), np.float64).tobytes()

@@ -1,4 +1,4 @@
-"""Every format, read back by programs that are not ours: nothing lies on its head, is too large, or faces away."""
+"""Every format, read back by other projects' programs: nothing lies on its head, is too large, or faces away."""
 
 import re
 import shutil
@@ -16,7 +16,7 @@ from vtkmodules.util import numpy_support
 from vtkmodules.vtkIOImport import vtkVRMLImporter
 
 from pipeline.output.formats.table import FORMATS, MESH_FORMATS, encode_as
-from pipeline.output.mesh_files import write_mesh
+from pipeline.output.mesh_files import read_mesh, write_mesh
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -101,6 +101,16 @@ def test_vtk_sees_vrml_upright(written):
     points = numpy_support.vtk_to_numpy(shape.GetPoints().GetData())
     faces = numpy_support.vtk_to_numpy(shape.GetPolys().GetConnectivityArray()).reshape(-1, 3)
     check("wrl", points, faces)
+
+
+def test_a_grid_of_points_becomes_the_sheet_again(tmp_path):
+    (tmp_path / "grid.pcd").write_bytes(encode_as(FORMATS["pcd"], tilted_grid(), "grid")[".pcd"])
+    read = read_mesh(tmp_path / "grid.pcd")
+    assert len(read.vertices) > 0.9 * WIDTH * HEIGHT and {"sigma_mm"} <= read.properties.keys()
+    write_mesh(read, tmp_path / "grid.ply")
+    there = trimesh.load_scene(tmp_path / "grid.ply", process=False).to_mesh()
+    np.testing.assert_allclose(there.vertices[:, 1].max(), 20, atol=0.5)
+    np.testing.assert_allclose(there.vertices[:, 2].max(), -500, atol=0.5)
 
 
 @pytest.mark.long
