@@ -3,7 +3,7 @@
 import os
 import signal
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 # Before NumPy comes: its BLAS splits even small matrices over threads that wait for each other, which takes many times
@@ -32,30 +32,43 @@ def pytest_configure() -> None:
 ON_VULKAN = {"test_accuracy_on_every_scene"}
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Run what needs no GPU first: starting another device drops all buffers and compiled kernels.
+def on_vulkan(item: pytest.Item) -> bool:
+    """Whether a test asks for Vulkan."""
+    callspec = getattr(item, "callspec", None)
+    return callspec is not None and callspec.params.get("arch") == "vulkan"
 
-    Software Vulkan compiles and computes many times slower than the CPU, so all but a core set of its tests is long.
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
+    """Mark what is long, and run what needs Vulkan together: starting another device drops all compiled kernels.
+
+    Software Vulkan compiles and computes many times slower than the CPU, so all but a core set of its tests is long. Of
+    two processes that share the tests each begins at a half: one with those on Vulkan, which the other never compiles
+    unless it runs out of all else.
     """
     seen = set()
-
-    def on_vulkan(item: pytest.Item) -> bool:
-        callspec = getattr(item, "callspec", None)
-        return callspec is not None and callspec.params.get("arch") == "vulkan"
-
     for item in filter(on_vulkan, items):
         file, _, test = item.nodeid.partition("[")[0].partition("::")
         if file in seen or not (file.startswith("tests/tikernels") or test in ON_VULKAN):
             item.add_marker("long")
         else:
             seen.add(file)
-    items.sort(key=on_vulkan)
+    yield
+    others = [item for item in items if not on_vulkan(item)]
+    half = len(items) // 2
+    items[:] = others[:half] + [item for item in items if on_vulkan(item)] + others[half:]
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Start the CPU again for what does not say where it runs, if a test on another device was the last one here."""
+    if "arch" not in getattr(item, "fixturenames", ()) and tikernels.runtime.is_started():
+        tikernels.init("cpu")
 
 
 @pytest.fixture(scope="session")
 def cpu() -> str:
-    """Start the CPU, which runs until the tests on Vulkan come; `arch` is for what runs on every backend."""
+    """Start the CPU; `arch` is for what runs on every backend."""
     return tikernels.init("cpu")
 
 

@@ -5,7 +5,6 @@ them: 80 us for ten arguments, as long as many a kernel takes. Of a kernel that 
 same types only pointers, shapes and numbers change. So its context is kept, and only those are set.
 """
 
-import atexit
 import contextlib
 import functools
 import threading
@@ -180,9 +179,6 @@ def forget() -> None:
         known[1] = None
     for kept in _kept:
         kept.clear()
-
-
-atexit.register(forget)  # before Taichi's own end, which was registered earlier
 
 
 def _kind(annotation: Any) -> int | None:

@@ -7,7 +7,6 @@ from pipeline.decoding.frame import FIELDS
 from pipeline.output.surface_mesh import frame_mesh
 from pipeline.simulation import TYPICAL_CROSSTALK, simulate_frame, simulated_rig
 from tikernels import runtime
-from tikernels._taichi import ti
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -25,6 +24,5 @@ def write_kernels() -> None:
         for name in FIELDS:
             getattr(frame, name)
         frame_mesh(frame)
-    ti.reset()
-    runtime._started = None
+    runtime.stop()
     runtime.init("cpu")

@@ -2,6 +2,7 @@
 
 import doctest
 import importlib
+import os
 import pkgutil
 import subprocess
 import sys
@@ -106,3 +107,28 @@ def test_the_first_call_starts_a_device_where_none_is():
         "print(before, tikernels.linearize(image).shape, runtime.is_started())\n"
     )
     assert done.stdout.splitlines()[-1] == "False (4, 4, 3) True", done.stderr
+
+
+KERNELS_ARE_KEPT = """
+import pathlib, sys
+import numpy as np
+import tikernels
+from tikernels import runtime
+
+tikernels.init("cpu")
+tikernels.smooth_phase(np.zeros((8, 8), np.float32), np.ones((8, 8), bool), 3)
+assert runtime.is_started() and not any(pathlib.Path(sys.argv[1]).rglob("*.tic"))
+runtime.stop()
+assert not runtime.is_started() and any(pathlib.Path(sys.argv[1]).rglob("*.tic"))
+runtime.stop()
+tikernels.smooth_phase(np.zeros((8, 8), np.float32), np.ones((8, 8), bool), 3)
+"""
+
+
+@pytest.mark.skipif(runtime.kernel_language() != "taichi", reason="the kernels' files have another name elsewhere")
+def test_the_end_keeps_kernels_on_the_disk(tmp_path):
+    """Before the process ends, and once for all; what comes after starts the device again."""
+    environment = os.environ | {"TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path)}
+    command = [sys.executable, "-c", KERNELS_ARE_KEPT, str(tmp_path)]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
