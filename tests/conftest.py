@@ -3,7 +3,7 @@
 import os
 import signal
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 # Before NumPy comes: its BLAS splits even small matrices over threads that wait for each other, which takes many times
@@ -38,12 +38,11 @@ def on_vulkan(item: pytest.Item) -> bool:
     return callspec is not None and callspec.params.get("arch") == "vulkan"
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
-    """Mark what is long, and run what needs Vulkan together: starting another device drops all compiled kernels.
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run what needs no GPU first: starting another device drops all buffers and compiled kernels.
 
-    Software Vulkan compiles and computes many times slower than the CPU, so all but a core set of its tests is long. Of
-    two processes that share the tests one begins in the middle: what decodes comes last, so that it alone compiles it.
+    Software Vulkan compiles and computes many times slower than the CPU, so all but a core set of its tests is long.
     """
     seen = set()
     for item in filter(on_vulkan, items):
@@ -52,8 +51,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
             item.add_marker("long")
         else:
             seen.add(file)
-    yield
-    items.sort(key=lambda item: (on_vulkan(item), on_vulkan(item) and not item.nodeid.startswith("tests/tikernels")))
+    items.sort(key=on_vulkan)
 
 
 @pytest.hookimpl(tryfirst=True)

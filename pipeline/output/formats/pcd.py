@@ -98,7 +98,7 @@ def _from_text(record: np.dtype, numbers: npt.NDArray[np.float64]) -> tuple[np.d
 
 
 def _float_bits(values: npt.NDArray[np.float64]) -> npt.NDArray[np.uint32]:
-    """Return the bits that numbers have as float32; of the smallest ones, which processors may take for 0, as well."""
+    """Return the bits of numbers as float32, subnormal ones too: a processor may be set to take those for 0."""
     small = np.rint(np.abs(values) * 2.0**149)
     return np.where(np.abs(values) < 2.0**-126, small, values.astype(np.float32).view(np.uint32)).astype(np.uint32)
 
