@@ -87,15 +87,37 @@ class Lens(Model):
             A ray has no direction, so the lens is none.
         """
         width, height = self.size_px
-        grid = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 1, 2).astype(np.float64)
-        if shift_px is not None:
-            grid -= shift_px
+        rays = np.empty((height, width, 2), np.float32)
+        row = np.column_stack([np.arange(width, dtype=np.float64), np.zeros(width)])
+        for y in range(height):  # so that nothing but the rays is as large as the picture
+            row[:, 1] = y
+            rays[y] = self.rays_through(row if shift_px is None else row - shift_px)
+        return rays
+
+    def rays_through(self, places_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return where places in the picture look, lens distortion taken out.
+
+        Parameters
+        ----------
+        places_px : (N, 2)
+            x, y, px.
+
+        Returns
+        -------
+        (N, 2) float64
+            x and y of each ray at unit depth.
+
+        Raises
+        ------
+        CalibrationError
+            A ray has no direction, so the lens is none.
+        """
         criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
         distortion = self.distortion if self.distortion.any() else None  # without one nothing is iterated
-        rays = cv2.undistortPoints(grid, self.matrix, distortion, criteria=criteria)
+        rays = cv2.undistortPoints(places_px[:, None], self.matrix, distortion, criteria=criteria)[:, 0]
         if not np.abs(rays).max() < LARGEST:
             raise CalibrationError("no lens bends light like this one: its matrix or distortion is wrong, recalibrate")
-        return np.asarray(rays, np.float32).reshape(height, width, 2)
+        return np.asarray(rays, np.float64)
 
 
 class Pattern(Model):

@@ -89,15 +89,15 @@ class _SeenPlaces:
 def _seen_places(geometry: Geometry, depths_mm: tuple[float, float]) -> _SeenPlaces:
     """Return places on a grid in the camera's picture at several depths."""
     axis = geometry.phase_axis
-    rays = geometry.camera.rays()
-    height, width = rays.shape[:2]
+    width, height = geometry.camera.size_px
     rows, columns = (np.linspace(1, n - 2, _PLACES).round().astype(int) for n in (height, width))
     y, x = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
     down = (1, 0) if axis == 1 else (0, 1)
     depth = np.geomspace(*depths_mm, _DEPTHS)[:, None, None]
 
     def points(step: int) -> FloatArray:
-        along = np.column_stack([rays[y + step * down[0], x + step * down[1]].astype(np.float64), np.ones(len(y))])
+        places = np.column_stack([x + step * down[1], y + step * down[0]]).astype(np.float64)
+        along = np.column_stack([geometry.camera.rays_through(places), np.ones(len(y))])
         return np.asarray((depth * along).reshape(-1, 3))
 
     here, before, after = points(0), points(-1), points(1)

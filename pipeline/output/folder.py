@@ -84,13 +84,17 @@ def output_folder(path: str | Path, *, force: bool = False) -> Iterator[Path]:
 
 def _move(work: Path, path: Path) -> None:
     """Move what was written into the output folder, and return when it is on the disk; the report comes last."""
+    written = [entry for entry in work.iterdir() if entry.is_file()]  # a store is on the disk already
+    with ThreadPoolExecutor(1, "beside") as beside:  # the disk is as slow as the digests
+        synced = beside.submit(sync, *(entry for entry in written if entry.name != _REPORT))
+        new = {entry.name: file_digest(entry) for entry in written if entry.name != _REPORT}
+        synced.result()
     if (work / _REPORT).exists():
         report = json.loads((work / _REPORT).read_bytes())
         kept = {name: digest for name, digest in _reported(path).items() if file_digest(path / name) == digest}
-        new = {entry.name: file_digest(entry) for entry in work.iterdir() if entry.is_file() and entry.name != _REPORT}
         text = json.dumps({**report, _FILES: {**kept, **new}}, indent=1) + "\n"
         (work / _REPORT).write_text(text, encoding="utf-8")
-    sync(*(entry for entry in work.iterdir() if entry.is_file()))  # a store is there already
+        sync(work / _REPORT)
     for entry in sorted(work.iterdir(), key=lambda entry: entry.name == _REPORT):
         target = path / entry.name
         if target.is_dir() and not target.is_symlink():
@@ -201,10 +205,9 @@ def write_frame(
     for name in chosen_fields(None, in_mm=frame.calibrated):
         getattr(frame, name)
 
-    tell("drawing range.png")
-    write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
-    # Storing is compressing and writing, beside which the mesh is made. Nothing is imported or lettered there: Python
-    # 3.11 fails where two threads parse source at once, as compiling a kernel does, and matplotlib when it is imported.
+    # Storing is compressing and writing, beside which the mesh is made; the picture is made while the mesh is written.
+    # Nothing is imported or lettered beside: Python 3.11 fails where two threads parse source at once, as compiling a
+    # kernel does, and matplotlib when it is imported.
     import zarr  # noqa: F401 - so that the thread does not
 
     with ThreadPoolExecutor(1, "beside") as beside:
@@ -213,11 +216,11 @@ def write_frame(
         shaded = beside.submit(_write_shaded, folder / "shaded.png", frame)
         mesh, counts = counted_mesh(frame, part)
         mesh = replace(mesh, provenance=provenance_of(report))
-        tell(f"writing a mesh of {len(mesh.faces):,} triangles")
-        write_mesh(mesh, folder / "mesh.ply")
-        tell("storing every field")
-        stored.result()
-        shaded.result()
+        tell(f"writing a mesh of {len(mesh.faces):,} triangles, and drawing range.png")
+        meshed = beside.submit(write_mesh, mesh, folder / "mesh.ply")
+        write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
+        for done in (stored, shaded, meshed):
+            done.result()
     report = {**report, "mesh": asdict(counts)}
     (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import FootageError, OutputError, SettingsError
-from pipeline.files import explain, write_atomically
+from pipeline.files import explain, replace_file, write_atomically
 from pipeline.locking import locked
 from pipeline.output.folder import file_digest
 from pipeline.output.formats.ros_bag import write_bag
@@ -175,7 +175,7 @@ class _Maker:
             return [], counts
         files = encode_as(self._form, shape, Path(name).stem, self._farthest_mm)
         for suffix, content in files.items():
-            (work / name).with_suffix(suffix).write_bytes(content)
+            replace_file((work / name).with_suffix(suffix), content)
         return [Path(name).with_suffix(suffix).name for suffix in files], counts
 
     def _farthest(self) -> float:

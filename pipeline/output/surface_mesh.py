@@ -275,9 +275,10 @@ def _flags(level: Floats, holes: FilledHoles, shift: Floats, options: MeshOption
 
 def _columns_and_rows(places: npt.NDArray[np.intp], shift: Floats) -> Floats:
     """Return x and y of some pixels' vertices, px."""
-    y, x = np.divmod(places, shift.shape[1])
-    down, right = shift.reshape(-1, 2)[places].T
-    return np.column_stack([x + right, y + down]).astype(np.float32)
+    moved = np.empty_like(shift)
+    for k, (count, along) in enumerate(((shift.shape[1], (1, -1)), (shift.shape[0], (-1, 1)))):
+        np.add(shift[..., 1 - k], np.arange(count, dtype=np.float32).reshape(along), out=moved[..., k])
+    return moved.reshape(-1, 2)[places]
 
 
 def _relief(places: npt.NDArray[np.intp], depth: Floats, slope: Floats, shift: Floats) -> tuple[Floats, Floats]:

@@ -17,7 +17,6 @@ Near an edge of the mask part of the balance window is empty.
 from functools import cache
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -41,6 +40,7 @@ from tikernels.launching import kernel
 from tikernels.phase.balance_window import SIGMA_ACROSS
 from tikernels.phase.model_variance import LEAST_PRECISION, model_variance
 from tikernels.phase.smoothing import left_of_differences, left_of_variance
+from tikernels.phase.wide_blur import wide_blur
 
 # The error of the channels' model is this share of a pixel's variance: it is fitted to some fifty samples for three
 # channels' gains and offsets.
@@ -56,8 +56,6 @@ _SCATTER_SAMPLES = 30_000
 _TELLING = 0.1
 # Median of a normal distribution's absolute values, in standard deviations.
 _MEDIAN_SIZE = 0.6745
-# A grid point for every two pixels of a blur's standard deviation is enough.
-_GRID = 2
 
 
 @ti.func
@@ -303,14 +301,6 @@ def _scatter(
 def _empty_share(inside: npt.NDArray[np.uint8], period_px: float) -> npt.NDArray[np.float32]:
     """Return which part of the balance window around each pixel is off the mask, (H, W) float32 in 0..1."""
     width_px = SIGMA_ACROSS * period_px
-    # A wide Gaussian is as smooth on a coarser grid, and costs less.
-    coarser = max(1, int(width_px / _GRID))
-    share = inside.astype(np.float32)
-    size = share.shape[::-1]
-    if coarser > 1:
-        share = cv2.resize(share, (-(-size[0] // coarser), -(-size[1] // coarser)), interpolation=cv2.INTER_AREA)
-    share = cv2.GaussianBlur(share, (0, 0), width_px / coarser, borderType=cv2.BORDER_CONSTANT)
-    empty = 1 - np.minimum(share, 1)
-    full = runtime.empty_on_host(inside.shape, np.float32)
-    cv2.resize(empty, size, full, interpolation=cv2.INTER_LINEAR)
-    return full
+    share = wide_blur(inside.astype(np.float32), width_px, width_px)
+    np.minimum(share, 1, out=share)
+    return np.subtract(1, share, out=share)

@@ -24,7 +24,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -38,6 +37,7 @@ from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_fit import load_nodes, model_at
 from tikernels.phase.phase_vector import color_at
 from tikernels.phase.white_level import white_level
+from tikernels.phase.wide_blur import wide_blur
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.strips import STRIP, color_of, set_color, strip_at, strip_count
 
@@ -261,12 +261,10 @@ def light_by_white(light: FrameLight, phase: F32, mask: Mask, period_px: float) 
     swings = runtime.empty((*shape, 3), np.float32)
     _measure_swing_kernel(surfaces.mixed, light.spacing_px)(*seen, *model, swings)
     window = (_CONTRAST_ALONG * period_px, _CONTRAST_ACROSS * period_px)
-    means = cv2.GaussianBlur(
-        runtime.to_host(swings), (0, 0), sigmaX=window[0], sigmaY=window[1], borderType=cv2.BORDER_CONSTANT
-    )  # synchronises
+    means = wide_blur(runtime.to_host(swings), *window)  # synchronises
     shown = runtime.empty((*shape, 3), np.float32)
     brightness, contrast = (runtime.empty(shape, np.float32) for _ in range(2))
-    averaged = runtime.to_device(np.asarray(means, np.float32))
+    averaged = runtime.to_device(means)
     kernel = _light_by_white_kernel(surfaces.mixed, light.spacing_px)
     kernel(*seen, *model, white, averaged, shown, brightness, contrast)
     return shown, brightness, contrast

@@ -26,7 +26,10 @@ class Axes:
 
     def from_camera(self, vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Turn places or directions, (N, 3), of the camera frame; each keeps its dtype."""
-        return np.ascontiguousarray(vectors[:, self.sources] * np.array(self.signs, vectors.dtype))
+        turned = np.empty_like(vectors)
+        for k, (source, sign) in enumerate(zip(self.sources, self.signs, strict=True)):
+            np.multiply(vectors[:, source], vectors.dtype.type(sign), out=turned[:, k])
+        return turned
 
     def to_camera(self, vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Turn places or directions, (N, 3), into the camera frame; the inverse of `from_camera`."""

@@ -1,12 +1,13 @@
 """What files say in words: a heading before the numbers, and numbers as text."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, BinaryIO, TypeAlias
 
 import numpy.typing as npt
 
-#: What a file holds.
-Content: TypeAlias = bytes | memoryview
+#: What a file holds, or what writes it there; see `pipeline.files.write_atomically`.
+Content: TypeAlias = bytes | memoryview | Callable[[BinaryIO], None]
 
 
 @dataclass(frozen=True)
