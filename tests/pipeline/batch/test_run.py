@@ -529,7 +529,8 @@ def test_fetched_fields_need_no_device(arch, stripes, monkeypatch):
     decoder = Decoder(DecodeSettings(stripes=stripes, crosstalk_matrix=np.eye(3)), rig, arch=arch)
     expected, fetched = decoder.decode(image), decoder.decode(image)
     values = {name: np.array(getattr(expected, name)) for name in FIELDS}
-    for name in FIELDS:
+    # Where a frame takes two seconds, a field of each kind: as it is, of host and device, and made by a kernel.
+    for name in FIELDS if arch == "cpu" else ("mask", "points", "phase_sigma", "texture"):
         frame = decoder.decode(image, out=fetched)
         frame.fetch([name])
         with monkeypatch.context() as patch:
