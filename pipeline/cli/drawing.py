@@ -34,7 +34,7 @@ def render(
     fps: Annotated[float | None, Parameter(validator=bounded(0.1, 1000))] = None,
     seconds: Annotated[float | None, Parameter(validator=bounded(0.1, 3600))] = None,
 ) -> None:
-    """Draw a mesh, or frames of a result.zarr, off screen: a still picture, a turntable, or a film of all frames.
+    """Draw a surface, or frames of a result.zarr, off screen: a still picture, a turntable, or a film of all frames.
 
     A film that was stopped goes on by the same command. Exit code 3: some frames are damaged, the rest is drawn.
 
@@ -45,11 +45,12 @@ def render(
     Parameters
     ----------
     input
-        The mesh, a file; or a result.zarr, the folder that it is in, or an fsspec URL.
+        A mesh, a PCD file, a depth picture or a bag (.mcap); or a result.zarr, the folder that it is in, or an fsspec
+        URL.
     out
         The PNG to write; or the MP4.
     frame
-        The only frame of a result.zarr to draw; left out, a film shows all.
+        The only frame of a result.zarr or a bag to draw; left out, a film shows all of a result.zarr.
     view
         From where, so that all is seen; left out, three-quarter.
     camera
@@ -81,7 +82,7 @@ def render(
     if not film and out.suffix.lower() != ".png":
         raise OutputError(f"{out} is neither a PNG nor an MP4 file: name it .png for a still picture, .mp4 for a film")
     result = None if store is None else StoredResult(store)
-    _refuse_useless(given, result, frame, film=film)
+    _refuse_useless(given, result, frame, film=film, of_bag=Path(input).suffix.lower() == ".mcap")
     _refuse_pairs({"view": view, "camera": camera, "camera-path": camera_path}, {"colors": colors, "compare": compare})
     if camera_path is not None and given & {"turn", "sway"}:
         raise SettingsError("--camera-path moves the eye already: leave out --turn and --sway")
@@ -107,13 +108,15 @@ def _store(input: str) -> str | None:
     return place if "://" in place or Path(place).is_dir() or Path(place).suffix == ".zarr" else None
 
 
-def _refuse_useless(given: set[str], result: StoredResult | None, frame: int | None, *, film: bool) -> None:
+def _refuse_useless(
+    given: set[str], result: StoredResult | None, frame: int | None, *, film: bool, of_bag: bool
+) -> None:
     """Refuse options that would do nothing."""
     many = result is not None and frame is None and len(result.wanted) > 1
     useless = {
         "a still picture": given & {"fps", "seconds", "turn", "sway", "camera-path"} if not film else set(),
         "a film": given & {"buffers"} if film else set(),
-        "a mesh's file": given & {"frame"} if result is None else set(),
+        "a mesh's file": given & {"frame"} if result is None and not of_bag else set(),
         "a film of many frames, which is one picture a frame long": given & {"seconds"} if film and many else set(),
     }
     for what, names in useless.items():
@@ -149,7 +152,7 @@ def _render_still(
         raise SettingsError(f"{source} holds many frames: choose one with --frame, or name the output .mp4 for a film")
     with steps() as step:
         step("reading")
-        mesh = None if is_store else read_mesh(source)
+        mesh = None if is_store else read_mesh(source, number)
         compared = None if compare is None else read_mesh(compare)
         step("drawing")
         if mesh is not None:
@@ -165,10 +168,10 @@ def _render_film(
 ) -> None:
     from pipeline.output.film import render_film
 
-    subject = source if is_store else read_mesh(source)
+    subject = source if is_store else read_mesh(source, number)
     compared = None if compare is None else read_mesh(compare)
     with counted("pictures") as show:
-        film = render_film(subject, out, options, frame=number, compared=compared, tell=show)
+        film = render_film(subject, out, options, frame=number if is_store else None, compared=compared, tell=show)
     absent = [held for held in film.held if held not in film.broken]
     if absent:
         remark(f"{frames(len(absent))} missing or empty, as frame {absent[0]}: the one before is shown in its place")

@@ -5,15 +5,19 @@ from pathlib import Path
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
 from pipeline.output.formats.axes import in_camera_frame
+from pipeline.output.formats.depth_picture import decode_depth
 from pipeline.output.formats.mesh_reading import READ_SUFFIXES, read_foreign
 from pipeline.output.formats.pcd import decode_pcd
 from pipeline.output.formats.ply import decode_ply
+from pipeline.output.formats.ros_bag import read_bag
 from pipeline.output.formats.table import MESH_FORMATS, encode_as
 from pipeline.output.formats.vrml import decode_vrml
 from pipeline.output.mesh import Mesh
 from pipeline.output.surface_mesh import grid_mesh
 
 _DECODERS = {"ply": decode_ply, "wrl": decode_vrml}
+_GRID_DECODERS = {"pcd": decode_pcd, "png": decode_depth, "tiff": decode_depth, "tif": decode_depth}
+_BAG = "mcap"
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> None:
@@ -43,20 +47,23 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
         write_atomically(path if suffix == own else path.with_suffix(suffix), files[suffix])
 
 
-def read_mesh(path: str | Path) -> Mesh:
-    """Read a mesh of triangles: PLY, binary or ASCII, OBJ, STL, glTF, VRML; or an organised PCD, which becomes one.
+def read_mesh(path: str | Path, frame: int | None = None) -> Mesh:
+    """Read a mesh of triangles, or a camera's grid of points, which becomes one.
 
     Parameters
     ----------
     path : str or Path
-        The file. Its unit and which way is up there are taken to be what `write_mesh` has written: what has another
-        suffix is read as PLY.
+        A mesh: PLY, binary or ASCII, OBJ, STL, glTF or VRML. A grid: organised PCD, depth as a PNG or TIFF of 16 bits
+        that says its step and its camera, or a bag, as an MCAP file. Units and which way is up are taken to be what is
+        written by `write_mesh` and `colorphase export`; what has another suffix is read as PLY.
+    frame : int, optional
+        Which frame of a bag, from 0; of a bag of one frame it may be left out, and of other files it has to be.
 
     Returns
     -------
     Mesh
-        In the camera frame. Of a PLY or PCD file with every property of the vertices; of others with colours. A PCD's
-        grid is joined as a frame's pixels are (`frame_mesh`).
+        In the camera frame. Of a PLY, PCD or MCAP file with every property of the vertices; of others with colours. The
+        points of a grid are joined as a frame's pixels are (`frame_mesh`).
 
     Raises
     ------
@@ -64,11 +71,16 @@ def read_mesh(path: str | Path) -> Mesh:
         If the file is missing, truncated, or holds nothing of the kind.
     """
     path = Path(path)
-    suffix = path.suffix.lower()
-    kind = suffix[1:] if suffix in (*READ_SUFFIXES, ".pcd", ".wrl") else "ply"
+    kind = path.suffix.lower()[1:]
+    if kind not in (*_DECODERS, *_GRID_DECODERS, _BAG) and f".{kind}" not in READ_SUFFIXES:
+        kind = "ply"
     try:
-        if kind == "pcd":
-            return grid_mesh(decode_pcd(path.read_bytes()))
+        if frame is not None and kind != _BAG:
+            raise ValueError(f"it holds one frame: leave out frame {frame}")
+        if kind == _BAG:
+            return grid_mesh(read_bag(path, frame))
+        if kind in _GRID_DECODERS:
+            return grid_mesh(_GRID_DECODERS[kind](path.read_bytes()))
         if kind in _DECODERS:
             mesh = _DECODERS[kind](path.read_bytes())
         else:
@@ -76,6 +88,6 @@ def read_mesh(path: str | Path) -> Mesh:
     except OSError as error:
         raise FootageError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:
-        raise FootageError(f"cannot read {path} as a {kind.upper()} mesh: {error}") from error
+        raise FootageError(f"cannot read {path} as a surface ({kind.upper()}): {error}") from error
     form = MESH_FORMATS[f".{kind}"]
     return in_camera_frame(mesh, form.axes, 0.001 if form.unit == "m" and mesh.unit == "mm" else 1.0)

@@ -6,6 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration.model import Lens
+from pipeline.output.mesh import RESERVED
+
+# Fields of records that are no property: places, colours, and what fills gaps between fields.
+_NO_PROPERTIES = {*"xyz", "rgb", "rgba", "_", *RESERVED}
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +28,29 @@ class RangeGrid:
     """Since the first frame, or since 1970 where the footage says when it was taken."""
     provenance: dict[str, str] = field(default_factory=dict)
     """How it was made."""
+
+    @classmethod
+    def of_records(cls, records: npt.NDArray[np.void]) -> "RangeGrid":
+        """Return the grid that robots' programs hold as (H, W) records, of numbers of any kind; see `records`.
+
+        A place that is not finite, or not in front of the camera, is none.
+
+        Raises
+        ------
+        ValueError
+            It has no rows and columns, or its points no x, y and z.
+        """
+        height, width = records.shape
+        if min(width, height) < 2:
+            raise ValueError(f"its {width} times {height} points are no grid: an organised cloud has rows and columns")
+        names = records.dtype.names or ()
+        if not {*"xyz"} <= {*names}:
+            raise ValueError("its points have no x, y and z")
+        with np.errstate(over="ignore"):
+            points = np.stack([records[axis].astype(np.float32) for axis in "xyz"], axis=-1) * np.float32(1000)
+        points[~(np.isfinite(points).all(axis=-1) & (points[..., 2] > 0))] = np.nan
+        properties = {name: np.ascontiguousarray(records[name], np.float32) for name in {*names} - _NO_PROPERTIES}
+        return cls(points, _colors(records), {name: properties[name] for name in names if name in properties})
 
     @property
     def depth(self) -> npt.NDArray[np.float32]:
@@ -45,3 +72,13 @@ class RangeGrid:
         for name, values in self.properties.items():
             records[name] = values
         return records
+
+
+def _colors(records: npt.NDArray[np.void]) -> npt.NDArray[np.uint8] | None:
+    """Return the colours of points, whose bits are 0x00RRGGBB; None: they have none."""
+    name = next((name for name in ("rgb", "rgba") if name in (records.dtype.names or ())), None)
+    if name is None:
+        return None
+    bits = np.ascontiguousarray(records[name])
+    bits = bits.view(np.uint32) if bits.dtype == np.float32 else bits.astype(np.uint32)
+    return np.stack([bits >> 16, bits >> 8, bits], axis=-1).astype(np.uint8)

@@ -4,9 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from pipeline.calibration.model import Lens
 from pipeline.output.store import ResultStore, chosen_fields
 
 HEIGHT, WIDTH = 60, 80
+#: That sees a plane at 400 mm.
+LENS = Lens(size_px=(WIDTH, HEIGHT), matrix=np.array([[400, 0, WIDTH / 2], [0, 400, HEIGHT / 2], [0, 0, 1]]))
 
 
 def plane(distance_mm):
@@ -18,11 +21,13 @@ def plane(distance_mm):
     return points, mask
 
 
-def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), also=()):
+def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), also=(), lens=None):
     """Write a store as a run over footage does; None stands for a frame without any surface."""
     fields = ["mask", "modulation", "phase_sigma", "range_image", *(["points", "point_sigma"] if in_mm else []), *also]
     fields = chosen_fields([name for name in fields if name not in leave_out], in_mm=in_mm)
     identity = {"colorphase_version": "1", "settings": {}, "step": step, "range_unit": "mm" if in_mm else "rad"}
+    if lens is not None:
+        identity["camera"] = lens.model_dump(mode="json")
     written = ResultStore.make(path, identity, fields, len(distances), (WIDTH, HEIGHT))
     for number, distance in enumerate(distances):
         if number not in missing:

@@ -56,8 +56,6 @@ def decode_pcd(data: bytes) -> RangeGrid:
     said = {line[0]: line[1:] for line in lines if line and not line[0].startswith("#")}
     record = _record(said)
     width, height = (_whole(said, name) for name in ("WIDTH", "HEIGHT"))
-    if min(width, height) < 2:
-        raise ValueError(f"its {width} times {height} points are no grid: an organised cloud has rows and columns")
     check_mesh_size(width * height, 0)
     if kind == b"ascii":
         record, body = _from_text(record, np.array(body.split(), np.float64))
@@ -66,12 +64,7 @@ def decode_pcd(data: bytes) -> RangeGrid:
     if len(body) < width * height * record.itemsize:
         raise ValueError(f"it is truncated: its header promises {width * height} points of {record.itemsize} bytes")
     values = np.frombuffer(body, record, width * height).reshape(height, width)
-    with np.errstate(over="ignore"):
-        points = np.stack([values[axis].astype(np.float32) for axis in "xyz"], axis=-1) * np.float32(1000)
-    points[~(np.isfinite(points).all(axis=-1) & (points[..., 2] > 0))] = np.nan
-    names = [name for name in record.names or () if name not in (*"xyz", "rgb", "rgba", "_")]
-    properties = {name: np.ascontiguousarray(values[name], np.float32) for name in names}
-    return RangeGrid(points, _colors(values), properties)
+    return RangeGrid.of_records(values)
 
 
 def _record(said: dict[str, list[str]]) -> np.dtype:
@@ -108,13 +101,3 @@ def _whole(said: dict[str, list[str]], name: str) -> int:
     if not re.fullmatch("[0-9]{1,10}", value):
         raise ValueError(f"its header has no {name}")
     return int(value)
-
-
-def _colors(values: npt.NDArray[np.void]) -> npt.NDArray[np.uint8] | None:
-    """Return the colours of points, whose bits are 0x00RRGGBB; None: they have none."""
-    name = next((name for name in ("rgb", "rgba") if name in (values.dtype.names or ())), None)
-    if name is None:
-        return None
-    bits = np.ascontiguousarray(values[name])
-    bits = bits.view(np.uint32) if bits.dtype == np.float32 else bits.astype(np.uint32)
-    return np.stack([bits >> 16, bits >> 8, bits], axis=-1).astype(np.uint8)

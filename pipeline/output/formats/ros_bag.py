@@ -6,6 +6,7 @@ Lengths are in m, in the optical frame of REP 103, which the messages call `FRAM
 """
 
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,16 @@ import numpy.typing as npt
 
 from pipeline.calibration.model import Lens
 from pipeline.errors import OutputError
+from pipeline.limits import check_mesh_size
 from pipeline.output.range_grid import RangeGrid
 
 #: Of the messages' headers.
 FRAME_ID = "camera_optical_frame"
 _NS = 1_000_000_000
+_MISSING = "bags need the package rosbags: pip install 'colorphase[mcap]'"
+_CLOUD = "sensor_msgs/msg/PointCloud2"
+# NumPy's names of PointField's datatypes.
+_KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 
 
 def write_bag(folder: Path, grids: Iterable[RangeGrid], remarks: dict[str, str]) -> None:
@@ -43,7 +49,7 @@ def write_bag(folder: Path, grids: Iterable[RangeGrid], remarks: dict[str, str])
         from rosbags.rosbag2.enums import CompressionFormat
         from rosbags.typesys import Stores, get_typestore
     except ImportError:
-        raise OutputError("bags need the package rosbags: pip install 'colorphase[mcap]'") from None
+        raise OutputError(_MISSING) from None
     types = get_typestore(Stores.ROS2_HUMBLE)
     writer = Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP)
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
@@ -58,6 +64,67 @@ def write_bag(folder: Path, grids: Iterable[RangeGrid], remarks: dict[str, str])
                 if topic not in topics:
                     topics[topic] = writer.add_connection(f"/camera/{topic}", kind, typestore=types)
                 writer.write(topics[topic], messages.stamp_ns, types.serialize_cdr(message, kind))
+
+
+def read_bag(path: Path, number: int | None = None) -> RangeGrid:
+    """Return the points of a frame of a bag: of its PointCloud2 messages, by any program; lengths are in m there.
+
+    Parameters
+    ----------
+    path : Path
+        The MCAP file.
+    number : int, optional
+        Which frame, from 0; of a bag of one frame it may be left out.
+
+    Raises
+    ------
+    ValueError
+        It is damaged, holds no such frame, or no organised points of one topic; or the package that reads bags is
+        missing.
+    """
+    try:
+        from rosbags.rosbag2 import Reader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError:
+        raise ValueError(_MISSING) from None
+    try:
+        with Reader(path) as reader:
+            topics = [connection for connection in reader.connections if connection.msgtype == _CLOUD]
+            if len(topics) != 1:
+                raise ValueError(f"it has {len(topics)} topics of points, and one is read")
+            count = topics[0].msgcount
+            if number is None and count != 1:
+                raise ValueError(f"it holds {count} frames: choose one by its number, from 0, as with --frame 0")
+            if not 0 <= (number or 0) < count:
+                raise ValueError(f"it has no frame {number}: its {count} are numbered from 0")
+            _, _, data = next(islice(reader.messages(topics), number or 0, None))
+        # The bag's own definitions of messages are not asked: they would become a program.
+        cloud: Any = get_typestore(Stores.ROS2_HUMBLE).deserialize_cdr(data, _CLOUD)
+        return RangeGrid.of_records(_records_of(cloud))
+    except (ValueError, OSError):
+        raise
+    except Exception as error:  # its reader raises whatever damaged bytes lead to
+        raise ValueError(f"it is damaged ({type(error).__name__})") from None
+
+
+def _records_of(cloud: Any) -> npt.NDArray[np.void]:
+    """Return the points of a message as (H, W) records."""
+    height, width, step, row_step = (int(v) for v in (cloud.height, cloud.width, cloud.point_step, cloud.row_step))
+    check_mesh_size(height * width, 0)
+    fields = [field for field in cloud.fields if field.count == 1 and field.datatype in _KINDS]
+    order = ">" if cloud.is_bigendian else "<"
+    layout = np.dtype(
+        {
+            "names": [field.name for field in fields],
+            "formats": [order + _KINDS[field.datatype] for field in fields],
+            "offsets": [int(field.offset) for field in fields],
+            "itemsize": step,
+        }
+    )
+    if row_step < width * step or cloud.data.size < height * row_step:
+        raise ValueError(f"it is truncated: {width} times {height} points of {step} bytes are promised")
+    rows = cloud.data[: height * row_step].reshape(height, row_step)[:, : width * step]
+    return np.ascontiguousarray(rows).view(layout).reshape(height, width)
 
 
 class _Messages:

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import Literal
 
 from pipeline.output.formats.axes import OPTICAL, Y_UP, Z_UP, Axes, placed
-from pipeline.output.formats.depth_picture import STEP, depth_step_mm, encode_depth_png, encode_depth_tiff
+from pipeline.output.formats.depth_picture import CAMERA, STEP, depth_step_mm, encode_depth_png, encode_depth_tiff
 from pipeline.output.formats.file_text import Content, Heading
 from pipeline.output.formats.gltf import encode_glb, encode_gltf
 from pipeline.output.formats.obj import encode_obj
@@ -109,5 +109,7 @@ def encode_as(form: FileFormat, shape: Mesh | RangeGrid, stem: str, farthest_mm:
     if isinstance(shape, RangeGrid) and form.encode_grid is not None:
         if form.has_step:
             remarks[STEP] = f"{depth_step_mm(farthest_mm):g}"
+            if shape.camera is not None:
+                remarks[CAMERA] = shape.camera.model_dump_json()
         return form.encode_grid(shape, Heading(stem, remarks))
     raise TypeError(f"{form.meaning} is not made of a {type(shape).__name__}")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.command_in_process import command
 from support.drawn_surfaces import dome, read_film, read_picture, require_drawing, shown
-from support.stored_planes import store
+from support.stored_planes import LENS, store
 
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import write_mesh
@@ -44,6 +44,23 @@ def test_a_still_with_buffers_and_a_camera(command, things):
     assert shown(read_picture(things / "still.png")).mean() > 0.1
     code, said, _ = command("render", "one", "--out", "one.png", *SIZE, "--view", "front")
     assert code == 0 and said.startswith("wrote one.png: drawn by ")
+
+
+@pytest.mark.usefixtures("can_draw")
+@pytest.mark.parametrize("kind", ["pcd", "png", "tiff", "mcap"])
+def test_grids_are_drawn_as_the_frames_that_they_were(command, things, kind):
+    store(things / "seen.zarr", [400.0, 401.0, 402.0], missing=(1,), lens=LENS)
+    code, said, complained = command("export", "seen.zarr", "--out", "grids", "--kind", kind)
+    assert code == 0, complained
+    bag = kind == "mcap"
+    source = "grids/bag/bag.mcap" if bag else f"grids/frame_000002.{kind}"
+    view = ("--view", "front", *SIZE)
+    code, said, complained = command("render", source, "--out", "grid.png", *view, *(("--frame", "1") if bag else ()))
+    assert (code, complained) == (0, "") and said.startswith("wrote grid.png: drawn by ")
+    command("render", "seen.zarr", "--frame", "2", "--out", "frame.png", *view)
+    drawn, expected = (read_picture(things / name).astype(int) for name in ("grid.png", "frame.png"))
+    assert shown(drawn).mean() > 0.1
+    assert (np.abs(drawn - expected).max(axis=-1) > 12).mean() < 0.02
 
 
 @pytest.mark.usefixtures("can_draw")

@@ -1,5 +1,6 @@
 """Depth in 16 bits, read back by programs that are not ours."""
 
+import io
 import json
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ from PIL import Image
 from support.tilted_sheets import tilted_grid
 
 from pipeline.errors import OutputError
-from pipeline.output.formats.depth_picture import depth_step_mm, encode_depth_png
+from pipeline.output.formats.depth_picture import decode_depth, depth_step_mm, encode_depth_png
 from pipeline.output.formats.file_text import Heading
 from pipeline.output.formats.table import FORMATS, encode_as
 
@@ -37,6 +38,58 @@ def test_depth_is_levels_times_the_step(tmp_path, kind):
 def test_the_step_is_the_finest_round_one(farthest_mm, step_mm):
     assert depth_step_mm(farthest_mm) == pytest.approx(step_mm)
     assert depth_step_mm(farthest_mm) * 65535 >= farthest_mm
+
+
+@pytest.mark.parametrize("kind", ["png", "tiff"])
+def test_read_back_it_has_the_points_that_its_camera_saw(kind):
+    grid = tilted_grid()
+    read = decode_depth(encode_as(FORMATS[kind], grid, "depth", 546)[f".{kind}"])
+    np.testing.assert_allclose(read.depth, grid.depth, atol=0.006)  # NaN where it is NaN
+    known = np.isfinite(grid.depth)
+    np.testing.assert_allclose(read.points[known][:, :2] / read.depth[known][:, None], grid.camera.rays()[known])
+    assert read.camera is not None and read.camera.model_dump_json() == grid.camera.model_dump_json()
+
+
+def remarks(**changed):
+    grid = tilted_grid()
+    said = {"depth_step_mm": "0.01", "camera": grid.camera.model_dump_json(), **changed}
+    return encode_depth_png(grid, Heading("d", {name: value for name, value in said.items() if value}))[".png"]
+
+
+def png_of(values):
+    file = io.BytesIO()
+    Image.fromarray(values).save(file, "PNG")
+    return file.getvalue()
+
+
+def lens_of(width, height):
+    return tilted_grid().camera.model_copy(update={"size_px": (width, height)}).model_dump_json()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (lambda: b"no picture", "it is no PNG and no TIFF picture"),
+        (lambda: remarks()[:-60], "it is damaged"),
+        (lambda: png_of(np.zeros((4, 4, 3), np.uint8)), "it is no picture of depth: that has one channel of 16 bits"),
+        (
+            lambda: png_of(np.zeros((4, 4), np.uint16)),
+            "it says no depth_step_mm or no camera: give one that colorphase",
+        ),
+        (lambda: remarks(camera=""), "it says no depth_step_mm or no camera: give one that colorphase"),
+        (lambda: remarks(camera="{}"), "its depth_step_mm or its camera is none"),
+        (lambda: remarks(camera=lens_of(7, 5)), "its camera is of another size"),
+    ],
+)
+def test_other_pictures_are_refused_in_a_line(content, message):
+    with pytest.raises(ValueError, match=message):
+        decode_depth(content())
+
+
+def test_a_picture_larger_than_allowed_is_refused_before_it_is_unpacked(monkeypatch):
+    monkeypatch.setenv("COLORPHASE_MAX_PIXELS", "100")
+    with pytest.raises(ValueError, match="COLORPHASE_MAX_PIXELS"):
+        decode_depth(remarks())
 
 
 def test_what_does_not_fit_is_refused():

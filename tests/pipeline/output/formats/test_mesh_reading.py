@@ -54,13 +54,13 @@ def test_only_files_beside_a_mesh_are_opened(tmp_path, mesh):
     for place in ("../secret.bin", "http://127.0.0.1:9/secret.bin", str(tmp_path / "secret.bin")):
         scene["buffers"][0]["uri"] = place
         (tmp_path / "inside" / "mesh.gltf").write_text(json.dumps(scene))
-        with pytest.raises(FootageError, match=r"cannot read .*mesh\.gltf as a GLTF mesh"):
+        with pytest.raises(FootageError, match=r"cannot read .*mesh\.gltf as a surface \(GLTF\)"):
             read_mesh(tmp_path / "inside" / "mesh.gltf")
 
 
 def test_points_without_triangles_are_no_mesh(tmp_path):
     (tmp_path / "points.obj").write_text("v 0 0 0\nv 1 0 0\n")
-    with pytest.raises(FootageError, match=r"cannot read .* as a OBJ mesh: it has no triangles"):
+    with pytest.raises(FootageError, match=r"cannot read .* as a surface \(OBJ\): it has no triangles"):
         read_mesh(tmp_path / "points.obj")
 
 

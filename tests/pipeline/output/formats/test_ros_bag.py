@@ -8,8 +8,9 @@ import pytest
 from rosbags.highlevel import AnyReader
 from support.tilted_sheets import HEIGHT, WIDTH, tilted_grid
 
-from pipeline.errors import OutputError
-from pipeline.output.formats.ros_bag import FRAME_ID, write_bag
+from pipeline.errors import FootageError, OutputError
+from pipeline.output.formats.ros_bag import FRAME_ID, read_bag, write_bag
+from pipeline.output.mesh_files import read_mesh
 
 
 @pytest.fixture
@@ -73,3 +74,52 @@ def test_without_the_package_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setattr(builtins, "__import__", lacking)
     with pytest.raises(OutputError, match=r"pip install 'colorphase\[mcap\]'"):
         write_bag(tmp_path / "bag", [], {})
+    with pytest.raises(ValueError, match=r"pip install 'colorphase\[mcap\]'"):
+        read_bag(tmp_path / "bag.mcap")
+
+
+def bag_of(folder, n_frames):
+    """Write frames, each 10 mm behind the one before, and return the file."""
+    grid = tilted_grid()
+    shifts = (np.array([0, 0, 10 * k], np.float32) for k in range(n_frames))
+    write_bag(folder / "bag", (replace(grid, points=grid.points + shift) for shift in shifts), {})
+    return folder / "bag" / "bag.mcap"
+
+
+def test_frames_are_read_back(tmp_path):
+    path, grid = bag_of(tmp_path, 3), tilted_grid()
+    for number in range(3):
+        read = read_bag(path, number)
+        np.testing.assert_allclose(read.depth, grid.depth + 10 * number, rtol=1e-6)  # NaN where it is NaN
+        np.testing.assert_array_equal(read.texture, grid.texture)
+        np.testing.assert_allclose(read.properties["sigma_mm"], grid.properties["sigma_mm"])
+
+
+def test_a_frame_becomes_a_mesh(tmp_path, cpu):
+    mesh = read_mesh(bag_of(tmp_path, 1))
+    assert len(mesh.faces) > HEIGHT * WIDTH and {*mesh.properties} >= {"sigma_mm"}
+    assert mesh.colors is not None and (mesh.vertices[:, 2] > 499).all()
+
+
+def test_wrong_numbers_and_damage_are_a_line(tmp_path, cpu):
+    path = bag_of(tmp_path, 2)
+    with pytest.raises(ValueError, match="it holds 2 frames: choose one by its number, from 0"):
+        read_bag(path)
+    for number in (2, -1):
+        with pytest.raises(ValueError, match=f"it has no frame {number}: its 2 are numbered from 0"):
+            read_bag(path, number)
+    whole = path.read_bytes()
+    for damaged in (b"", whole[:100], whole[:-40], whole[: len(whole) // 2] + b"x" * (len(whole) // 2)):
+        path.write_bytes(damaged)
+        with pytest.raises(FootageError, match=r"cannot read .*bag\.mcap as a surface \(MCAP\): it is damaged"):
+            read_mesh(path, 0)
+
+
+def test_a_bag_that_holds_other_things(tmp_path):
+    grid = tilted_grid()
+    write_bag(tmp_path / "bag", [], {})
+    with pytest.raises(ValueError, match="it has 0 topics of points, and one is read"):
+        read_bag(tmp_path / "bag" / "bag.mcap")
+    write_bag(tmp_path / "line", [replace(grid, points=grid.points[:1], texture=None, properties={}, camera=None)], {})
+    with pytest.raises(ValueError, match="32 times 1 points are no grid"):
+        read_bag(tmp_path / "line" / "line.mcap")
