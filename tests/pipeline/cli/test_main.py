@@ -27,7 +27,7 @@ from pipeline.cli.main import app
         (("decode", "pictures", "--out", "memory://x", "--export", "ply"), "run colorphase export"),
         (("capture", "--rig", "simulated", "--out", "x", "--settings", "settings.toml"), "add --live, or leave"),
         (("capture", "--rig", "black.png", "--out", "x"), "black.png is not what it should be: it is no text file"),
-        (("render", "frame.png", "--out", "x.png"), "PLY"),
+        (("render", "frame.png", "--out", "x.png"), "no picture of depth"),
         (("render", "none.ply", "--out", "x.png"), "cannot read none.ply"),
         (("render", "none.ply", "--out", "x.gif"), "name it .png for a still picture, .mp4 for a film"),
         (("pattern", "x.png", "--size", "wide"), "as in 1024x768"),
