@@ -118,10 +118,7 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
         step = (np.arange(self.samples) + 0.5) / self.samples - 0.5
         x = (np.arange(width)[:, None] + step).ravel()
         y = (np.arange(height)[:, None] + step).ravel()
-        grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2) - np.array(shift)
-        lens = geometry.camera
-        steps = (cv2.TERM_CRITERIA_COUNT, 20, 1e-12)
-        rays = cv2.undistortPoints(grid, lens.matrix, lens.distortion, criteria=steps).reshape(-1, 2)
+        rays = geometry.camera.rays_through(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) - np.array(shift))
         rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
         normal = rotation[:, 2]
         points = rays * ((origin @ normal) / (rays @ normal))[:, None]

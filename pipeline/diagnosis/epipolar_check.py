@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 
-import cv2
 import numpy as np
 
 from pipeline.calibration.captures import SWAPPED, refuse_other_camera
@@ -74,14 +73,9 @@ def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: F
     camera_px, projector_px : (N, 2)
         x, y of pixels that see each other.
     """
-    rays = cv2.undistortPoints(camera_px.reshape(-1, 1, 2), geometry.camera.matrix, geometry.camera.distortion)
-    light = cv2.undistortPoints(
-        projector_px.reshape(-1, 1, 2), geometry.projector.matrix, geometry.projector.distortion
-    )
+    rays, light = geometry.camera.rays_through(camera_px), geometry.projector.rays_through(projector_px)
     t = geometry.translation_mm / np.linalg.norm(geometry.translation_mm)
     cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
-    lines = np.insert(rays.reshape(-1, 2), 2, 1.0, axis=1) @ (cross @ geometry.rotation).T
-    distance = (np.insert(light.reshape(-1, 2), 2, 1.0, axis=1) * lines).sum(axis=1) / np.hypot(
-        lines[:, 0], lines[:, 1]
-    )
+    lines = np.insert(rays, 2, 1.0, axis=1) @ (cross @ geometry.rotation).T
+    distance = (np.insert(light, 2, 1.0, axis=1) * lines).sum(axis=1) / np.hypot(lines[:, 0], lines[:, 1])
     return np.asarray(distance * np.sqrt(geometry.projector.matrix[0, 0] * geometry.projector.matrix[1, 1]))

@@ -91,9 +91,9 @@ def decode_depth(data: bytes) -> RangeGrid:
     try:
         step, lens = float(remarks[STEP]), Lens.model_validate_json(remarks[CAMERA])
     except ValueError:
-        raise ValueError(f"its {STEP} or its {CAMERA} is none") from None
+        raise ValueError(f"its {STEP} or its {CAMERA} cannot be read") from None
     if lens.size_px != levels.shape[::-1] or not 0 < step < np.inf:
-        raise ValueError(f"its {CAMERA} is of another size, or its {STEP} is none")
+        raise ValueError(f"its {CAMERA} is of another size than the picture, or its {STEP} is not above 0")
     depth = np.where(levels > 0, levels * np.float32(step), np.float32(np.nan))
     return RangeGrid(np.concatenate([lens.rays() * depth[..., None], depth[..., None]], axis=-1), camera=lens)
 

@@ -77,8 +77,8 @@ def lens_of(width, height):
             "it says no depth_step_mm or no camera: give one that colorphase",
         ),
         (lambda: remarks(camera=""), "it says no depth_step_mm or no camera: give one that colorphase"),
-        (lambda: remarks(camera="{}"), "its depth_step_mm or its camera is none"),
-        (lambda: remarks(camera=lens_of(7, 5)), "its camera is of another size"),
+        (lambda: remarks(camera="{}"), "its depth_step_mm or its camera cannot be read"),
+        (lambda: remarks(camera=lens_of(7, 5)), "its camera is of another size than the picture"),
     ],
 )
 def test_other_pictures_are_refused_in_a_line(content, message):
