@@ -25,6 +25,9 @@ from tikernels.traffic import traffic
 #: Every arch by name, in the order in which "auto" prefers them.
 ARCHS = ("cuda", "metal", "vulkan", "cpu")
 
+#: Taichi's and Quadrants' environment variables for the number of threads that share a kernel on the CPU.
+THREAD_VARIABLES = ("TI_CPU_MAX_NUM_THREADS", "QD_CPU_MAX_NUM_THREADS")
+
 #: Held while a frame is decoded, and while its results are read: kernels are to be launched by one thread at a time.
 lock = threading.RLock()
 
@@ -40,13 +43,16 @@ class VulkanDevice:
     software: bool
 
 
-def init(arch: str = "auto") -> str:
+def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
     """Start the device that every kernel runs on.
 
     Parameters
     ----------
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         "auto" takes the first of CUDA, Metal, Vulkan on real hardware, and the CPU. A named one never falls back.
+    cpu_threads : int, optional
+        How many threads share a kernel on the CPU; left out, one for each core. The environment variable
+        TI_CPU_MAX_NUM_THREADS goes before it.
 
     Returns
     -------
@@ -73,7 +79,7 @@ def init(arch: str = "auto") -> str:
         return arch
     reasons = []
     for candidate in candidates:
-        reason = _start(candidate)
+        reason = _start(candidate, cpu_threads)
         if reason is None:
             _started, _failed = candidate, None
             traffic.on_device = candidate != "cpu"
@@ -248,16 +254,21 @@ def synchronize() -> None:
     ti.sync()
 
 
-def _start(arch: str) -> str | None:
+def _start(arch: str, cpu_threads: int | None) -> str | None:
     """Start one arch; the reason where it cannot be."""
     if arch == "vulkan" and not vulkan_devices():
         return "vulkan: no driver"  # asked first because the runtime writes to stderr before it gives up
+    threads: dict[str, int] = {}
+    if cpu_threads is not None and not any(name in os.environ for name in THREAD_VARIABLES):
+        threads = {"cpu_max_num_threads": cpu_threads}
     # Taichi greets on standard output, which belongs to the program that uses us.
     with contextlib.redirect_stdout(open(os.devnull, "w")) as sink, sink:
         forget()
         try:
             with bound_to_cores() if arch == "cpu" else contextlib.nullcontext():
-                ti.init(arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, offline_cache=True)
+                ti.init(
+                    arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, offline_cache=True, **threads
+                )
         except RuntimeError as error:
             return f"{arch}: {str(error).splitlines()[-1].strip()}"
     running = ti.lang.impl.current_cfg().arch

@@ -23,6 +23,7 @@ from pipeline.batch.worker import Chain, Outcome
 from pipeline.batch.worker_process import Done, Failure
 from pipeline.errors import ClusterError
 from pipeline.processes import block_interrupts
+from tikernels import runtime
 
 # Tasks a process: more of them even out the time that each takes, fewer let footage be read in one go.
 _TASKS_A_PROCESS = 8
@@ -189,10 +190,8 @@ class _Process:
     def __init__(self, cores: list[int]) -> None:
         threads = len(cores)
         environment = {
-            # Taichi's and Quadrants' names for it; a user's own numbers win.
-            "TI_CPU_MAX_NUM_THREADS": str(threads),
-            "QD_CPU_MAX_NUM_THREADS": str(threads),
-            **os.environ,
+            **dict.fromkeys(runtime.THREAD_VARIABLES, str(threads)),
+            **os.environ,  # in which a user's own numbers win
             "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
         }
         self._process = subprocess.Popen(

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.batch.job import Job, Learnt, chains
-from pipeline.batch.local_processes import decode_in_processes
-from pipeline.batch.sharing import idle_processes, worthwhile_processes
+from pipeline.batch.local_processes import decode_in_processes, shares
+from pipeline.batch.sharing import idle_processes, usable_cores, worthwhile_processes
 from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import DamageError, FootageError, OutputError, SettingsError
@@ -124,7 +124,7 @@ def _decode_missing(
 ) -> DecodeSummary:
     """Decode the frames that are missing, or damaged, in a store that nobody else writes to."""
     telling.step("looking at what is there")
-    store, notes, size = _ready_store(job, source, len(wanted), telling)
+    store, notes, size = _ready_store(job, source, wanted, telling, workers=workers, cluster=cluster)
     there = store.done() & set(wanted)
     damaged = store.faults(there)
     store.unmark(damaged)
@@ -177,7 +177,7 @@ def _wanted(source: Source, start: int, stop: int | None, step: int) -> range:
 
 
 def _ready_store(
-    job: Job, source: Source, n_wanted: int, telling: "_Telling"
+    job: Job, source: Source, wanted: range, telling: "_Telling", *, workers: int | None, cluster: str | None
 ) -> tuple[ResultStore, tuple[str, ...], SizeForecast | None]:
     """Open the store, a new one with what the footage tells of itself, and only if its disk has room for it.
 
@@ -198,14 +198,34 @@ def _ready_store(
         there, damaged, notes = False, True, (*notes, f"{error}; it is written anew")
     if not there:
         telling.step("compiling kernels, and asking the footage for its light")
-        runtime.init(job.arch)
-        learnt = job.learn(source)
+        with _kernels_to_share(job, wanted, workers, cluster):
+            learnt = job.learn(source)
         if not damaged:  # else there may be frames
-            size = _forecast(job, source, n_wanted, learnt.frame_bytes)
+            size = _forecast(job, source, len(wanted), learnt.frame_bytes)
             telling.remark_if(size.check())
     store = job.make_store(source, learnt.light, learnt.rims)
     store.remove_leftovers()
     return store, (*notes, *learnt.notes), size
+
+
+@contextmanager
+def _kernels_to_share(job: Job, wanted: range, workers: int | None, cluster: str | None) -> Iterator[None]:
+    """Compile the body's kernels such that processes that decode afterwards need not compile them again.
+
+    A process takes from the disk what another one has compiled for as many threads and written when its device ended.
+    A device that the caller has started is left alone.
+    """
+    to_end = not runtime.is_started()
+    arch = runtime.init(job.arch)
+    todo = list(chains(wanted, set(wanted)))
+    count = min(len(todo), worthwhile_processes(job, todo) if workers is None else workers)
+    if not to_end or arch != "cpu" or count == 1 or cluster is not None:
+        yield
+        return
+    runtime.stop()
+    runtime.init("cpu", cpu_threads=len(shares(usable_cores(), count)[0]))
+    yield
+    runtime.stop()
 
 
 def _forecast(job: Job, source: Source, n_frames: int, frame_bytes: float | None) -> SizeForecast:

@@ -5,6 +5,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -82,10 +83,43 @@ def test_ctrl_c_at_the_terminal(folder, tmp_path):
     n_done = len(list(marks.glob("c.*")))
     *progress, last = said.splitlines()
     # A slow machine tells how far it is.
-    assert all(line.startswith("starting processes") and re.search(r"after \d+ s$", line) for line in progress), said
+    steps = ("compiling kernels", "starting processes")
+    assert all(line.startswith(steps) and re.search(r"after \d+ s$", line) for line in progress), said
     assert last == f"stopped: {n_done} of {N_FRAMES} frames are done; the same command goes on from there"
     assert n_done < CHAIN_FRAMES
     assert not list((tmp_path / "out").rglob("*.part*"))
+
+
+KERNELS_FOR_THE_PROCESSES = """
+import sys
+from pathlib import Path
+from support.recorded_footage import job_of
+from pipeline.batch.job import Job
+from pipeline.batch.run import decode_footage
+from tikernels import runtime
+from tikernels._taichi import ti
+
+def learn(job, source):
+    print(ti.lang.impl.current_cfg().cpu_max_num_threads, runtime.is_started())
+    raise KeyboardInterrupt
+
+Job.learn = learn
+folder, workers = Path(sys.argv[1]), int(sys.argv[2])
+try: decode_footage(job_of(folder, Path(sys.argv[3])), workers=workers)
+except KeyboardInterrupt: pass
+"""
+
+
+@pytest.mark.parametrize("workers", [1, len(local_processes.usable_cores())])
+def test_kernels_are_compiled_for_as_many_threads_as_the_processes_have(folder, tmp_path, workers):
+    """They take none that were compiled for another number."""
+    arguments = [sys.executable, "-c", KERNELS_FOR_THE_PROCESSES, folder, str(workers), tmp_path / "result.zarr"]
+    tests = str(Path(__file__).parents[2])
+    environment = {name: value for name, value in os.environ.items() if "MAX_NUM_THREADS" not in name}
+    environment["PYTHONPATH"] = os.pathsep.join([tests, *sys.path])
+    done = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=120)
+    threads = len(local_processes.shares(local_processes.usable_cores(), workers)[0])
+    assert done.stdout.splitlines()[-1:] == [f"{threads} True"], done.stderr
 
 
 def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
