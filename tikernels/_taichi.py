@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 # Importing must print nothing; both languages greet on import otherwise.
 os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "False")
 os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "False")
+# Once a day Taichi would send its makers' server a number that tells this machine, to hear of new versions.
+os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 
 
 def _import_language() -> tuple[Any, str]:

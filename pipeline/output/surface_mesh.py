@@ -18,6 +18,7 @@ from pipeline.output.range_surface import MAX_SLOPE, RangeSurface
 from pipeline.output.rims import rim_shifts
 from pipeline.output.specks import find_surfaces, links_within
 from tikernels import runtime
+from tikernels.arrays import E
 from tikernels.depth.meshing import triangulate_mesh
 from tikernels.depth.step_cutting import cut_steep_links, link_pixels
 from tikernels.depth.surface_fit import FittedSurface, fit_surface
@@ -178,7 +179,7 @@ def surface_mesh(
     more: dict[str, Any] = {"normals": normals, "flags": flags}
     if texture is not None:
         more |= {"pixels": _columns_and_rows(places, shift), "texture": texture}
-        more["colors"] = texture.reshape(-1, 3)[np.flatnonzero(mask)[number]]
+        more["colors"] = _rows(texture, np.flatnonzero(mask)[number])
     mesh = Mesh(vertices, joined.faces, properties=carried, unit=unit, **more)
     if options.max_triangles is not None:
         mesh = decimate_mesh(mesh, options.max_triangles)
@@ -269,7 +270,7 @@ def _flags(level: Floats, holes: FilledHoles, shift: Floats, options: MeshOption
     flags = np.zeros(level.size, np.uint8)
     flags[(level.ravel() > 0) & options.smoothed] = SMOOTHED
     flags[holes.filled] |= FILLED
-    flags[shift.reshape(-1, 2).any(axis=1)] |= FILLED | RIM
+    flags[((shift[..., 0] != 0) | (shift[..., 1] != 0)).ravel()] |= FILLED | RIM
     return flags
 
 
@@ -278,15 +279,21 @@ def _columns_and_rows(places: npt.NDArray[np.intp], shift: Floats) -> Floats:
     moved = np.empty_like(shift)
     for k, (count, along) in enumerate(((shift.shape[1], (1, -1)), (shift.shape[0], (-1, 1)))):
         np.add(shift[..., 1 - k], np.arange(count, dtype=np.float32).reshape(along), out=moved[..., k])
-    return moved.reshape(-1, 2)[places]
+    return _rows(moved, places)
+
+
+def _rows(of_pixels: npt.NDArray[E], places: npt.NDArray[np.intp]) -> npt.NDArray[E]:
+    """Return what an image of vectors has in some places of the flat image."""
+    # By an index in brackets it takes sixteen times as long.
+    return np.take(of_pixels.reshape(-1, of_pixels.shape[-1]), places, axis=0)
 
 
 def _relief(places: npt.NDArray[np.intp], depth: Floats, slope: Floats, shift: Floats) -> tuple[Floats, Floats]:
     """Return the vertices of a relief over an image, in px and rad, and their normals towards the camera."""
-    slope = slope.reshape(-1, 2)[places]
+    slope = _rows(slope, places)
     normals = np.column_stack([slope[:, 1], slope[:, 0], np.full(len(slope), -1, np.float32)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    moved = depth.ravel()[places] + (slope * shift.reshape(-1, 2)[places]).sum(axis=1)
+    moved = depth.ravel()[places] + (slope * _rows(shift, places)).sum(axis=1)
     return np.column_stack([_columns_and_rows(places, shift), moved]), normals
 
 

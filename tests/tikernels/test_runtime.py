@@ -99,6 +99,25 @@ def test_nothing_takes_the_place_of_a_named_arch_that_could_not_be_started():
     assert all("could not be started: call tikernels.init with another arch, or with auto" in line for line in lines)
 
 
+def test_starting_a_device_asks_no_server(tmp_path):
+    """Taichi asks one on its first day on a machine, from a thread of its own."""
+    program = (
+        "import threading, urllib.request\n"
+        "asked = []\n"
+        "urllib.request.urlopen = lambda *given, **more: asked.append(given)\n"
+        "import tikernels\n"
+        "tikernels.init('cpu')\n"
+        "for thread in threading.enumerate():\n"
+        "    if thread is not threading.current_thread(): thread.join(10)\n"
+        "print(asked)\n"
+    )
+    environment = os.environ | {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path)}
+    environment.pop("TI_SKIP_VERSION_CHECK", None)
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.stdout.splitlines()[-1:] == ["[]"], done.stderr
+
+
 def test_the_first_call_starts_a_device_where_none_is():
     done = run(
         "import numpy as np, tikernels\n"

@@ -69,9 +69,10 @@ class ColorScale:
         """Return the RGB of each value, (..., 3); those outside the limits have the limit's."""
         fractions = ((values - self.low) / (self.high - self.low)).clip(0, 1)
         if self.diverging:
-            colors = _diverging_map()[(255 * fractions).round().astype(np.uint8)]
+            table, numbers = _diverging_map(), 255 * fractions
         else:  # the map's ends are too dark to tell apart
-            colors = _TURBO[(20 + 215 * fractions).round().astype(np.uint8)]
+            table, numbers = _TURBO, 20 + 215 * fractions
+        colors = np.take(table, numbers.round().astype(np.uint8), axis=0)
         if self.grey_beyond:
             reach = _BEYOND * (self.high - self.low)
             colors[(values < self.low - reach) | (values > self.high + reach)] = _GREY

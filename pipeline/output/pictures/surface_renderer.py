@@ -47,6 +47,9 @@ class SurfaceRenderer:
 
     def show(self, vertices: npt.NDArray[np.float32], faces: npt.NDArray[np.int32]) -> None:
         """Put a surface on it, in place of the one before."""
+        self._bounds = [
+            float(side) for ends in zip(vertices.min(axis=0), vertices.max(axis=0), strict=True) for side in ends
+        ]
         self._surface = self._pyvista.PolyData.from_regular_faces(vertices, faces)
         self._surface.point_data["colors"] = np.zeros((len(vertices), 3), np.uint8)
         self._plotter.add_mesh(
@@ -90,8 +93,11 @@ class SurfaceRenderer:
         return f"{next(filter(None, lines), 'an unknown renderer')}, {_WINDOWS.get(kind, kind)}"
 
     def _look(self, eye: Viewpoint) -> None:
+        # Asked for the surface's bounds, the library would walk over all triangles.
         camera = self._plotter.camera
-        camera.position, camera.focal_point, camera.up = eye.position, eye.focal_point, eye.up
-        camera.view_angle = FIELD_OF_VIEW_DEG
-        self._plotter.renderer.ResetCameraClippingRange()
+        camera.SetPosition(*eye.position)
+        camera.SetFocalPoint(*eye.focal_point)
+        camera.SetViewUp(*eye.up)
+        camera.SetViewAngle(FIELD_OF_VIEW_DEG)
+        self._plotter.renderer.ResetCameraClippingRange(self._bounds)
         self._plotter.render_window.Render()
