@@ -511,7 +511,7 @@ def _slope_beside(
 def fit_quadric(
     depth: Array, sigma: Array, mask: Array, links: Array, place: tuple[int, int], stride: int
 ) -> tuple[float, float, float, float]:
-    """Return value, slopes down and to the right a px, and variance of the quadric around a pixel."""
+    """Return value, slopes down and to the right a px, and variance of the quadric, or plane, around a pixel."""
 
     def run(start: tuple[int, int], way: tuple[int, int]) -> int:
         bit = 1 if way[0] == 0 else 2
@@ -532,10 +532,17 @@ def fit_quadric(
     at = tuple((np.array(samples) * stride + place).T)
     weight = (1 - u**2 / 16) * (1 - v**2 / 16) * (sigma[place] / sigma[at]) ** 2 * mask[at]
     columns = np.stack([np.ones(len(u)), v, u, v * v, u * v, u * u])
+    alike = {1: 6.2, 2: 3.0, 4: 1.1}[stride] * sigma[place] ** 2
     normal = (columns * weight) @ columns.T + np.diag([0, 1e-5, 1e-5, 1e-3, 1e-3, 1e-3])
-    found = np.linalg.solve(normal, (columns * weight) @ (depth[at].astype(np.float64) - depth[place]))
-    variance = sigma[place] ** 2 * np.linalg.inv(normal)[0, 0] * {1: 6.2, 2: 3.0, 4: 1.1}[stride]
-    return float(found[0] + depth[place]), float(found[1] / stride), float(found[2] / stride), float(variance)
+    right_side = (columns * weight) @ (depth[at].astype(np.float64) - depth[place])
+    bent, flat = (np.linalg.solve(normal[:count, :count], right_side[:count]) for count in (6, 3))
+    ways = ((-1, 0), (1, 0), (0, -1), (0, 1))
+    cut_off = min(run(place, way) for way in ways) < 3 * stride
+    # What the bend explains, as a part of what is left by chance.
+    if cut_off and right_side @ bent - right_side[:3] @ flat < alike:
+        bent, normal = flat, normal[:3, :3]
+    variance = alike * np.linalg.inv(normal)[0, 0]
+    return float(bent[0] + depth[place]), float(bent[1] / stride), float(bent[2] / stride), float(variance)
 
 
 def choose_window(depth: Array, sigma: Array, mask: Array, links: Array, place: tuple[int, int]) -> int:

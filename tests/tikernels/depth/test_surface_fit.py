@@ -59,6 +59,20 @@ def test_a_flat_surface_loses_most_of_its_noise(arch):
     assert np.std(fitted.depth[12:-12, 12:-12] - 800) < 0.35 * 0.1
 
 
+def test_at_its_end_a_surface_is_a_plane_unless_its_bend_shows(arch):
+    """The slopes of what is flat err half as much there; what is bent keeps its bend."""
+    columns = np.indices(SHAPE)[1] - (SHAPE[1] - 1.0)
+    errors = []
+    for bend_mm in (0.0, 0.1):
+        depth, sigma = noisy(800 + 0.3 * columns + bend_mm / 2 * columns**2, 0.05)
+        # Sigma is often wider than what neighbours differ by.
+        fitted = fit_surface(depth, 2 * sigma, np.ones(SHAPE, bool), all_linked(SHAPE))
+        wrong = fitted.slope[..., 1] - (0.3 + bend_mm * columns)
+        assert abs(wrong[:, -1].mean()) < 0.01
+        errors.append(wrong[:, -1].std())
+    assert errors[0] < 0.5 * errors[1]
+
+
 def test_what_is_flattened_is_within_noise(arch):
     """Waves 8 px long, ten standard deviations high, lose 1.5 of them at most; a mean over 7 px would leave one."""
     x = np.indices(SHAPE)[1]
