@@ -210,16 +210,16 @@ def _ready_store(
 
 @contextmanager
 def _kernels_to_share(job: Job, wanted: range, workers: int | None, cluster: str | None) -> Iterator[None]:
-    """Compile the body's kernels such that processes that decode afterwards need not compile them again.
+    """Compile the body's kernels in such a way that the processes that decode afterwards find them on the disk.
 
-    A process takes from the disk what another one has compiled for as many threads and written when its device ended.
-    A device that the caller has started is left alone.
+    What a process compiles is of use to those with as many threads a kernel, and is written when its device ends. A
+    device that the caller has started is left alone.
     """
-    to_end = not runtime.is_started()
+    started_here = not runtime.is_started()
     arch = runtime.init(job.arch)
     todo = list(chains(wanted, set(wanted)))
     count = min(len(todo), worthwhile_processes(job, todo) if workers is None else workers)
-    if not to_end or arch != "cpu" or count == 1 or cluster is not None:
+    if not started_here or arch != "cpu" or count == 1 or cluster is not None:
         yield
         return
     runtime.stop()

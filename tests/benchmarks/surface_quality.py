@@ -42,7 +42,7 @@ CASES = [
 ]
 HEAD = (
     "| scene | vertices | filled | within 3 | beyond 6 | filled within 3 | at rims within 3 | lit | across steps | "
-    "rims | median mm | RMS mm | normals deg |\n" + "|---" * 13 + "|"
+    "rims | median mm | RMS mm | normals deg | at rims deg |\n" + "|---" * 14 + "|"
 )
 
 
@@ -103,7 +103,7 @@ def show(name: str, found: MeshQuality) -> None:
         f"| {name} | {found.vertices} | {found.filled} | {found.within_three:.2%} | {found.beyond_six:.1e} | "
         f"{found.filled_within_three:.0%} | {found.rim_within_three:.1%} | {found.complete:.1%} | "
         f"{found.across_steps} | {found.rims:.1%} | {found.depth_median_mm:.3f} | {found.depth_rms_mm:.3f} | "
-        f"{found.normal_deg:.2f} |",
+        f"{found.normal_deg:.2f} | {found.rim_normal_deg:.1f} |",
         flush=True,
     )
 

@@ -43,6 +43,8 @@ class MeshQuality:
     """Of the mesh's rim, what lies within `RIM_PX` of an edge of what is lit, of a step, or of the picture."""
     normal_deg: float
     """Median angle between a vertex's normal and the true surface's."""
+    rim_normal_deg: float
+    """The same of the vertices that have moved to a rim; NaN: none have."""
 
 
 def judge_mesh(mesh: Mesh, depth_mm: npt.NDArray[np.floating], lit: Pixels, camera: Lens) -> MeshQuality:
@@ -73,7 +75,8 @@ def judge_mesh(mesh: Mesh, depth_mm: npt.NDArray[np.floating], lit: Pixels, came
     covered[y, x] = True
     off_rim = np.abs(mesh.vertices[moved, 2] - _depth_between(depth_mm, place[moved, :2]))
     off_rim = (off_rim / mesh.properties["sigma_mm"][moved])[np.isfinite(off_rim)]
-    tilt = np.einsum("ni,ni->n", mesh.normals, true_normals(depth_mm, camera)[y, x])
+    cosines = np.einsum("ni,ni->n", mesh.normals, true_normals(depth_mm, camera)[y, x])
+    tilt_deg = np.degrees(np.arccos(np.clip(cosines, -1, 1)))
     return MeshQuality(
         vertices=len(mesh.vertices),
         triangles=len(mesh.faces),
@@ -87,7 +90,8 @@ def judge_mesh(mesh: Mesh, depth_mm: npt.NDArray[np.floating], lit: Pixels, came
         complete=float((covered & lit).sum() / lit.sum()),
         across_steps=int((np.ptp(corners, axis=1) >= STEP_MM).sum()),
         rims=_share_of_rims(mesh, y, x, depth_mm, lit),
-        normal_deg=float(np.degrees(np.nanmedian(np.arccos(np.clip(tilt, -1, 1))))),
+        normal_deg=float(np.nanmedian(tilt_deg)),
+        rim_normal_deg=float(np.nanmedian(tilt_deg[moved])) if moved.any() else float("nan"),
     )
 
 
