@@ -7,6 +7,7 @@ import math
 import os
 import sys
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
@@ -30,6 +31,9 @@ THREAD_VARIABLES = ("TI_CPU_MAX_NUM_THREADS", "QD_CPU_MAX_NUM_THREADS")
 
 #: Held while a frame is decoded, and while its results are read: kernels are to be launched by one thread at a time.
 lock = threading.RLock()
+
+# Compiled kernels are locked while they are read or written, s; a lock that is older is of a process that was killed.
+_LOCKED_S = 60.0
 
 _started: str | None = None
 _failed: str | None = None  # the arch that was named and could not be started
@@ -264,6 +268,7 @@ def _start(arch: str, cpu_threads: int | None) -> str | None:
     # Taichi greets on standard output, which belongs to the program that uses us.
     with contextlib.redirect_stdout(open(os.devnull, "w")) as sink, sink:
         forget()
+        _unlock_kernels()
         try:
             with bound_to_cores() if arch == "cpu" else contextlib.nullcontext():
                 ti.init(
@@ -275,6 +280,20 @@ def _start(arch: str, cpu_threads: int | None) -> str | None:
     if running != getattr(ti, arch):
         return f"{arch}: the environment variable TI_ARCH asks for {running}"
     return None
+
+
+def _unlock_kernels() -> None:
+    """Remove the lock that a process has left on the disk's kernels when it was killed.
+
+    Taichi waits for none: it compiles all kernels, and keeps none, in every process until somebody removes the lock.
+    """
+    if language != "taichi":
+        return
+    folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or os.path.join(ti._lib.core.get_repo_dir(), "ticache")
+    lock = os.path.join(folder, "ticache.lock")
+    with contextlib.suppress(OSError):  # there is none, or it is another user's
+        if time.time() - os.stat(lock).st_mtime > _LOCKED_S:
+            os.remove(lock)
 
 
 def _built_with(arch: str) -> bool:
