@@ -179,7 +179,7 @@ def surface_mesh(
     more: dict[str, Any] = {"normals": normals, "flags": flags}
     if texture is not None:
         more |= {"pixels": _columns_and_rows(places, shift), "texture": texture}
-        more["colors"] = _rows(texture, np.flatnonzero(mask)[number])
+        more["colors"] = _vectors_at(texture, np.flatnonzero(mask)[number])
     mesh = Mesh(vertices, joined.faces, properties=carried, unit=unit, **more)
     if options.max_triangles is not None:
         mesh = decimate_mesh(mesh, options.max_triangles)
@@ -279,21 +279,21 @@ def _columns_and_rows(places: npt.NDArray[np.intp], shift: Floats) -> Floats:
     moved = np.empty_like(shift)
     for k, (count, along) in enumerate(((shift.shape[1], (1, -1)), (shift.shape[0], (-1, 1)))):
         np.add(shift[..., 1 - k], np.arange(count, dtype=np.float32).reshape(along), out=moved[..., k])
-    return _rows(moved, places)
+    return _vectors_at(moved, places)
 
 
-def _rows(of_pixels: npt.NDArray[E], places: npt.NDArray[np.intp]) -> npt.NDArray[E]:
-    """Return what an image of vectors has in some places of the flat image."""
+def _vectors_at(image: npt.NDArray[E], places: npt.NDArray[np.intp]) -> npt.NDArray[E]:
+    """Return the vectors of an image, (H, W, C), at N places of the flat image, (N, C)."""
     # By an index in brackets it takes sixteen times as long.
-    return np.take(of_pixels.reshape(-1, of_pixels.shape[-1]), places, axis=0)
+    return np.take(image.reshape(-1, image.shape[-1]), places, axis=0)
 
 
 def _relief(places: npt.NDArray[np.intp], depth: Floats, slope: Floats, shift: Floats) -> tuple[Floats, Floats]:
     """Return the vertices of a relief over an image, in px and rad, and their normals towards the camera."""
-    slope = _rows(slope, places)
+    slope = _vectors_at(slope, places)
     normals = np.column_stack([slope[:, 1], slope[:, 0], np.full(len(slope), -1, np.float32)])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    moved = depth.ravel()[places] + (slope * _rows(shift, places)).sum(axis=1)
+    moved = depth.ravel()[places] + (slope * _vectors_at(shift, places)).sum(axis=1)
     return np.column_stack([_columns_and_rows(places, shift), moved]), normals
 
 

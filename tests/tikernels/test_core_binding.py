@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from tikernels import runtime
+
 PROGRAM = """
 import contextlib
 import os
@@ -41,7 +43,7 @@ def test_kernels_threads_have_a_core_each(threads):
     cores = sorted(os.sched_getaffinity(0))[:2]
     if len(cores) < 2:
         pytest.skip("one core alone")
-    settings = {"TI_CPU_MAX_NUM_THREADS": str(threads), "QD_CPU_MAX_NUM_THREADS": str(threads)}
+    settings = dict.fromkeys(runtime.THREAD_VARIABLES, str(threads))
     program = f"import os; os.sched_setaffinity(0, {cores})\n" + PROGRAM
     run = subprocess.run(
         [sys.executable, "-c", program],

@@ -14,6 +14,7 @@ from typing import IO, Any
 
 from pipeline.errors import RenderError
 from pipeline.output.pictures.picture_job import PictureJob
+from tikernels import runtime
 
 # The child sees the modules that we see, and never those of the folder that we happen to be in.
 COMMAND = [sys.executable, "-P", "-m", "pipeline.output.pictures.drawing_child"]
@@ -65,7 +66,7 @@ def draw_apart(
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
     if threads is not None:
-        names = ("TI_CPU_MAX_NUM_THREADS", "QD_CPU_MAX_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+        names = (*runtime.THREAD_VARIABLES, "OPENBLAS_NUM_THREADS")
         # Mesa's renderer counts the threads beside the one that calls it.
         few = {**dict.fromkeys(names, str(threads)), "LP_NUM_THREADS": str(threads - 1)}
         environment = few | environment  # a user's own numbers win

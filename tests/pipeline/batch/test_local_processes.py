@@ -21,6 +21,7 @@ from pipeline.batch.run import decode_footage
 from pipeline.errors import ClusterError, FootageError, OutputError
 from pipeline.footage.source import StoredAs
 from pipeline.output.store import chosen_fields
+from tikernels import runtime
 
 pytestmark = pytest.mark.usefixtures("kernels_on_disk")
 
@@ -115,7 +116,7 @@ def test_kernels_are_compiled_for_as_many_threads_as_the_processes_have(folder, 
     """They take none that were compiled for another number."""
     arguments = [sys.executable, "-c", KERNELS_FOR_THE_PROCESSES, folder, str(workers), tmp_path / "result.zarr"]
     tests = str(Path(__file__).parents[2])
-    environment = {name: value for name, value in os.environ.items() if "MAX_NUM_THREADS" not in name}
+    environment = {name: value for name, value in os.environ.items() if name not in runtime.THREAD_VARIABLES}
     environment["PYTHONPATH"] = os.pathsep.join([tests, *sys.path])
     done = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=120)
     threads = len(local_processes.shares(local_processes.usable_cores(), workers)[0])
