@@ -80,7 +80,7 @@ def slope_beside(
     """
     height, breadth = depth.shape[0], depth.shape[1]
     middle, row_slope, column_slope, variance = depth[y, x], 0.0, 0.0, -1.0
-    for turn in ti.static(range(2)):
+    for turn in range(2):
         n, count, sy, sx, sz = 0.0, 0, 0.0, 0.0, 0.0
         syy, syx, sxx, syz, sxz = 0.0, 0.0, 0.0, 0.0, 0.0
         for dy in range(-_REACH, _REACH + 1):
@@ -93,7 +93,7 @@ def slope_beside(
                         # At first whatever may hang together with the pixel counts, then what its plane explains.
                         bound = _STEEPEST * width[y, x] * away
                         noise = _SURE * ti.sqrt(squared(sigma[j, i]) + squared(width[y, x]))
-                        bound = noise if ti.static(turn == 1) else bound
+                        bound = ti.select(turn == 1, noise, bound)
                         inside = ti.max(0.0, 1.0 - squared(rest / ti.max(bound, 1e-12)))
                         weight = squared(inside) * squared(sigma[y, x] / ti.max(sigma[j, i], 1e-12))
                         weight = ti.select(away == 0.0, 1.0, weight)

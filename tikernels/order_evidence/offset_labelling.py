@@ -18,7 +18,6 @@ from tikernels._taichi import (
     I32Array2,
     Vec16Array1,
     Vec16Array2,
-    Vec16Array3,
     f32,
     i32,
     ti,
@@ -66,16 +65,16 @@ def pool_evidence_kernel(
     neighbours: I32Array1,  # (2 C,) patches
     weights: F32Array1,  # (2 C,) of their evidence
     evidence: Vec16Array2,  # (P, groups of offsets)
-    out_pooled: Vec16Array3,  # (2, P, groups) after an even and an odd number of rounds; the evidence, to begin with
+    before: Vec16Array2,  # (P, groups) what was pooled in the round before
+    out_pooled: Vec16Array2,  # (P, groups)
 ):
     """Add to each patch's evidence what its neighbours have pooled in the round before."""
-    for turn in ti.static(range(_ROUNDS)):
-        for patch in range(evidence.shape[0]):
-            for group in range(evidence.shape[1]):
-                total = evidence[patch, group]
-                for n in range(starts[patch], starts[patch + 1]):
-                    total += weights[n] * out_pooled[turn % 2, neighbours[n], group]
-                out_pooled[1 - turn % 2, patch, group] = total
+    for patch in range(evidence.shape[0]):
+        for group in range(evidence.shape[1]):
+            total = evidence[patch, group]
+            for n in range(starts[patch], starts[patch + 1]):
+                total += weights[n] * before[neighbours[n], group]
+            out_pooled[patch, group] = total
 
 
 @kernel
@@ -187,10 +186,12 @@ def pool_evidence(
     (P, offsets) float32
     """
     alone = _in_groups(evidence, 0.0)
-    pooled = np.stack([alone, alone])
+    before, pooled = alone, np.empty_like(alone)
     weight = weights[links.contact].astype(np.float32)
-    pool_evidence_kernel(links.starts, links.neighbours, weight, alone, pooled)
-    return np.asarray(pooled[_ROUNDS % 2].reshape(len(evidence), -1)[:, : evidence.shape[1]])
+    for _ in range(_ROUNDS):
+        pool_evidence_kernel(links.starts, links.neighbours, weight, alone, before, pooled)
+        before, pooled = pooled, np.empty_like(alone)
+    return before.reshape(len(evidence), -1)[:, : evidence.shape[1]]
 
 
 def settle_labels(

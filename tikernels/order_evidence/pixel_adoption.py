@@ -14,7 +14,7 @@ from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI, wrap
 from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
 from tikernels.unwrapping.continuity import frame_rates
-from tikernels.unwrapping.tables import HIDES_STEP, Final, cell_bounds, cell_count
+from tikernels.unwrapping.tables import HIDES_STEP, Final, cell_bounds, cell_count, step_to
 
 # Where other surfaces are within reach: departure from the best one's continuation, rad; modulation relative to the
 # neighbour's; and by how much more, rad, the pixel must depart from every other surface.
@@ -93,8 +93,8 @@ def adopter(
     here = ti.select(has_phase(phase[y, x]), phase[y, x], raw_phase[y, x])
     best, alike = vec3(0.0, NO_PHASE, 0.0), 0.0
     if has_phase(here):
-        for side in ti.static(range(4)):
-            dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+        for side in range(4):
+            dy, dx = step_to(side)
             other = continued(here, unwrapped, region, rates, y, x, dy, dx, 1)
             if other.y < best.y:
                 best = other
@@ -161,22 +161,21 @@ def adopt_pixels_kernel(
     mask: U8Array2,  # (H, W)
     region: I32Array2,  # (H, W)
 ):
-    """In each pass, look at what all pixels at steps continue, then give them to it."""
+    """Look at what all pixels at steps continue, then give them to it."""
     height, width = phase.shape[0], phase.shape[1]
-    for _ in ti.static(range(_PASSES)):
-        for cell in range(cell_count(height, width)):
-            if final[Final.STEPS, cell] > 0:
-                hides_step = final[Final.STEPS, cell] == HIDES_STEP
-                top, left, bottom, right = cell_bounds(cell, height, width)
-                bounds = ivec4(top, left, bottom, right)
-                find_adopters(
-                    phase, raw_phase, modulation, rates, absolute, unwrapped, mask, region, bounds, hides_step, adopted
-                )
-        for cell in range(cell_count(height, width)):
-            if final[Final.STEPS, cell] > 0:
-                top, left, bottom, right = cell_bounds(cell, height, width)
-                bounds = ivec4(top, left, bottom, right)
-                adopt(bounds, adopted, phase, unwrapped, mask, region)
+    for cell in range(cell_count(height, width)):
+        if final[Final.STEPS, cell] > 0:
+            hides_step = final[Final.STEPS, cell] == HIDES_STEP
+            top, left, bottom, right = cell_bounds(cell, height, width)
+            bounds = ivec4(top, left, bottom, right)
+            find_adopters(
+                phase, raw_phase, modulation, rates, absolute, unwrapped, mask, region, bounds, hides_step, adopted
+            )
+    for cell in range(cell_count(height, width)):
+        if final[Final.STEPS, cell] > 0:
+            top, left, bottom, right = cell_bounds(cell, height, width)
+            bounds = ivec4(top, left, bottom, right)
+            adopt(bounds, adopted, phase, unwrapped, mask, region)
 
 
 def adopt_pixels(
@@ -225,5 +224,6 @@ def adopt_pixels(
         for i, (array, dtype) in enumerate(zip(out, (np.float32, np.uint8, np.int32), strict=True))
     )
     adopted = runtime.empty((*shape, 2), np.float32)
-    seen = (phase, raw_phase, modulation, rates, known.astype(np.int32))
-    adopt_pixels_kernel(final, *seen, adopted, unwrapped, mask, region)
+    seen = (phase, raw_phase, modulation, rates, runtime.to_device(known.astype(np.int32)))
+    for _ in range(_PASSES):
+        adopt_pixels_kernel(final, *seen, adopted, unwrapped, mask, region)

@@ -20,7 +20,7 @@ def projector_pixel(p: vec3, rotation: mat3, translation: vec3, optics: F32Array
 def light_at(light: F32Array3, pixel: vec2, optics: F32Array1) -> vec3:
     """Return what the projector sends to a place of its frame, each colour shifted by the lateral colour."""
     result = vec3(0.0)
-    for channel in ti.static(range(3)):
+    for channel in range(3):
         column, row = pixel.x - optics[9 + 2 * channel], pixel.y - optics[10 + 2 * channel]
         result[channel] = sample(light, column, row, channel)
     return result

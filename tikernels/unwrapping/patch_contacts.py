@@ -99,12 +99,9 @@ def note_run_before(
 
 
 @ti.func
-def border_pixel(bounds: ivec4, side: Static, k: i32):
-    """Return row and column of a pixel on a cell's right or lower side."""
-    y, x = bounds[0] + k, bounds[3] - 1
-    if ti.static(side == 1):
-        y, x = bounds[2] - 1, bounds[1] + k
-    return y, x
+def border_pixel(bounds: ivec4, side: i32, k: i32):
+    """Return row and column of a pixel on a cell's right (0) or lower (1) side."""
+    return ti.select(side == 1, bounds[2] - 1, bounds[0] + k), ti.select(side == 1, bounds[1] + k, bounds[3] - 1)
 
 
 @ti.func
@@ -113,7 +110,7 @@ def note_side(
     quality: F32Array2,
     usual: vec3,
     bounds: ivec4,
-    side: Static,  # 0: the right one, 1: the lower one
+    side: i32,  # 0: the right one, 1: the lower one
     length: i32,
     labels: I32Array2,
     places: ivec2,
@@ -130,9 +127,10 @@ def note_side(
         label[k], label2[k] = labels[y, x], labels[y2, x2]
         difference[k] = phase[y2, x2] - phase[y, x]
         low[k], high[k] = quality[y, x], quality[y2, x2]
+    rate, worth = ti.select(side == 1, usual[1], usual[0]), ti.select(side == 1, _LOWER_SIDE, 1)
     for k in range(CELL_HEIGHT):
-        cycles, departs = cycles_and_departure(difference[k], usual[side])
-        weight[k] = ti.static((1, _LOWER_SIDE)[side]) * vote_weight(departs, low[k], high[k], usual[2])
+        cycles, departs = cycles_and_departure(difference[k], rate)
+        weight[k] = worth * vote_weight(departs, low[k], high[k], usual[2])
         touches = ((label[k] | label2[k]) >= 0) & (departs <= MAX_DEPARTURE) & (k < length)
         shift[k] = (label[k] & ORDER_MASK) - (label2[k] & ORDER_MASK) + cycles
         label[k] = ti.select(touches, label[k] >> ORDER_BITS, -1)
@@ -168,10 +166,10 @@ def note_borders_kernel(
         top, left, bottom, right = cell_bounds(cell, height, width)
         bounds = ivec4(top, left, bottom, right)
         places, count = ivec2(cell << draft_bits, 1 << draft_bits) << CONTACT_BITS, out_cells[Cell.CONTACTS, cell]
-        for side in ti.static(range(2)):
+        for side in range(2):
             # Beyond the image's border there is nothing.
             length = ti.select(right < width, bottom - top, 0)
-            if ti.static(side == 1):
+            if side == 1:
                 length = ti.select(bottom < height, right - left, 0)
             note_side(phase, quality, usual, bounds, side, length, labels, places, out_contacts, count)
         out_cells[Cell.CONTACTS, cell] = count

@@ -41,6 +41,7 @@ from tikernels.unwrapping.tables import (
     Patch,
     Region,
     patch_number,
+    step_to,
 )
 
 # Phase and labels again where they are not wide: nothing. A GPU copies NumPy arrays there and back, each argument by
@@ -123,8 +124,8 @@ def beside_step(phase: F32Array2, rates: F32Array2, labels: I32Array2, final: I3
     """Whether a neighbour saw two surfaces, is too small a region, or lies whole cycles away."""
     along, across, _ = frame_rates(rates)
     beside = 0
-    for side in ti.static(range(4)):
-        dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+    for side in range(4):
+        dy, dx = step_to(side)
         y2 = ti.min(ti.max(y + dy, 0), labels.shape[0] - 1)
         x2 = ti.min(ti.max(x + dx, 0), labels.shape[1] - 1)
         label2 = labels[y2, x2]

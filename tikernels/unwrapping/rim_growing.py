@@ -34,7 +34,7 @@ from tikernels.phase.phase_vector import PI
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.phase.wrapped_phase import has_phase
 from tikernels.unwrapping.continuity import frame_rates
-from tikernels.unwrapping.tables import cell_bounds, cells_of
+from tikernels.unwrapping.tables import cell_bounds, cells_of, step_to
 
 # By how many pixels rims grow: half a cell that was left out, from both its sides.
 _TURNS = 6
@@ -68,8 +68,8 @@ def goes_on(
     height, width = region.shape[0], region.shape[1]
     along, across, _ = frame_rates(rates)
     result, best = vec2(0.0), 1.0
-    for side in ti.static(range(4)):
-        dy, dx = ti.static((-1, 1, 0, 0)[side]), ti.static((0, 0, -1, 1)[side])
+    for side in range(4):
+        dy, dx = step_to(side)
         y1, x1, y2, x2 = y + dy, x + dx, y + 2 * dy, x + 2 * dx
         if y2 >= 0 and y2 < height and x2 >= 0 and x2 < width:
             if region[y1, x1] > 0 and region[y2, x2] == region[y1, x1]:
@@ -92,8 +92,8 @@ def goes_on(
 def brightest_beyond(brightness: F32Array2, region: I32Array2, y: i32, x: i32) -> f32:
     """Return the brightness of the brightest pixel around one that is on no surface; 0: there is none."""
     brightest = 0.0
-    for row, column in ti.static(ti.ndrange(3, 3)):
-        j, i = y + row - 1, x + column - 1
+    for place in range(9):
+        j, i = y + place // 3 - 1, x + place % 3 - 1
         if j >= 0 and j < region.shape[0] and i >= 0 and i < region.shape[1]:
             brightest = ti.max(brightest, ti.select(region[j, i] == 0, brightness[j, i], 0.0))
     return brightest
@@ -103,8 +103,8 @@ def brightest_beyond(brightness: F32Array2, region: I32Array2, y: i32, x: i32) -
 def lies_among_its_own(unwrapped: F32Array2, region: I32Array2, y: i32, x: i32, value: f32, number: i32) -> u1:
     """Whether a pixel of this phase and region has neighbours on its surface, and none on another."""
     own, others = 0, 0
-    for row, column in ti.static(ti.ndrange(3, 3)):
-        j, i = y + row - 1, x + column - 1
+    for place in range(9):
+        j, i = y + place // 3 - 1, x + place % 3 - 1
         if j >= 0 and j < region.shape[0] and i >= 0 and i < region.shape[1]:
             if region[j, i] > 0:
                 same = region[j, i] == number and ti.abs(unwrapped[j, i] - value) <= _STEP
@@ -154,7 +154,7 @@ def add_growth(precision: F32Array2, variance: F32Array2, mask: U8Array2, region
 
 
 @kernel
-def grow_rims_kernel(
+def grow_by_a_pixel_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE where there is none
     precision: F32Array2,  # (H, W) 1 / rad^2
     misfit: F32Array2,  # (H, W)
@@ -164,21 +164,26 @@ def grow_rims_kernel(
     variance: F32Array2,  # (H, W) rad^2; while turns last minus that, of a pixel that has been added
     mask: U8Array2,  # (H, W)
     region: I32Array2,  # (H, W) from 1; 0: none; less while a turn lasts: of a pixel that is to be added
-    open_cells: I32Array1,  # (cells,) scratch: how many pixels belonged to no surface
+    open_cells: I32Array1,  # (cells,) how many pixels belonged to no surface in the turn before
 ):
-    """Note in each turn what is to be added, and only then add it: no pixel depends on who is looked at first.
+    """Note what is to be added, and only then add it: no pixel depends on who is looked at first."""
+    for cell in range(open_cells.shape[0]):
+        if open_cells[cell] != 0:
+            open_cells[cell] = mark_growth(
+                phase, precision, misfit, brightness, rates, unwrapped, variance, region, cell
+            )
+    for cell in range(open_cells.shape[0]):
+        if open_cells[cell] != 0:
+            add_growth(precision, variance, mask, region, cell)
 
-    What lies beyond the rim is known when all turns are over.
-    """
-    for turn in ti.static(range(_TURNS)):
-        for cell in range(open_cells.shape[0]):
-            if ti.static(turn == 0) or open_cells[cell] != 0:
-                open_cells[cell] = mark_growth(
-                    phase, precision, misfit, brightness, rates, unwrapped, variance, region, cell
-                )
-        for cell in range(open_cells.shape[0]):
-            if open_cells[cell] != 0:
-                add_growth(precision, variance, mask, region, cell)
+
+@kernel
+def widen_at_rims_kernel(
+    brightness: F32Array2,  # (H, W) levels
+    region: I32Array2,  # (H, W) from 1; 0: none
+    variance: F32Array2,  # (H, W) rad^2; minus that, of a pixel that has been added
+):
+    """Add to the variances what the light beyond the rim makes."""
     for y, x in region:
         if variance[y, x] < 0.0:
             leak = _LEAK * brightest_beyond(brightness, region, y, x) / ti.max(brightness[y, x], _LEAST)
@@ -222,5 +227,9 @@ def grow_rims(
     mask = checks.out_buffer("mask", out[2], shape, np.uint8)
     region = checks.out_buffer("region", out[3], shape, np.int32)
     rows, columns = cells_of(*shape)
-    open_cells = runtime.empty((rows * columns,), np.int32)
-    grow_rims_kernel(phase, precision, misfit, brightness, rates, unwrapped, variance, mask, region, open_cells)
+    open_cells = runtime.to_device(np.ones(rows * columns, np.int32))
+    seen = (phase, precision, misfit, brightness, rates)
+    for _ in range(_TURNS):
+        grow_by_a_pixel_kernel(*seen, unwrapped, variance, mask, region, open_cells)
+    # What lies beyond the rim is known when all turns are over.
+    widen_at_rims_kernel(brightness, region, variance)

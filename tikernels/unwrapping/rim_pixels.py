@@ -207,9 +207,9 @@ def rim_of(region: I32Array2, y: i32, left: i32, right: i32):
         own = _row_of_regions(0)
         for k in range(CELL_WIDTH):
             own[k] = region[y, left + k]
-        for row, column in ti.static(ti.ndrange(3, 3)):
+        for place in range(9):
             for k in range(CELL_WIDTH):
-                rim[k] |= own[k] ^ region[y + row - 1, left + k + column - 1]
+                rim[k] |= own[k] ^ region[y + place // 3 - 1, left + k + place % 3 - 1]
         for k in range(CELL_WIDTH):
             rim[k] = ti.cast((rim[k] != 0) & (own[k] > 0), i32)
     else:
@@ -222,14 +222,14 @@ def rim_of(region: I32Array2, y: i32, left: i32, right: i32):
 def looks_like_others(brightness: F32Array2, phase: F32Array2, region: I32Array2, y: i32, x: i32) -> u1:
     """Whether a pixel beside an edge of brightness at its surface's end lies on its far side, or saw both sides."""
     own, other, owns, others = 0.0, 0.0, 0, 0
-    for row, column in ti.static(ti.ndrange(3, 3)):
-        y2, x2 = y + row - 1, x + column - 1
+    for place in range(9):
+        y2, x2 = y + place // 3 - 1, x + place % 3 - 1
         if (y2 >= 0) & (y2 < region.shape[0]) & (x2 >= 0) & (x2 < region.shape[1]):
             if region[y2, x2] != region[y, x]:
                 if has_phase(phase[y2, x2]):
                     other += brightness[y2, x2]
                     others += 1
-            elif row != 1 or column != 1:
+            elif place != 4:
                 own += brightness[y2, x2]
                 owns += 1
     alike = False
@@ -245,7 +245,8 @@ def looks_like_others(brightness: F32Array2, phase: F32Array2, region: I32Array2
 def lies_beside_others(phase: F32Array2, region: I32Array2, top: i32, left: i32, bottom: i32, right: i32) -> u1:
     """Whether two surfaces' light is seen around a cell, by a look at every tenth pixel: at most cells it is not."""
     lowest, highest = 1 << 30, -1
-    for row, column in ti.static(ti.ndrange(_LOOKS[0], _LOOKS[1])):
+    for look in range(_LOOKS[0] * _LOOKS[1]):
+        row, column = look // _LOOKS[1], look % _LOOKS[1]
         y = top - _NEAR + row * (bottom - top + 2 * _NEAR) // (_LOOKS[0] - 1)
         x = left - _NEAR + column * (right - left + 2 * _NEAR) // (_LOOKS[1] - 1)
         y, x = ti.min(ti.max(y, 0), region.shape[0] - 1), ti.min(ti.max(x, 0), region.shape[1] - 1)

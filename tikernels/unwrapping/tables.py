@@ -160,6 +160,13 @@ def cell_count(height: i32, width: i32) -> i32:
 
 
 @ti.func
+def step_to(side: i32):
+    """Return by how many rows and columns the next pixel on a side lies further: above, below, left, right."""
+    way = 2 * (side % 2) - 1
+    return ti.select(side < 2, way, 0), ti.select(side < 2, 0, way)
+
+
+@ti.func
 def patch_number(draft: i32, cells: I32Array2, draft_bits: i32) -> i32:
     """Return the number of a drafted patch."""
     return cells[Cell.PATCHES, draft >> draft_bits] + (draft & ((1 << draft_bits) - 1))
