@@ -12,24 +12,7 @@ from typing import Any
 
 from pipeline.errors import OutputError
 from pipeline.files import explain
-
-if os.name == "nt":
-    import msvcrt
-
-    # Beyond what is written there, so that others can read who holds it.
-    _BYTE = 2**30
-
-    def _take(file: int) -> None:
-        os.lseek(file, _BYTE, os.SEEK_SET)
-        # Types know this module on Windows only.
-        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
-
-else:
-    import fcntl
-
-    def _take(file: int) -> None:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
+from tikernels.file_lock import take
 
 #: How the name of a lock's file ends.
 LOCK = ".lock"
@@ -74,7 +57,7 @@ def _open_and_take(path: Path, target: Path) -> int:
         except OSError as error:
             raise OutputError(f"cannot write {target}: {explain(error)}") from error
         try:
-            _take(file)
+            take(file)
             if os.path.samestat(os.fstat(file), os.stat(path)):
                 return file
         except FileNotFoundError:

@@ -7,7 +7,6 @@ import math
 import os
 import sys
 import threading
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
@@ -17,6 +16,7 @@ import numpy.typing as npt
 
 from tikernels._taichi import DEVICE_TYPES, language, ti
 from tikernels.arrays import Array, DeviceArray, E
+from tikernels.compiled_kernels import list_locked
 from tikernels.core_binding import bound_to_cores
 from tikernels.errors import DeviceNotReady
 from tikernels.lanes import VECTOR_BYTES
@@ -31,9 +31,6 @@ THREAD_VARIABLES = ("TI_CPU_MAX_NUM_THREADS", "QD_CPU_MAX_NUM_THREADS")
 
 #: Held while a frame is decoded, and while its results are read: kernels are to be launched by one thread at a time.
 lock = threading.RLock()
-
-# Compiled kernels are locked while they are read or written, s; a lock that is older is of a process that was killed.
-_LOCKED_S = 60.0
 
 _started: str | None = None
 _failed: str | None = None  # the arch that was named and could not be started
@@ -100,7 +97,8 @@ def stop() -> None:
     global _started
     if _started is not None:
         forget()
-        ti.reset()
+        with list_locked():
+            ti.reset()
         _started = None
 
 
@@ -268,9 +266,8 @@ def _start(arch: str, cpu_threads: int | None) -> str | None:
     # Taichi greets on standard output, which belongs to the program that uses us.
     with contextlib.redirect_stdout(open(os.devnull, "w")) as sink, sink:
         forget()
-        _unlock_kernels()
         try:
-            with bound_to_cores() if arch == "cpu" else contextlib.nullcontext():
+            with list_locked(), bound_to_cores() if arch == "cpu" else contextlib.nullcontext():
                 ti.init(
                     arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, offline_cache=True, **threads
                 )
@@ -280,20 +277,6 @@ def _start(arch: str, cpu_threads: int | None) -> str | None:
     if running != getattr(ti, arch):
         return f"{arch}: the environment variable TI_ARCH asks for {running}"
     return None
-
-
-def _unlock_kernels() -> None:
-    """Remove the lock that a process has left on the disk's kernels when it was killed.
-
-    Taichi waits for none: it compiles all kernels, and keeps none, in every process until somebody removes the lock.
-    """
-    if language != "taichi":
-        return
-    folder = os.environ.get("TI_OFFLINE_CACHE_FILE_PATH") or os.path.join(ti._lib.core.get_repo_dir(), "ticache")
-    lock = os.path.join(folder, "ticache.lock")
-    with contextlib.suppress(OSError):  # there is none, or it is another user's
-        if time.time() - os.stat(lock).st_mtime > _LOCKED_S:
-            os.remove(lock)
 
 
 def _built_with(arch: str) -> bool:

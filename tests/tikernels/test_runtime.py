@@ -6,7 +6,6 @@ import os
 import pkgutil
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -143,24 +142,6 @@ assert not runtime.is_started() and any(pathlib.Path(sys.argv[1]).rglob("*.tic")
 runtime.stop()
 tikernels.smooth_phase(np.zeros((8, 8), np.float32), np.ones((8, 8), bool), 3)
 """
-
-
-@pytest.mark.skipif(runtime.kernel_language() != "taichi", reason="the kernels' files have another name elsewhere")
-@pytest.mark.parametrize(("age_s", "stays"), [(0, True), (3600, False)])
-def test_a_killed_process_does_not_lock_the_kernels_for_good(tmp_path, age_s, stays):
-    """It has left its lock; a young one is of a process that is at work."""
-    lock = tmp_path / "ticache.lock"
-    lock.touch()
-    os.utime(lock, (time.time() - age_s,) * 2)
-    environment = os.environ | {"TI_OFFLINE_CACHE_FILE_PATH": str(tmp_path)}
-    program = (
-        "import numpy as np, tikernels\n"
-        "tikernels.init('cpu')\n"
-        "tikernels.smooth_phase(np.zeros((8, 8), np.float32), np.ones((8, 8), bool), 3)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    assert any(tmp_path.rglob("*.tic")) != stays and lock.exists() == stays
 
 
 @pytest.mark.skipif(runtime.kernel_language() != "taichi", reason="the kernels' files have another name elsewhere")
