@@ -226,6 +226,13 @@ def light_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Foo
         yield _finding(
             "transfer", f"taken for {transfer}, but {worst.size}", _rms(worst.ripple_rad), worst.advice, grade="spoils"
         )
+    elif seen.diagnosis is not None and np.isnan(seen.diagnosis.limit_rad):
+        yield _finding(
+            "transfer",
+            f"taken for {transfer}, which these frames do not tell, nor the projector's response",
+            advice="calibrate the light, or show a larger smooth surface: what is not known of them makes waves",
+            grade="costs",
+        )
     elif any("transfer" in finding.causes for finding in diagnosed):
         yield _finding("transfer", f"{transfer}; or it is the projector's response: these frames do not tell")
     else:

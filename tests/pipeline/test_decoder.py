@@ -41,8 +41,10 @@ def test_a_gpu_is_asked_little(arch):
     traffic.clear()
     frame = decoder.decode(truth.image)
     results = frame.unwrapped_phase.nbytes + frame.mask.nbytes
-    assert traffic.calls <= 51
-    if arch != "cpu":
+    if arch == "cpu":
+        assert traffic.calls <= 56  # six turns of one kernel, which is compiled in a sixth of the time
+    else:
+        assert traffic.calls <= 51
         assert traffic.copied_calls <= 2
         assert traffic.reads <= 21
         assert traffic.sent_bytes < truth.image.nbytes + 30_000

@@ -26,7 +26,7 @@ and none beyond six; of 1,600 on a rendered face 97 % and 11, of which some took
 import numpy as np
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array2, I32Array1, I32Array2, U8Array2, f32, i32, ti, u1, vec2
+from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, U8Array2, f32, i32, ti, u1, vec2
 from tikernels.arrays import F32, I32, U8
 from tikernels.launching import kernel
 from tikernels.phase.phase_fit import MAX_MISFIT
@@ -153,8 +153,19 @@ def add_growth(precision: F32Array2, variance: F32Array2, mask: U8Array2, region
                 mask[y, x] = ti.cast(1, ti.u8)
 
 
+@ti.func
+def widen(brightness: F32Array2, variance: F32Array2, region: I32Array2, cell: i32):
+    """Add to the variances of a cell's pixels that were added what the light beyond the rim makes."""
+    top, left, bottom, right = cell_bounds(cell, region.shape[0], region.shape[1])
+    for y in range(top, bottom):
+        for x in range(left, right):
+            if variance[y, x] < 0.0:
+                leak = _LEAK * brightest_beyond(brightness, region, y, x) / ti.max(brightness[y, x], _LEAST)
+                variance[y, x] = leak * leak - variance[y, x]
+
+
 @kernel
-def grow_by_a_pixel_kernel(
+def grow_rims_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE where there is none
     precision: F32Array2,  # (H, W) 1 / rad^2
     misfit: F32Array2,  # (H, W)
@@ -164,30 +175,26 @@ def grow_by_a_pixel_kernel(
     variance: F32Array2,  # (H, W) rad^2; while turns last minus that, of a pixel that has been added
     mask: U8Array2,  # (H, W)
     region: I32Array2,  # (H, W) from 1; 0: none; less while a turn lasts: of a pixel that is to be added
-    open_cells: I32Array1,  # (cells,) how many pixels belonged to no surface in the turn before
+    open_cells: I32Array1,  # (cells,) scratch: how many pixels belonged to no surface
+    first: i32,  # turns that have been taken
+    turns: Static,  # to take
 ):
-    """Note what is to be added, and only then add it: no pixel depends on who is looked at first."""
-    for cell in range(open_cells.shape[0]):
-        if open_cells[cell] != 0:
-            open_cells[cell] = mark_growth(
-                phase, precision, misfit, brightness, rates, unwrapped, variance, region, cell
-            )
-    for cell in range(open_cells.shape[0]):
-        if open_cells[cell] != 0:
-            add_growth(precision, variance, mask, region, cell)
+    """Note in each turn what is to be added, and only then add it: no pixel depends on who is looked at first.
 
-
-@kernel
-def widen_at_rims_kernel(
-    brightness: F32Array2,  # (H, W) levels
-    region: I32Array2,  # (H, W) from 1; 0: none
-    variance: F32Array2,  # (H, W) rad^2; minus that, of a pixel that has been added
-):
-    """Add to the variances what the light beyond the rim makes."""
-    for y, x in region:
-        if variance[y, x] < 0.0:
-            leak = _LEAK * brightest_beyond(brightness, region, y, x) / ti.max(brightness[y, x], _LEAST)
-            variance[y, x] = leak * leak - variance[y, x]
+    What lies beyond the rim is known when all turns are over.
+    """
+    for turn in ti.static(range(turns)):
+        for cell in range(open_cells.shape[0]):
+            if first + turn == 0 or open_cells[cell] != 0:
+                open_cells[cell] = mark_growth(
+                    phase, precision, misfit, brightness, rates, unwrapped, variance, region, cell
+                )
+        for cell in range(open_cells.shape[0]):
+            if open_cells[cell] != 0:
+                add_growth(precision, variance, mask, region, cell)
+    for cell in range(open_cells.shape[0]):
+        if first + turns == _TURNS:
+            widen(brightness, variance, region, cell)
 
 
 def grow_rims(
@@ -227,9 +234,9 @@ def grow_rims(
     mask = checks.out_buffer("mask", out[2], shape, np.uint8)
     region = checks.out_buffer("region", out[3], shape, np.int32)
     rows, columns = cells_of(*shape)
-    open_cells = runtime.to_device(np.ones(rows * columns, np.int32))
-    seen = (phase, precision, misfit, brightness, rates)
-    for _ in range(_TURNS):
-        grow_by_a_pixel_kernel(*seen, unwrapped, variance, mask, region, open_cells)
-    # What lies beyond the rim is known when all turns are over.
-    widen_at_rims_kernel(brightness, region, variance)
+    open_cells = runtime.empty((rows * columns,), np.int32)
+    seen, surfaces = (phase, precision, misfit, brightness, rates), (unwrapped, variance, mask, region)
+    # A GPU is asked once. The CPU's compiler would take as long for each of the turns as it does for one.
+    turns = 1 if runtime.started() == "cpu" else _TURNS
+    for first in range(0, _TURNS, turns):
+        grow_rims_kernel(*seen, *surfaces, open_cells, first, turns)

@@ -17,6 +17,7 @@ from pipeline.diagnosis.footage_findings import (
     time_findings,
 )
 from pipeline.diagnosis.frame_evidence import FrameQuality, KeptFrame
+from pipeline.diagnosis.ripple import Diagnosis
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame
 from pipeline.settings import DecodeSettings
@@ -95,6 +96,15 @@ def test_bits_that_no_value_uses(source):
 @pytest.mark.parametrize("lost, grade", [(0.0, "fine"), (0.01, "costs"), (0.3, "spoils")])
 def test_clipped_pixels_cost_by_how_many_have_no_phase(lost, grade):
     assert graded(light_findings(seen(), replace(GOOD, lost=lost)))["saturation"] == grade
+
+
+def test_light_that_cannot_be_told_is_not_called_fine():
+    """Where no surface is large and smooth enough, the fringes contradict nothing and confirm nothing."""
+    blind = Diagnosis((), {}, {}, float("nan"), ("too little smooth surface to say anything",))
+    for diagnosis, grade in ((blind, "costs"), (replace(blind, limit_rad=0.01, notes=()), "fine")):
+        (transfer,) = (f for f in light_findings(seen(diagnosis=diagnosis), GOOD) if f.topic == "transfer")
+        assert transfer.grade == grade
+        assert ("do not tell" in transfer.found) == (grade == "costs")
 
 
 @pytest.mark.parametrize("motion_rad, grade", [(0.03, "fine"), (1.0, "costs"), (2.2, "spoils")])
