@@ -356,7 +356,7 @@ def suffer(seed: int, strobe: bool, n_bursts: int) -> tuple[int, int, int]:
 )
 def test_random_faults_neither_mispair_nor_cost_a_good_burst(strobe, n_bursts, monkeypatch):
     """Every burst that is kept is right, every run without a fault is kept."""
-    monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.3)
+    monkeypatch.setattr(rig_module, "_TRANSPORT_S", 0.5)
     n_rigs = 4  # at a time: they do little but wait
     with ThreadPoolExecutor(n_rigs) as pool:
         tolls = pool.map(suffer, range(n_rigs), n_rigs * [strobe], n_rigs * [n_bursts // n_rigs])

@@ -78,7 +78,8 @@ def clip(cpu):
 def test_good_footage_has_no_fault(tmp_path, seed, settings):
     bits = settings.get("bits", 8)
     path = record(tmp_path / "good.mkv", shoot(4, seed=seed, **settings), PixelFormat("rgb", bits))
-    assert faults(path) == {}
+    # Objects show too little smooth surface to tell their light, which is said.
+    assert faults(path) == ({"transfer": "costs"} if settings.get("scene") == "objects" else {})
 
 
 def test_over_exposure(tmp_path):
