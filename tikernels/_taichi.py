@@ -86,7 +86,6 @@ if TYPE_CHECKING:
     vec16: TypeAlias = Any
     Vec16Array1: TypeAlias = Any
     Vec16Array2: TypeAlias = Any
-    Vec16Array3: TypeAlias = Any
     ivec2: TypeAlias = Any
     ivec4: TypeAlias = Any
     mat3: TypeAlias = Any
@@ -102,7 +101,7 @@ else:
     AnyArray2, AnyArray3 = (ti.types.ndarray(ndim=n) for n in (2, 3))
     vec2, vec3, vec4, vec5, vec6, vec8, vec16 = (ti.types.vector(n, ti.f32) for n in (2, 3, 4, 5, 6, 8, 16))
     # A CPU loads and adds all sixteen at once: of an array of numbers it does not know that they lie in a row.
-    Vec16Array1, Vec16Array2, Vec16Array3 = (ti.types.ndarray(dtype=vec16, ndim=n) for n in (1, 2, 3))
+    Vec16Array1, Vec16Array2 = (ti.types.ndarray(dtype=vec16, ndim=n) for n in (1, 2))
     ivec2, ivec4 = (ti.types.vector(n, ti.i32) for n in (2, 4))
     mat3, mat6 = (ti.types.matrix(n, n, ti.f32) for n in (3, 6))
     f32, i32, u1 = ti.f32, ti.i32, ti.u1

@@ -236,7 +236,7 @@ def grow_rims(
     rows, columns = cells_of(*shape)
     open_cells = runtime.empty((rows * columns,), np.int32)
     seen, surfaces = (phase, precision, misfit, brightness, rates), (unwrapped, variance, mask, region)
-    # A GPU is asked once. The CPU's compiler would take as long for each of the turns as it does for one.
+    # A GPU gets all turns in one call. For the CPU they would be unrolled, and compiled six times.
     turns = 1 if runtime.started() == "cpu" else _TURNS
     for first in range(0, _TURNS, turns):
         grow_rims_kernel(*seen, *surfaces, open_cells, first, turns)
