@@ -5,7 +5,6 @@ same language without either. Every kernel file takes ``ti`` and its array types
 """
 
 import ctypes
-import functools
 import importlib
 import os
 import sys
@@ -34,29 +33,15 @@ def _import_language() -> tuple[Any, str]:
 
 
 ti, language = _import_language()
-#: Versions whose inner parts we know; others are used as they are. What is done beside their public interface must not
+#: Versions whose inner parts we know; others are used as they are. What is done outside their public interface must not
 #: change what kernels compute.
 TESTED = (language, tuple(ti.__version__)) == ("taichi", (1, 7, 4))
 
 
-def _compile_sooner() -> None:
-    """Spare what Taichi's Python part does again and again while it reads kernels: half of the time that it takes.
-
-    It draws the place of every expression, in case an error is to show it: now errors name the line alone. And it looks
-    a function's source up at each of its calls.
-    """
-    contexts: Any = importlib.import_module("taichi.lang.ast.ast_transformer_utils")
-    kernels: Any = importlib.import_module("taichi.lang.kernel_impl")
-
-    def name_place(self: Any, node: Any) -> str:
-        return f'File "{self.file}", line {node.lineno + self.lineno_offset}, in {self.func.func.__name__}:\n'
-
-    contexts.ASTTransformerContext.get_pos_info = name_place
-    kernels.getsourcelines = functools.cache(kernels.getsourcelines)
-
-
 if TESTED:
-    _compile_sooner()
+    from tikernels._front_end import read_sooner
+
+    read_sooner()
 
 #: Element types of a device's buffers, by NumPy's names.
 DEVICE_TYPES: dict[str, Any] = {
