@@ -28,7 +28,7 @@ def pytest_configure() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-#: Beside the first test of each file in `tests/tikernels`, what runs on Vulkan where `long` does not: all that decodes.
+#: What runs on Vulkan without `long`, in addition to the first test of each file in `tests/unit/tikernels`: a whole frame.
 ON_VULKAN = {"test_accuracy_on_every_scene"}
 
 
@@ -47,7 +47,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     seen = set()
     for item in filter(on_vulkan, items):
         file, _, test = item.nodeid.partition("[")[0].partition("::")
-        if file in seen or not (file.startswith("tests/tikernels") or test in ON_VULKAN):
+        if file in seen or not (file.startswith("tests/unit/tikernels") or test in ON_VULKAN):
             item.add_marker("long")
         else:
             seen.add(file)

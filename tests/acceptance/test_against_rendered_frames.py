@@ -9,7 +9,7 @@ import pytest
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration
 
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "rendered"
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "rendered"
 pytestmark = [
     pytest.mark.usefixtures("cpu"),
     pytest.mark.skipif(not DATA.is_dir(), reason="the rendered frames are not in this checkout"),

@@ -18,7 +18,7 @@ from tikernels.scene.scene_rendering import SCENES
 
 restoration = import_but_fail_in_ci("skimage.restoration")
 
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data" / "kamino_object1"
+DATA = Path(__file__).resolve().parents[2].parent / "shared" / "data" / "kamino_object1"
 #: Neighbouring points closer than this, mm, lie on one surface.
 SURFACE_MM = 4.0
 

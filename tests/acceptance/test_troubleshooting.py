@@ -10,7 +10,7 @@ import pytest
 from support.symptom_frames import SEQUENCES, SYMPTOMS
 from support.symptom_words import what_is_said
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "docs" / "troubleshooting.md"
 PICTURES = ROOT / "docs" / "troubleshooting"
 #: A frame's name, and what the commands say of it.

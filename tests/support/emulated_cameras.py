@@ -1,4 +1,4 @@
-"""Emulated instruments: the trigger box, Basler's cameras, and Aravis's fake one, a real GigE Vision camera."""
+"""Emulated cameras: Basler's, and Aravis's fake one, a real GigE Vision camera."""
 
 import shutil
 import subprocess
@@ -9,12 +9,9 @@ from importlib.util import find_spec
 import pytest
 from support.aravis_twin import AravisTwin, Render, gige_port, until_it_listens
 from support.missing import skip_but_fail_in_ci
-from support.simavr import simavr_board, simavr_build
 
 from hardware.camera.aravis_library import load_aravis
 from hardware.errors import CameraError
-
-__all__ = ["simavr_board", "simavr_build"]
 
 
 @pytest.fixture

@@ -3,14 +3,13 @@
 import ast
 import subprocess
 import sys
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from support.import_graph import circles, imported_modules, module_paths, room_of
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("tikernels", "pipeline", "hardware")
 #: The rooms of each package, from the ground up: one imports those to the left of it, and what lies in it.
 FLOORS = {
@@ -28,20 +27,6 @@ FLOORS = {
         "alternating_pictures timing simulated camera trigger projector instruments rig"
     ),
 }
-#: Modules without a test of their name, and where what they do is tested.
-UNTESTED = {
-    "hardware.errors": "names only",
-    "hardware.protocols": "names only",
-    "hardware.settings": "what rig.toml may say: pipeline/acquisition/test_rig_file.py, hardware/test_drivers.py",
-    "pipeline.acquisition.live_process": "what runs in the process of `live`: pipeline/acquisition/test_live.py",
-    "pipeline.diagnosis.ripple_finding": "names only",
-    "pipeline.errors": "names only",
-    "tikernels.errors": "names only",
-    "tikernels._taichi": "which language is chosen: .ci/run runs all kernels in both",
-    "tikernels.unwrapping.drafts": "buffers only",
-}
-#: Names that several folders may have.
-SHARED_NAMES = {"__init__", "conftest", "errors", "settings"}
 LANGUAGES = {"taichi", "quadrants"}
 #: Heavy, or only needed by some: taken where they are used.
 LATE = (
@@ -122,47 +107,6 @@ def test_no_import_runs_up(package):
 def test_no_imports_run_in_a_circle():
     modules = module_paths(ROOT)
     assert circles({name: imported_modules(name, path, modules) for name, path in modules.items()}) == []
-
-
-def test_every_module_has_a_test_of_its_name():
-    modules = {name: path for name, path in module_paths(ROOT).items() if path.stem != "__init__"}
-    tests = {
-        name: ROOT / "tests" / path.relative_to(ROOT).parent / f"test_{path.stem.lstrip('_')}.py"
-        for name, path in modules.items()
-    }
-    assert {name for name, test in tests.items() if not test.exists()} == UNTESTED.keys()
-
-
-def test_no_two_modules_have_one_name():
-    folders = (ROOT / folder for folder in (*PACKAGES, "tests", "docs"))
-    names = Counter(path.stem for folder in folders for path in folder.rglob("*.py"))
-    assert {name for name, count in names.items() if count > 1} <= SHARED_NAMES
-
-
-def test_tests_import_neither_benchmarks_nor_each_other():
-    """What they share lies in `tests/support`; that goes for the programs that they start, too."""
-    for path in (ROOT / "tests").rglob("*.py"):
-        if path.parent.name == "benchmarks":
-            continue
-        programs = [
-            node.value
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-            if isinstance(node, ast.Constant) and isinstance(node.value, str)
-        ]
-        names = {word for text in programs for line in text.splitlines() for word in imported_in(line)}
-        for name in {*imports(path), *names}:
-            assert not any(part == "benchmarks" or part.startswith("test_") for part in name.split(".")), (path, name)
-
-
-def imported_in(line: str) -> list[str]:
-    """Return what a line of a program imports."""
-    try:
-        (node,) = ast.parse(line.strip()).body
-    except (SyntaxError, ValueError):
-        return []
-    if isinstance(node, ast.ImportFrom):
-        return [node.module or ""]
-    return [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
 
 
 def test_the_kernel_language_stays_in_its_package():

@@ -9,7 +9,7 @@ import pytest
 from support.import_graph import imported_modules, module_paths, ranks_of, rooms_of
 from support.room_figure import draw_rooms
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
 PACKAGES = "tikernels|pipeline|hardware"
 #: A path from the project's root, in a command or in prose.

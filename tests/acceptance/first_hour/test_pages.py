@@ -28,7 +28,7 @@ from pipeline.acquisition.rig_file import read_rig
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1500)]
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 PAGES = {page.name: page for page in sorted((ROOT / "docs").glob("*.md"))}
 PROGRAMS = Path(sys.executable).parent
 COMMAND_S = 600
@@ -41,18 +41,18 @@ TEST_COMMAND = (
 #: What is not run, and why.
 NOT_RUN = {
     TEST_COMMAND: "these tests themselves; .ci/run runs it",
-    "python tests/benchmarks/ranks.py": "a benchmark; tests/test_docs.py holds its figure",
+    "python tests/benchmarks/ranks.py": "a benchmark; tests/unit/test_docs.py holds its figure",
     "pip install 'colorphase[project]'": "from a package index; the extra is in the tests' environment",
-    "colorphase project pattern.png --display 1": "needs a second screen; tests/pipeline/cli/test_project.py has one",
-    "colorphase projector on --rig rig.toml": "needs a projector; tests/pipeline/cli/test_project.py emulates one",
+    "colorphase project pattern.png --display 1": "needs a second screen; tests of `colorphase project` have one",
+    "colorphase projector on --rig rig.toml": "needs a projector; its tests emulate one",
     "colorphase projector input 31 --rig rig.toml": "the same",
     "colorphase projector blank --rig rig.toml": "the same",
     "colorphase projector status --rig rig.toml": "the same",
     "colorphase projector off --rig rig.toml": "the same",
     "sudo apt install gcc-avr avr-libc avrdude make": "needs a person's password",
     "cd hardware/firmware": "only for the next one",
-    "make flash PORT=/dev/ttyACM0": "needs the board; tests/hardware/trigger runs the firmware in an emulator",
-    "dask scheduler --host 10.0.0.1": "needs other machines; tests/pipeline/batch/test_cluster.py has some",
+    "make flash PORT=/dev/ttyACM0": "needs the board; tests/system/hardware/trigger runs the firmware in an emulator",
+    "dask scheduler --host 10.0.0.1": "needs other machines; tests/system/pipeline/batch/test_cluster.py has some",
     "dask worker tcp://10.0.0.1:8786 --nthreads 1": "the same",
     "colorphase decode /data/film.mkv --out /data/film --cluster tcp://10.0.0.1:8786": "the same",
 }

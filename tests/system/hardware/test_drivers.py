@@ -158,7 +158,7 @@ def test_what_a_trigger_lacks_once_it_is_open_is_told_too(own):
 
 
 def test_the_camera_in_the_docs_has_what_it_must_have(tmp_path, monkeypatch):
-    text = (Path(__file__).resolve().parents[2] / "docs" / "cameras.md").read_text(encoding="utf-8")
+    text = (Path(__file__).resolve().parents[3] / "docs" / "cameras.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     (tmp_path / "lab_camera.py").write_text(program, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)

@@ -24,7 +24,7 @@ def rig_settings(trigger="simulated", camera="simulated", **more):
 
 
 def test_the_example_in_the_docs_runs_with_nothing_attached(tmp_path, monkeypatch):
-    text = (Path(__file__).resolve().parents[2] / "docs" / "rig.md").read_text(encoding="utf-8")
+    text = (Path(__file__).resolve().parents[3] / "docs" / "rig.md").read_text(encoding="utf-8")
     (program,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     sections = "[trigger]\ndriver = 'simulated'\n[camera]\ndriver = 'simulated'\nexposure_s = 0.001\nsize_px = [64, 48]"
     (tmp_path / "rig.toml").write_text(f"{sections}\n[timing]\nperiod_s = 0.005\nframes = 2\n", encoding="utf-8")

@@ -115,7 +115,7 @@ except KeyboardInterrupt: pass
 def test_kernels_are_compiled_for_as_many_threads_as_the_processes_have(folder, tmp_path, workers):
     """They take none that were compiled for another number."""
     arguments = [sys.executable, "-c", KERNELS_FOR_THE_PROCESSES, folder, str(workers), tmp_path / "result.zarr"]
-    tests = str(Path(__file__).parents[2])
+    tests = str(Path(__file__).parents[3])
     environment = {name: value for name, value in os.environ.items() if name not in runtime.THREAD_VARIABLES}
     environment["PYTHONPATH"] = os.pathsep.join([tests, *sys.path])
     done = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=120)

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.cli import console
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "planning.md"
+PAGE = Path(__file__).resolve().parents[4] / "docs" / "planning.md"
 HEAD = "| rig | options |"
 
 

@@ -15,7 +15,7 @@ from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, si
 # Frames of rigs that differ from what their settings say.
 pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore:the colours' fringes differ")]
 
-PLANE = Path(__file__).resolve().parents[4] / "shared" / "data" / "kamino_plane"
+PLANE = Path(__file__).resolve().parents[5] / "shared" / "data" / "kamino_plane"
 
 
 def phase_error(found, truth, mask):

@@ -183,7 +183,7 @@ def test_every_scene_is_nearer_to_the_truth_when_it_is_smoothed(scene):
     assert smooth.complete > 0.95
 
 
-DATA = Path(__file__).resolve().parents[3].parent / "shared" / "data" / "rendered"
+DATA = Path(__file__).resolve().parents[4].parent / "shared" / "data" / "rendered"
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="the rendered frames are not in this checkout")
