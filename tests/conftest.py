@@ -28,7 +28,7 @@ def pytest_configure() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-#: What runs on Vulkan without `long`, in addition to the first test of each file in `tests/unit/tikernels`: a whole frame.
+#: Tests that run on Vulkan, too, without `long`, after the first one of each file in `tests/unit/tikernels`: a frame.
 ON_VULKAN = {"test_accuracy_on_every_scene"}
 
 
