@@ -12,7 +12,7 @@ from typing import Any
 
 from pipeline.errors import OutputError
 from pipeline.files import explain
-from tikernels.file_lock import take
+from tikernels.file_lock import open_lock, take
 
 #: How the name of a lock's file ends.
 LOCK = ".lock"
@@ -30,7 +30,7 @@ def locked(target: Path) -> Iterator[None]:
     Raises
     ------
     OutputError
-        Somebody else writes there, or the folder cannot be written.
+        Somebody else writes there, the folder cannot be written, or something else has the lock's name.
     """
     path = target.with_name(f".{target.name}{LOCK}")
     file = _open_and_take(path, target)
@@ -53,26 +53,28 @@ def _open_and_take(path: Path, target: Path) -> int:
     """Return the lock's file, open and locked."""
     while True:
         try:
-            file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+            file = open_lock(path)
         except OSError as error:
             raise OutputError(f"cannot write {target}: {explain(error)}") from error
         try:
             take(file)
-            if os.path.samestat(os.fstat(file), os.stat(path)):
+            if os.path.samestat(os.fstat(file), os.lstat(path)):
                 return file
         except FileNotFoundError:
             pass
         except OSError:
+            holder = _holder(file)
             os.close(file)
-            raise OutputError(f"{target} is being written by another run{_holder(path)}: wait until it ends") from None
+            raise OutputError(f"{target} is being written by another run{holder}: wait until it ends") from None
         # Who held it has just removed it.
         os.close(file)
 
 
-def _holder(path: Path) -> str:
-    """Return who holds a lock, as far as its file tells."""
+def _holder(file: int) -> str:
+    """Return who holds a lock, as far as its file shows."""
     try:
-        about: Any = json.loads(path.read_bytes()[:_MOST_BYTES])
+        os.lseek(file, 0, os.SEEK_SET)
+        about: Any = json.loads(os.read(file, _MOST_BYTES))
         return f" (process {about['pid']} on {about['host']}, since {about['since']})"
     except (OSError, ValueError, KeyError, TypeError):
         return ""

@@ -12,7 +12,7 @@ import time
 from collections.abc import Iterator
 
 from tikernels._taichi import language, ti
-from tikernels.file_lock import take
+from tikernels.file_lock import open_lock, take
 
 # How long to wait for others, s: many times as long as any of them takes.
 _PATIENCE_S = 10.0
@@ -30,7 +30,7 @@ def list_locked() -> Iterator[None]:
     with contextlib.ExitStack() as held:
         with contextlib.suppress(OSError):
             os.makedirs(folder, exist_ok=True)
-            file = os.open(os.path.join(folder, "colorphase.lock"), os.O_RDWR | os.O_CREAT, 0o666)
+            file = open_lock(os.path.join(folder, "colorphase.lock"))
             held.callback(os.close, file)
             _take_in_time(file)
         _await_removal(os.path.join(folder, "ticache.lock"))

@@ -112,9 +112,12 @@ class Lens(Model):
         CalibrationError
             A ray has no direction, so the lens is none.
         """
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-        distortion = self.distortion if self.distortion.any() else None  # without one nothing is iterated
-        rays = cv2.undistortPoints(places_px[:, None], self.matrix, distortion, criteria=criteria)[:, 0]
+        straight_px = places_px
+        if self.distortion.any():
+            # OpenCV 4 and 5 take the end of this function's iteration alike, and that of undistortPoints differently.
+            end = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+            straight_px = cv2.undistortImagePoints(places_px[:, None], self.matrix, self.distortion, None, end)[:, 0]
+        rays = (straight_px - self.matrix[:2, 2]) * (1 / self.matrix[[0, 1], [0, 1]])
         if not np.abs(rays).max() < LARGEST:
             raise CalibrationError("no lens bends light like this one: its matrix or distortion is wrong, recalibrate")
         return np.asarray(rays, np.float64)

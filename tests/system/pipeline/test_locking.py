@@ -84,3 +84,15 @@ def test_a_folder_that_is_not_there(tmp_path):
     with pytest.raises(OutputError, match="its folder does not exist: create the folder first"):
         with locked(tmp_path / "none" / "a"):
             pass
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links for everybody")
+def test_what_a_link_in_place_of_the_lock_points_to_is_kept(tmp_path):
+    """Folders may come from strangers."""
+    precious = tmp_path / "precious"
+    precious.write_text("kept")
+    (tmp_path / ".result.zarr.lock").symlink_to(precious)
+    with pytest.raises(OutputError, match=r"result\.zarr\.lock there is a link or no plain file: remove it"):
+        with locked(tmp_path / "result.zarr"):
+            pass
+    assert precious.read_text() == "kept"

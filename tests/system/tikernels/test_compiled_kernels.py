@@ -119,6 +119,15 @@ def test_a_folder_that_cannot_be(folder):
     assert folder.read_text() == "no folder"
 
 
+@pytest.mark.skipif(os.name != "posix", reason="links for everybody")
+def test_a_link_in_place_of_the_lock(folder):
+    """It is not followed; kernels are then read and written without a lock."""
+    folder.mkdir()
+    (folder / "colorphase.lock").symlink_to("new")
+    with list_locked():
+        assert not (folder / "new").exists()
+
+
 def test_kernels_are_kept_though_a_killed_process_had_locked_them(folder):
     folder.mkdir()
     lock = folder / "ticache.lock"
