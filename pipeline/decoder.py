@@ -3,9 +3,11 @@
 import warnings
 from contextlib import nullcontext
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import numpy.typing as npt
+from threadpoolctl import ThreadpoolController
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
@@ -40,6 +42,15 @@ from tikernels.unwrapping.rim_pixels import leave_out_strangers
 # While it is not clear which side is in front, this many frames are asked, and then one of as many: asking takes up to
 # a fourth of the time that decoding does.
 _ASKED = 16
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    """Return the BLAS libraries of NumPy and OpenCV; to find them takes as long as 200 calls of their limits.
+
+    A second thread spins while it waits: equations of a hundred unknowns then take up to a thousand times as long.
+    """
+    return ThreadpoolController().select(user_api="blas")
 
 
 class Decoder:
@@ -116,6 +127,8 @@ class Decoder:
     ) -> DecodedFrame:
         """Decode one frame.
 
+        Meanwhile NumPy's linear algebra has one thread, in all threads of this program.
+
         Parameters
         ----------
         image : (H, W, 3) uint8, uint16 or float32
@@ -147,7 +160,7 @@ class Decoder:
         DeviceNotReady
             Another arch has been started since this decoder was made.
         """
-        with runtime.lock:
+        with runtime.lock, _blas().limit(limits=1):
             runtime.require(self.arch)
             frame = self._reader.read(image)  # linear light, colours aligned, stripes along the rows
             memory = None if previous is None else previous.memory.checked(frame.shape, self._setup.stripes)

@@ -1,5 +1,6 @@
 """What the program `colorphase` begins with: Ctrl-C ends it at once, also while its modules are imported."""
 
+import os
 import signal
 
 
@@ -10,6 +11,8 @@ def main() -> None:
     it would be lost in some of the libraries that are imported, or end in a traceback.
     """
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
+        os.environ.setdefault(name, "1")  # before NumPy comes: a second thread of its BLAS spins while it waits
     from pipeline.cli.main import main as command_line
 
     signal.signal(signal.SIGINT, before)

@@ -5,6 +5,7 @@ import threading
 import cv2
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import pipeline
 import tikernels
@@ -477,3 +478,22 @@ def test_one_decoder_may_be_called_from_several_threads(arch):
     for thread in threads:
         thread.join()
     assert (wrong, failures) == ([], [])
+
+
+def test_linear_algebra_has_one_thread_while_a_frame_is_decoded(cpu):
+    """What it had before it has again, also after an error."""
+    seen = []
+
+    def threads():
+        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+    class Watching:
+        def unwrap(self, phase, quality):
+            seen.append(threads())
+            raise ValueError("seen enough")
+
+    with threadpool_limits(2, user_api="blas"):
+        before = threads()
+        with pytest.raises(ValueError, match="seen enough"):
+            Decoder(arch="cpu", unwrapper=Watching()).decode(simulated("plane")[0].image)
+        assert seen == [{1}] and threads() == before

@@ -45,3 +45,15 @@ def test_later_it_is_the_commands_own(monkeypatch):
     monkeypatch.setattr("pipeline.cli.main.main", lambda: heard.append(signal.getsignal(signal.SIGINT)))
     start.main()
     assert heard == [before] and signal.getsignal(signal.SIGINT) == before
+
+
+def test_linear_algebra_has_one_thread_unless_the_user_wants_more(monkeypatch):
+    """NumPy reads these while it is imported; processes that the command starts inherit them."""
+    monkeypatch.setattr("pipeline.cli.main.main", lambda: None)
+    names = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+    for name in names:
+        monkeypatch.setenv(name, "")  # restored afterwards
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("MKL_NUM_THREADS", "3")
+    start.main()
+    assert [os.environ[name] for name in names] == ["1", "3", "1"]
