@@ -11,7 +11,7 @@ from pydantic import Field
 from pipeline.calibration import Calibration, Lens, Pattern
 from pipeline.calibration.model import DEFAULT_PERIOD_PX, DEFAULT_PROJECTOR_PX, Geometry, Shift
 from pipeline.models import Matrix3, Model, NonNegative, Positive
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from tikernels import runtime
 from tikernels.scene import scene_rendering as projection
 

@@ -21,7 +21,7 @@ from hardware.alternating_pictures import DIM
 from pipeline.batch.worker_process import Failure
 from pipeline.calibration import Calibration
 from pipeline.errors import RenderError
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.processes import block_interrupts
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime

@@ -1,20 +1,268 @@
-"""The boards that a rig is calibrated with: a plain chessboard, or a ChArUco board, which may be partly hidden."""
+"""The boards that a rig is calibrated with, and how their corners are found.
+
+A ChArUco board may be partly hidden; OpenCV finds it. The inner corners of a chessboard are saddle points of the
+picture that join to a grid. Where four squares meet, a smoothed picture I has a saddle point: its gradient is zero and
+the determinant of its second derivatives negative. On a circle around it the picture is bright, dark, bright and dark.
+From one corner to the next, bright and dark change places. (Saddles and grids as in A. Geiger, F. Moosmann, O. Car and
+B. Schuster, Automatic camera and range sensor calibration using a single shot, 2012, doi:10.1109/ICRA.2012.6224570;
+corners to a fraction of a pixel as in L. Lucchese and S. K. Mitra, Using saddle points for subpixel feature detection
+in camera calibration targets, 2002, doi:10.1109/APCCAS.2002.1115151.)
+"""
 
 import io
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from pipeline.calibration.chessboard import find_chessboard, refine_corners
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import write_atomically
 from pipeline.models import FloatArray, Model
 
+# The smoothing, px: noise goes, and the edges of squares of 12 px do not reach each other.
+_SMOOTHING_PX = 1.5
+# The circle, px, on which bright and dark must alternate: within squares of 12 px that are tilted by 50 degrees.
+_CIRCLE_PX, _CIRCLE_SAMPLES = 4.0, 24
+# Of the circle's variation, the least share that repeats twice around: a corner of even angles has 0.81 before it is
+# blurred, one seen at 50 degrees and blurred 0.85; where a margin meets a mount there is less.
+_MIN_TWOFOLD = 0.8
+# The least contrast, of 255 levels: below it noise makes corners.
+_MIN_CONTRAST = 3.0
+# The root of the determinant, over the contrast about the corner, at least: blurred by 1 px a corner has 0.19.
+_MIN_CURVATURE = 0.08
+# Determinant over squared trace, at least: edges that cross at 50 degrees have 0.35, a bright line has none.
+_MIN_BALANCE = 0.3
+# Half the window, px, in which contrast is measured.
+_WINDOW_PX = 7
+# A board has up to 39 by 39 corners; the strongest saddles of a picture that is full of things are searched.
+_MAX_SADDLES = 2000
+# Peaks that are looked at closely, at most: OpenCV reads no more than 32767 rows at once.
+_MAX_PEAKS = 20000
+# A corner's first two ways are found among this many of its nearest saddles of other sign.
+_NEIGHBOURS = 8
+# The least height or width, px, of a picture that is searched: in a smaller one what hides a corner passes for blur.
+_MIN_SIZE_PX = 240
+# A corner that moves further when it is refined, px, has found something else.
+_MAX_MOVE_PX = 2.0
+# A corner lies this near to where its neighbours put it, over a square's side.
+_REACH = 0.2
+# And this near to the board's homography, over a square's side: a lens bends it by less, and the rim of a margin lies
+# further off.
+_FIT = 0.05
 _MM_PER_INCH = 25.4
+
+
+@dataclass(frozen=True)
+class ChessboardSearch:
+    """What a search for a chessboard found."""
+
+    corners_px: FloatArray | None  # (rows, columns, 2), or None
+    seen: int  # how many corners the largest grid has: another board's, or a part's
+
+
+def find_chessboard(grey: npt.NDArray[np.floating], size: tuple[int, int]) -> ChessboardSearch:
+    """Find the inner corners of a chessboard that is seen whole.
+
+    Parameters
+    ----------
+    grey : (H, W) float
+        Grey, 0..255.
+    size : (columns, rows)
+        Of inner corners.
+
+    Returns
+    -------
+    ChessboardSearch
+        Row by row, from any of the board's ends, and perhaps mirrored.
+    """
+    search = _search(grey.astype(np.float32), size)
+    height, width = (length // 2 for length in grey.shape)
+    if search.corners_px is not None or min(height, width) < _MIN_SIZE_PX:
+        return search
+    # What is blurred by many pixels is sharp in a smaller picture.
+    half = cv2.resize(grey[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    smaller = find_chessboard(half, size)
+    places = None if smaller.corners_px is None else refine_corners(grey, 2 * smaller.corners_px + 0.5)
+    return ChessboardSearch(places, max(search.seen, smaller.seen))
+
+
+def refine_corners(grey: npt.NDArray[np.floating], corners: FloatArray) -> FloatArray:
+    """Return corners to a few hundredths of a pixel, (..., 2) px, from places a pixel beside them.
+
+    A corner stays where it is where the picture has no saddle point near it.
+    """
+    slopes = _slopes(grey.astype(np.float32))
+    height, width = grey.shape
+    places = corners.reshape(-1, 2)
+    for _ in range(3):
+        u, v = np.clip(np.rint(places), 0, (width - 1, height - 1)).astype(int).T
+        places = np.column_stack([u, v]) + np.clip(_to_saddle(slopes, v, u), -1, 1)
+    ran_away = np.linalg.norm(places - corners.reshape(-1, 2), axis=1) > _MAX_MOVE_PX
+    return np.where(ran_away[:, None], corners.reshape(-1, 2), places).reshape(corners.shape)
+
+
+def _slopes(picture: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float32], ...]:
+    """Return the smoothed picture's derivatives: x, y, xx, yy, xy."""
+    smooth = cv2.GaussianBlur(picture, (0, 0), _SMOOTHING_PX)
+    orders = ((1, 0, 8), (0, 1, 8), (2, 0, 4), (0, 2, 4), (1, 1, 4))
+    return tuple(np.asarray(cv2.Sobel(smooth, cv2.CV_32F, i, j, ksize=3, scale=1 / n)) for i, j, n in orders)
+
+
+def _to_saddle(
+    slopes: tuple[npt.NDArray[np.float32], ...], v: npt.NDArray[np.intp], u: npt.NDArray[np.intp]
+) -> FloatArray:
+    """Return the way from pixels to where the gradient is zero, (N, 2) px: one step of Newton."""
+    x, y, xx, yy, xy = (slope[v, u].astype(np.float64) for slope in slopes)
+    determinant = np.minimum(xx * yy - xy * xy, -1e-12)
+    return np.column_stack([xy * y - yy * x, xy * x - xx * y]) / determinant[:, None]
+
+
+def _saddles(picture: npt.NDArray[np.float32]) -> tuple[FloatArray, npt.NDArray[np.complex128]]:
+    """Return the places that may be corners, (N, 2) px, strongest first, and how their light turns.
+
+    The second is exp(2i angle) of the way to the bright squares, times the contrast.
+    """
+    slopes = _slopes(picture)
+    _, _, xx, yy, xy = slopes
+    strength = xy * xy - xx * yy
+    window = (2 * _WINDOW_PX + 1,) * 2
+    mean = cv2.blur(picture, window)
+    contrast = np.sqrt(np.maximum(cv2.blur(picture * picture, window) - mean * mean, 0))
+    peak = (strength == cv2.dilate(strength, np.ones((5, 5)))) & (contrast > _MIN_CONTRAST)
+    peak &= (strength > (_MIN_CURVATURE * contrast) ** 2) & (strength > _MIN_BALANCE * (xx + yy) ** 2)
+    v, u = np.nonzero(peak)
+    if len(v) == 0:
+        return np.zeros((0, 2)), np.zeros(0, np.complex128)
+    strongest = np.argsort(-strength[v, u])[:_MAX_PEAKS]
+    v, u = v[strongest], u[strongest]
+    places = np.column_stack([u, v]) + np.clip(_to_saddle(slopes, v, u), -1, 1)
+    around = np.exp(2j * np.pi * np.arange(_CIRCLE_SAMPLES) / _CIRCLE_SAMPLES)
+    on_circle = (places[:, :1] + 1j * places[:, 1:] + _CIRCLE_PX * around).astype(np.complex64)
+    circle = cv2.remap(
+        cv2.GaussianBlur(picture, (0, 0), 0.7), on_circle.real.copy(), on_circle.imag.copy(), cv2.INTER_LINEAR
+    ).reshape(len(places), _CIRCLE_SAMPLES)
+    circle = circle - circle.mean(axis=1, keepdims=True)
+    bright = (circle * around**2).mean(axis=1)
+    good = 2 * np.abs(bright) ** 2 > _MIN_TWOFOLD * (circle**2).mean(axis=1)
+    good &= np.abs(bright) > _MIN_CONTRAST
+    best = np.flatnonzero(good)[np.argsort(-np.abs(bright[good]))[:_MAX_SADDLES]]
+    return np.asarray(places[best], np.float64), np.asarray(bright[best], np.complex128)
+
+
+def _search(picture: npt.NDArray[np.float32], size: tuple[int, int]) -> ChessboardSearch:
+    """Search a picture at its own scale."""
+    places, bright = _saddles(picture)
+    if len(places) < 4:
+        return ChessboardSearch(None, 0)
+    saddles = _Saddles(places, bright)
+    free = np.ones(len(places), np.bool_)
+    grids = []
+    for seed in range(len(places)):
+        if free[seed]:
+            grids.append(saddles.grid(seed))
+            free[list(grids[-1].values())] = False
+    grids.sort(key=len, reverse=True)
+    for cells in grids:
+        corners = _board(np.array(list(cells)), places[list(cells.values())], size)
+        if corners is not None:
+            return ChessboardSearch(corners, len(cells))
+    return ChessboardSearch(None, len(grids[0]))
+
+
+class _Saddles:
+    """Places that may be corners, and the grids that they make."""
+
+    def __init__(self, places: FloatArray, bright: npt.NDArray[np.complex128]) -> None:
+        self.places, self.bright = places, bright
+
+    def grid(self, seed: int) -> dict[tuple[int, int], int]:
+        """Return the saddles that join a seed, by column and row in a grid that is the seed's own."""
+        steps = self._first_steps(seed)
+        cells = {(0, 0): seed}
+        if steps is None:
+            return cells
+        taken = {seed}
+        queue = [(0, 0)]
+        for i, j in queue:
+            for di, dj in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+                cell = (i + di, j + dj)
+                if cell in cells:
+                    continue
+                step = self._step(cells, (i, j), (di, dj), steps)
+                near = self._opposite(cells[i, j], step)
+                if near is not None and near not in taken:
+                    cells[cell] = near
+                    taken.add(near)
+                    queue.append(cell)
+        return cells
+
+    def _first_steps(self, seed: int) -> tuple[FloatArray, FloatArray] | None:
+        """Return the steps to two neighbours of a seed, along a row and a column."""
+        ways = self.places[self._change_places(seed, slice(None))] - self.places[seed]
+        ways = ways[np.argsort(np.hypot(*ways.T))[:_NEIGHBOURS]]
+        for way in ways[1:]:
+            across = abs(ways[0][0] * way[1] - ways[0][1] * way[0])
+            if across > 0.5 * np.hypot(*ways[0]) * np.hypot(*way):
+                return ways[0], way
+        return None
+
+    def _step(
+        self,
+        cells: dict[tuple[int, int], int],
+        at: tuple[int, int],
+        way: tuple[int, int],
+        first: tuple[FloatArray, FloatArray],
+    ) -> FloatArray:
+        """Return the step that leads one way: as the one before it, or beside it, or else the first."""
+        (i, j), (di, dj) = at, way
+        for m, n in ((i - di, j - dj), (i + dj, j + di), (i - dj, j - di)):
+            if (m, n) in cells and (m + di, n + dj) in cells:
+                return np.asarray(self.places[cells[m + di, n + dj]] - self.places[cells[m, n]])
+        return di * first[0] + dj * first[1]
+
+    def _opposite(self, at: int, step: FloatArray) -> int | None:
+        """Return the saddle a step away whose bright and dark have changed places."""
+        off = np.hypot(*(self.places - self.places[at] - step).T)
+        near = int(np.argmin(off))
+        return near if off[near] < _REACH * np.hypot(*step) and self._change_places(at, near) else None
+
+    def _change_places(self, one: int, others: Any) -> Any:
+        """Return whether what is bright about one saddle is dark about others."""
+        return (self.bright[one] * np.conj(self.bright[others])).real < 0
+
+
+def _board(cells: npt.NDArray[np.intp], places: FloatArray, size: tuple[int, int]) -> FloatArray | None:
+    """Return the (rows, columns, 2) corners of a board of this size in a grid; None: it is another board, or a part.
+
+    At the rim of a narrow margin there may be saddles beside the board's corners, which do not fit its homography.
+    """
+    least, board = np.inf, None
+    for grid in (cells, cells[:, ::-1]):
+        for first in np.ndindex(*np.maximum(np.ptp(grid, axis=0) + 2 - size, 0)):
+            squares = grid - grid.min(axis=0) - first
+            inside = ((squares >= 0) & (squares < size)).all(axis=1)
+            if np.count_nonzero(inside) < size[0] * size[1]:
+                continue
+            misfit = _misfit(squares, places, inside)
+            if misfit[inside].max() < least:
+                least = misfit[inside].max()
+                is_larger = np.count_nonzero(~inside & (misfit < _FIT)) > min(size) / 2
+                order = np.lexsort(squares[inside].T)
+                board = None if is_larger else places[inside][order].reshape(size[1], size[0], 2)
+    return board
+
+
+def _misfit(squares: npt.NDArray[np.intp], places: FloatArray, inside: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return how far places lie off the homography of those inside, over a square's side."""
+    on_board = squares[:, None].astype(np.float64)
+    to_px, _ = cv2.findHomography(on_board[inside], places[inside])
+    area = cv2.contourArea(cv2.convexHull(places[inside].astype(np.float32)))
+    side = np.sqrt(area / np.prod(np.ptp(squares[inside], axis=0)))
+    return np.asarray(np.linalg.norm(cv2.perspectiveTransform(on_board, to_px)[:, 0] - places, axis=1) / side)
 
 
 class Board(Model):

@@ -1,23 +1,38 @@
-"""The corners of a board in one pose, as the camera and the projector see them.
+"""The corners of a board in its poses, as the camera and the projector see them.
 
-The camera sees the corners, and phase patterns tell which projector pixel every camera pixel sees. A homography between
-the two around a corner gives the corner's place in the projector without interpolating at a black edge (D. Moreno and
-G. Taubin, Simple, accurate, and robust projector-camera calibration, 2012, doi:10.1109/3DIMPVT.2012.77).
+The camera sees the corners, and phase patterns determine which projector pixel every camera pixel sees. A homography
+between the two around a corner gives the corner's place in the projector without interpolating at a black edge
+(D. Moreno and G. Taubin, Simple, accurate, and robust projector-camera calibration, 2012,
+doi:10.1109/3DIMPVT.2012.77).
+
+The captures also show how sharp they are, and whether the board stood still: the mean of a level's fringes, over its
+steps, is a picture evenly lit, for the steps are spread evenly over a cycle. So the board is seen in it as in the white
+picture, only later, and its corners can be compared.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import cv2
 import numpy as np
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.multishot import ProjectorMap, decode_multishot
-from pipeline.calibration.picture_evidence import PictureEvidence, edge_blur_px, find_drift
+from pipeline.calibration.captures import CapturedFolder
+from pipeline.calibration.multishot import ProjectorMap, decode_multishot, fringe_groups, multishot_sequence
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray, ImageArray
 from pipeline.robust import robust_sigma
 
+# Within this part of a square's side about a corner there are its edges, and no others.
+_REACH = 0.4
+# The least reach, px: an edge blurred by 1 px is 4 px wide.
+_MIN_REACH_PX = 4
+# The smoothing, px, before slopes are measured, so that noise does not pass for a sharp edge; and what it and the
+# difference of neighbours add to an edge's variance, px^2.
+_SMOOTHING_PX, _ADDED_PX2 = 1.0, 1.0 + 1 / 3
+#: Poses at least: three determine a lens, and with eight a wrong one stands out from the others.
+MIN_POSES = 8
 # A pose with fewer corners says little of the lenses beside what its own place takes up (six parameters).
 _MIN_CORNERS = 12
 # The radius around a corner in which projector coordinates are fitted, over a square's side on the camera's image:
@@ -33,6 +48,91 @@ _MIN_HALF_WINDOW_PX = 3
 _MAX_HALF_WINDOW_PX = 8
 # OpenCV's refinement ends after 60 steps, or when a corner moves by less than 1e-4 px.
 _REFINEMENT_END = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
+
+
+@dataclass(frozen=True)
+class PictureEvidence:
+    """What the pictures of one pose show of how they were taken."""
+
+    blur_px: float  # sigma of the edges at the corners; NaN: there is no room to see it
+    drift_px: tuple[tuple[str, float], ...]  # by how much corners have moved since the white picture, and the name of
+    # the picture before which they had, in order of projection
+
+    @property
+    def moved_px(self) -> float:
+        """The largest move of the corners while the pictures were taken; 0 where none was looked for."""
+        return max((moved for _, moved in self.drift_px), default=0.0)
+
+    @property
+    def moved_before(self) -> str:
+        """The first picture by which corners had moved by half as much or more."""
+        return next(name for name, moved in self.drift_px if moved >= 0.5 * self.moved_px)
+
+
+def edge_blur_px(grey: FloatArray, corners: FloatArray, side_px: float) -> float:
+    """Return how blurred a picture is at a board's corners, as the sigma of its edges, px.
+
+    Parameters
+    ----------
+    grey : (H, W)
+        Any scale.
+    corners : (N, 2)
+        Where black meets white, px.
+    side_px : float
+        A square's side.
+
+    Notes
+    -----
+    An edge of height h that is blurred by a Gaussian of sigma has the slope h / (sigma sqrt(2 pi)) in its middle. The
+    result is the corners' median; what noise and the edge's own smoothing add is taken off.
+    """
+    smooth = cv2.GaussianBlur(grey, (0, 0), _SMOOTHING_PX)
+    slope = np.hypot(*np.gradient(smooth))
+    reach = max(round(_REACH * side_px), _MIN_REACH_PX)
+    found = []
+    for x, y in np.rint(corners).astype(int):
+        if min(x, y) < reach or x + reach >= grey.shape[1] or y + reach >= grey.shape[0]:
+            continue
+        window = np.s_[y - reach : y + reach + 1, x - reach : x + reach + 1]
+        height = float(np.ptp(smooth[window]))
+        steepest = float(slope[window].max())
+        if steepest > 0:
+            found.append((height / steepest) ** 2 / (2 * np.pi) - _ADDED_PX2)
+    return float(np.sqrt(max(np.median(found), 0.0))) if found else float("nan")
+
+
+def find_drift(
+    captures: Mapping[str, ImageArray],
+    grey: FloatArray,
+    corners: FloatArray,
+    refine: Callable[[FloatArray, FloatArray], FloatArray],
+) -> tuple[tuple[str, float], ...]:
+    """Return how far a board's corners have moved since the white picture, group by group of fringes.
+
+    Parameters
+    ----------
+    captures : mapping from name to (H, W, 3)
+        The captures of `multishot_sequence`.
+    grey : (H, W)
+        The white one, 0..1.
+    corners : (N, 2)
+        Its corners, px.
+    refine : callable
+        From a picture and corners nearby to the corners in it.
+
+    Returns
+    -------
+    tuple of (str, float)
+        A group's first picture, and the median distance, px, of its corners from those of the white picture.
+    """
+    before = refine(grey, corners)
+    found = []
+    for names in fringe_groups():
+        lit = sum(captures[name].astype(np.float64).mean(axis=-1) for name in names)
+        # As bright as the white picture, which the refinement's smoothing and thresholds are made for.
+        after = refine(lit * (grey.max() / max(float(np.max(lit)), 1e-9)), before)
+        found.append((names[0], float(np.median(np.linalg.norm(after - before, axis=1)))))
+    return tuple(found)
 
 
 @dataclass(frozen=True)
@@ -187,3 +287,61 @@ def _projector_shift(seen: ProjectorMap, corners: FloatArray) -> FloatArray:
     cv2.fillConvexPoly(board, cv2.convexHull(corners.astype(np.int32)), 1)
     inside = (board > 0) & ~np.isnan(seen.position_px[..., 0])
     return np.asarray(np.median(seen.channel_shift_px[:, inside], axis=1))
+
+
+@dataclass(frozen=True)
+class MeasuredPoses:
+    """The poses that could be measured."""
+
+    poses: list[BoardPose]
+    refused: tuple[str, ...]  # why others could not, a sentence each
+    camera_size_px: tuple[int, int]
+
+
+def measure_poses(
+    folder: Path,
+    board: Board,
+    projector_size_px: tuple[int, int],
+    white_level: float | None = None,
+    least: int = MIN_POSES,
+) -> MeasuredPoses:
+    """Find the board in every pose.
+
+    Parameters
+    ----------
+    folder : Path
+        With a folder a pose, each with the captures of `multishot_sequence` under the pictures' names.
+    board : Board
+        What stands there.
+    projector_size_px : (width, height)
+        The projector's.
+    white_level : float, optional
+        Full scale; None: the type's.
+    least : int
+        How many poses are needed.
+
+    Raises
+    ------
+    CalibrationError
+        The folder lacks captures, they differ in size, or the board is found in too few of them.
+    """
+    if not folder.is_dir():
+        raise CalibrationError(f"{folder} is no folder: give the one with a folder a pose")
+    names = multishot_sequence(projector_size_px).names
+    poses: list[BoardPose] = []
+    refused: list[str] = []
+    camera_px = None
+    for place in sorted(entry for entry in folder.iterdir() if entry.is_dir()):
+        captures = CapturedFolder(place, names)
+        height, width = captures[names[0]].shape[:2]
+        if camera_px is not None and camera_px != (width, height):
+            raise CalibrationError(f"{place} is {width}x{height}, the poses before are {camera_px[0]}x{camera_px[1]}")
+        camera_px = (width, height)
+        try:
+            poses.append(measure_pose(place.name, captures, board, projector_size_px, white_level))
+        except CalibrationError as error:
+            refused.append(str(error))
+    if camera_px is None or len(poses) < least:
+        reason = refused[0] if refused else f"{folder} holds {len(poses)} folders of captures"
+        raise CalibrationError(f"{len(poses)} usable poses, at least {least} are needed: {reason}")
+    return MeasuredPoses(poses, tuple(refused), camera_px)

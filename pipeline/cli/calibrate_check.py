@@ -13,8 +13,8 @@ from pipeline.cli.console import Arch, above_zero, check_target, read_settings, 
 from pipeline.errors import SettingsError
 
 if TYPE_CHECKING:
-    from pipeline.diagnosis.check_result import CheckResult
-    from pipeline.diagnosis.ripple_finding import RippleFinding
+    from pipeline.diagnosis.channel_spectra import RippleFinding
+    from pipeline.diagnosis.rig_check import CheckResult
 
 
 def check(

@@ -7,12 +7,11 @@ import numpy as np
 from cyclopts import Parameter
 from rich.table import Table
 
+from pipeline.calibration.board_poses import measure_poses
 from pipeline.calibration.captures import write_sequence
 from pipeline.calibration.model import Calibration, Uncertainty, choose_pattern
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
-from pipeline.calibration.pose_folders import measure_poses
-from pipeline.calibration.rig_geometry import GeometryFit, solve_geometry
-from pipeline.calibration.scale_proof import SecondBoard
+from pipeline.calibration.rig_geometry import GeometryFit, SecondBoard, solve_geometry
 from pipeline.cli.calibrate_options import PROJECTOR_SIZE, BoardOptions, captures_and_target
 from pipeline.cli.console import above_zero, check_target, read_calibration, say, size_of, stdout
 from pipeline.errors import SettingsError

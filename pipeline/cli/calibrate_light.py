@@ -15,11 +15,11 @@ from pipeline.calibration.radiometry import (
     PRIMARIES,
     Radiometry,
     measure_radiometry,
+    plot_radiometry,
     radiometry_codes,
     radiometry_sequence,
 )
-from pipeline.calibration.radiometry_plot import plot_radiometry
-from pipeline.calibration.radiometry_verdict import judge_radiometry
+from pipeline.calibration.verdict import judge_radiometry
 from pipeline.cli.calibrate_options import PROJECTOR_SIZE, captures_and_target
 from pipeline.cli.console import above_zero, check_target, read_calibration, say, size_of, stdout
 from pipeline.errors import SettingsError

@@ -198,7 +198,7 @@ def _motion_rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
 
 def _board_rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
     """Return what is printed of the board."""
-    from pipeline.planning.calibration_board import TILTS_DEG
+    from pipeline.planning.rig_plan import TILTS_DEG
 
     board = plan.board
     squares = "{}x{}".format(*board.squares)

@@ -65,7 +65,7 @@ def pattern(
     if board is not None:
         options.board(board).write(file)
         return
-    from pipeline.pattern.fringes import write_pattern
+    from pipeline.pattern import write_pattern
 
     rig = read_calibration(calibration)
     if rig is not None and rig.response is None:

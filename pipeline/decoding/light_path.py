@@ -10,7 +10,7 @@ from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.decoding.surface_finding import SurfaceFinder
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import CameraState, FloatArray
-from pipeline.pattern.contrast_code import cycle_contrasts
+from pipeline.pattern import cycle_contrasts
 from pipeline.settings import DecodeSettings
 from tikernels.phase.channel_template import flat_template
 from tikernels.phase.crosstalk import Crosstalk

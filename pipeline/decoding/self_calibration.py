@@ -31,7 +31,7 @@ import numpy.typing as npt
 
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray, ImageArray
-from pipeline.pattern.fringes import CHANNEL_PHASES
+from pipeline.pattern import CHANNEL_PHASES
 
 _Singles = npt.NDArray[np.float32]
 _Complexes = npt.NDArray[np.complex128]

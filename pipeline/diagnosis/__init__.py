@@ -1,10 +1,8 @@
 """Whether a rig still holds what its calibration says, why a surface is wavy, and what footage costs in accuracy."""
 
-from pipeline.diagnosis.corrected_light import correct_light
-from pipeline.diagnosis.epipolar_check import check_epipolar
 from pipeline.diagnosis.footage_inspection import inspect_footage
 from pipeline.diagnosis.frame_sequence import diagnose_sequence
+from pipeline.diagnosis.rig_check import check_epipolar, check_surface, correct_light
 from pipeline.diagnosis.ripple import diagnose
-from pipeline.diagnosis.surface_check import check_surface
 
 __all__ = ["check_epipolar", "check_surface", "correct_light", "diagnose", "diagnose_sequence", "inspect_footage"]

@@ -1,40 +1,286 @@
-"""What some twenty frames of footage show, looked at one after another, in pairs of neighbours and as a sequence."""
+"""The evidence of about twenty frames of footage, one after another, in pairs of neighbours and as a sequence.
+
+Of how they were taken: contrast, clipping, drift, motion, and where their colours sit.
+"""
 
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
+import numpy.typing as npt
 
 from pipeline.decoder import Decoder
-from pipeline.diagnosis.expected_light import KnownLight
-from pipeline.diagnosis.frame_evidence import (
-    FrameQuality,
-    InspectedFrame,
-    KeptFrame,
-    SitingFit,
-    as_light,
-    decoder_settings,
-    fit_siting,
-    inspect_frame,
-    measure_motion,
-    measure_quality,
-)
+from pipeline.decoding.frame import DecodedFrame
+from pipeline.diagnosis.channel_spectra import KnownLight
 from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
 from pipeline.diagnosis.ripple import Diagnosis, diagnose
 from pipeline.errors import DecodeWarning, FootageError
 from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
 from pipeline.models import FloatArray
 from pipeline.settings import DecodeSettings
+from tikernels import runtime
+from tikernels.arrays import LevelsImage
 from tikernels.phase.frame_statistics import measure_frame
+from tikernels.phase.smoothing import left_of_variance
 from tikernels.raw.development import develop
-from tikernels.raw.pixel_format import FLOAT_BITS
+from tikernels.raw.linearization import WHITE_LEVELS, linearize
+from tikernels.raw.pixel_format import FLOAT_BITS, Siting
 from tikernels.transposing import transpose
 
+# Share of full scale from which on a value counts as clipped: a codec leaves clipped ones a little below it.
+_FULL = 0.995
+#: Below this contrast, blur may have turned the fringe over.
+MIN_CONTRAST = 0.12
+# Lit is what is at least this part as bright as where the fringe is found: shadows are darker.
+_LIT = 0.5
+# Chroma samples of a window along a row in which an edge is sought.
+_EDGE_SAMPLES = 8
+# A window holds an edge where its chroma changes by this factor more than in most.
+_EDGE_STRENGTH = 20.0
+# Windows with an edge, at least, that tell where chroma sits.
+_MIN_EDGES = 100
+# One siting fits better than another where it leaves less than this part of it; noise makes a difference of up to 3 %.
+_CLEARLY = 0.95
+# Rows and columns of the middle of a frame that are kept.
+_KEPT_PX = (768, 1024)
+# A place tells the colour of what is lit where the lit share around it is at least this.
+_INSIDE = 0.95
+# A drift of the camera is alike in most places: a quarter of them may change by less than this part of the median.
+_EVEN = 0.5
+# A surface whose phase changes by less, rad, keeps its brightness: by 0.3 rad, some 2 mm of 900, light that falls with
+# the square of the distance changes by half a per cent. Noise makes less.
+_STILL_RAD = 0.3
+# Motion shows where a pixel's standard deviation is at most this many times what most have.
+_AS_SURE = 2.0
+# Places at least that tell a drift.
+_MIN_PLACES = 12
 # Pairs of neighbours that are looked at, evenly spaced.
 _PAIRS = 4
 # Frames of the run in the middle: as many as a sequence needs to tell a beat.
 _RUN = MIN_FRAMES
+
+
+@dataclass(frozen=True, eq=False)
+class InspectedFrame:
+    """One frame: light, and what decoding makes of it."""
+
+    number: int
+    encoded: npt.NDArray[np.float32]  # (H, W, 3) as stored, 0..1 of full scale
+    light: npt.NDArray[np.float32]  # (H, W, 3) linear, 0..1
+    frame: DecodedFrame | None  # None: no fringes
+    settings: DecodeSettings
+
+    @property
+    def period_px(self) -> float:
+        """Camera px a cycle."""
+        return (self.frame.period_px if self.frame is not None else None) or 1.0
+
+
+def inspect_frame(stored: StoredFrame, decoder: Decoder, settings: DecodeSettings) -> InspectedFrame:
+    """Decode a frame; `decoder` takes linear light, `settings` say how this frame's is encoded."""
+    image = develop(stored.planes, stored.format, stripes=settings.stripes)
+    encoded, light = as_light(image, settings)
+    frame = decoder.decode(light)
+    return InspectedFrame(stored.number, encoded, light, frame if frame.mask.any() else None, settings)
+
+
+def as_light(image: LevelsImage, settings: DecodeSettings) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+    """Return a developed frame as it is encoded, and as linear light, (H, W, 3) in 0..1."""
+    levels = np.array(runtime.to_host(image))
+    white = settings.white_level or WHITE_LEVELS[levels.dtype.name]
+    encoded = np.clip(levels.astype(np.float32) / np.float32(white), 0, 1)
+    transfer = settings.transfer or "linear"
+    light = encoded if transfer == "linear" else runtime.to_host(linearize(encoded, transfer))
+    return encoded, light
+
+
+@dataclass(frozen=True)
+class FrameQuality:
+    """What one frame shows; the limits are for a pixel smoothed as decoded."""
+
+    contrast: float  # amplitude over mean of the camera's channels
+    limit_rad: float  # what contrast and noise allow
+    level_limit_rad: float  # what rounding to whole levels allows
+    sigma_rad: float  # what neighbouring pixels differ by
+    clipped: float  # share of the lit pixels with a channel at full scale
+    lost: float  # share of them with two, which have no phase
+    faint: float  # share of the others whose contrast is below `MIN_CONTRAST`
+
+
+def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> FrameQuality:
+    """Measure a frame with fringes, whose levels have `bits` bits; medians over the fringes."""
+    part = _middle(frame.mask.shape)  # tells enough of the fringes, at a quarter of the time for a large frame
+    inside, light = frame.mask[part], look.light[part]
+    along, across = 1.0, 0.75 * look.period_px
+    if look.settings.stripes == "vertical":
+        along, across = across, along
+    mean = cv2.GaussianBlur(light, (0, 0), along, sigmaY=across)
+    noise = frame.noise_levels
+    variance = cv2.GaussianBlur(light**2, (0, 0), along, sigmaY=across) - mean**2 - noise**2
+    variance = np.maximum(variance, 1e-9)
+    contrast = (np.sqrt(2 * variance) / np.maximum(mean, 1e-6)).mean(axis=-1)
+    # The information on the phase, sum_i (dI_i / dphi)^2 over noise^2, is half the sum of the squared amplitudes over
+    # noise^2; and half a squared amplitude is its wave's variance.
+    power = np.sqrt(np.median(variance.sum(axis=-1)[inside]) / left_of_variance(look.settings.smoothing_px // 2))
+    at_full = np.count_nonzero(look.encoded >= _FULL, axis=-1)
+    lit = at_full[frame.mask | (at_full > 1)]
+    brightness = mean.mean(axis=-1)
+    shown = (brightness > _LIT * np.median(brightness[inside])) & (at_full[part] < 2)
+    return FrameQuality(
+        contrast=float(np.median(contrast[inside])),
+        limit_rad=float(noise / power),
+        level_limit_rad=float(1 / (2**bits - 1) / np.sqrt(12) / power),
+        sigma_rad=float(np.nanmedian(frame.row_sigma[frame.mask])),
+        clipped=float(np.mean(lit > 0)),
+        lost=float(np.mean(lit > 1)),
+        faint=float(np.mean(contrast[shown] < MIN_CONTRAST)) if shown.any() else 0.0,
+    )
+
+
+def _middle(shape: tuple[int, ...]) -> tuple[slice, slice]:
+    """Return the part of a frame (H, W) that is kept."""
+    top, left = (max(0, (there - kept) // 2) for there, kept in zip(shape, _KEPT_PX, strict=True))
+    return np.s_[top : top + _KEPT_PX[0], left : left + _KEPT_PX[1]]
+
+
+@dataclass(frozen=True, eq=False)
+class KeptFrame:
+    """What is kept of a frame with fringes while others are looked at: of a large one, the middle."""
+
+    encoded: npt.NDArray[np.float32]  # (H, W, 3) as stored, 0..1 of full scale
+    light: npt.NDArray[np.float32]  # (H, W, 3) linear, 0..1
+    unwrapped_phase: npt.NDArray[np.float32]  # (H, W) rad
+    mask: npt.NDArray[np.bool_]  # (H, W)
+    period_px: float
+
+    @classmethod
+    def of(cls, look: InspectedFrame, frame: DecodedFrame) -> "KeptFrame":
+        """Keep a frame."""
+        part = _middle(frame.mask.shape)
+        encoded, light = look.encoded[part].copy(), look.light[part].copy()
+        return cls(encoded, light, frame.unwrapped_phase[part].copy(), frame.mask[part].copy(), look.period_px)
+
+
+def measure_gains(first: KeptFrame, later: KeptFrame) -> npt.NDArray[np.float64] | None:
+    """Return by how much R, G and B have become brighter, (3,), where the same factor holds for most of the image.
+
+    1 where it does not: then an object that moves has changed it here and there. None: too little is lit in both.
+    """
+    both = (first.mask & later.mask).astype(np.float32)
+    # A Gaussian of a whole cycle hides where the fringe is.
+    sigma = first.period_px
+    step = max(1, round(2 * sigma))
+    weight = cv2.GaussianBlur(both, (0, 0), sigma)[::step, ::step]
+    inside = weight > _INSIDE
+    if np.count_nonzero(inside) < _MIN_PLACES:
+        return None
+    before, after = (
+        cv2.GaussianBlur(look.light * both[..., None], (0, 0), sigma)[::step, ::step][inside] for look in (first, later)
+    )
+    ratios = np.log(np.maximum(after, 1e-6) / np.maximum(before, 1e-6)).astype(np.float64)
+    low, middle, high = np.percentile(ratios, (25, 50, 75), axis=0)
+    uneven = np.abs(np.where(middle > 0, low, high)) < _EVEN * np.abs(middle)
+    uneven |= np.sign(np.where(middle > 0, low, high)) != np.sign(middle)
+    return np.exp(np.where(uneven, 0.0, middle))
+
+
+def stands_still(first: KeptFrame, later: KeptFrame) -> bool:
+    """Whether most of what both frames show is where it was, so that its brightness tells the camera's exposure."""
+    both = first.mask & later.mask
+    change = later.unwrapped_phase[both] - first.unwrapped_phase[both]
+    return bool(np.mean(np.cos(change) > np.cos(_STILL_RAD)) > 0.5) if both.any() else False
+
+
+def measure_motion(first: InspectedFrame, second: InspectedFrame) -> npt.NDArray[np.float32]:
+    """Return by how much the phase differs, rad, where both are sure of it; half a cycle is the most that shows."""
+    if first.frame is None or second.frame is None:
+        return np.zeros(0, np.float32)
+    both = _sure_pixels(first.frame) & _sure_pixels(second.frame)
+    change = second.frame.wrapped_phase[both] - first.frame.wrapped_phase[both]
+    return np.asarray(np.abs(change - np.float32(2 * np.pi) * np.rint(change / np.float32(2 * np.pi))))
+
+
+def _sure_pixels(frame: DecodedFrame) -> npt.NDArray[np.bool_]:
+    """Return the pixels that are about as sure as most: dim ones differ by their noise from frame to frame."""
+    sigma = frame.phase_sigma
+    usual = float(np.median(sigma[frame.mask])) if frame.mask.any() else 0.0
+    return np.asarray(frame.mask & (sigma <= _AS_SURE * usual))
+
+
+@dataclass(frozen=True)
+class SitingFit:
+    """Which siting of the chroma samples fits a frame."""
+
+    better: Siting | None  # None: the frame does not tell
+    differ_rad: float  # by how much their phases differ, RMS
+
+
+def fit_siting(stored: StoredFrame, settings: DecodeSettings, arch: str) -> SitingFit:
+    """Compare "left" and "centre" for a frame whose chroma is halved along its rows."""
+    sitings: tuple[Siting, Siting] = ("left", "centre")
+    frames = []
+    for siting in sitings:
+        image = develop(stored.planes, replace(stored.format, siting=siting), stripes=settings.stripes)
+        # Each learns the light by itself: what is learnt of one makes up for some of its fault.
+        decoder = Decoder(decoder_settings(settings), arch=arch)
+        frames.append(decoder.decode(as_light(image, settings)[1]))
+    both = frames[0].mask & frames[1].mask
+    if not both.any():
+        return SitingFit(None, 0.0)
+    change = np.exp(1j * (frames[1].wrapped_phase[both] - frames[0].wrapped_phase[both]))
+    apart = np.angle(change * np.conj(change.mean()))
+    # Where the fringe runs across the samples, a wrong siting is lateral colour: the channels' waves lag against each
+    # other as no crosstalk makes them, which leaves the constant unsure. Where it runs along them, only edges tell.
+    if settings.stripes == "vertical":
+        left, centre = (float(frame.constant_sigma) for frame in frames)
+    else:
+        left, centre = _left_of_edges(stored)
+    better = next((name for name, a, b in (("left", left, centre), ("centre", centre, left)) if a < _CLEARLY * b), None)
+    return SitingFit(next((s for s in sitings if s == better), None), float(np.sqrt(np.mean(apart**2))))
+
+
+def _left_of_edges(stored: StoredFrame) -> tuple[float, float]:
+    """Return what share of the chroma's change at edges luma does not explain, its samples sited left and centre.
+
+    Along a stripe little changes but at edges, and there chroma changes where luma does.
+    """
+    luma = np.asarray(stored.planes[0], np.float32)
+    if stored.format.interleaved:
+        chroma = [np.asarray(stored.planes[1][:, i::2], np.float32) for i in (0, 1)]
+    else:
+        chroma = [np.asarray(plane, np.float32) for plane in stored.planes[1:]]
+    rows, columns = luma.shape[0] // stored.format.subsampling[1], luma.shape[1] // 2
+    if stored.format.subsampling[1] == 2:
+        luma = np.asarray((luma[: 2 * rows : 2] + luma[1 : 2 * rows : 2]) / 2, np.float32)
+    padded = np.pad(luma, ((0, 0), (1, 1)), "edge")
+    lefts = ((padded[:, :-2] + 6 * luma + padded[:, 2:]) / np.float32(8))[:, : 2 * columns : 2]
+    centres = (luma[:, : 2 * columns : 2] + luma[:, 1 : 2 * columns : 2]) / np.float32(2)
+
+    def windows(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        change = np.diff(values[:rows, :columns], axis=1)
+        whole = change.shape[1] // _EDGE_SAMPLES * _EDGE_SAMPLES
+        return np.asarray(change[:, :whole].reshape(-1, _EDGE_SAMPLES))
+
+    both = [windows(plane) for plane in chroma]
+    energy = sum((plane**2).sum(axis=1) for plane in both)
+    edges = energy > _EDGE_STRENGTH * np.median(energy)
+    if np.count_nonzero(edges) < _MIN_EDGES:
+        return 1.0, 1.0
+    unexplained = []
+    for guess in (windows(lefts)[edges], windows(centres)[edges]):
+        explained = sum(
+            (guess * plane[edges]).sum(axis=1) ** 2 / np.maximum((guess**2).sum(axis=1), 1e-6) for plane in both
+        )
+        unexplained.append(1 - float(np.sum(explained) / energy[edges].sum()))
+    return unexplained[0], unexplained[1]
+
+
+def decoder_settings(settings: DecodeSettings) -> DecodeSettings:
+    """Return the settings of a decoder that is given linear light in 0..1."""
+    linear = {"transfer": "linear", "white_level": None, "min_intensity": None, "min_modulation": None, "noise": None}
+    return settings.model_copy(update=linear)
 
 
 @dataclass

@@ -19,6 +19,7 @@ from pipeline.calibration.model import Geometry
 from pipeline.diagnosis.channel_spectra import (
     OVERLAP,
     PHASES,
+    RippleFinding,
     fit_tiles,
     ripple_by_harmonic,
     robust_fit,
@@ -26,7 +27,6 @@ from pipeline.diagnosis.channel_spectra import (
     tile_side,
     waves_of_spectrum,
 )
-from pipeline.diagnosis.ripple_finding import RippleFinding
 from pipeline.models import FloatArray, ImageArray
 
 #: Frames at least: fewer tell nothing.

@@ -1,29 +1,372 @@
-"""Whether a rig is still as it was calibrated, from files: one picture, frames in a row, or the captures of a pose."""
+"""Whether a rig still is as it was calibrated, from files: one picture, frames in a row, or the captures of a pose.
 
-from collections.abc import Iterator
+A picture of a plane or ball is compared with a perfect one, captures of anything that holds still with the rig's
+epipolar lines. Where the light is at fault, one frame can correct the calibration.
+"""
+
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Literal
 
-from pipeline.calibration.captures import CapturedFolder, captured_files, refuse_other_camera
-from pipeline.calibration.model import Calibration
-from pipeline.calibration.multishot import WHITE, multishot_sequence
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.calibration.captures import SWAPPED, CapturedFolder, captured_files, refuse_other_camera
+from pipeline.calibration.model import Calibration, Geometry
+from pipeline.calibration.multishot import WHITE, decode_multishot, multishot_sequence
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.diagnosis.check_result import CheckResult
-from pipeline.diagnosis.corrected_light import correct_light
-from pipeline.diagnosis.epipolar_check import check_epipolar
-from pipeline.diagnosis.expected_light import KnownLight
+from pipeline.decoding.self_calibration import estimate_light
+from pipeline.diagnosis.channel_spectra import KnownLight
 from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
-from pipeline.diagnosis.ripple import Diagnosis, diagnose
-from pipeline.diagnosis.surface_check import Shape, check_surface
+from pipeline.diagnosis.ripple import Diagnosis, diagnose, other_transfer
 from pipeline.errors import CalibrationError, FootageError
 from pipeline.footage.source import BadFrame, Source
-from pipeline.models import ImageArray
+from pipeline.models import CameraState, FloatArray, ImageArray
+from pipeline.robust import robust_sigma
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
+from tikernels.depth.triangulation import triangulate
 from tikernels.raw.development import develop
 from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, Transfer, linearize
+
+# A measured figure may exceed the predicted one by this factor before the calibration is doubted.
+_TOLERANCE = 2.0
+
+#: What each kind of check cannot show.
+BLIND_SPOTS = {
+    "plane": "a plane stays flat, or nearly, whatever the baseline's length and however the projector turns about the "
+    "stripes' direction: a ball of known radius shows that, the captures of calibrate geometry every other turn",
+    "ball": "a ball of unknown radius shows no wrong scale: give its radius",
+    "epipolar": "epipolar lines do not show the baseline's length, nor a turn of the projector towards the camera or "
+    "away from it: a ball of known radius does",
+}
+Shape = Literal["plane", "ball"]
+
+# A surface this large, px, tells a shape.
+_MIN_SURFACE_PX = 2000
+# Residuals further out than this many deviations are highlights and rims.
+_OUTLIER_SIGMAS = 4.0
+# Averages over tiles of this side, px, are free of noise: what is left there is shape.
+_TILE_PX = 24
+# A surface whose averages deviate from the shape by more than this fraction of its distance is another shape: no rig
+# gets that far out of adjustment by itself.
+_OTHER_SHAPE = 0.01
+# Cycles to either side of the expected order in which a ball is looked for.
+_ORDERS = 5
+# A deviation from the shape, mm, free of noise, that no calibration promises to be better than.
+_SHAPE_FLOOR_MM = 0.1
+# A distance to an epipolar line, px, that no calibration promises to be better than.
+_FLOOR_PX = 0.1
+
+
+@dataclass(frozen=True)
+class Measure:
+    """One figure of a check."""
+
+    name: str
+    measured: float
+    predicted: float  # what the calibration and the frame's noise lead one to expect
+    unit: str
+
+    @property
+    def fine(self) -> bool:
+        """Whether it is within twice the prediction."""
+        return self.measured <= _TOLERANCE * self.predicted
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """What a check found."""
+
+    measures: tuple[Measure, ...]
+    position_mm: tuple[float, float, float] | None  # a ball's centre, or the plane's point on the camera's axis
+    radius_mm: float | None  # a ball's
+    blind_spot: str = ""  # what this shape cannot show, and what does
+
+    @property
+    def fine(self) -> bool:
+        """Whether every figure is within twice its prediction; if not, calibrate again."""
+        return all(measure.fine for measure in self.measures)
+
+
+def check_surface(
+    frame: DecodedFrame, calibration: Calibration, shape: Shape, radius_mm: float | None = None
+) -> CheckResult:
+    """Compare a decoded plane or ball with a perfect one.
+
+    Parameters
+    ----------
+    frame : DecodedFrame
+        Decoded with the calibration.
+    calibration : Calibration
+        The one in doubt.
+    shape : {"plane", "ball"}
+        What was captured: the largest surface in view for a plane, the one nearest to a ball for a ball.
+    radius_mm : float, optional
+        The ball's true radius.
+
+    Raises
+    ------
+    CalibrationError
+        No surface is large enough or of that shape, or the calibration holds no geometry.
+    """
+    if radius_mm is not None and not radius_mm > 0:
+        raise CalibrationError(f"the ball's radius is given as {radius_mm:g} mm: measure it")
+    geometry = calibration.geometry()
+    if frame.points is None or frame.point_sigma is None:
+        raise CalibrationError("the frame was decoded without this calibration: decode it with it")
+    surfaces = [n for n, size in enumerate(np.bincount(frame.region.ravel())) if n > 0 and size >= _MIN_SURFACE_PX]
+    if not surfaces:
+        raise CalibrationError(f"no surface of {_MIN_SURFACE_PX} px is in view: fill the picture with the {shape}")
+    placed = {0: frame.points}
+    if shape == "ball":
+        # Where orders are not absolute, a surface's is a guess; a ball of the right radius, or else the roundest one,
+        # tells it.
+        rays, projector = geometry.camera.rays(), geometry.for_triangulation()
+        for cycles in range(-_ORDERS, _ORDERS + 1):
+            phase = frame.unwrapped_phase + np.float32(2 * np.pi * cycles)
+            placed[cycles] = runtime.to_host(triangulate(phase, rays, projector))
+    fits = [
+        fit
+        for n in (surfaces if shape == "ball" else surfaces[:1])
+        for cycles, points in placed.items()
+        if cycles == 0 or not frame.absolute[frame.region == n].any()
+        if (fit := _fit_shape(points, frame.point_sigma, frame.region == n, shape)) is not None
+    ]
+    if not fits:
+        raise CalibrationError(f"no surface is large enough to tell a {shape}: fill the picture with it")
+    if shape == "ball":
+        # A wall behind the ball fits a huge one.
+        known = [fit for fit in fits if fit.radius is not None and 5 < fit.radius < 1000]
+        if not known:
+            raise CalibrationError("no surface in view is a ball: show it alone, before something far or dark")
+        fits = sorted(known, key=lambda fit: fit.spread if radius_mm is None else abs((fit.radius or 0) - radius_mm))
+    best = fits[0]
+    coarse, distance = float(np.sqrt(np.mean(best.coarse**2))), float(np.linalg.norm(best.position))
+    if coarse > _OTHER_SHAPE * distance:
+        raise CalibrationError(
+            f"the surface is {coarse:.1f} mm from the nearest {shape}: show one alone; if it is one, calibrate again"
+        )
+    bias = _predicted_bias(calibration)
+    noise = float(np.sqrt(np.mean(best.sigma**2)))
+    name = "flatness" if shape == "plane" else "sphericity"
+    measures = [
+        Measure("point precision", float(np.sqrt(np.mean(best.fine**2))), noise, "mm"),
+        Measure(name, coarse, float(np.hypot(_SHAPE_FLOOR_MM, 0.5 * bias)), "mm"),
+    ]
+    if best.radius is not None and radius_mm is not None:
+        # Depth that is off by a part is so for every length.
+        expected = np.hypot(_SHAPE_FLOOR_MM, bias * radius_mm / best.position[2])
+        measures.append(Measure("radius", abs(best.radius - radius_mm), float(expected), "mm"))
+    x, y, z = (float(value) for value in best.position)
+    blind_spot = BLIND_SPOTS[shape] if radius_mm is None or shape == "plane" else ""
+    return CheckResult(tuple(measures), (x, y, z), best.radius, blind_spot)
+
+
+@dataclass(frozen=True)
+class _ShapeFit:
+    """A shape laid through a surface."""
+
+    position: FloatArray  # (3,) mm
+    radius: float | None
+    sigma: FloatArray  # (N,) mm, predicted, across the surface
+    fine: FloatArray  # (N,) mm, residuals without what is smooth
+    coarse: FloatArray  # (B,) mm, their averages over tiles
+    spread: float  # mm, RMS of all
+
+
+def _fit_shape(
+    all_points: npt.NDArray[np.float32],
+    point_sigma: npt.NDArray[np.float32],
+    surface: npt.NDArray[np.bool_],
+    shape: Shape,
+) -> _ShapeFit | None:
+    """Lay a shape through a surface; None where too little of it is in front of the camera, or in one piece."""
+    points, sigma = all_points[surface].astype(np.float64), point_sigma[surface].astype(np.float64)
+    keep = np.isfinite(points[:, 2])
+    radius = None
+    for _ in range(4):
+        if np.count_nonzero(keep) < _MIN_SURFACE_PX // 2:
+            return None
+        if shape == "plane":
+            middle = points[keep].mean(axis=0)
+            normal = np.linalg.svd(points[keep] - middle, full_matrices=False)[2][2]
+            residual = (points - middle) @ normal
+            towards = np.broadcast_to(normal, points.shape)
+            position = np.array([0.0, 0.0, middle @ normal / normal[2]])
+        else:
+            position, radius = _sphere(points[keep])
+            away = points - position
+            distance = np.linalg.norm(away, axis=1)
+            residual, towards = distance - radius, away / distance[:, None]
+        limit = _OUTLIER_SIGMAS * robust_sigma(residual[keep])
+        keep = np.isfinite(residual) & (np.abs(residual) <= max(limit, 1e-6))
+    # A point moves along its ray; across the surface it moves by the cosine.
+    rays = points / np.linalg.norm(points, axis=1, keepdims=True)
+    across = sigma * np.abs((rays * towards).sum(axis=1))
+    y, x = (place[keep] for place in np.nonzero(surface))
+    tile = (y // _TILE_PX) * (1 + x.max() // _TILE_PX) + x // _TILE_PX
+    counts = np.bincount(tile)
+    means = np.bincount(tile, residual[keep]) / np.maximum(counts, 1)
+    whole = counts > 0.5 * _TILE_PX**2
+    if not whole.any():
+        return None
+    inside = whole[tile]
+    return _ShapeFit(
+        position=position,
+        radius=radius,
+        sigma=across[keep][inside],
+        fine=(residual[keep] - means[tile])[inside],
+        coarse=means[whole],
+        spread=float(np.sqrt(np.mean(residual[keep] ** 2))),
+    )
+
+
+def _sphere(points: FloatArray) -> tuple[FloatArray, float]:
+    """Return centre and radius of the sphere nearest to points: algebraic first, then by distance."""
+    origin = points.mean(axis=0)
+    moved = points - origin
+    system = np.concatenate([2 * moved, np.ones((len(points), 1))], axis=1)
+    solution = np.linalg.lstsq(system, (moved**2).sum(axis=1), rcond=None)[0]
+    centre = solution[:3]
+    radius = float(np.sqrt(max(solution[3] + centre @ centre, 1e-9)))
+    for _ in range(10):
+        away = moved - centre
+        distance = np.linalg.norm(away, axis=1)
+        jacobian = np.concatenate([-away / distance[:, None], -np.ones((len(points), 1))], axis=1)
+        step = np.linalg.lstsq(jacobian, -(distance - radius), rcond=None)[0]
+        centre, radius = centre + step[:3], radius + float(step[3])
+    return origin + centre, radius
+
+
+def _predicted_bias(calibration: Calibration) -> float:
+    if calibration.uncertainty is None or calibration.uncertainty.depth_bias_mm is None:
+        return 0.0
+    return calibration.uncertainty.depth_bias_mm
+
+
+def check_epipolar(
+    captures: Mapping[str, ImageArray],
+    calibration: Calibration,
+    where: str = "captures",
+    white_level: float | None = None,
+) -> CheckResult:
+    """Measure how far projector pixels lie from the epipolar lines of the camera pixels that see them.
+
+    Parameters
+    ----------
+    captures : mapping from name to (H, W, 3)
+        The captures of `multishot_sequence`, of anything that holds still.
+    calibration : Calibration
+        The one in doubt.
+    where : str
+        What errors call these captures.
+    white_level : float, optional
+        Full scale; None: the type's.
+
+    Raises
+    ------
+    CalibrationError
+        The captures cannot be decoded, are of another size, or camera and projector are swapped.
+    """
+    geometry = calibration.geometry()
+    height, width = next(iter(captures.values())).shape[:2]
+    refuse_other_camera(calibration, (width, height), where)
+    seen = decode_multishot(captures, geometry.projector.size_px, where, white_level)
+    known = ~np.isnan(seen.position_px[..., 0])
+    uncertainty = calibration.uncertainty
+    rms = (0.0, 0.0) if uncertainty is None or uncertainty.reprojection_px is None else uncertainty.reprojection_px
+    predicted = float(np.hypot(_FLOOR_PX, max(rms)))
+
+    def measure(as_if: Geometry) -> Measure:
+        error = epipolar_error_px(as_if, np.argwhere(known)[:, ::-1].astype(np.float64), seen.position_px[known])
+        return Measure("epipolar error", float(np.median(np.abs(error))), predicted, "px")
+
+    found = measure(geometry)
+    if not found.fine and measure(_swapped(geometry)).fine:
+        raise CalibrationError(f"{where}: {SWAPPED}")
+    return CheckResult((found,), None, None, BLIND_SPOTS["epipolar"])
+
+
+def _swapped(geometry: Geometry) -> Geometry:
+    back = geometry.rotation.T
+    return Geometry(geometry.projector, geometry.camera, back, -back @ geometry.translation_mm, geometry.pattern)
+
+
+def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: FloatArray) -> FloatArray:
+    """Return how far projector pixels lie beside the epipolar lines of camera pixels, (N,) projector px.
+
+    Parameters
+    ----------
+    geometry : Geometry
+        Where camera and projector stand.
+    camera_px, projector_px : (N, 2)
+        x, y of pixels that see each other.
+    """
+    rays, light = geometry.camera.rays_through(camera_px), geometry.projector.rays_through(projector_px)
+    t = geometry.translation_mm / np.linalg.norm(geometry.translation_mm)
+    cross = np.array([[0, -t[2], t[1]], [t[2], 0, -t[0]], [-t[1], t[0], 0]])
+    lines = np.insert(rays, 2, 1.0, axis=1) @ (cross @ geometry.rotation).T
+    distance = (np.insert(light, 2, 1.0, axis=1) * lines).sum(axis=1) / np.hypot(lines[:, 0], lines[:, 1])
+    return np.asarray(distance * np.sqrt(geometry.projector.matrix[0, 0] * geometry.projector.matrix[1, 1]))
+
+
+def correct_light(
+    calibration: Calibration,
+    diagnosis: Diagnosis,
+    image: ImageArray,
+    white_level: float,
+    frame: DecodedFrame,
+    transfer: Transfer = "linear",
+) -> Calibration:
+    """Return the calibration with what a frame tells of the light in place of what it held.
+
+    Crosstalk and response are estimated anew from the frame, where they, or what looks like them, were found at fault.
+    The response is that of the pattern as it was projected, so measure the radiometry before making a new pattern. A
+    transfer is set. What needs more than a frame (lateral colour, motion, a black level) stays, as the advice says.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        The one at fault.
+    diagnosis : Diagnosis
+        What was found.
+    image : (H, W, 3)
+        The image that the frame was decoded from, levels as they came.
+    white_level : float
+        Full scale.
+    frame : DecodedFrame
+        The frame, decoded.
+    transfer : {"linear", "srgb", "bt709"} or (N,) floats
+        By which the levels were read.
+
+    Raises
+    ------
+    CalibrationError
+        Nothing is at fault that a frame could correct, or the frame tells too little.
+    """
+    if any(finding.causes == ("transfer",) for finding in diagnosis.findings):
+        camera = calibration.capture or CameraState()
+        changed = camera.model_copy(update={"transfer": other_transfer(transfer)})
+        return calibration.model_copy(update={"capture": changed})
+    causes = {cause for finding in diagnosis.findings for cause in finding.causes}
+    if not causes & {"response", "crosstalk", "even crosstalk"}:
+        raise CalibrationError("no fault was found that one frame can correct: do what the check advises")
+    if not isinstance(transfer, str) or transfer != "linear":
+        image, white_level = runtime.to_host(linearize(image, transfer, white_level)), 1.0
+    light = estimate_light([image], white_level, [frame.unwrapped_phase], [frame.mask], frame.period_px or 0.0)
+    if not light.reliable:
+        raise CalibrationError("the frame tells too little of the light to correct it: capture a larger smooth surface")
+    update: dict[str, Any] = {"crosstalk_matrix": light.crosstalk_matrix}
+    if "response" in causes or calibration.response is None:
+        update["response"] = np.tile(light.response, (3, 1))
+        if calibration.pattern is not None:
+            # The response that a frame shows is what the pattern has not undone.
+            update["pattern"] = calibration.pattern.model_copy(update={"compensated": False})
+    return calibration.model_copy(update=update)
 
 
 def holds_captures(folder: Path) -> bool:

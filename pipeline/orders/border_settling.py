@@ -19,7 +19,7 @@ import numpy.typing as npt
 from pipeline.models import FloatArray
 from pipeline.orders.contrast_cycles import Cycles
 from pipeline.orders.posterior import Integers
-from pipeline.pattern.contrast_code import contrast_levels
+from pipeline.pattern import contrast_levels
 from pipeline.robust import robust_sigma
 from tikernels.order_evidence.offset_labelling import connected_parts
 from tikernels.unwrapping.patches import PatchGraph

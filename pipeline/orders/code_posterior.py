@@ -18,7 +18,7 @@ from pipeline.models import FloatArray
 from pipeline.orders.contrast_cycles import Steps
 from pipeline.orders.frame_context import PartLevel
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
-from pipeline.pattern.contrast_code import CYCLES, contrast_levels
+from pipeline.pattern import CYCLES, contrast_levels
 from pipeline.robust import robust_sigma
 
 # What a frame's code may look like: the strength of its steps (0: it shows none; a response of gamma 2.4 and ambient

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.models import FloatArray
-from pipeline.pattern.contrast_code import CYCLES, modulation_at
+from pipeline.pattern import CYCLES, modulation_at
 from tikernels.order_evidence.modulation_correction import SLOPE_REACH, TABLED
 from tikernels.phase.balance_window import SIGMA_ACROSS
 

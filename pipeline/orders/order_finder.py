@@ -19,7 +19,7 @@ from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, cho
 from pipeline.orders.coded_orders import CodedOrders, find_absolute_orders
 from pipeline.orders.modulation import code_deviations, modulation_corrections, ripple_left
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, AbsoluteOrders, OrderRange
-from pipeline.pattern.contrast_code import cycle_contrasts
+from pipeline.pattern import cycle_contrasts
 from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
 from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measure_contrast, vote_orders

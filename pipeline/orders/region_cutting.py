@@ -11,7 +11,7 @@ import numpy.typing as npt
 from pipeline.models import FloatArray
 from pipeline.orders.contrast_cycles import Steps
 from pipeline.orders.posterior import Integers, OrderRange
-from pipeline.pattern.contrast_code import CYCLES, contrast_steps
+from pipeline.pattern import CYCLES, contrast_steps
 from tikernels.order_evidence.contrast_reading import LEAST, SECOND, WINDOW, match_stretches
 from tikernels.order_evidence.offset_labelling import (
     Links,

@@ -1,15 +1,27 @@
-"""What a rig is to be made of, in the figures of data sheets, and the calibration that such a rig would have."""
+"""The parts of a rig, in the figures of data sheets, and where its camera and projector look.
 
+With a baseline B across the stripes and both axes meeting at the distance D, the projector sees a point of the camera's
+axis at the depth z under the angle atan(B / z) to that axis, and its own axis stands at atan(B / D). Its picture's row
+(or column) u px from the middle is therefore at
+
+    z(u) = B / tan(atan(B / D) + atan(u / f)),     dz / dphi = p (B^2 + D^2) / (2 pi f B)  where u = 0,
+
+f its focal length in px and p the period. All else is projected by the calibration that the rig would have.
+"""
+
+from dataclasses import dataclass
+from math import atan, atan2, degrees, inf, pi, tan
 from typing import Annotated, Literal
 
+import cv2
 import numpy as np
 from pydantic import Field, model_validator
 
 from pipeline.calibration import Calibration, Lens, Pattern
-from pipeline.calibration.model import DEFAULT_PROJECTOR_PX
+from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Geometry
 from pipeline.errors import FootageError
 from pipeline.limits import check_size
-from pipeline.models import Model, Positive
+from pipeline.models import FloatArray, Model, Positive
 
 # Nothing that is sold for such a rig lies outside these bounds, in the unit of the field's name.
 _Side = Annotated[int, Field(ge=64, lt=2**20)]
@@ -21,6 +33,8 @@ _Share = Annotated[float, Field(ge=0.01, le=1)]
 _Noise = Annotated[float, Field(ge=0, le=255)]
 _Speed = Annotated[float, Field(ge=0, le=1e6)]
 _Time = Annotated[float, Field(ge=1e-6, le=3600)]
+# Points along either side of the camera's picture that are looked for in the projector's: to a hundredth of its area.
+_GRID = 101
 
 
 class RigChoice(Model):
@@ -117,3 +131,107 @@ def _lens(size_px: tuple[int, int], focal_px: float) -> Lens:
     width, height = size_px
     matrix = np.array([[focal_px, 0, (width - 1) / 2], [0, focal_px, (height - 1) / 2], [0, 0, 1]])
     return Lens(size_px=size_px, matrix=matrix)
+
+
+@dataclass(frozen=True)
+class SeenFields:
+    """What camera and projector see of a plane across the camera's axis, at the object's distance."""
+
+    camera_mm: tuple[float, float]  # width, height
+    projector_mm: tuple[float, float]  # through the middle of its picture
+    overlap_mm: tuple[float, float]  # of both
+    lit_share: float  # how much of the camera's picture the projector lights, 0..1
+    picture_over_needed: float  # how many times as wide as it needs to be the projector's picture is
+    mm_per_px: float  # of the camera
+
+
+@dataclass(frozen=True)
+class FringeGeometry:
+    """How the fringe lies on that plane, and the depths that it tells, along the camera's axis."""
+
+    pitch_mm: float  # of a cycle, across the stripes
+    period_camera_px: float
+    depth_per_rad_mm: float
+    depth_per_cycle_mm: float  # about the object
+    lit_range_mm: tuple[float, float]  # nearest and farthest depth that the projector's picture reaches, or infinity
+
+
+def seen_fields(choice: RigChoice) -> SeenFields:
+    """Return what camera and projector see at the object's distance."""
+    geometry = choice.calibration(choice.projector_px[choice.phase_axis]).geometry()
+    width, height = choice.camera_px
+    mm_per_px = choice.distance_mm / choice.camera_focal_px
+    camera = np.array([[-0.5, 0.5]]).T * np.array([width, height]) * mm_per_px  # (2, 2): least and most; x, y
+    columns, rows = choice.projector_px
+    ends = np.array([[-0.5, (rows - 1) / 2], [columns - 0.5, (rows - 1) / 2]])
+    sides = _on_the_plane(geometry, ends, choice.distance_mm)[:, 0]
+    ends = np.array([[(columns - 1) / 2, -0.5], [(columns - 1) / 2, rows - 0.5]])
+    heights = _on_the_plane(geometry, ends, choice.distance_mm)[:, 1]
+    projector = np.stack([sides, heights], axis=-1)
+    overlap = np.minimum(camera[1], projector[1]) - np.maximum(camera[0], projector[0])
+    x, y = (np.linspace(camera[0, axis], camera[1, axis], _GRID) for axis in (0, 1))
+    points = np.stack(np.meshgrid(x, y, choice.distance_mm), axis=-1).reshape(-1, 3)
+    pixels = _projected(geometry, points)
+    lit = np.all((pixels >= -0.5) & (pixels <= np.array(choice.projector_px) - 0.5), axis=1)
+    middle = (np.array(choice.projector_px) - 1) / 2
+    reached = np.abs(pixels - middle) / (np.array(choice.projector_px) / 2)
+    return SeenFields(
+        camera_mm=_pair(np.ptp(camera, axis=0)),
+        projector_mm=_pair(np.ptp(projector, axis=0)),
+        overlap_mm=_pair(overlap),
+        lit_share=float(lit.mean()),
+        picture_over_needed=float(1 / reached.max()),
+        mm_per_px=mm_per_px,
+    )
+
+
+def fringe_geometry(choice: RigChoice, period_px: float) -> FringeGeometry:
+    """Return how a fringe of this period (projector px) lies on the object, and what depths it tells."""
+    geometry = choice.calibration(period_px).geometry()
+    mm_per_px = choice.distance_mm / choice.camera_focal_px
+    points = np.zeros((2, 3))
+    points[:, 2] = choice.distance_mm
+    points[:, choice.phase_axis] = (-mm_per_px, mm_per_px)
+    pitch = 2 * mm_per_px / float(np.ptp(geometry.pattern_cycles(points)))
+    baseline, distance, focal = choice.baseline_mm, choice.distance_mm, choice.projector_focal_px
+    per_rad = period_px * (baseline**2 + distance**2) / (2 * pi * focal * baseline)
+    half = choice.projector_px[choice.phase_axis] / 2
+    near, far = (_depth_mm(choice, sign * period_px / 2) for sign in (1, -1))
+    return FringeGeometry(
+        pitch_mm=pitch,
+        period_camera_px=pitch / mm_per_px,
+        depth_per_rad_mm=per_rad,
+        depth_per_cycle_mm=far - near,
+        lit_range_mm=(_depth_mm(choice, half), _depth_mm(choice, -half)),
+    )
+
+
+def angle_deg(choice: RigChoice) -> float:
+    """Return the angle between the two axes, where they meet."""
+    return degrees(atan2(choice.baseline_mm, choice.distance_mm))
+
+
+def _depth_mm(choice: RigChoice, offset_px: float) -> float:
+    """Return the depth at which the camera's axis is lit by a row (or column) so far from the picture's middle."""
+    angle = atan2(choice.baseline_mm, choice.distance_mm) + atan(offset_px / choice.projector_focal_px)
+    return choice.baseline_mm / tan(angle) if angle > 0 else inf
+
+
+def _on_the_plane(geometry: Geometry, pixels: FloatArray, distance_mm: float) -> FloatArray:
+    """Return where projector pixels (N, 2) land on the plane z = distance, (N, 2) mm."""
+    matrix = geometry.projector.matrix
+    rays = np.column_stack([(pixels - matrix[:2, 2]) / np.diag(matrix)[:2], np.ones(len(pixels))]) @ geometry.rotation
+    centre = -geometry.rotation.T @ geometry.translation_mm
+    return np.asarray(centre[:2] + rays[:, :2] * ((distance_mm - centre[2]) / rays[:, 2:]))
+
+
+def _projected(geometry: Geometry, points: FloatArray) -> FloatArray:
+    """Return where the projector sees points (N, 3) in the camera's frame, (N, 2) px."""
+    turn = cv2.Rodrigues(geometry.rotation)[0]
+    return np.asarray(
+        cv2.projectPoints(points, turn, geometry.translation_mm, geometry.projector.matrix, None)[0][:, 0]
+    )
+
+
+def _pair(values: FloatArray) -> tuple[float, float]:
+    return float(values[0]), float(values[1])

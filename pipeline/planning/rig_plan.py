@@ -1,29 +1,69 @@
 """What a rig will measure, computed before it is bought.
 
-The geometry is `fringe_geometry.py`'s, the noise `expected_sigma.py`'s; the depth's standard deviation is the phase's
-times the depth of a radian (`tikernels/depth/point_uncertainty.py`).
+The depth's standard deviation is the phase's times the depth of a radian (`tikernels/depth/point_uncertainty.py`).
+
+**Noise.** A channel's light under the pattern is C_i = r_i sum_j M_ij code_j^gamma. Where its noise is sigma levels and
+neither the phase phi nor the pixel's brightness is known, the bound of Cramer and Rao on the phase is
+
+    var = sigma^2 / sum_i (dC_i / dphi)_across^2,
+
+the derivative across the light C itself (`docs/accuracy.md`; S. M. Kay, Fundamentals of Statistical Signal Processing,
+volume 1, 1993, section 3.7). The decoder's own noise model then says what smoothing leaves of it
+(`tikernels/phase/smoothing.py`) and that its model of the light, fitted to samples, adds a share of its own
+(`tikernels/phase/uncertainty.py`). Smoothing weighs rows by their certainty, but not without bounds, so that it leaves
+more than the harmonic mean of a cycle's variances and less than their mean: the geometric mean is between the two.
 
 **Motion.** Colours that are all there at once are averaged over the exposure, and the phase is that of its middle.
 Within an exposure t an object of speed v passes through depths whose standard deviation is v t / sqrt(12), that of an
 even distribution; the longest exposure is that in which this is as much as a pixel's noise. Colours in turn, a third of
-the colour cycle T apart, see it at three depths: red's and blue's phases are off by -w and w beside green's, w being
-v T / 3 in rad, which puts a second harmonic of w / sqrt(3) on the arctangent's phase, RMS w / sqrt(6), whatever the
-geometry; the decoder's model of the light takes a part of it off (`docs/planning.md`).
+the colour cycle T apart, see it at three depths: red's and blue's phases are off by -w and w relative to green's, w
+being v T / 3 in rad, which puts a second harmonic of w / sqrt(3) on the arctangent's phase, RMS w / sqrt(6), whatever
+the geometry; the decoder's model of the light takes a part of it off (`docs/planning.md`).
 """
 
 from dataclasses import dataclass, replace
-from math import ceil, floor, inf, sqrt
-from typing import Any
+from math import ceil, floor, inf, radians, sin, sqrt
+from typing import Any, Literal
+
+import numpy as np
 
 from hardware.colour_cycle import check_exposure
 from pipeline.errors import SettingsError
-from pipeline.models import build
-from pipeline.pattern.contrast_code import CYCLES
-from pipeline.planning.calibration_board import LEAST_SQUARE_PX, BoardChoice, choose_board
-from pipeline.planning.expected_sigma import expected_phase_sigma
-from pipeline.planning.fringe_geometry import FringeGeometry, SeenFields, angle_deg, fringe_geometry, seen_fields
-from pipeline.planning.rig_choice import RigChoice
+from pipeline.models import FloatArray, build
+from pipeline.pattern import CHANNEL_PHASES, CYCLES, modulation_at
+from pipeline.planning.rig_choice import FringeGeometry, RigChoice, SeenFields, angle_deg, fringe_geometry, seen_fields
+from pipeline.settings import DecodeSettings
+from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE
+from tikernels.phase.smoothing import left_of_variance
+from tikernels.phase.uncertainty import OWN_ERROR
 
+# Boards of fewer squares where the camera has few pixels; the first is what `colorphase pattern --board` draws.
+_SQUARES = ((11, 8), (9, 7), (7, 5))
+# The board's part of the field, by area: its corners then lie in most of the picture, and there is room to move it.
+_PART = 0.5
+#: Markers of smaller squares are not surely read. Of boards tilted by 15 to 35 degrees (blur 0.6 px, noise of 1.5
+#: levels, 24 of each size) those with squares of 24 px all show nine corners of ten on average, of 20 px half, of 16 px
+#: none.
+LEAST_SQUARE_PX = 24.0
+#: Ten poses tilted like that gave focal lengths to 0.02 % (`docs/calibration.md`).
+TILTS_DEG = (15, 35)
+# ISO 216, mm.
+_SHEETS = (("A4", 210, 297), ("A3", 297, 420), ("A2", 420, 594), ("A1", 594, 841), ("A0", 841, 1189))
+REFLECTANCES = {"skin": SKIN, "white": WHITE}
+# A mosaic has a third of the samples, from which all three colours of a pixel are interpolated.
+_VARIANCE = {"bayer": 3.0, "rgb": 1.0}
+# An ordinary projector's response, which codes are raised to.
+_GAMMA = 2.0
+# What decoding leaves of a smooth surface under the coded pattern without noise, rad, by the cycles in view: planes,
+# skin and white, 640x480 and 1280x960, gamma 2, 12 bits, noise of 0.3 levels. It is the third harmonic: a frame of few
+# cycles does not tell the projector's response well. With a response that is known and undone in the pattern 0.003 to
+# 0.005 rad are left.
+_NOISELESS_CYCLES = (19.0, 23.5, 27.4, 33.0, 40.0)
+_NOISELESS_RAD = (0.0115, 0.0066, 0.0048, 0.003, 0.0025)
+# Of a cycle: four times as many change the result by less than 0.1 %.
+_SAMPLES = 64
+# Light of a phase this much before and after tells the slope, rad, to one part in a thousand.
+_SHIFT = 0.02
 #: Camera px a cycle: what most figures of `docs/accuracy.md` were measured at, and what they should lie between.
 USUAL_CAMERA_PX, LEAST_CAMERA_PX, MOST_CAMERA_PX = 12.0, 10.0, 20.0
 # The third harmonic, in which a projector's response shows, then has two pixels a cycle: in fewer it is not seen.
@@ -31,7 +71,7 @@ _SHORTEST_CAMERA_PX = 6.0
 # The code's sequence was made for a projector of 1024 px at this many px a cycle.
 _LEAST_PROJECTOR_PX = 8.0
 # With fewer cycles in view a frame does not tell crosstalk and response at all (`docs/calibration.md`); with fewer than
-# the other it leaves as much of the response as half of the usual noise (`expected_sigma.py`).
+# the other it leaves as much of the response as half of the usual noise (`_NOISELESS_RAD`).
 _LEAST_CYCLES, _TOLD_CYCLES = 4.0, 28.0
 # A surface of so many cycles of its own is placed by the code under an ordinary projector (`docs/coded_pattern.md`).
 _CODE_CYCLES = 9
@@ -43,6 +83,107 @@ _MOST_RATIO, _LEAST_RATIO = 0.5, 0.07
 # What the projector leaves dark at the corners of a trapezoid is no reason to buy another one; a rig of which it lights
 # less than a quarter was never meant.
 _LIT_ENOUGH, _LIT_LEAST = 0.98, 0.25
+
+
+@dataclass(frozen=True)
+class BoardChoice:
+    """A ChArUco board that fills half of what camera and projector both see."""
+
+    squares: tuple[int, int]  # columns, rows
+    square_mm: float
+    square_px: float  # of the camera, seen straight on
+    sheet: str  # the smallest that takes it with its margin of one square
+    sharp_mm: float  # how far before and behind the object the lenses must be sharp when it is tilted most
+
+
+def choose_board(field_mm: tuple[float, float], mm_per_px: float) -> BoardChoice:
+    """Return the board to calibrate with.
+
+    Parameters
+    ----------
+    field_mm : (width, height)
+        What camera and projector both see at the object's distance.
+    mm_per_px : float
+        Of the camera, there.
+    """
+    for squares in _SQUARES:
+        fits = sqrt(_PART) * min(field_mm[0] / squares[0], field_mm[1] / squares[1])
+        # Whole millimetres can be checked with a ruler; squares of less than 2 mm cannot.
+        square_mm = float(floor(fits)) if fits >= 2 else fits
+        if square_mm / mm_per_px >= LEAST_SQUARE_PX:
+            break
+    columns, rows = squares
+    short, long = sorted(((columns + 2) * square_mm, (rows + 2) * square_mm))
+    sheets = (*_SHEETS, ("more than A0", inf, inf))
+    return BoardChoice(
+        squares=squares,
+        square_mm=square_mm,
+        square_px=square_mm / mm_per_px,
+        sheet=next(name for name, width, height in sheets if short <= width and long <= height),
+        sharp_mm=columns * square_mm / 2 * sin(radians(TILTS_DEG[1])),
+    )
+
+
+def expected_phase_sigma(
+    surface: Literal["skin", "white"],
+    *,
+    brightness: float,
+    contrast: float,
+    noise_levels: float,
+    bits: int,
+    sensor: Literal["bayer", "rgb"],
+    cycles_in_view: float,
+) -> float:
+    """Return the standard deviation of a pixel's decoded phase on a smooth surface.
+
+    Parameters
+    ----------
+    surface : {"skin", "white"}
+        Its colour.
+    brightness : float
+        What the brightest channel reaches where the fringe is brightest, 0..1 of full scale.
+    contrast : float
+        What ambient light and blur leave of the fringe's contrast, 0..1.
+    noise_levels : float
+        Standard deviation of the camera's noise, in 1/255 of full scale.
+    bits : int
+        The camera's; rounding to whole levels has the variance of an even distribution over one.
+    sensor : {"bayer", "rgb"}
+        Whether a pixel has one colour or all three.
+    cycles_in_view : float
+        How many cycles of the fringe the camera sees.
+
+    Returns
+    -------
+    float
+        rad, RMS over the cycles of the coded pattern.
+
+    Examples
+    --------
+    >>> camera = {"brightness": 0.7, "contrast": 0.9, "noise_levels": 1.5, "bits": 8, "sensor": "rgb"}
+    >>> round(expected_phase_sigma("white", **camera, cycles_in_view=40), 4)
+    0.0064
+    """
+    cycles = np.arange(CYCLES * _SAMPLES) / _SAMPLES
+    light = _light(cycles, 0.0, surface)
+    background = light.reshape(CYCLES, _SAMPLES, 3).mean(axis=(0, 1))
+    scale = 255 * brightness / (background + contrast * (light - background)).max()
+    slope = scale * contrast * (_light(cycles, _SHIFT, surface) - _light(cycles, -_SHIFT, surface)) / (2 * _SHIFT)
+    direction = light / np.linalg.norm(light, axis=1, keepdims=True)
+    across = slope - np.sum(slope * direction, axis=1, keepdims=True) * direction
+    noise = (noise_levels**2 + (255 / (2**bits - 1)) ** 2 / 12) * _VARIANCE[sensor]
+    variance = np.exp(np.mean(np.log(noise / np.sum(across**2, axis=1))))
+    left = left_of_variance(DecodeSettings().smoothing_px // 2) + OWN_ERROR
+    noiseless_rad = np.interp(cycles_in_view, _NOISELESS_CYCLES, _NOISELESS_RAD)
+    return float(np.sqrt(left * variance + noiseless_rad**2))
+
+
+def _light(cycles: FloatArray, shift: float, surface: str) -> FloatArray:
+    """Return what the camera's channels see of the pattern, its phase shifted by this (rad), (N, 3)."""
+    modulation = modulation_at(cycles)[:, None]
+    wave = np.cos(2 * np.pi * cycles[:, None] + shift + np.array(CHANNEL_PHASES))
+    primaries = (1 - modulation + modulation * wave) ** _GAMMA
+    return np.asarray(primaries @ np.array(TYPICAL_CROSSTALK).T * np.array(REFLECTANCES[surface]))
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from pipeline.orders.contrast_cycles import Cycles, Steps
-from pipeline.pattern.contrast_code import contrast_levels
+from pipeline.pattern import contrast_levels
 from tikernels.unwrapping import PatchGraph
 from tikernels.unwrapping.surface_borders import Borders
 

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline import Decoder
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
 
 KINDS = ("even", "top bit", "rolling")

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.pattern.fringes import CHANNEL_PHASES
+from pipeline.pattern import CHANNEL_PHASES
 from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame
 
 # By this much the pattern is shifted either way to see how the light changes with the phase, rad: the light's third

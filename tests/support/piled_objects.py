@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulatedFrame, simulated_rig
 
 Floats = npt.NDArray[np.float64]

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.diagnosis.expected_light import KnownLight
+from pipeline.diagnosis.channel_spectra import KnownLight
 from pipeline.diagnosis.ripple import diagnose
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
 
 MIXING = np.array(TYPICAL_CROSSTALK)

@@ -16,7 +16,7 @@ from support.exposures_off_cycle import exposed
 from pipeline import Calibration, Decoder, DecodeSettings
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.output.range_image import write_png
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulatedFrame, SimulationSettings, simulate_frame
 from pipeline.simulation import simulated_rig as rig_of
 

@@ -3,7 +3,7 @@
 A fringe is brightest where the pattern's code is one, which is the projector's white. With the crosstalk undone, one
 cycle of primary j is p_j = 1 + its harmonics, and its peak P_j is by how much white is brighter than the mean over a
 cycle; M P is what the channels of a neutral surface show of white, M the crosstalk with rows that sum to one.
-A contrast code keeps the peak of every cycle where it is (`pipeline/pattern/contrast_code.py`).
+A contrast code keeps the peak of every cycle where it is (`pipeline/pattern.py`).
 """
 
 import numpy as np

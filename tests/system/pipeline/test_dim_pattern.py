@@ -5,7 +5,7 @@ import pytest
 import reference
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
 pytestmark = pytest.mark.usefixtures("cpu")

@@ -17,8 +17,7 @@ from pipeline.acquisition.practice_set import (
 )
 from pipeline.calibration.board_poses import measure_pose
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX
-from pipeline.calibration.rig_geometry import solve_geometry
-from pipeline.calibration.scale_proof import SecondBoard
+from pipeline.calibration.rig_geometry import SecondBoard, solve_geometry
 from pipeline.calibration.simulated_board import BoardCaptures
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.simulation import SimulationSettings, simulate_frame

@@ -19,7 +19,7 @@ from pipeline.errors import CalibrationError, OutputError
 from pipeline.footage.image_file import read_image
 from pipeline.models import CameraState
 from pipeline.output.report import measure_against_truth
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
 
 SEQUENCE = radiometry_sequence((1024, 768))

@@ -8,7 +8,7 @@ import pytest
 from support.posed_boards import CAMERA_PX, exact_poses
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.pose_folders import MeasuredPoses
+from pipeline.calibration.board_poses import MeasuredPoses
 from pipeline.cli import calibrate_geometry
 
 ARGUMENTS = ("calibrate", "geometry", "poses", "--board", "chessboard", "--squares", "10x7", "--code", "none")

@@ -6,7 +6,7 @@ from support.single_faults import diagnosed, photographed, shifted
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration
-from pipeline.diagnosis.corrected_light import correct_light
+from pipeline.diagnosis.rig_check import correct_light
 from pipeline.diagnosis.ripple import diagnose
 from pipeline.errors import CalibrationError
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline import Decoder
-from pipeline.diagnosis.frame_evidence import (
+from pipeline.diagnosis.footage_evidence import (
     InspectedFrame,
     KeptFrame,
     as_light,

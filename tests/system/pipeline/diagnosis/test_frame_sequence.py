@@ -5,7 +5,7 @@ import pytest
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.diagnosis.frame_sequence import SequenceDiagnosis, diagnose_sequence, rad_per_mm
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.simulation import SKIN, SimulationSettings, simulate_frame, simulated_rig
 
 # Frames of rigs that differ from what their settings say.

@@ -6,8 +6,8 @@ from support.single_faults import FAULTS, MIXING, diagnosed, diagnosed_as_known,
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration, ColorShift
-from pipeline.diagnosis.corrected_light import correct_light
-from pipeline.diagnosis.expected_light import KnownLight
+from pipeline.diagnosis.channel_spectra import KnownLight
+from pipeline.diagnosis.rig_check import correct_light
 from pipeline.diagnosis.ripple import diagnose
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 

@@ -6,7 +6,7 @@ import pytest
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Uncertainty
-from pipeline.diagnosis.surface_check import check_surface
+from pipeline.diagnosis.rig_check import check_surface
 from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 

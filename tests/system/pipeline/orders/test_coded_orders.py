@@ -9,8 +9,7 @@ from support.uncertain_frames import judged_regions, uncertain_frame
 
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.output.report import measure_against_truth
-from pipeline.pattern.contrast_code import CONTRASTS, cycle_contrasts
-from pipeline.pattern.fringes import CHANNEL_PHASES
+from pipeline.pattern import CHANNEL_PHASES, CONTRASTS, cycle_contrasts
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.scene import scene_rendering as projection
 

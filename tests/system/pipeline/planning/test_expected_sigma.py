@@ -4,7 +4,7 @@ import pytest
 from support.planned_rigs import RIGS, measured
 
 from pipeline.planning import plan_rig
-from pipeline.planning.expected_sigma import expected_phase_sigma
+from pipeline.planning.rig_plan import expected_phase_sigma
 
 #: Those with more than a megapixel take some seconds each.
 QUICK = [name if "lens_mm" not in made else pytest.param(name, marks=pytest.mark.long) for name, made in RIGS.items()]

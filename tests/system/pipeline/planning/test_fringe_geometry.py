@@ -8,7 +8,7 @@ from support.planned_rigs import RIGS, simulated, simulation
 
 from pipeline.decoder import Decoder
 from pipeline.planning import RigChoice, plan_rig
-from pipeline.planning.fringe_geometry import angle_deg, fringe_geometry, seen_fields
+from pipeline.planning.rig_choice import angle_deg, fringe_geometry, seen_fields
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulate_frame
 

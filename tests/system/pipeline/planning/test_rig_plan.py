@@ -9,7 +9,7 @@ from support.planned_rigs import exposure, inside, simulated, simulation
 from hardware.errors import RigError
 from pipeline.decoder import Decoder
 from pipeline.errors import SettingsError
-from pipeline.pattern.fringes import make_pattern
+from pipeline.pattern import make_pattern
 from pipeline.planning import plan_rig
 from pipeline.planning.rig_plan import LEAST_CAMERA_PX, MOST_CAMERA_PX, USUAL_CAMERA_PX
 from pipeline.settings import DecodeSettings

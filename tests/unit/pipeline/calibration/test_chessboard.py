@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 from support.board_photographs import View, photograph, rms_px, wall
 
-from pipeline.calibration.board import Board
-from pipeline.calibration.chessboard import find_chessboard, refine_corners
+from pipeline.calibration.board import Board, find_chessboard, refine_corners
 from pipeline.errors import CalibrationError
 
 BOARDS = [Board(kind="chessboard", squares=squares) for squares in ((8, 6), (7, 7), (9, 6), (6, 5))]

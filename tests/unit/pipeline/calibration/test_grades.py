@@ -1,6 +1,6 @@
 """Three words for an error."""
 
-from pipeline.calibration.grades import grade_of
+from pipeline.calibration.verdict import grade_of
 
 
 def test_what_lies_on_a_bound_still_has_the_better_grade():

@@ -6,8 +6,7 @@ import pytest
 from support.board_rig import MovedCaptures
 from support.posed_boards import CHESSBOARD, PROJECTOR_PX, SEQUENCE, captured
 
-from pipeline.calibration.board_poses import measure_pose
-from pipeline.calibration.picture_evidence import PictureEvidence, edge_blur_px
+from pipeline.calibration.board_poses import PictureEvidence, edge_blur_px, measure_pose
 
 
 @pytest.mark.parametrize("blur_px", [0.8, 1.5, 3.0])

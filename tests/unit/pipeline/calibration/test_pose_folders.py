@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pipeline.calibration import pose_folders
+from pipeline.calibration import board_poses
 from pipeline.calibration.board import Board
+from pipeline.calibration.board_poses import measure_poses
 from pipeline.calibration.multishot import multishot_sequence
-from pipeline.calibration.pose_folders import measure_poses
 from pipeline.errors import CalibrationError
 from pipeline.output.range_image import write_png
 
@@ -31,7 +31,7 @@ def test_each_folder_is_a_pose_in_the_order_of_their_names(tmp_path, monkeypatch
         assert (board, projector_size_px, white_level, len(captures)) == (BOARD, SIZE, 200.0, 30)
         return name
 
-    monkeypatch.setattr(pose_folders, "measure_pose", measured)
+    monkeypatch.setattr(board_poses, "measure_pose", measured)
     found = measure_poses(tmp_path, BOARD, SIZE, 200.0)
     assert found.poses == [f"pose{number:02d}" for number in range(1, 11) if number != 4]
     assert found.refused == ("pose04: no board is seen",)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from support.posed_boards import CAMERA_PX, PROJECTOR_PX, exact_poses
 
+from pipeline.calibration.board_poses import PictureEvidence
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
-from pipeline.calibration.picture_evidence import PictureEvidence
-from pipeline.calibration.pose_judgement import judge_poses, pose_causes, square_px
+from pipeline.calibration.verdict import judge_poses, pose_causes, square_px
 
 SHARP = PictureEvidence(0.5, (("02-column-coarse-0", 0.01), ("16-row-coarse-0", 0.01)))
 MOVED = PictureEvidence(0.5, (("02-column-coarse-0", 0.01), ("16-row-coarse-0", 0.4)))

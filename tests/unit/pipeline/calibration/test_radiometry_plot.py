@@ -4,8 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from pipeline.calibration.radiometry import measure_radiometry, radiometry_codes, radiometry_sequence
-from pipeline.calibration.radiometry_plot import plot_radiometry
+from pipeline.calibration.radiometry import measure_radiometry, plot_radiometry, radiometry_codes, radiometry_sequence
 from pipeline.errors import OutputError
 from pipeline.simulation import TYPICAL_CROSSTALK
 

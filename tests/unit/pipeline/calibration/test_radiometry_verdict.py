@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.radiometry import Radiometry
-from pipeline.calibration.radiometry_verdict import judge_radiometry
+from pipeline.calibration.verdict import judge_radiometry
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 
 MATRIX = 0.6 * np.array(TYPICAL_CROSSTALK)

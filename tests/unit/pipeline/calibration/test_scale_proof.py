@@ -6,8 +6,7 @@ from support.posed_boards import CAMERA_PX, PATTERN, PROJECTOR_PX, exact_poses, 
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
-from pipeline.calibration.rig_geometry import solve_geometry
-from pipeline.calibration.scale_proof import SecondBoard, board_scale
+from pipeline.calibration.rig_geometry import SecondBoard, board_scale, solve_geometry
 from pipeline.errors import CalibrationError
 
 SECOND = Board(kind="chessboard", squares=(10, 7), square_mm=20.0)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipeline.diagnosis.check_result import BLIND_SPOTS, CheckResult, Measure
+from pipeline.diagnosis.rig_check import BLIND_SPOTS, CheckResult, Measure
 
 
 @pytest.mark.parametrize("measured, fine", [(0.0, True), (0.2, True), (0.201, False)])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.diagnosis.color_bands import BANDS, find_bands
+from pipeline.diagnosis.ripple import BANDS, find_bands
 
 
 def fringes(color=1.0, period_px=12.0):

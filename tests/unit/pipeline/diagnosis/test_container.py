@@ -6,7 +6,7 @@ import pytest
 from support.numbered_frames import record
 from support.video_files import encode
 
-from pipeline.diagnosis.container import _missing, container_facts
+from pipeline.diagnosis.footage_inspection import _missing, container_facts
 from pipeline.footage.opening import open_source
 
 

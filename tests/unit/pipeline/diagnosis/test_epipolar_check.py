@@ -8,7 +8,7 @@ from support.board_rig import BoardCaptures
 from pipeline.calibration import Uncertainty
 from pipeline.calibration.board import Board
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
-from pipeline.diagnosis.epipolar_check import check_epipolar
+from pipeline.diagnosis.rig_check import check_epipolar
 from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.calibration import Calibration, ColorShift, Pattern
-from pipeline.diagnosis.channel_spectra import PHASES
-from pipeline.diagnosis.expected_light import LINEAR, ExpectedLight, KnownLight
-from pipeline.pattern.fringes import make_pattern
+from pipeline.diagnosis.channel_spectra import LINEAR, PHASES, ExpectedLight, KnownLight
+from pipeline.pattern import make_pattern
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 

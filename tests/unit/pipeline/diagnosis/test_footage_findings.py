@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support.numbered_frames import record
 
-from pipeline.diagnosis.container import ContainerFacts
-from pipeline.diagnosis.footage_evidence import FootageEvidence
-from pipeline.diagnosis.footage_findings import (
+from pipeline.diagnosis.footage_evidence import FootageEvidence, FrameQuality, KeptFrame
+from pipeline.diagnosis.footage_inspection import (
+    ContainerFacts,
     container_findings,
     frame_findings,
     fringe_findings,
@@ -16,7 +16,6 @@ from pipeline.diagnosis.footage_findings import (
     storage_findings,
     time_findings,
 )
-from pipeline.diagnosis.frame_evidence import FrameQuality, KeptFrame
 from pipeline.diagnosis.ripple import Diagnosis
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.diagnosis.channel_spectra import PHASES, Tiles
-from pipeline.diagnosis.fundamental_causes import decide, explain_fundamental, ideal
+from pipeline.diagnosis.ripple_causes import decide, explain_fundamental, ideal
 from pipeline.simulation import TYPICAL_CROSSTALK
 
 #: The sum of each row is one, as the balance makes it.

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.diagnosis.channel_spectra import PHASES, fit_tiles
-from pipeline.diagnosis.expected_light import LINEAR, ExpectedLight, KnownLight
-from pipeline.diagnosis.harmonic_causes import explain_harmonics, known_harmonics, left_by_mixing, own_harmonics
+from pipeline.diagnosis.channel_spectra import LINEAR, PHASES, ExpectedLight, KnownLight, fit_tiles
+from pipeline.diagnosis.ripple_causes import explain_harmonics, known_harmonics, left_by_mixing, own_harmonics
 
 PERIOD_PX = 12.0
 

@@ -5,7 +5,7 @@ import pytest
 from support.coded_steps import WIDTH, grid, shown
 
 from pipeline.orders.border_settling import settle_borders
-from pipeline.pattern.contrast_code import contrast_levels
+from pipeline.pattern import contrast_levels
 
 ROWS, COLUMNS = 14, 12
 LEFT, RIGHT = 30, 33  # what the orders of either surface lack

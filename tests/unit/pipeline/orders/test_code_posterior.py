@@ -5,7 +5,7 @@ import pytest
 from support.coded_steps import shown
 
 from pipeline.orders.code_posterior import STRENGTHS, code_posteriors, log_likelihoods, part_level, seen_steps
-from pipeline.pattern.contrast_code import contrast_levels
+from pipeline.pattern import contrast_levels
 
 PART = np.array([0])
 

@@ -4,7 +4,7 @@ import numpy as np
 from support.coded_steps import WIDTH, grid
 
 from pipeline.orders.frame_context import PartLevel, level_evidence, log_nearness, nearness
-from pipeline.pattern.contrast_code import contrast_levels
+from pipeline.pattern import contrast_levels
 
 STRENGTHS = (0.0, 0.5, 1.0)
 FULL = 2  # the place of strength 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.orders.modulation import code_deviations, code_ripples, modulation_corrections, ripple_left
-from pipeline.pattern.contrast_code import CYCLES, cycle_contrasts
+from pipeline.pattern import CYCLES, cycle_contrasts
 from tikernels.order_evidence.modulation_correction import TABLED
 
 

@@ -7,15 +7,16 @@ import pytest
 
 from pipeline.calibration import Pattern
 from pipeline.errors import SettingsError
-from pipeline.pattern.contrast_code import (
+from pipeline.pattern import (
     CONTRASTS,
     CYCLES,
     contrast_levels,
     contrast_steps,
     cycle_contrasts,
+    make_pattern,
     modulation_at,
+    write_pattern,
 )
-from pipeline.pattern.fringes import make_pattern, write_pattern
 from tikernels.phase.balance_window import SIGMA_ACROSS
 
 

@@ -8,7 +8,7 @@ import pytest
 from pipeline.calibration import Pattern
 from pipeline.errors import OutputError, SettingsError
 from pipeline.footage.image_file import read_image
-from pipeline.pattern.fringes import make_pattern, write_pattern
+from pipeline.pattern import make_pattern, write_pattern
 
 
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pipeline.calibration.board import Board
-from pipeline.planning.calibration_board import LEAST_SQUARE_PX, TILTS_DEG, choose_board
+from pipeline.planning.rig_plan import LEAST_SQUARE_PX, TILTS_DEG, choose_board
 
 FOCAL_PX = 1250.0
 
