@@ -2,10 +2,10 @@
 
 import re
 import sys
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy.typing as npt
 from cyclopts import Parameter
@@ -13,7 +13,6 @@ from cyclopts import Parameter
 from pipeline.batch.job import Crop, Job
 from pipeline.batch.run import DecodeSummary, decode_footage
 from pipeline.calibration import Calibration
-from pipeline.cli.chosen_settings import SettingsOptions
 from pipeline.cli.console import (
     SOME_ARE_BAD,
     Arch,
@@ -26,8 +25,7 @@ from pipeline.cli.console import (
     say,
     steps,
 )
-from pipeline.cli.export import write_frames
-from pipeline.cli.mesh_choice import MeshChoice
+from pipeline.cli.export import MeshChoice, write_frames
 from pipeline.errors import SettingsError
 from pipeline.footage.image_folder import IMAGE_SUFFIXES
 from pipeline.footage.source import StoredAs
@@ -42,6 +40,37 @@ from pipeline.settings import DecodeSettings
 _MESHES = "meshes"
 _DIGITS = re.compile("[0-9]{1,6}")
 _SHOWN = 10  # bad frames that are named
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class SettingsOptions:
+    """Settings that are asked for most; they overrule those of --settings."""
+
+    stripes: Literal["horizontal", "vertical"] | None = None
+    """Horizontal where the phase changes from row to row."""
+    transfer: Literal["linear", "srgb", "bt709"] | None = None
+    """How the camera encoded light; left out, the calibration or the file tells."""
+    period: float | None = None
+    """Camera px a cycle, roughly; left out, measured from the frame."""
+    code: Literal["contrast"] | None = None
+    """The pattern's code; a calibration's pattern wins."""
+    smoothing: int | None = None
+    """Side of the window that the phase is smoothed over, px, an odd number; 0: none."""
+
+    def applied_to(self, settings: DecodeSettings) -> DecodeSettings:
+        """Return settings in which these are replaced.
+
+        Raises
+        ------
+        SettingsError
+            A value is wrong.
+        """
+        names = {"period": "camera_period_px", "smoothing": "smoothing_px"}
+        given = {names.get(name, name): value for name, value in asdict(self).items() if value is not None}
+        if not given:
+            return settings
+        return DecodeSettings.of(**{**settings.model_dump(exclude_unset=True), **given})
 
 
 @Parameter(name="*")

@@ -7,7 +7,6 @@ from rich.text import Text
 
 from pipeline.cli.calibrate import calibrate
 from pipeline.cli.capture import capture
-from pipeline.cli.chosen_settings import settings
 from pipeline.cli.console import run, without_controls
 from pipeline.cli.decode import decode
 from pipeline.cli.demo import demo
@@ -17,7 +16,7 @@ from pipeline.cli.export import export
 from pipeline.cli.inspect import inspect
 from pipeline.cli.plan import plan
 from pipeline.cli.project import pattern, project, projector
-from pipeline.cli.rig_template import rig
+from pipeline.cli.templates import rig, settings
 from pipeline.cli.verify import verify
 
 app = App(

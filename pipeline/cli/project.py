@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,15 +13,52 @@ from hardware.display import Display
 from hardware.projector import open_projector
 from hardware.protocols import Projector
 from pipeline.acquisition.rig_file import read_rig
+from pipeline.calibration.board import Board
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, choose_pattern
-from pipeline.cli.calibrate_options import BoardOptions
 from pipeline.cli.console import above_zero, read_calibration, remark, say, size_of, stderr, stdout
-from pipeline.errors import CalibrationError
+from pipeline.errors import CalibrationError, SettingsError
 from pipeline.footage.image_file import read_codes
-
-_BOARD = BoardOptions()
+from pipeline.models import build
 
 projector = App(name="projector", help="Switch the rig's projector, over PJLink or InFocus's RS-232 commands.")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class BoardOptions:
+    """The options that describe a board."""
+
+    squares: str = "11x8"
+    """The board's squares, columns and rows."""
+    square_mm: Annotated[float, Parameter(validator=above_zero)] = 20.0
+    """The side of a square."""
+    marker_mm: Annotated[float | None, Parameter(validator=above_zero)] = None
+    """The side of a ChArUco marker; left out, three quarters of a square."""
+    dictionary: str = "DICT_5X5_250"
+    """The markers' dictionary, as OpenCV names it."""
+
+    def with_square(self, square_mm: float) -> "BoardOptions":
+        """Return the options of the same board, printed in another size."""
+        marker = None if self.marker_mm is None else self.marker_mm * square_mm / self.square_mm
+        return replace(self, square_mm=square_mm, marker_mm=marker)
+
+    def board(self, kind: str) -> Board:
+        """Return the board.
+
+        Raises
+        ------
+        SettingsError
+            There is no such board.
+        """
+        sides = {
+            "squares": size_of(self.squares, "--squares"),
+            "square_mm": self.square_mm,
+            "marker_mm": self.marker_mm,
+        }
+        return build(Board, {"kind": kind, "dictionary": self.dictionary, **sides}, SettingsError, "board")
+
+
+_BOARD = BoardOptions()
 
 
 def pattern(

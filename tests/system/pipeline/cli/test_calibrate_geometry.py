@@ -9,7 +9,7 @@ from support.posed_boards import CAMERA_PX, exact_poses
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import MeasuredPoses
-from pipeline.cli import calibrate_geometry
+from pipeline.cli import calibrate
 
 ARGUMENTS = ("calibrate", "geometry", "poses", "--board", "chessboard", "--squares", "10x7", "--code", "none")
 SECOND = ("--second-board", "second", "--second-square-mm", "20")
@@ -28,7 +28,7 @@ def posed(monkeypatch):
         ]
         return MeasuredPoses(said, ("pose_99: no board is seen",), CAMERA_PX)
 
-    monkeypatch.setattr(calibrate_geometry, "measure_poses", measured)
+    monkeypatch.setattr(calibrate, "measure_poses", measured)
 
 
 def test_a_verdict_follows_the_figures(posed, command, tmp_path):

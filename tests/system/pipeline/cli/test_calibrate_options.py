@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cli.calibrate_options import BoardOptions, captures_and_target
+from pipeline.cli.calibrate import captures_and_target
+from pipeline.cli.project import BoardOptions
 from pipeline.errors import SettingsError
 
 

@@ -4,7 +4,8 @@ import tomllib
 
 import pytest
 
-from pipeline.cli.chosen_settings import SettingsOptions, template
+from pipeline.cli.decode import SettingsOptions
+from pipeline.cli.templates import settings_template
 from pipeline.errors import SettingsError
 from pipeline.settings import DecodeSettings
 
@@ -23,7 +24,7 @@ def test_the_file_to_begin_with_has_every_setting_and_changes_nothing(command, t
 
 
 def test_what_is_uncommented_has_its_default():
-    lines = template().splitlines()
+    lines = settings_template().splitlines()
     given = [line[2:] for line in lines if " = " in line and line[2:].split(" = ")[0] in DecodeSettings.model_fields]
     set_ones = [line for line in given if not line.endswith("(left out)")]
     assert len(given) == len(DecodeSettings.model_fields) and len(set_ones) >= 3

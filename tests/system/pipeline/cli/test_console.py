@@ -10,7 +10,7 @@ import pytest
 import hardware.errors
 import pipeline.errors
 import tikernels.errors
-from pipeline.cli import console, frame_rate
+from pipeline.cli import console
 from pipeline.errors import DecodeWarning, OutputError, SettingsError
 
 
@@ -173,7 +173,7 @@ def test_where_there_is_no_terminal_a_line_tells_now_and_then(monkeypatch, capsy
 def test_frames_that_were_done_before_are_counted_and_have_no_rate(monkeypatch):
     shown, now = [], [0.0]
     line = SimpleNamespace(count=lambda *told: shown.append(told), say=lambda what: None)
-    monkeypatch.setattr(frame_rate.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(console.time, "monotonic", lambda: now[0])
     count = console.Count(line)
     for at_s, done in ((0, 400), (60, 412), (61, 422), (62, 432)):
         now[0] = at_s

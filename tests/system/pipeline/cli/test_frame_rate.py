@@ -2,7 +2,7 @@
 
 import pytest
 
-from pipeline.cli.frame_rate import FrameRate
+from pipeline.cli.console import FrameRate
 
 
 def rate_of(*reports):

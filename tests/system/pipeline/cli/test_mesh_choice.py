@@ -2,7 +2,7 @@
 
 from cyclopts import App
 
-from pipeline.cli.mesh_choice import MeshChoice
+from pipeline.cli.export import MeshChoice
 from pipeline.output.surface_mesh import MeshOptions
 
 

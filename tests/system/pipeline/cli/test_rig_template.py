@@ -7,7 +7,7 @@ import pytest
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
 from hardware.settings import RigSettings
 from pipeline.acquisition.rig_file import read_rig
-from pipeline.cli.rig_template import _MEANINGS, _UNITS, _model_in, _said, template
+from pipeline.cli.templates import _MEANINGS, _UNITS, _model_in, _said, rig_template
 from pipeline.errors import SettingsError
 
 EVERY = list(product([*TRIGGERS, SOFTWARE, SIMULATED, "lab:Pulses"], [*CAMERAS, SIMULATED], [*PROJECTORS, None]))
@@ -30,7 +30,7 @@ def fits(trigger, camera):
 @pytest.mark.parametrize(("trigger", "camera", "control"), [each for each in EVERY if fits(*each[:2])])
 def test_the_file_is_read_as_the_rig_that_was_chosen(tmp_path, trigger, camera, control):
     path = tmp_path / "rig.toml"
-    path.write_text(template(trigger, camera, control), encoding="utf-8")
+    path.write_text(rig_template(trigger, camera, control), encoding="utf-8")
     rig = read_rig(path)
     assert (rig.trigger.driver, rig.camera.driver, rig.projector.control) == (trigger, camera, control)
     assert (rig.trigger.port is None) == (trigger in (SOFTWARE, SIMULATED))
@@ -41,7 +41,7 @@ def test_the_file_is_read_as_the_rig_that_was_chosen(tmp_path, trigger, camera, 
 
 
 def test_every_key_is_explained_with_its_unit_and_default():
-    text = template("box", "basler", "pjlink")
+    text = rig_template("box", "basler", "pjlink")
     assert all(len(line) <= 120 for line in text.splitlines())
     comments = dict(_explanations(text))
     for key, model, field in keys_of(RigSettings):
@@ -72,7 +72,7 @@ def _explanations(text):
 
 
 def test_what_is_uncommented_is_marked_or_was_chosen():
-    lines = [line for line in template("dg645", "aravis", "infocus").splitlines() if line and line[0] not in "#["]
+    lines = [line for line in rig_template("dg645", "aravis", "infocus").splitlines() if line and line[0] not in "#["]
     marked = [line.split(" = ")[0] for line in lines if line.endswith("  # FILL IN")]
     assert marked == ["port", "period_s", "exposure_s", "port"]
     assert [line for line in lines if not line.endswith("  # FILL IN")] == [
@@ -94,7 +94,7 @@ def test_what_is_uncommented_is_marked_or_was_chosen():
 )
 def test_what_cannot_be_a_rig_is_refused(chosen, message):
     with pytest.raises(SettingsError, match=message) as fault:
-        template(*chosen)
+        rig_template(*chosen)
     assert "\n" not in str(fault.value)
 
 

@@ -1,4 +1,4 @@
-"""`colorphase rig`: a rig.toml to begin with, in which every key is explained."""
+"""`colorphase settings` and `colorphase rig`: TOML files to begin with, in which every key is explained."""
 
 import ast
 import inspect
@@ -18,6 +18,7 @@ from pipeline.cli.console import check_target, say
 from pipeline.errors import SettingsError
 from pipeline.files import write_atomically
 from pipeline.models import build
+from pipeline.settings import DecodeSettings
 
 _WIDTH = 118
 _FILL_IN = "FILL IN"
@@ -57,6 +58,34 @@ _SOFTWARE_PERIOD_S = 0.5
 _NO_PROJECTOR = "none"
 
 
+def settings(file: Path, /, *, force: bool = False) -> None:
+    """Write a file of all settings with their defaults and what they mean, each to be uncommented where it is changed.
+
+    Example: colorphase settings settings.toml
+
+    Parameters
+    ----------
+    file
+        The TOML file to make.
+    force
+        Replace a file that is there.
+    """
+    check_target(file, force=force)
+    write_atomically(file, settings_template().encode())
+    say(f"wrote {file}: decode with --settings {file}")
+
+
+def settings_template() -> str:
+    """Return a settings file in which every default stands as a comment, below what it means."""
+    lines = ["# Settings for colorphase decode. What is commented out, or left out, has its default."]
+    for name, field in DecodeSettings.model_fields.items():
+        meaning = " ".join((field.description or "").split())
+        lines += ["", *textwrap.wrap(meaning, _WIDTH, initial_indent="# ", subsequent_indent="# ")]
+        default = "(left out)" if field.default is None else json.dumps(field.default)
+        lines.append(f"# {name} = {default}")
+    return "\n".join(lines) + "\n"
+
+
 def rig(
     file: Path,
     /,
@@ -84,13 +113,13 @@ def rig(
         Replace a file that is there.
     """
     check_target(file, force=force)
-    text = template(trigger, camera, None if projector == _NO_PROJECTOR else projector)
+    text = rig_template(trigger, camera, None if projector == _NO_PROJECTOR else projector)
     write_atomically(file, text.encode())
     n_marked = text.count(f"  # {_FILL_IN}\n")
     say(f"wrote {file}: fill in the {n_marked} lines that end in {_FILL_IN}, and capture with --rig {file}")
 
 
-def template(trigger: str, camera: str, control: str | None) -> str:
+def rig_template(trigger: str, camera: str, control: str | None) -> str:
     """Return a rig's file in which every key stands below what it means, a comment where it has its default.
 
     Parameters
