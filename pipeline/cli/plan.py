@@ -1,105 +1,32 @@
 """`colorphase plan`."""
 
+import inspect
+import re
+from collections.abc import Iterator
 from math import inf
-from typing import TYPE_CHECKING, Literal
+from typing import Annotated, Any
 
+from cyclopts import Parameter
 from rich.table import Table
 
-from pipeline.calibration.model import DEFAULT_PROJECTOR_PX
 from pipeline.cli.console import remark, size_of, stdout
+from pipeline.planning import RigChoice, RigPlan, plan_rig
+from pipeline.planning.rig_plan import TILTS_DEG
 
-if TYPE_CHECKING:
-    from pipeline.planning import RigPlan
+# The options are the fields of a rig, named without units.
+_UNITS = re.compile("_(mm|mm_s|px|levels|ratio)$")
 
 
-def plan(
-    *,
-    distance: float = 900.0,
-    baseline: float = 180.0,
-    camera: str = "640x480",
-    sensor: Literal["bayer", "rgb"] = "bayer",
-    pixel_um: float = 4.8,
-    lens: float = 6.0,
-    projector: str = "{}x{}".format(*DEFAULT_PROJECTOR_PX),
-    throw: float = 1.75,
-    stripes: Literal["horizontal", "vertical"] = "horizontal",
-    period: float | None = None,
-    surface: Literal["skin", "white"] = "skin",
-    brightness: float = 0.7,
-    contrast: float = 0.9,
-    noise: float = 1.5,
-    bits: Literal[8, 10, 12, 16] = 8,
-    speed: float = 100.0,
-    exposure_s: float | None = None,
-    colour_cycle_s: float | None = None,
-) -> None:
-    """Say what a rig will measure before it is bought: field, pattern, accuracy, exposure, and the board to print.
+def plan(**values: Any) -> None:
+    """Print what a rig will measure before it is bought: field, pattern, accuracy, exposure, and the board to print.
 
-    What it is computed from, and how well that was met by simulated frames, is in docs/planning.md.
+    The equations, and how well simulated frames met them, are in docs/planning.md.
 
     Example: colorphase plan --distance 900 --baseline 180 --camera 640x480 --pixel-um 4.8 --lens 6 --throw 1.75
-
-    Parameters
-    ----------
-    distance
-        From the camera's lens to the object, mm.
-    baseline
-        From the camera's lens to the projector's, mm: across the stripes, so above or below for horizontal ones.
-    camera
-        The camera's width and height in px.
-    sensor
-        Whether its pixels have one colour each, as nearly all cameras', or all three.
-    pixel_um
-        The side of a pixel on its sensor, um.
-    lens
-        The focal length of its lens, mm.
-    projector
-        The projector's own width and height in px.
-    throw
-        Its throw ratio: distance over the width of the picture.
-    stripes
-        Which way they run.
-    period
-        Projector px a cycle; left out, the one that is recommended.
-    surface
-        What is measured.
-    brightness
-        What the fringe reaches there in the camera where it is brightest, 0..1 of full scale.
-    contrast
-        What ambient light and blur leave of the fringe's contrast, 0..1.
-    noise
-        The camera's, a standard deviation, in 1/255 of full scale.
-    bits
-        The camera's.
-    speed
-        How fast the object comes nearer or goes away, mm/s; 0: it holds still.
-    exposure_s
-        The camera's, s; left out, the longest that motion allows.
-    colour_cycle_s
-        How long red, green and blue take together where the projector shows them in turn, s; left out, all at once.
     """
-    from pipeline.planning import plan_rig
-
-    found = plan_rig(
-        distance_mm=distance,
-        baseline_mm=baseline,
-        camera_px=size_of(camera, "--camera"),
-        sensor=sensor,
-        pixel_um=pixel_um,
-        lens_mm=lens,
-        projector_px=size_of(projector, "--projector"),
-        throw_ratio=throw,
-        stripes=stripes,
-        period_px=period,
-        surface=surface,
-        brightness=brightness,
-        contrast=contrast,
-        noise_levels=noise,
-        bits=bits,
-        speed_mm_s=speed,
-        exposure_s=exposure_s,
-        colour_cycle_s=colour_cycle_s,
-    )
+    for name in values.keys() & {"camera_px", "projector_px"}:
+        values[name] = size_of(values[name], f"--{_option(name)}")
+    found = plan_rig(**values)
     table = Table("what", "figure", "which means")
     for row in _rows(found):
         table.add_row(*row)
@@ -108,7 +35,24 @@ def plan(
         remark(f"warning: {warning}")
 
 
-def _rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
+def _option(field: str) -> str:
+    return _UNITS.sub("", field).replace("_", "-")
+
+
+def _options() -> Iterator[inspect.Parameter]:
+    """Yield an option for each field of a rig, explained by the field's docstring."""
+    for name, field in RigChoice.model_fields.items():
+        kind, default = field.annotation, field.default
+        if isinstance(default, tuple):
+            kind, default = str, "{}x{}".format(*default)
+        annotation = Annotated[kind, Parameter(name=_option(name), help=field.description)]  # type: ignore[valid-type]
+        yield inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=annotation)
+
+
+plan.__signature__ = inspect.Signature([*_options()])  # type: ignore[attr-defined]  # of any function
+
+
+def _rows(plan: RigPlan) -> list[tuple[str, str, str]]:
     """Return what is printed: the name, the figure with its unit, and what it means or what to do with it."""
     choice, fields, fringe = plan.choice, plan.fields, plan.fringe
     near, far = fringe.lit_range_mm
@@ -161,7 +105,7 @@ def _rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
     ]
 
 
-def _motion_rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
+def _motion_rows(plan: RigPlan) -> list[tuple[str, str, str]]:
     """Return what is printed of exposure and motion."""
     choice = plan.choice
     whole = (
@@ -196,10 +140,8 @@ def _motion_rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
     return rows
 
 
-def _board_rows(plan: "RigPlan") -> list[tuple[str, str, str]]:
+def _board_rows(plan: RigPlan) -> list[tuple[str, str, str]]:
     """Return what is printed of the board."""
-    from pipeline.planning.rig_plan import TILTS_DEG
-
     board = plan.board
     squares = "{}x{}".format(*board.squares)
     return [

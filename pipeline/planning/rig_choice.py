@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import cv2
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from pipeline.calibration import Calibration, Lens, Pattern
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Geometry
@@ -41,27 +41,48 @@ class RigChoice(Model):
     """A camera and a projector that are both turned to one point; by default about the demo's rig.
 
     The baseline stands across the stripes: with horizontal ones the projector is above or below the camera, with
-    vertical ones beside it.
+    vertical ones to its left or right.
     """
 
-    distance_mm: _Distance = 900.0  # from the camera's lens to the object
-    baseline_mm: _Distance = 180.0  # from the camera's lens to the projector's
+    model_config = ConfigDict(use_attribute_docstrings=True)
+
+    distance_mm: _Distance = 900.0
+    """From the camera's lens to the object, mm."""
+    baseline_mm: _Distance = 180.0
+    """From the camera's lens to the projector's, mm: across the stripes, so above or below for horizontal ones."""
     camera_px: tuple[_Side, _Side] = (640, 480)
-    sensor: Literal["bayer", "rgb"] = "bayer"  # one colour a pixel, as nearly all have, or all three
-    pixel_um: _Pixel = 4.8  # side of a pixel of the camera's sensor
-    lens_mm: _Focal = 6.0  # focal length of the camera's lens
+    """The camera's width and height in px."""
+    sensor: Literal["bayer", "rgb"] = "bayer"
+    """One colour per pixel, as in nearly all cameras, or all three."""
+    pixel_um: _Pixel = 4.8
+    """The side of a pixel on its sensor, um."""
+    lens_mm: _Focal = 6.0
+    """The focal length of its lens, mm."""
     projector_px: tuple[_Side, _Side] = DEFAULT_PROJECTOR_PX
-    throw_ratio: _Throw = 1.75  # the projector's distance over the width of its picture there
+    """The projector's own width and height in px."""
+    throw_ratio: _Throw = 1.75
+    """Its throw ratio: distance over the width of the picture."""
     stripes: Literal["horizontal", "vertical"] = "horizontal"
-    period_px: Positive | None = None  # projector px a cycle; None: as recommended
+    """Which way they run."""
+    period_px: Positive | None = None
+    """Projector px per cycle; left out, the recommended one."""
     surface: Literal["skin", "white"] = "skin"
-    brightness: _Share = 0.7  # of full scale: the brightest channel where the fringe is brightest
-    contrast: _Share = 0.9  # what ambient light and blur leave of the fringe's own
-    noise_levels: _Noise = 1.5  # standard deviation, in 1/255 of full scale
+    """What is measured."""
+    brightness: _Share = 0.7
+    """The camera's brightest channel where the fringe is brightest on the surface, 0..1 of full scale."""
+    contrast: _Share = 0.9
+    """What ambient light and blur leave of the fringe's contrast, 0..1."""
+    noise_levels: _Noise = 1.5
+    """The camera's noise, one standard deviation, in 1/255 of full scale."""
     bits: Literal[8, 10, 12, 16] = 8
-    speed_mm_s: _Speed = 100.0  # how fast the object comes nearer or goes away
+    """The camera's."""
+    speed_mm_s: _Speed = 100.0
+    """How fast the object comes nearer or goes away, mm/s; 0: it holds still."""
     exposure_s: _Time | None = None
-    colour_cycle_s: _Time | None = None  # of a projector that shows its colours in turn; None: all at once
+    """The camera's, s; left out, the longest that motion allows."""
+    colour_cycle_s: _Time | None = None
+    """How long red, green and blue take together where the projector shows them one after another, s; left out, all at
+    once."""
 
     @model_validator(mode="after")
     def _check(self) -> "RigChoice":
