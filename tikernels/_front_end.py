@@ -124,7 +124,7 @@ def _visit(self: Any, context: Any, node: Any) -> Any:
         if implementation.pytaichi.print_full_traceback:
             raise
         if context.raised or not visible:
-            raise error.with_traceback(None)
+            raise error.with_traceback(None)  # noqa: B904 - it is the same error
         context.raised = True
         raised = contexts.handle_exception_from_cpp(error)
         if not isinstance(raised, contexts.TaichiCompilationError):
