@@ -1,13 +1,15 @@
 """Shape from one colour photograph: the way in.
 
 ``import colorphase`` gives all public names: decoder, settings, calibration, stored results, meshes, simulation, live
-decoding, the rig, and errors. They live in the packages beside this file: `pipeline`, with one room for each of these
-subjects, `tikernels`, where each stage of decoding is a function of its own, and `hardware`.
+decoding, the rig, and errors. Each is imported when it is first used. They live in the packages next to this file:
+`pipeline`, with one room for each of these subjects, `tikernels`, where each stage of decoding is a function of its
+own, and `hardware`.
 """
 
 import sys
 from importlib.util import find_spec
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 
 def _refuse_namesakes() -> None:
@@ -18,7 +20,7 @@ def _refuse_namesakes() -> None:
     ImportError
         There is one; the message names it.
     """
-    # The packages lie beside this file, which in a wheel is `colorphase/__init__.py`.
+    # The packages are next to this file, which in a wheel is `colorphase/__init__.py`.
     file = Path(__file__)
     folder = file.parent.parent if file.stem == "__init__" else file.parent
     for package in ("tikernels", "pipeline", "hardware"):
@@ -34,34 +36,38 @@ def _refuse_namesakes() -> None:
 
 _refuse_namesakes()
 
-from hardware.errors import BurstError, CameraError, ProjectorError, RigError, TriggerError
-from hardware.instruments import open_instruments
-from hardware.rig import Burst, PairedFrame, Rig
-from hardware.settings import RigSettings
-from pipeline.acquisition import LiveDecoder, read_rig
-from pipeline.calibration import Calibration
-from pipeline.decoder import Decoder
-from pipeline.decoding.frame import DecodedFrame
-from pipeline.decoding.self_calibration import LightEstimate
-from pipeline.errors import (
-    CalibrationError,
-    ClusterError,
-    DamageError,
-    DecodeWarning,
-    FootageError,
-    OutputError,
-    RenderError,
-    SettingsError,
-)
-from pipeline.footage import StoredAs, open_source, read_image
-from pipeline.output import Mesh, StoredResult, frame_mesh, read_mesh, write_mesh
-from pipeline.recording import Recorder
-from pipeline.settings import DecodeSettings
-from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
-from tikernels.errors import DeviceNotReady, ShapeError
-from tikernels.raw.pixel_format import PixelFormat
-from tikernels.runtime import init, supported_archs
-from tikernels.unwrapping import UserUnwrapper
+from pipeline import __version__ as __version__
+from tikernels.lazy_names import lazily
+
+if TYPE_CHECKING:
+    from hardware.errors import BurstError, CameraError, ProjectorError, RigError, TriggerError
+    from hardware.instruments import open_instruments
+    from hardware.rig import Burst, PairedFrame, Rig
+    from hardware.settings import RigSettings
+    from pipeline.acquisition import LiveDecoder, read_rig
+    from pipeline.calibration import Calibration
+    from pipeline.decoder import Decoder
+    from pipeline.decoding.frame import DecodedFrame
+    from pipeline.decoding.self_calibration import LightEstimate
+    from pipeline.errors import (
+        CalibrationError,
+        ClusterError,
+        DamageError,
+        DecodeWarning,
+        FootageError,
+        OutputError,
+        RenderError,
+        SettingsError,
+    )
+    from pipeline.footage import StoredAs, open_source, read_image
+    from pipeline.output import Mesh, StoredResult, frame_mesh, read_mesh, write_mesh
+    from pipeline.recording import Recorder
+    from pipeline.settings import DecodeSettings
+    from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
+    from tikernels.errors import DeviceNotReady, ShapeError
+    from tikernels.raw.pixel_format import PixelFormat
+    from tikernels.runtime import init, supported_archs
+    from tikernels.unwrapping import UserUnwrapper
 
 __all__ = [
     "Burst",
@@ -109,3 +115,9 @@ __all__ = [
     "supported_archs",
     "write_mesh",
 ]
+__getattr__, __dir__ = lazily(__name__)
+
+if __name__ == "__main__":
+    from pipeline.cli.start import main
+
+    main()

@@ -7,9 +7,10 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 
 class WheelLayout(BuildHookInterface[BuilderConfig]):
-    """Makes a package of `colorphase.py`: type checkers find `py.typed` beside a package only, not beside a module.
+    """Makes a package of `colorphase.py`: type checkers find `py.typed` in a package only, not next to a module.
 
-    Editable installs go without: a copy in there would be found in place of the file that is edited.
+    ``python -m colorphase`` then runs its `__main__`. Editable installs go without: a copy in there would be found in
+    place of the file that is edited.
     """
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
@@ -17,5 +18,6 @@ class WheelLayout(BuildHookInterface[BuilderConfig]):
         if version == "standard":
             build_data["force_include"] = {
                 "colorphase.py": "colorphase/__init__.py",
+                ".ci/__main__.py": "colorphase/__main__.py",
                 ".ci/py.typed": "colorphase/py.typed",
             }

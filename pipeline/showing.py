@@ -1,13 +1,15 @@
 """How objects show themselves in a notebook: as a block of HTML with a picture, figures and warnings.
 
-What draws an object often lies in a room above its class. So classes ask the functions below, and `pipeline.output`,
-which `import colorphase` imports, tells them how it is done.
+What draws an object is often in a room above its class. So classes call the functions below, which load
+`pipeline.output.notebook` when they first meet an object: it registers how each is shown.
 """
 
 import base64
+import sys
 from collections.abc import Iterable, Mapping
 from functools import singledispatch
 from html import escape
+from importlib import import_module
 from typing import Any
 
 from pipeline.errors import OutputError
@@ -17,8 +19,8 @@ _BLOCK = "display:flex;flex-wrap:wrap;gap:1em;align-items:flex-start"
 
 @singledispatch
 def to_html(thing: object) -> str | None:
-    """Return what a notebook shows of an object; None: nobody has said how, and it shows its `repr`."""
-    return None
+    """Return what a notebook shows of an object; None: its `repr`."""
+    return to_html(thing) if _just_loaded() else None
 
 
 @singledispatch
@@ -28,9 +30,19 @@ def to_pyvista(thing: object) -> Any:
     Raises
     ------
     OutputError
-        Nobody has said how.
+        There is no such data for it.
     """
-    raise OutputError(f"nothing makes PyVista's data of a {type(thing).__name__} yet: import colorphase first")
+    if _just_loaded():
+        return to_pyvista(thing)
+    raise OutputError(f"a {type(thing).__name__} has no PyVista data: pass a decoded frame")
+
+
+def _just_loaded() -> bool:
+    """Load what shows the objects, unless it is loaded already; return whether it was loaded now."""
+    if "pipeline.output.notebook" in sys.modules:
+        return False
+    import_module("pipeline.output.notebook")
+    return True
 
 
 def html_block(

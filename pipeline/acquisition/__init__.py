@@ -1,7 +1,13 @@
 """Capture with a rig: bursts are recorded, logged and decoded while they arrive."""
 
-from pipeline.acquisition.live import LiveDecoder
-from pipeline.acquisition.rig_file import read_rig
-from pipeline.acquisition.session import capture_bursts
+from typing import TYPE_CHECKING
+
+from tikernels.lazy_names import lazily
+
+if TYPE_CHECKING:
+    from pipeline.acquisition.live import LiveDecoder
+    from pipeline.acquisition.rig_file import read_rig
+    from pipeline.acquisition.session import capture_bursts
 
 __all__ = ["LiveDecoder", "capture_bursts", "read_rig"]
+__getattr__, __dir__ = lazily(__name__)

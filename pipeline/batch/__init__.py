@@ -1,6 +1,12 @@
 """Decode whole recordings into a store, resumably: in this process, in several, or on a cluster."""
 
-from pipeline.batch.job import Job
-from pipeline.batch.run import decode_footage
+from typing import TYPE_CHECKING
+
+from tikernels.lazy_names import lazily
+
+if TYPE_CHECKING:
+    from pipeline.batch.job import Job
+    from pipeline.batch.run import decode_footage
 
 __all__ = ["Job", "decode_footage"]
+__getattr__, __dir__ = lazily(__name__)

@@ -1,12 +1,18 @@
 """Measure a rig: its lenses, where they stand, and its light; and keep what was measured."""
 
-from pipeline.calibration.model import (
-    Calibration,
-    ColorShift,
-    Geometry,
-    Lens,
-    Pattern,
-    Uncertainty,
-)
+from typing import TYPE_CHECKING
+
+from tikernels.lazy_names import lazily
+
+if TYPE_CHECKING:
+    from pipeline.calibration.model import (
+        Calibration,
+        ColorShift,
+        Geometry,
+        Lens,
+        Pattern,
+        Uncertainty,
+    )
 
 __all__ = ["Calibration", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
+__getattr__, __dir__ = lazily(__name__)

@@ -11,7 +11,7 @@ from datetime import timedelta
 from math import inf
 from pathlib import Path
 from threading import Event, Thread
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
@@ -26,12 +26,11 @@ from rich.progress import (
 )
 from rich.segment import Segment
 
-import hardware.errors
-import pipeline.errors
-import tikernels.errors
-from pipeline.calibration import Calibration
 from pipeline.errors import DecodeWarning, OutputError, SettingsError
-from pipeline.settings import DecodeSettings
+
+if TYPE_CHECKING:
+    from pipeline.calibration import Calibration
+    from pipeline.settings import DecodeSettings
 
 # Frames are reported some at a time, twice a second by each process that decodes: what comes within this time was
 # done since the report before.
@@ -111,13 +110,8 @@ class _Printed(Console):
 stdout = _Printed(markup=False, emoji=False)
 stderr = _Printed(stderr=True, markup=False, emoji=False)
 
-#: Every error that a user can cause; each message is one line.
-USER_ERRORS: tuple[type[Exception], ...] = tuple(
-    error
-    for module in (hardware.errors, pipeline.errors, tikernels.errors)
-    for error in vars(module).values()
-    if isinstance(error, type) and issubclass(error, Exception) and not issubclass(error, Warning)
-)
+#: Modules whose errors a user can cause; each message is one line.
+USER_ERRORS = ("hardware.errors", "pipeline.errors", "tikernels.errors")
 
 
 def say(line: str) -> None:
@@ -274,13 +268,17 @@ def check_target(target: Path, *, force: bool) -> None:
         raise OutputError(f"{target} exists already: choose another name, or add --force")
 
 
-def read_settings(path: Path | None) -> DecodeSettings:
+def read_settings(path: Path | None) -> "DecodeSettings":
     """Return the settings in a TOML file, or the default where none is given."""
+    from pipeline.settings import DecodeSettings
+
     return DecodeSettings() if path is None else DecodeSettings.read(path)
 
 
-def read_calibration(path: Path | None) -> Calibration | None:
+def read_calibration(path: Path | None) -> "Calibration | None":
     """Return the calibration in a file, if one is given."""
+    from pipeline.calibration import Calibration
+
     return None if path is None else Calibration.read(path)
 
 
@@ -297,7 +295,9 @@ def run(command: Callable[[], object]) -> None:
     warnings.showwarning = _show_warning
     try:
         command()
-    except USER_ERRORS as error:
+    except Exception as error:
+        if not any(kind.__module__ in USER_ERRORS for kind in type(error).__mro__):
+            raise
         _tell(f"error: {error}", "red")
         sys.exit(1)
     except KeyboardInterrupt as stopped:

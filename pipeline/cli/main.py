@@ -1,38 +1,51 @@
-"""The command line: its commands, one file a family."""
+"""The command line: its commands, one file a family, each imported when it is called."""
 
-from importlib.metadata import version
+import sys
+from collections.abc import Sequence
+from functools import partial
 
 from cyclopts import App
 from rich.text import Text
 
-from pipeline.cli.calibrate import calibrate
-from pipeline.cli.capture import capture
+from pipeline import __version__
 from pipeline.cli.console import run, without_controls
-from pipeline.cli.decode import decode
-from pipeline.cli.demo import demo
-from pipeline.cli.devices import devices
-from pipeline.cli.drawing import render
-from pipeline.cli.export import export
-from pipeline.cli.inspect import inspect
-from pipeline.cli.plan import plan
-from pipeline.cli.project import pattern, project, projector
-from pipeline.cli.templates import rig, settings
-from pipeline.cli.verify import verify
 
-app = App(
-    name="colorphase",
-    help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
-    version=lambda: version("colorphase"),
-    version_flags=["--version"],
-    suppress_keyboard_interrupt=False,  # `run` says what it has stopped
-    error_formatter=lambda error: Text(without_controls(f"error: {' '.join(str(error).split())}"), style="red"),
-)
-_MAKING = (demo, plan, calibrate, capture, project, projector, pattern)
-_USING = (settings, rig, decode, inspect, render, export, verify, devices)
-for command in (*_MAKING, *_USING):
-    app.command(command)
+# Each command's file, and what `--help` lists without importing it.
+_COMMANDS = {
+    "demo": ("demo", "Simulate a colour frame, decode it, and compare the result with the truth."),
+    "plan": ("plan", "Predict what a rig will measure, before it is bought."),
+    "calibrate": ("calibrate", "Measure the rig: its light, its geometry, and later whether both still hold."),
+    "capture": ("capture", "Fire projector and camera, and record every frame with its pulse."),
+    "project": ("project", "Show a picture full-screen, pixel for pixel."),
+    "projector": ("project", "Switch the rig's projector."),
+    "pattern": ("project", "Write the picture that the projector shows, or a board to print."),
+    "settings": ("templates", "Write a settings file in which every setting is explained."),
+    "rig": ("templates", "Write a rig.toml in which every key is explained."),
+    "decode": ("decode", "Decode a picture, or footage: a folder of pictures, a video or a recording."),
+    "inspect": ("inspect", "Show what footage will cost in accuracy, and what to change."),
+    "render": ("drawing", "Draw a surface: a still picture, a turntable, or a film of all frames."),
+    "export": ("export", "Write every frame of a result in a format that other programs open."),
+    "verify": ("verify", "Check a result or a recording for damaged frames."),
+    "devices": ("devices", "List where kernels can run, cameras, serial ports and displays."),
+}
+
+
+def command_line(words: Sequence[str]) -> App:
+    """Return the command line for these words; a command that they name gives its help itself."""
+    app = App(
+        name="colorphase",
+        help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
+        version=__version__,
+        version_flags=["--version"],
+        suppress_keyboard_interrupt=False,  # `run` says what it has stopped
+        error_formatter=lambda error: Text(without_controls(f"error: {' '.join(str(error).split())}"), style="red"),
+    )
+    for name, (file, summary) in _COMMANDS.items():
+        app.command(f"pipeline.cli.{file}:{name}", name=name, help=None if name in words else summary)
+    return app
 
 
 def main() -> None:
     """Run the command that the program was called with."""
-    run(app)
+    words = sys.argv[1:]
+    run(partial(command_line(words), words))

@@ -1,15 +1,21 @@
-"""What the program `colorphase` begins with: Ctrl-C ends it at once, also while its modules are imported."""
+"""Start of the program `colorphase`: Ctrl-C ends it at once, also while its modules are imported."""
 
 import os
 import signal
+import sys
+
+from pipeline import __version__
 
 
 def main() -> None:
-    """Import the command line, which takes a second, and run it.
+    """Import the command line, and run it.
 
     Meanwhile nothing is open and nothing is written, and Ctrl-C ends the program without a word: raised as an exception
     it would be lost in some of the libraries that are imported, or end in a traceback.
     """
+    if sys.argv[1:] == ["--version"]:
+        print(__version__)
+        return
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
         os.environ.setdefault(name, "1")  # before NumPy comes: a second thread of its BLAS spins while it waits

@@ -1,6 +1,12 @@
 """What the decoder knows and gives: the light, its buffers, the decoded frame."""
 
-from pipeline.decoding.frame import DecodedFrame
-from pipeline.decoding.self_calibration import LightEstimate, estimate_light
+from typing import TYPE_CHECKING
+
+from tikernels.lazy_names import lazily
+
+if TYPE_CHECKING:
+    from pipeline.decoding.frame import DecodedFrame
+    from pipeline.decoding.self_calibration import LightEstimate, estimate_light
 
 __all__ = ["DecodedFrame", "LightEstimate", "estimate_light"]
+__getattr__, __dir__ = lazily(__name__)

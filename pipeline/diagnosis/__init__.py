@@ -1,8 +1,14 @@
 """Whether a rig still holds what its calibration says, why a surface is wavy, and what footage costs in accuracy."""
 
-from pipeline.diagnosis.footage_inspection import inspect_footage
-from pipeline.diagnosis.frame_sequence import diagnose_sequence
-from pipeline.diagnosis.rig_check import check_epipolar, check_surface, correct_light
-from pipeline.diagnosis.ripple import diagnose
+from typing import TYPE_CHECKING
+
+from tikernels.lazy_names import lazily
+
+if TYPE_CHECKING:
+    from pipeline.diagnosis.footage_inspection import inspect_footage
+    from pipeline.diagnosis.frame_sequence import diagnose_sequence
+    from pipeline.diagnosis.rig_check import check_epipolar, check_surface, correct_light
+    from pipeline.diagnosis.ripple import diagnose
 
 __all__ = ["check_epipolar", "check_surface", "correct_light", "diagnose", "diagnose_sequence", "inspect_footage"]
+__getattr__, __dir__ = lazily(__name__)

@@ -1,7 +1,13 @@
 """Frames as they were stored: image files, folders of them, videos and recordings, read by number."""
 
-from pipeline.footage.image_file import read_image
-from pipeline.footage.opening import open_source
-from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
+from typing import TYPE_CHECKING
+
+from tikernels.lazy_names import lazily
+
+if TYPE_CHECKING:
+    from pipeline.footage.image_file import read_image
+    from pipeline.footage.opening import open_source
+    from pipeline.footage.source import BadFrame, Source, StoredAs, StoredFrame
 
 __all__ = ["BadFrame", "Source", "StoredAs", "StoredFrame", "open_source", "read_image"]
+__getattr__, __dir__ = lazily(__name__)

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import sysconfig
-import tomllib
 import venv
 from pathlib import Path
 
@@ -16,13 +15,15 @@ import pipeline.errors
 import tikernels.errors
 
 ROOT = Path(__file__).resolve().parents[2]
-VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
 
 
 def test_all_public_names_are_there():
     assert sorted(set(colorphase.__all__)) == sorted(colorphase.__all__)
     for name in colorphase.__all__:
         assert callable(getattr(colorphase, name)), name
+    assert {*colorphase.__all__, "__version__"} <= set(dir(colorphase))
+    with pytest.raises(AttributeError, match="module 'colorphase' has no attribute 'decoder'"):
+        _ = colorphase.decoder
 
 
 @pytest.mark.parametrize("errors", [hardware.errors, pipeline.errors, tikernels.errors])
@@ -52,7 +53,11 @@ def installed(tmp_path_factory):
     python = programs / "python"
     install = ["install", "--quiet", "--no-deps", "--no-index", "--disable-pip-version-check", "--ignore-installed"]
     run([str(python), "-m", "pip", *install, str(folder / wheel)], folder)
-    assert sorted(file.name for file in (packages / "colorphase").glob("*.*")) == ["__init__.py", "py.typed"]
+    assert sorted(file.name for file in (packages / "colorphase").glob("*.*")) == [
+        "__init__.py",
+        "__main__.py",
+        "py.typed",
+    ]
     return programs
 
 
@@ -73,9 +78,19 @@ def crowded(tmp_path):
 
 
 def test_the_command_works_in_a_folder_with_our_names(installed, crowded):
-    assert run([str(installed / "colorphase"), "--version"], crowded).stdout == f"{VERSION}\n"
+    assert run([str(installed / "colorphase"), "--version"], crowded).stdout == f"{colorphase.__version__}\n"
     assert "decode" in run([str(installed / "colorphase"), "--help"], crowded).stdout
     assert "cpu" in run([str(installed / "colorphase"), "devices"], crowded).stdout
+
+
+def test_the_package_runs_as_a_module(installed, tmp_path):
+    """In the wheel, and in a clone or an editable install, where it is a single file."""
+    for folder, python in ((tmp_path, installed / "python"), (ROOT, sys.executable)):
+        module = [str(python), "-m", "colorphase"]
+        assert run([*module, "--version"], folder).stdout == f"{colorphase.__version__}\n"
+        assert "Usage: colorphase COMMAND" in run([*module, "--help"], folder).stdout
+    program = "from colorphase import *; import colorphase; print(Decoder.__name__, colorphase.__version__)"
+    assert run([str(installed / "python"), "-c", program], tmp_path).stdout == f"Decoder {colorphase.__version__}\n"
 
 
 def test_the_import_works_or_one_line_names_the_file_in_its_way(installed, crowded):

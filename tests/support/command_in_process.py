@@ -1,7 +1,6 @@
 """The command line in this process, where kernels are compiled once."""
 
 import warnings
-from functools import partial
 from typing import NamedTuple
 
 import pytest
@@ -9,7 +8,6 @@ import pytest
 from hardware.projector import pjlink, switching
 from pipeline.cli import console
 from pipeline.cli import main as cli
-from pipeline.cli.main import app
 
 
 class Done(NamedTuple):
@@ -33,8 +31,7 @@ def command(monkeypatch, capsys, tmp_path):
 
     def run(*arguments, cwd=tmp_path):
         monkeypatch.chdir(cwd)
-        # Given its words, it does not warn that it reads the test runner's.
-        monkeypatch.setattr(cli, "app", partial(app, [str(argument) for argument in arguments]))
+        monkeypatch.setattr("sys.argv", ["colorphase", *(str(argument) for argument in arguments)])
         code = 0
         with warnings.catch_warnings():  # which it shows in a way of its own
             warnings.simplefilter("default")

@@ -12,7 +12,7 @@ import numpy as np
 from support.symptom_frames import SEQUENCES, SYMPTOMS
 
 from pipeline.cli.console import run
-from pipeline.cli.main import app
+from pipeline.cli.main import command_line
 from pipeline.output.range_image import write_png
 
 _RULES = re.compile("[│┃┏┓┗┛┡┩└┘├┤─━┳┻╇┴┬]")  # of tables
@@ -31,7 +31,7 @@ def said_by(*arguments: str) -> list[str]:
     with warnings.catch_warnings(), redirect_stdout(told), redirect_stderr(told):
         warnings.simplefilter("always")
         try:
-            run(partial(app, list(arguments)))
+            run(partial(command_line(arguments), arguments))
         except SystemExit:
             pass
     lines = [" ".join(_RULES.sub(" ", line).split()) for line in told.getvalue().splitlines()]

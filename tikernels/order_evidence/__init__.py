@@ -1,10 +1,15 @@
 """What a frame shows of the absolute fringe orders: the contrast of each cycle, and the votes of the frame before."""
 
-from tikernels.order_evidence.contrast_reading import match_stretches, measure_contrast
-from tikernels.order_evidence.modulation_correction import correct_by_modulation
-from tikernels.order_evidence.order_votes import vote_orders
-from tikernels.order_evidence.part_joining import join_parts
-from tikernels.order_evidence.pixel_adoption import adopt_pixels
+from typing import TYPE_CHECKING
+
+from tikernels.lazy_names import lazily
+
+if TYPE_CHECKING:
+    from tikernels.order_evidence.contrast_reading import match_stretches, measure_contrast
+    from tikernels.order_evidence.modulation_correction import correct_by_modulation
+    from tikernels.order_evidence.order_votes import vote_orders
+    from tikernels.order_evidence.part_joining import join_parts
+    from tikernels.order_evidence.pixel_adoption import adopt_pixels
 
 __all__ = [
     "adopt_pixels",
@@ -14,3 +19,4 @@ __all__ = [
     "measure_contrast",
     "vote_orders",
 ]
+__getattr__, __dir__ = lazily(__name__)

@@ -40,5 +40,5 @@ def test_a_picture_stands_in_the_page_itself():
 
 def test_what_nobody_has_said_how_to_show():
     assert to_html(3) is None  # the notebook shows its repr then
-    with pytest.raises(OutputError, match=r"of a int yet: import colorphase first"):
+    with pytest.raises(OutputError, match="a int has no PyVista data"):
         to_pyvista(3)

@@ -4,7 +4,7 @@ import shlex
 
 from pipeline.acquisition import practice_set
 from pipeline.acquisition.practice_set import practice_rig
-from pipeline.cli.main import app
+from pipeline.cli.main import command_line
 
 
 def test_it_says_what_is_true_and_what_comes_next(monkeypatch, command, tmp_path):
@@ -22,7 +22,8 @@ def test_it_says_what_is_true_and_what_comes_next(monkeypatch, command, tmp_path
     assert "the ball's radius is 85 mm" in first
     assert [line.split()[1] for line in commands] == ["calibrate", "calibrate", "calibrate", "decode"]
     for line in commands:
-        app.parse_args(shlex.split(line)[1:], exit_on_error=False, print_error=False)
+        words = shlex.split(line)[1:]
+        command_line(words).parse_args(words, exit_on_error=False, print_error=False)
 
 
 def test_a_folder_that_is_there_is_refused(command, tmp_path):

@@ -4,7 +4,8 @@ from importlib.metadata import version
 
 import pytest
 
-from pipeline.cli.main import app
+import colorphase
+from pipeline.cli.main import command_line
 
 
 @pytest.mark.parametrize(
@@ -77,8 +78,7 @@ def test_names_are_printed_as_they_are(folder, command):
 
 
 def test_the_version_is_the_packages():
-    """Of the module that calls, which is in no distribution of that name, it would be 0.0.0."""
-    assert app.version() == version("colorphase")
+    assert command_line(()).version == colorphase.__version__ == version("colorphase")
 
 
 def test_every_family_is_there(command):
@@ -89,3 +89,13 @@ def test_every_family_is_there(command):
         *("devices", "plan", "rig", "settings", "verify"),
     ):
         assert f"│ {name} " in said
+
+
+def test_a_command_gives_its_own_help(command):
+    """Not the line that `colorphase --help` lists; words that happen to be names of commands change nothing."""
+    for name in ("decode", "calibrate", "projector"):
+        code, said, _ = command(name, "--help")
+        assert code == 0 and f"Usage: colorphase {name}" in said
+    assert "A picture gives result.zarr" in command("decode", "--help")[1]
+    assert "cannot read plan" in command("decode", "plan", "--out", "export")[2]
+    assert 'Unknown command "decoed". Did you mean "decode"?' in command("decoed")[2]

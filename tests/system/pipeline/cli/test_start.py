@@ -25,7 +25,7 @@ class Slow:
 
 sys.modules.pop("pipeline.cli.main", None)
 sys.meta_path.insert(0, Slow())
-sys.argv = ["colorphase", "--version"]
+sys.argv = ["colorphase", "--help"]
 start.main()
 """
 

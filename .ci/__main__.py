@@ -1,0 +1,5 @@
+"""`python -m colorphase` of the wheel."""
+
+from pipeline.cli.start import main
+
+main()
