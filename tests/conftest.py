@@ -1,14 +1,20 @@
-"""The backends that kernels run on, and what every host function must refuse."""
+"""The devices that kernels run on, and what every host function must refuse."""
 
 import os
 import signal
+import sys
 import warnings
 from collections.abc import Callable
 from typing import Any
 
-# Before NumPy comes: its BLAS splits even small matrices over threads that wait for each other, which takes many times
-# as long as one thread does, most of all on a busy machine. Processes that tests start inherit it.
+from support.kernel_cache import fill_kernel_cache, kernel_settings
+
+# Before NumPy is imported: its BLAS splits even small matrices over threads that wait for each other, which takes many
+# times as long as one thread does, most of all on a busy machine. Processes that tests start inherit all this.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Without bytecode each process compiles the project's Python anew.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+os.environ.update({name: os.environ.get(name, value) for name, value in kernel_settings().items()})
 
 import numpy as np
 import numpy.typing as npt
@@ -18,40 +24,59 @@ from support.missing import skip_but_fail_in_ci
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", DeprecationWarning)  # Taichi's own, once, while it is imported
     from support.array_forms import every_second, on_device, read_only
-    from support.kernel_cache import write_kernels
 
     import tikernels
 
-
-def pytest_configure() -> None:
-    """Hear Ctrl-C even where a shell has started the tests in its background: what they start inherits that it does."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
-#: Tests that run on Vulkan, too, without `long`, after the first one of each file in `tests/unit/tikernels`: a frame.
+#: What runs on Vulkan without --every-arch in addition to the first test of each file in `tests/unit/tikernels`: a frame.
 ON_VULKAN = {"test_accuracy_on_every_scene"}
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option that tests every kernel on Vulkan."""
+    parser.addoption("--every-arch", action="store_true", help="run all tests of kernels on Vulkan, too")
+
+
+def pytest_configure() -> None:
+    """Hear Ctrl-C even where a shell has started the tests in its background; children inherit this."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.dont_write_bytecode = False
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile the kernels that decode before several processes begin, which otherwise all do it."""
+    if session.config.getoption("numprocesses", None) and not session.config.getoption("collectonly"):
+        fill_kernel_cache()
+
+
+def pytest_sessionfinish() -> None:
+    """Write the kernels that this process has compiled, for the next run."""
+    tikernels.runtime.stop()
+
+
 def on_vulkan(item: pytest.Item) -> bool:
-    """Whether a test asks for Vulkan."""
+    """Return whether a test runs on Vulkan."""
     callspec = getattr(item, "callspec", None)
     return callspec is not None and callspec.params.get("arch") == "vulkan"
 
 
 @pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Run what needs no GPU first: starting another device drops all buffers and compiled kernels.
 
-    Software Vulkan compiles and computes many times slower than the CPU, so all but a core set of its tests is long.
+    Software Vulkan compiles and computes many times slower than the CPU: all but a core set of its tests is optional.
     """
-    seen = set()
-    for item in filter(on_vulkan, items):
+    chosen, omitted, seen = [], [], set()
+    for item in items:
         file, _, test = item.nodeid.partition("[")[0].partition("::")
-        if file in seen or not (file.startswith("tests/unit/tikernels") or test in ON_VULKAN):
-            item.add_marker("long")
+        first = file not in seen and (file.startswith("tests/unit/tikernels") or test in ON_VULKAN)
+        if not on_vulkan(item) or config.getoption("every_arch") or first:
+            chosen.append(item)
         else:
+            omitted.append(item)
+        if on_vulkan(item):
             seen.add(file)
-    items.sort(key=on_vulkan)
+    config.hook.pytest_deselected(items=omitted)
+    items[:] = sorted(chosen, key=on_vulkan)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -69,8 +94,8 @@ def cpu() -> str:
 
 @pytest.fixture(scope="session")
 def kernels_on_disk() -> None:
-    """Write the kernels that decode to the disk, where processes that a test starts find them."""
-    write_kernels()
+    """Compile the kernels that decode, for processes that a test starts."""
+    fill_kernel_cache()
 
 
 @pytest.fixture(params=["cpu", "vulkan"])
