@@ -27,7 +27,7 @@ with warnings.catch_warnings():
 
     import tikernels
 
-#: What runs on Vulkan without --every-arch in addition to the first test of each file in `tests/unit/tikernels`: a frame.
+#: What runs on Vulkan without --every-arch, next to the first test of each file in `tests/unit/tikernels`: a frame.
 ON_VULKAN = {"test_accuracy_on_every_scene"}
 
 

@@ -82,7 +82,7 @@ def compare(wrapped: Array, quality: Array, mask: Array, truth: Array, surface: 
         assert mine <= theirs + 1e-3 * valid, f"{method}: {mine} wrong orders, scikit-image has {theirs} of {valid}"
 
 
-@pytest.mark.parametrize("gamma", [1.0, pytest.param(2.0, marks=pytest.mark.long)])
+@pytest.mark.parametrize("gamma", [1.0, 2.0])
 @pytest.mark.parametrize("scene", SCENES)
 def test_simulated_scenes(arch, scene, gamma):
     frame = simulate_frame(simulated_rig(), SimulationSettings(scene=scene, gamma=gamma))

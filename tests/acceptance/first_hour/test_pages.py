@@ -26,7 +26,7 @@ from hardware.settings import RigSettings
 from pipeline import Calibration, DecodeSettings
 from pipeline.acquisition.rig_file import read_rig
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(1500)]
+pytestmark = pytest.mark.timeout(1500)
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = {page.name: page for page in sorted((ROOT / "docs").glob("*.md"))}

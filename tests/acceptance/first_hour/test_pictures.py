@@ -19,8 +19,6 @@ from support.missing import import_but_fail_in_ci
 
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 
-pytestmark = pytest.mark.long
-
 BLUR_PX = (0.6, 0.6, 0.6)
 #: From linear sRGB to linear Display P3 and Adobe RGB (1998); rows are the target's red, green and blue.
 TO_P3 = np.array([[0.8225, 0.1774, 0.0], [0.0332, 0.9669, 0.0], [0.0171, 0.0724, 0.9108]])

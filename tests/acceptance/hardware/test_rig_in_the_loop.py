@@ -132,7 +132,6 @@ def test_basler_and_the_real_firmware(simavr_board, rig_of, emulator):
     assert board.outputs() == (False, False)
 
 
-@pytest.mark.long
 def test_aravis_and_a_projector_that_loses_a_pulse(simavr_board, start_twin, rig_of, monkeypatch):
     """The camera photographs what the projector shows, which at one pulse is the picture before."""
     monkeypatch.setattr(rig_module, "TRIES", 6)  # the fake camera may itself miss a trigger on a busy machine
@@ -157,7 +156,6 @@ def test_aravis_and_a_projector_that_loses_a_pulse(simavr_board, start_twin, rig
     assert board.outputs() == (False, False)
 
 
-@pytest.mark.long
 def test_a_cable_that_stays_out(simavr_board, rig_of, emulator):
     board = simavr_board(speed=1)
     with Wires(board, lost_triggers=range(1000)) as wires:
@@ -168,7 +166,6 @@ def test_a_cable_that_stays_out(simavr_board, rig_of, emulator):
     assert board.outputs() == (False, False)
 
 
-@pytest.mark.long
 def test_a_board_that_restarts_in_mid_burst(simavr_board, rig_of, emulator):
     board = simavr_board(speed=1)
     with Wires(board) as wires:

@@ -45,7 +45,6 @@ def poses(captures):
     return [measured(f"pose-{k:02d}", pose) for k, pose in enumerate(captures, start=1)]
 
 
-@pytest.mark.long
 def test_the_board_is_seen_whole_and_at_the_rims():
     """Every outline lies in the picture; all together they come within 12 px of each of its sides."""
     lens, outlines = practice_rig().geometry().camera, []
@@ -88,7 +87,6 @@ def test_nothing_stays_of_a_set_that_was_interrupted(cpu, tmp_path, monkeypatch)
         write_practice(tmp_path / "file" / "practice", "cpu", print)
 
 
-@pytest.mark.long
 def test_the_practised_geometry_is_the_true_one(poses):
     """Focal lengths within 0.1 %, the baseline within 0.3 mm of 180, all within three and a half deviations."""
     second = [measured(f"second-{k}", pose, SECOND_BOARD) for k, pose in enumerate(practice_poses(SECOND_BOARD, 2, 2))]
@@ -104,7 +102,6 @@ def test_the_practised_geometry_is_the_true_one(poses):
     assert found.verdict.grade != "poor"
 
 
-@pytest.mark.long
 @pytest.mark.parametrize(("step_mm", "fits"), [((0.3, 0.2, 0.0), True), ((0.3, 0.2, 2.0), False)])
 def test_a_pose_that_moved_is_named_with_what_moved(captures, poses, step_mm, fits):
     """Between the column and the row pictures: in its plane it still fits, towards the camera it is the worst one."""
@@ -118,7 +115,6 @@ def test_a_pose_that_moved_is_named_with_what_moved(captures, poses, step_mm, fi
     assert (judged is found.verdict.poses[0]) == (judged.rms_px[0] > 2 * judged.usual_px[0]) == (not fits)
 
 
-@pytest.mark.long
 def test_a_blurred_pose_is_named_with_its_blur(captures, poses):
     """A sigma of 3 px: its corners still lie in place, so that it need not be the worst."""
     pose = measured("pose-07", {name: cv2.GaussianBlur(captures[6][name], (0, 0), 3.0) for name in captures[6]})
@@ -128,7 +124,6 @@ def test_a_blurred_pose_is_named_with_its_blur(captures, poses):
     assert blurred.causes[0].startswith("it is blurred (edges have a sigma of 3.0 px, elsewhere 0.4)")
 
 
-@pytest.mark.long
 def test_a_board_of_another_size_is_caught_by_a_proof(poses):
     """Squares given as 27.5 mm that are 22 mm."""
     wrong = [type(pose)(**{**pose.__dict__, "corners_mm": 1.25 * pose.corners_mm}) for pose in poses]
@@ -140,7 +135,6 @@ def test_a_board_of_another_size_is_caught_by_a_proof(poses):
         solved(wrong, second=SecondBoard(second, 18.0, 27.5))
 
 
-@pytest.mark.long
 def test_a_board_that_is_never_tilted_is_refused(captures):
     """All parallel to the picture: no lens follows from it."""
     flat = []

@@ -106,7 +106,6 @@ def test_deep_mosaic_is_right_aligned(opened, tmp_path):
     np.testing.assert_array_equal(frame.image[::2, ::2], image[::2, ::2, 0].astype(np.uint16) * 16)
 
 
-@pytest.mark.long
 def test_frames_stay_as_they_were(opened, tmp_path):
     """Buffers are used again; frames handed out are not."""
     images = np.random.default_rng(5).integers(0, 256, (12, 64, 96, 3), np.uint8)

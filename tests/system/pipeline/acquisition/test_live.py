@@ -67,7 +67,7 @@ def is_alive(pid):
         return False
 
 
-@pytest.mark.parametrize("format", [RGB8, pytest.param(BAYER12, marks=pytest.mark.long)], ids=["rgb", "bayer"])
+@pytest.mark.parametrize("format", [RGB8, BAYER12], ids=["rgb", "bayer"])
 def test_what_becomes_of_a_frame(rig, image, tmp_path, format):
     frame = image if format is RGB8 else mosaic(image, format)
     expected = Decoder(DecodeSettings(), rig, arch="cpu").decode(develop((frame,), format))
@@ -118,7 +118,6 @@ def test_its_process_is_killed(rig, image, tmp_path):
         assert decoder.latest().number in (1, 2)
 
 
-@pytest.mark.long
 @on_posix
 def test_its_process_hangs(rig, image, monkeypatch):
     """Nothing waits for it; closing waits a moment and then ends it."""
@@ -171,7 +170,7 @@ PYTHON = [sys.executable, "-W", "error", "-W", "ignore::DeprecationWarning", "-c
 
 
 @pytest.mark.skipif(not os.path.exists("/proc"), reason="processes are found in /proc")
-@pytest.mark.parametrize("moment", [pytest.param("starting", marks=pytest.mark.long), "decoding"])
+@pytest.mark.parametrize("moment", ["starting", "decoding"])
 def test_the_capturing_process_is_killed(moment):
     """No orphan stays, whether it is still starting or at work, nor anything else that was its parent's."""
     wait = "time.sleep(60)"

@@ -17,7 +17,7 @@ import pytest
 import zarr
 from support.command_line import command
 from support.missing import import_but_fail_in_ci
-from support.recorded_footage import contents, kill_again_and_again, record
+from support.recorded_footage import contents, record
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.batch import job as jobs
@@ -169,26 +169,6 @@ def test_no_frames_are_asked_for(job):
     with pytest.raises(SettingsError, match="has 14 frames, none of which is asked for"):
         decode_footage(job, start=20)
     assert not Path(job.store).exists()
-
-
-@pytest.mark.long
-@pytest.mark.usefixtures("kernels_on_disk")
-def test_killed_again_and_again(folder, rig, tmp_path, monkeypatch):
-    """The command's own chains, and its own process; `tests/benchmarks/kills.py` does it twenty times."""
-    monkeypatch.undo()
-    film = folder / "long.mkv"
-    record(film, 80)
-    whole, job_options = tmp_path / "whole", ("--fields", "mask", "range_image", "phase_sigma")
-    fields = chosen_fields(job_options[1:], in_mm=False)
-    decode_footage(
-        Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, f"{whole}/result.zarr", "cpu")
-    )
-    killed = kill_again_and_again(film, tmp_path / "killed", 3, 5, *job_options)
-    assert killed >= 2
-    decode_footage(
-        Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, f"{tmp_path}/killed/result.zarr", "cpu")
-    )
-    assert contents(tmp_path / "killed") == contents(whole)
 
 
 def test_leftovers_and_marks_cut_off(job, undisturbed):
@@ -586,24 +566,6 @@ def test_a_picture_does_not_replace_footage(job, tmp_path):
     with pytest.raises(OutputError, match="holds the frames of footage"):
         with output_folder(tmp_path, force=True):
             pass
-
-
-@pytest.mark.long
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
-def test_memory_stays_flat(folder, rig, tmp_path):
-    """From the time that all buffers are there, less than 20 MB; `tests/benchmarks/throughput.py` does 2,000 frames."""
-    film = tmp_path / "film.zarr"
-    record(film, 150)
-    sizes = {}
-
-    def note(done, of):
-        sizes[done] = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-    fields = chosen_fields(None, in_mm=False)
-    decode_footage(
-        Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r"), "cpu"), tell=note
-    )
-    assert sizes[150] - sizes[50] < 20
 
 
 def test_a_store_says_nothing_of_times_or_hosts(job, tmp_path):

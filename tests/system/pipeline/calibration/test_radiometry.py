@@ -19,8 +19,7 @@ from pipeline.errors import CalibrationError, OutputError
 from pipeline.footage.image_file import read_image
 from pipeline.models import CameraState
 from pipeline.output.report import measure_against_truth
-from pipeline.pattern import make_pattern
-from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
+from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 
 SEQUENCE = radiometry_sequence((1024, 768))
 GREY = f"{len(SEQUENCE.names) - 1:02d}-grey-255"
@@ -83,38 +82,6 @@ def test_a_transfer_that_no_standard_names():
         rows_divided(found.crosstalk_matrix), rows_divided(np.array(TYPICAL_CROSSTALK)), atol=0.01
     )
     np.testing.assert_allclose(found.response, np.tile((np.arange(256) / 255) ** 2, (3, 1)), atol=0.01)
-
-
-@pytest.mark.long
-def test_the_compensated_pattern_leaves_no_ripple(cpu):
-    """Light that is sinusoidal needs no equalisation: 0.030 rad is noise, smoothed."""
-    rig = simulated_rig()
-    settings = SimulationSettings(scene="plane")
-    captures = {}
-    for seed, name in enumerate(SEQUENCE.names):
-        flat = np.broadcast_to(radiometry_codes(name), (768, 1024, 3)).astype(np.float32)
-        white = settings.model_copy(update={"reflectance": WHITE, "texture": 0.0, "seed": seed, "exposure": 0.9})
-        captures[name] = simulate_frame(simulated_rig((96, 72)), white, codes=np.ascontiguousarray(flat)).image
-    calibration = measure_radiometry(captures).add_to(rig)
-    codes = np.rint(255 * make_pattern((1024, 768), rig.geometry().pattern, calibration.response)) / 255
-    frames = {
-        True: simulate_frame(rig, settings, codes=codes.astype(np.float32)),
-        False: simulate_frame(rig, settings),  # a response that the pattern has not undone is undone in decoding
-    }
-    for compensated, truth in frames.items():
-        for known in (None, compensated):  # what the pattern does not say, the frame tells
-            pattern = rig.geometry().pattern.model_copy(update={"compensated": known})
-            decoder = Decoder(
-                DecodeSettings(equalize=False), calibration.model_copy(update={"pattern": pattern}), arch="cpu"
-            )
-            frame = decoder.decode(truth.image)
-            inside = frame.mask[8:-8, 8:-8]
-            error = np.exp(1j * (frame.wrapped_phase - truth.phase)[8:-8, 8:-8][inside])
-            ripple = np.angle(error / error.mean())
-            assert abs(np.angle(error.mean())) < 0.005
-            assert np.sqrt((ripple**2).mean()) < 0.025, (compensated, known)
-            third = 2 * abs((ripple * np.exp(-3j * truth.phase[8:-8, 8:-8][inside])).mean())
-            assert third < 0.005
 
 
 @pytest.mark.parametrize(

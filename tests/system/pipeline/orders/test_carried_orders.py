@@ -8,7 +8,7 @@ import pytest
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.decoding.frame import RegionOrders
 from pipeline.errors import SettingsError
-from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, choose_motion, count_votes, split_by_votes
+from pipeline.orders.carried_orders import CarriedOrders, choose_motion, count_votes, split_by_votes
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import ShapeError
 from tikernels.order_evidence.order_votes import LACKING, REST, RESTS_A_CYCLE
@@ -216,29 +216,6 @@ def test_absolute_orders_are_carried_where_the_code_is_not_seen(arch):
     # Slivers of the ball's rim join the wall over a step of a whole cycle, which the plain pattern does not show.
     assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 4e-3
     assert frame.order_error_probability[known].max() < 0.1
-
-
-@pytest.mark.long
-def test_doubt_grows_until_the_code_is_seen_again():
-    """A ball that swings by 0.3 cycles a frame stops being absolute before the next order may pass for its own."""
-    rigs = [simulated_rig(code=code) for code in ("contrast", None)]
-    decoders = [Decoder(DecodeSettings(), rig, arch="cpu") for rig in rigs]
-    ball, wall = (240, 320), (20, 20)
-    frame, doubts = None, []
-    for number in range(13):
-        plain = 0 < number < 12
-        settings = SimulationSettings(scene="ball", object_motion_mm=(0.0, 0.0, -11.0 * (number % 2)), seed=number)
-        truth = simulate_frame(rigs[plain], settings)
-        frame = decoders[plain].decode(truth.image, previous=frame)
-        doubts.append([frame.order_error_probability[place] for place in (ball, wall)])
-        assert frame.absolute[wall]
-        assert frame.absolute[ball] == (doubts[-1][0] < MAX_CARRIED_ERROR)
-        known = frame.absolute & truth.mask
-        assert np.mean(np.abs(frame.unwrapped_phase - truth.phase)[known] > np.pi) < 1e-3
-    of_ball, of_wall = np.array(doubts).T
-    assert (np.diff(of_ball[:12]) > 0).all()
-    assert of_ball[11] > MAX_CARRIED_ERROR > 5 * of_wall.max()  # a carried order errs once in a thousand at least
-    assert of_ball[12] < 1e-3
 
 
 @pytest.mark.parametrize("scenes", ["objects bust", "bust plane", "plane objects", "waves ball", "ball waves"])

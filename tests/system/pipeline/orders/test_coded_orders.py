@@ -143,7 +143,6 @@ def test_a_sequence_that_is_not_the_codes(wrong, calibrated):
     assert frame.order_error_probability[frame.mask].min() > 0.01
 
 
-@pytest.mark.long
 def test_motion_during_the_exposure_is_flagged():
     """Head and shoulders move by 20 mm: they are flagged, not placed with the wall; what is wrong is their rim."""
     _, calibration = simulated("bust", size=FULL)
@@ -160,7 +159,6 @@ def test_motion_during_the_exposure_is_flagged():
     assert wrong < 0.04
 
 
-@pytest.mark.long
 def test_the_error_probability_is_what_it_says():
     """Of uncertain regions about as many are wrong as their probabilities promise; more frames are a benchmark's."""
     regions = np.array([region for seed in range(900, 924) for region in judged_regions(*uncertain_frame(seed))])

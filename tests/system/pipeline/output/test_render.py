@@ -117,7 +117,6 @@ def test_a_frame_of_a_store(tmp_path: Path) -> None:
         render_frame(path, 1, tmp_path / "frame.png", options)
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 @pytest.mark.parametrize("unit", ["mm", "rad"])
 def test_a_dead_screen_does_not_matter(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, unit: Any) -> None:
@@ -125,7 +124,6 @@ def test_a_dead_screen_does_not_matter(tmp_path: Path, monkeypatch: pytest.Monke
     assert 0.25 < shown(draw(dome(unit), tmp_path, colors="depth")).mean() < 0.9
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_a_namesake_in_the_current_folder_is_not_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "pipeline.py").write_text("raise SystemExit('the wrong one')")

@@ -170,7 +170,6 @@ def test_the_bust_is_a_surface(seed):
     assert smooth.normal_deg < 0.3
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("scene", ["plane", "waves", "ball", "objects"])
 def test_every_scene_is_nearer_to_the_truth_when_it_is_smoothed(scene):
     truth, frame = bust(scene=scene)

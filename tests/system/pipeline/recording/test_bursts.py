@@ -167,7 +167,7 @@ while True:
 
 
 @both
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_killed_program_leaves_what_it_had_committed(tmp_path, suffix, seed):
     """Under a temporary name; to finish it is to cut off the rest."""
     arguments = [sys.executable, "-c", RECORD_FOR_EVER, tmp_path / f"a{suffix}", *sys.path]

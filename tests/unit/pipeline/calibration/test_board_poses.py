@@ -36,7 +36,7 @@ def test_corners_of_one_pose(board, of_charuco):
         ({"mirror": True}, "mirrored"),
         ({"place": (400.0, 0.0, 900.0)}, "9x6 charuco is seen|hardly a pixel|hardly brighter"),
         ({"hide": (slice(None), slice(100, None))}, "corners are seen|9x6 charuco is seen"),
-        pytest.param({"blur_px": 9.0}, "washed out", marks=pytest.mark.long),
+        ({"blur_px": 9.0}, "washed out"),
     ],
 )
 def test_refused_captures(options, message):
@@ -45,7 +45,6 @@ def test_refused_captures(options, message):
     assert "pose_07" in str(raised.value) and "\n" not in str(raised.value)
 
 
-@pytest.mark.long
 def test_a_board_that_is_partly_hidden():
     """A ChArUco board still serves."""
     pose = measure_pose("p", captured(CHARUCO, hide=(slice(None), slice(0, 160))), CHARUCO, PROJECTOR_PX)

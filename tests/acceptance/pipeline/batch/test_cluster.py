@@ -22,7 +22,6 @@ pytestmark = [
 ]
 
 
-@pytest.mark.long
 def test_the_same_bytes_as_here(folder, here, tmp_path):
     store = tmp_path / "result.zarr"
     with local_cluster(2) as cluster:
@@ -30,7 +29,6 @@ def test_the_same_bytes_as_here(folder, here, tmp_path):
     assert contents(store) == here
 
 
-@pytest.mark.long
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the keys")
 def test_by_tls(folder, here, tmp_path):
     """As `docs/video.md` says: who has no certificate of the run's own is not let in."""

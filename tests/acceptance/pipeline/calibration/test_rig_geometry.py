@@ -115,7 +115,7 @@ def test_a_projector_upside_down():
     assert abs(np.linalg.norm(found.translation_mm) - 180) < 0.2
 
 
-@pytest.mark.parametrize("shown", [(0,), pytest.param((0, 4), marks=pytest.mark.long)])
+@pytest.mark.parametrize("shown", [(0,), (0, 4)])
 def test_lateral_colour_is_found(shown):
     """To 0.05 px, though the camera's channels see each other's light."""
     camera = np.array([[-0.3, -0.4], [0.0, 0.0], [0.2, 0.5]])
@@ -138,7 +138,6 @@ def test_lateral_colour_is_found(shown):
     np.testing.assert_allclose(found.color_shift_px.projector, projector - projector.mean(axis=0), atol=0.05)
 
 
-@pytest.mark.long
 def test_the_command(tmp_path):
     """Eight folders of captures in, a calibration out; never over an existing one."""
     small = (320, 240)

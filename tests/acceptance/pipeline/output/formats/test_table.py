@@ -114,7 +114,6 @@ def test_a_grid_of_points_becomes_the_sheet_again(tmp_path):
     np.testing.assert_allclose(there.vertices[:, 2].max(), -500, atol=0.5)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", ["ply", "obj", "stl", "glb"])
 def test_open3d_sees_it_upright(written, kind):
     open3d = import_but_fail_in_ci("open3d")
@@ -125,7 +124,6 @@ def test_open3d_sees_it_upright(written, kind):
         assert np.asarray(read.textures[-1]).shape[:2] == (HEIGHT, WIDTH)
 
 
-@pytest.mark.long
 def test_open3d_reads_points(tmp_path):
     open3d = import_but_fail_in_ci("open3d")
     grid = tilted_grid()

@@ -16,7 +16,7 @@ from pipeline.simulation import simulate_frame
 LEANS = {"horizontal": 0.2, "vertical": 0.25}
 
 
-@pytest.mark.parametrize("name", ["usual", "hand-size, near", pytest.param("narrow, beside", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["usual", "hand-size, near", "narrow, beside"])
 @pytest.mark.usefixtures("cpu")
 def test_a_radian_of_a_decoded_frame_is_as_much_depth_as_planned(name):
     """A plane is moved by a hundredth of its distance; what its phase changes by in the middle, within 1 %."""

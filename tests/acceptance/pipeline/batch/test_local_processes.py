@@ -39,7 +39,6 @@ def children():
     return found
 
 
-@pytest.mark.long
 @pytest.mark.skipif(not Path("/proc").exists(), reason="processes are found in /proc")
 def test_processes_that_are_killed(folder, here, tmp_path):
     store = tmp_path / "result.zarr"
@@ -67,7 +66,6 @@ def test_processes_that_are_killed(folder, here, tmp_path):
     assert contents(store) == here
 
 
-@pytest.mark.long
 @pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
 def test_ctrl_c_at_the_terminal(folder, tmp_path):
     """What is stored is whole, and no process says anything."""

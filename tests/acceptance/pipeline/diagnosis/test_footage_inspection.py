@@ -71,8 +71,8 @@ def clip(cpu):
         (3, WHITE_SURFACE),
         (4, {"scene": "waves", **WHITE_SURFACE}),
         (7, {"scene": "plane", "bits": 12}),
-        pytest.param(5, {"scene": "objects"}, marks=pytest.mark.long),
-        pytest.param(6, {"scene": "ball", "gamma": 1.5}, marks=pytest.mark.long),
+        (5, {"scene": "objects"}),
+        (6, {"scene": "ball", "gamma": 1.5}),
     ],
 )
 def test_good_footage_has_no_fault(tmp_path, seed, settings):
@@ -115,7 +115,6 @@ def test_stripes_the_other_way(tmp_path, wanted, there):
     assert faults(path, settings=DecodeSettings(stripes=there)) == {}
 
 
-@pytest.mark.long
 def test_drift_of_exposure_and_of_white_balance(tmp_path, clip):
     gains = {
         "exposure": lambda part: 0.7 + 0.25 * part,
@@ -126,18 +125,15 @@ def test_drift_of_exposure_and_of_white_balance(tmp_path, clip):
         assert faults(record(tmp_path / f"{name}.mkv", frames)) == {"drift": "costs"}
 
 
-@pytest.mark.long
 def test_an_object_that_turns_is_no_drift(tmp_path):
     frames = [shoot(1, seed=i, object_turn_deg=4.0 * i)[0] for i in range(14)]
     assert "drift" not in faults(record(tmp_path / "turns.mkv", frames))
 
 
-@pytest.mark.long
 def test_repeated_frames(tmp_path, clip):
     assert faults(record(tmp_path / "twice.mkv", [clip[i // 2] for i in range(14)])) == {"repeated": "costs"}
 
 
-@pytest.mark.long
 def test_dropped_frames(tmp_path, clip):
     stamps = [*range(6), *range(8, 16)]
     path = film(tmp_path / "gap.mkv", clip, FULL, "ffv1", "yuv444p", stamps=stamps)
@@ -147,7 +143,7 @@ def test_dropped_frames(tmp_path, clip):
     assert faults(film(tmp_path / "whole.mkv", clip, FULL, "ffv1", "yuv444p")) == {}
 
 
-@pytest.mark.parametrize("stripes", ["horizontal", pytest.param("vertical", marks=pytest.mark.long)])
+@pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
 def test_subsampled_chroma_and_where_it_sits(tmp_path, stripes):
     settings = DecodeSettings(stripes=stripes)
     frames = shoot(3, stripes, seed=14)
@@ -161,7 +157,6 @@ def test_subsampled_chroma_and_where_it_sits(tmp_path, stripes):
     assert faults(centre, StoredAs(siting="centre"), settings).keys() == {"chroma"}
 
 
-@pytest.mark.long
 def test_a_codec_that_is_given_too_few_bits(tmp_path):
     costs = []
     for crf in ("10", "23"):
@@ -215,7 +210,6 @@ def test_frames_that_are_missing_from_a_folder(tmp_path, clip):
     assert faults(tmp_path) == {"dropped": "costs"}
 
 
-@pytest.mark.long
 def test_few_frames_of_long_footage_are_looked_at(tmp_path, clip):
     path = record(tmp_path / "long.zarr", [clip[i % 14] for i in range(120)])
     found = inspect_footage(path, arch="cpu")
@@ -236,7 +230,6 @@ def test_motion_of_more_than_a_third_of_a_cycle(tmp_path):
     assert faults(path) == {"motion": "spoils"}
 
 
-@pytest.mark.long
 def test_colours_that_are_shown_one_after_another(tmp_path):
     """A plane that swings to and fro; green and blue see it 0.3 of a frame later than the colour before them."""
 
@@ -251,7 +244,6 @@ def test_colours_that_are_shown_one_after_another(tmp_path):
     assert faults(record(tmp_path / "three.mkv", swinging(0.3)))["colour fields"] == "costs"
 
 
-@pytest.mark.long
 def test_the_command(tmp_path, clip):
     good, bad = record(tmp_path / "good.mkv", clip[:3]), record(tmp_path / "bad.mkv", 3 * [clip[0] * 0])
 

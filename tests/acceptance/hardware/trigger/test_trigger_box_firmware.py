@@ -137,7 +137,6 @@ def test_every_edge_is_where_it_was_said_to_be(simavr_board: Start, asked: Pulse
     assert_exact(board, asked, asked.count)
 
 
-@pytest.mark.long
 def test_trains_at_random(simavr_board: Start):
     board = simavr_board()
     box = TriggerBox(board.link())
@@ -283,7 +282,6 @@ def test_an_output_that_does_not_follow_ends_the_burst(simavr_board: Start, pin:
         assert max(falls - rises) < (width_us + 50) * 1e-6 * CYCLES
 
 
-@pytest.mark.long
 def test_an_endless_burst_ends_when_told_to(simavr_board: Start):
     board = simavr_board()
     box = TriggerBox(board.link())
@@ -302,7 +300,6 @@ def test_an_endless_burst_ends_when_told_to(simavr_board: Start):
         assert len(board.edges("camera")[1]) == len(board.edges("camera")[0])
 
 
-@pytest.mark.long
 def test_a_burst_for_nobody_ends_by_itself(simavr_board: Start):
     board = simavr_board(speed=0)
     link = board.link()
@@ -365,7 +362,7 @@ def test_cables_that_are_out(simavr_board: Start):
     assert complaint.startswith("the projector reported no picture:")
 
 
-@pytest.mark.parametrize("period_cycles", [pytest.param(10, marks=pytest.mark.long), 100, 700])
+@pytest.mark.parametrize("period_cycles", [10, 100, 700])
 def test_a_loose_strobe_wire_moves_no_edge(simavr_board: Start, period_cycles: int):
     board = simavr_board()
     box = TriggerBox(board.link(), strobe=True)
@@ -379,7 +376,6 @@ def test_a_loose_strobe_wire_moves_no_edge(simavr_board: Start, period_cycles: i
     assert_exact(board, asked, 300)
 
 
-@pytest.mark.long
 def test_a_long_burst_is_read_out_while_it_runs(simavr_board: Start):
     board = simavr_board(speed=1)
     board.tell("strobe 50 100")
@@ -392,7 +388,6 @@ def test_a_long_burst_is_read_out_while_it_runs(simavr_board: Start):
     assert box.strobes() == ()  # once
 
 
-@pytest.mark.long
 def test_what_was_overwritten_is_not_made_up(simavr_board: Start):
     board = simavr_board()
     board.tell("strobe 50 100")
@@ -408,7 +403,6 @@ def test_what_was_overwritten_is_not_made_up(simavr_board: Start):
     assert finish(box).strobes == 400
 
 
-@pytest.mark.long
 def test_exposures_that_come_faster_than_they_are_read_out(simavr_board: Start):
     board = simavr_board()
     board.tell("strobe 0 20")
@@ -465,7 +459,6 @@ def test_a_restart_in_mid_burst(simavr_board: Start, cause: int, words: str):
     assert len(board.edges("camera")[0]) == count + 40
 
 
-@pytest.mark.long
 def test_every_life_has_another_number(simavr_board: Start):
     board = simavr_board()
     box = TriggerBox(board.link(timeout_s=0.2))
@@ -564,7 +557,6 @@ def test_an_end_that_is_not_told_is_seen(simavr_board: Start):
     assert finish(box).pulses == 40
 
 
-@pytest.mark.long
 def test_a_box_that_hangs_and_comes_back(simavr_board: Start):
     board = simavr_board()
     box = TriggerBox(board.link(timeout_s=0.3))

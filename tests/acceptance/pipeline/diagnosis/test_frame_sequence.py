@@ -99,7 +99,6 @@ def rendered(scene, share, swing_mm, direction, count=14):
     return images, 255, [frame.unwrapped_phase for frame in decoded], [frame.mask for frame in decoded]
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("scene", ["plane", "bust"])
 def test_rendered_motion(scene):
     """A bust before a wall that stands still tells the time between two fields as well as a plane does."""
@@ -109,7 +108,7 @@ def test_rendered_motion(scene):
     assert not diagnose_sequence(*rendered(scene, 0.0, 4.0, (0, 0, 1))).findings
 
 
-@pytest.mark.parametrize("scene", ["ball", pytest.param("bust", marks=pytest.mark.long)])
+@pytest.mark.parametrize("scene", ["ball", "bust"])
 def test_what_only_moves_is_no_beat(scene):
     """A coloured object that swings by more than a tile, all colours at once."""
     assert not diagnose_sequence(*rendered(scene, 0.0, 40.0, (1, 0, 0))).findings

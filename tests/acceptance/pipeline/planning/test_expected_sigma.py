@@ -6,12 +6,10 @@ from support.planned_rigs import RIGS, measured
 from pipeline.planning import plan_rig
 from pipeline.planning.rig_plan import expected_phase_sigma
 
-#: Those with more than a megapixel take some seconds each.
-QUICK = [name if "lens_mm" not in made else pytest.param(name, marks=pytest.mark.long) for name, made in RIGS.items()]
 CAMERA = {"brightness": 0.7, "contrast": 0.9, "noise_levels": 1.5, "bits": 8, "sensor": "rgb", "cycles_in_view": 40.0}
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", RIGS)
 @pytest.mark.usefixtures("cpu")
 def test_a_plane_is_as_noisy_as_planned(name):
     """Every pixel's error counts, phase and depth: within 10 %, or 25 % where few cycles tell the response badly."""
@@ -41,7 +39,6 @@ def test_a_mosaic_costs_what_is_planned(name):
     assert found.depth_mm == pytest.approx(plan.depth_sigma_mm, rel=0.15)
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("name", ["usual", "hand-size, near"])
 @pytest.mark.usefixtures("cpu")
 def test_a_mosaic_costs_more_at_edges(name):
@@ -50,7 +47,7 @@ def test_a_mosaic_costs_more_at_edges(name):
     assert measured(plan, "bust").most_phase_rad == pytest.approx(plan.phase_sigma_rad, rel=0.3)
 
 
-@pytest.mark.parametrize("name", ["usual", "hand-size, near", pytest.param("narrow, beside", marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", ["usual", "hand-size, near", "narrow, beside"])
 @pytest.mark.usefixtures("cpu")
 def test_a_bust_is_as_noisy_as_planned(name):
     """Most of its errors within 15 %; edges and steep places, which no plan knows, make the RMS up to 30 % larger."""

@@ -24,7 +24,7 @@ pytestmark = [
 HALF = (320, 240)  # of the usual picture, its fringes as fine
 
 
-@pytest.mark.parametrize("size_px", [HALF, pytest.param((640, 480), marks=pytest.mark.long)])
+@pytest.mark.parametrize("size_px", [HALF, (640, 480)])
 @pytest.mark.parametrize(("cause", "fault"), FAULTS)
 def test_one_fault_is_named(cause, fault, size_px):
     """Alone, or in a set of what one frame cannot tell apart, which holds at most four."""
@@ -38,7 +38,7 @@ def test_one_fault_is_named(cause, fault, size_px):
 
 
 @pytest.mark.parametrize("scene", ["plane", "ball", "waves", "bust"])
-@pytest.mark.parametrize("gain", [None, pytest.param((1.1, 1.0, 1.0), marks=pytest.mark.long)])
+@pytest.mark.parametrize("gain", [None, (1.1, 1.0, 1.0)])
 def test_a_clean_frame_is_fine(scene, gain):
     """So is one whose colours are not balanced: that is what a surface's colour looks like."""
     assert not diagnosed(*photographed(scene, 3, size_px=HALF, gain=gain)).findings
@@ -81,7 +81,7 @@ def test_what_decoding_undoes_is_no_fault():
 @pytest.mark.parametrize("compensated", [True, False])
 @pytest.mark.parametrize(
     "scene",
-    ["plane", "ball", pytest.param("waves", marks=pytest.mark.long), pytest.param("bust", marks=pytest.mark.long)],
+    ["plane", "ball", "waves", "bust"],
 )
 def test_a_code_a_lens_and_a_response_that_are_known_are_no_fault(scene, compensated):
     """White and skin under the coded pattern, its response undone in it or not, blurred by 0.6 px."""

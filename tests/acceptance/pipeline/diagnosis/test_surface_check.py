@@ -39,7 +39,7 @@ def turned(degrees):
 
 @pytest.mark.parametrize(
     ("rig", "radius_off_mm"),
-    [(half_rig(), 0.2), pytest.param(simulated_rig(), 0.1, marks=pytest.mark.long)],  # half as deep a cycle
+    [(half_rig(), 0.2), (simulated_rig(), 0.1)],  # half as deep a cycle
     ids=["half", "whole"],
 )
 def test_a_rig_that_stands_as_it_did(rig, radius_off_mm):
@@ -77,7 +77,6 @@ def test_absolute_orders_are_not_moved_to_make_a_ball_fit():
     assert not ball.fine and ball.radius_mm == pytest.approx(102, abs=1)
 
 
-@pytest.mark.long
 def test_what_a_plane_cannot_show():
     """A projector turned about the stripes leaves a plane flat: the verdict says so, and a ball's radius shows it."""
     plane = checked("plane", "plane", rotation=turned([0.3, 0.0, 0.0]))

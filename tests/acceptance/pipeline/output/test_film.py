@@ -130,7 +130,6 @@ def test_a_turntable_of_a_mesh(tmp_path):
     assert seen[-1, y, x - 25, 2] > seen[-1, y, x - 25, 0] + 60, "from behind it is on the right"
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_turning_and_swaying(tmp_path):
     path = store(tmp_path / "r.zarr", 5 * [400.0])
@@ -149,7 +148,6 @@ def test_turning_and_swaying(tmp_path):
     assert max(first, middle, last) - min(first, middle, last) <= 2
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 @pytest.mark.parametrize("colors", ["depth", "modulation", "sigma", "clay"])
 def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
@@ -160,7 +158,6 @@ def test_a_single_frame_in_rad_lasts_some_seconds(tmp_path, colors):
     assert shown(seen[0]).mean() > 0.1
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_every_second_frame_is_no_gap(tmp_path):
     path = store(tmp_path / "r.zarr", 7 * [400.0], missing=(0, 2, 4, 6), step=2)
@@ -168,7 +165,6 @@ def test_every_second_frame_is_no_gap(tmp_path):
     assert (made.n_images, made.held) == (3, ())
 
 
-@pytest.mark.long
 @pytest.mark.usefixtures("can_draw")
 def test_frames_without_a_surface(tmp_path):
     path = store(tmp_path / "r.zarr", [None, 400.0, None])

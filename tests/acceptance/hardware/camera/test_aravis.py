@@ -111,7 +111,6 @@ def test_lost_packets_are_faults_in_order(start_fake_camera, opened):
     assert set(numbers) <= set(range(FIRST_ID, FIRST_ID + 12))
 
 
-@pytest.mark.long
 def test_over_triggered_in_use_and_unplugged(start_fake_camera, opened):
     process = start_fake_camera("BUSY")
     camera = opened("BUSY")
@@ -147,7 +146,6 @@ except ConnectionError as error:
 """
 
 
-@pytest.mark.long
 def test_cable_that_is_not_there_and_settings_that_are_refused(start_fake_camera, opened):
     start_fake_camera("LINE")
     with pytest.raises(CameraError, match=r"serial number OTHER; there is LINE \(Fake\)"):
