@@ -1,7 +1,6 @@
 """Ramps in, response and crosstalk out: against the truth of a simulated rig, and what captures are refused."""
 
 import numpy as np
-from pipeline.pattern.fringes import make_pattern
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration.radiometry import (
@@ -9,6 +8,7 @@ from pipeline.calibration.radiometry import (
     radiometry_codes,
     radiometry_sequence,
 )
+from pipeline.pattern import make_pattern
 from pipeline.simulation import WHITE, SimulationSettings, simulate_frame, simulated_rig
 
 SEQUENCE = radiometry_sequence((1024, 768))
