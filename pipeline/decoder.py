@@ -35,7 +35,7 @@ from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics, measu
 from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.phase.white_light import FrameLight
-from tikernels.unwrapping import METHODS, GivenRegions, UserUnwrapper
+from tikernels.unwrapping import GivenRegions, UserUnwrapper
 from tikernels.unwrapping.rim_growing import grow_rims
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
 
@@ -109,9 +109,7 @@ class Decoder:
         depth_range_mm = None if calibration is None else calibration.depth_range_mm
         self._orders = OrderFinder(self._path.code, geometry, depth_range_mm)
         self._expected = None if geometry is None else ExpectedFringe.of(geometry, depth_range_mm)
-        self._unwrapping = METHODS[self.settings.unwrap_method]
-        if unwrapper is not None:
-            self._unwrapping = lambda height, width: GivenRegions(unwrapper)
+        self._given = None if unwrapper is None else GivenRegions(unwrapper)
         self._pool = BufferPool()
         self._workspace: Workspace | None = None
         self.arch = runtime.init(arch)
@@ -428,5 +426,5 @@ class Decoder:
         # A few per cent of period change nothing; the buffers stay while it drifts.
         period_px = float(2 ** (np.round(8 * np.log2(period_px)) / 8))
         if self._workspace is None or not self._workspace.fits(frame.shape, period_px):
-            self._workspace = Workspace(*frame.shape, period_px, self._setup.smoothing_pairs, self._unwrapping)
+            self._workspace = Workspace(*frame.shape, period_px, self._setup.smoothing_pairs, self._given)
         return self._workspace

@@ -12,7 +12,6 @@ from tikernels.errors import ShapeError
 from tikernels.phase.crosstalk import invert_crosstalk
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX
 from tikernels.phase.smoothing import MAX_SMOOTHING_PX
-from tikernels.unwrapping import METHODS
 
 # The tallest sensors have 14,200 rows, and a cycle and a half is the least that a frame shows of a fringe.
 _MAX_PERIOD_PX = 10_000
@@ -27,12 +26,6 @@ _Level = Annotated[float, Field(ge=0, le=_MAX_WHITE)]
 def _odd_or_zero(value: int) -> int:
     if value != 0 and value % 2 == 0:
         raise ValueError(f"must be 0 or odd, got {value}")
-    return value
-
-
-def _known_method(value: str) -> str:
-    if value not in METHODS:
-        raise ValueError(f"must be {' or '.join(METHODS)}, got {value!r}")
     return value
 
 
@@ -62,8 +55,6 @@ class DecodeSettings(Model):
     """Whether, where nothing tells the projector's response, the phase's distribution is made uniform to undo it. A
     calibration's response is used whatever this says; so is what the first frame tells where nothing is known of the
     light (see `Decoder`)."""
-    unwrap_method: Annotated[str, AfterValidator(_known_method)] = "directional"
-    """How neighbours' orders are joined: row runs by votes, or pixels along the most reliable edges (slower)."""
     smoothing_px: Annotated[int, Field(ge=0, le=MAX_SMOOTHING_PX), AfterValidator(_odd_or_zero)] = 7
     """Side of the window that the phase is smoothed over, along the stripes and across them; 0: none."""
     projector_side: Literal["above", "below", "left", "right"] | None = None

@@ -307,40 +307,6 @@ def unwrap_phase(wrapped_phase: Array, quality: Array, mask: Array) -> tuple[Arr
     return _leave_out(phase, order, region, patch_of, along, across)
 
 
-def unwrap_by_reliability(
-    wrapped_phase: Array, mask: Array, rates: tuple[float, float] | None = None, max_departure: float = MAX_DEPARTURE
-) -> tuple[Array, Array]:
-    """Return orders and connected regions along the most reliable edges, stripes along the rows, one edge at a time.
-
-    The algorithm of Herraez et al. 2002 (doi:10.1364/AO.41.007437); no edge departs by more from the usual change.
-    """
-    phase = np.where(mask, wrapped_phase, np.nan).astype(np.float64)
-    along, across, _ = usual_change(phase, np.ones(phase.shape))
-    if rates is not None:
-        along, across = rates
-    unreliability = np.zeros(phase.shape)
-    for rows, columns in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        before, after = (neighbour(phase, side * rows, side * columns) for side in (-1, 1))
-        unreliability += (wrapped_difference(before, phase) - wrapped_difference(phase, after)) ** 2
-    number = np.arange(phase.size).reshape(phase.shape)
-    contacts = []
-    for rows, columns, rate in ((0, 1, along), (1, 0, across)):
-        difference = neighbour(phase, rows, columns) - phase
-        departure = wrapped_difference(difference, rate)
-        cycles = np.rint((departure + rate - difference) / CYCLE)
-        cost = unreliability + neighbour(unreliability, rows, columns)
-        # Where a neighbour is missing nothing is known: after all others, and where both ends lack one the more usual
-        # change first.
-        one = np.fmin(unreliability, neighbour(unreliability, rows, columns))
-        cost = np.where(np.isnan(cost), np.where(np.isnan(one), 2e6 + np.abs(departure), 1e6 + one), cost)
-        other = np.nan_to_num(neighbour(number, rows, columns))
-        for y, x in np.argwhere(np.abs(departure) <= max_departure):
-            name = int(number[y, x] + (rows == 1) * phase.size)
-            contacts.append((-cost[y, x], name, int(number[y, x]), int(other[y, x]), int(cycles[y, x])))
-    root, offset = maximum_spanning_forest(phase.size, contacts)
-    return offset.reshape(phase.shape) * mask, np.where(mask, root.reshape(phase.shape) + 1, 0)
-
-
 def maximum_spanning_forest(
     patches: int, contacts: Sequence[tuple[float, int, int, int, int]]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

@@ -1,7 +1,5 @@
 """The device buffers that decoding needs between a frame's image and its result: the only thing that it writes to."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from tikernels import runtime
@@ -9,7 +7,7 @@ from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.phase_change import rates_buffer
 from tikernels.phase.smoothing import Smoother
-from tikernels.unwrapping import PatchMethod, RegionUnwrapper
+from tikernels.unwrapping import GivenRegions, RegionUnwrapper
 
 
 class Workspace:
@@ -23,12 +21,12 @@ class Workspace:
         Camera px a cycle.
     pairs : int
         Neighbours on either side that the smoothing fits.
-    method : callable
-        Makes the unwrapping's method for a height and a width; see `METHODS`.
+    given : GivenRegions, optional
+        A user's own unwrapper.
     """
 
     def __init__(
-        self, height: int, width: int, period_px: float, pairs: int, method: Callable[[int, int], PatchMethod]
+        self, height: int, width: int, period_px: float, pairs: int, given: GivenRegions | None = None
     ) -> None:
         self.period_px = period_px
         self._shape = (height, width)
@@ -41,7 +39,7 @@ class Workspace:
         self.smoother = Smoother(height, width, pairs)
         self.phase = runtime.empty((height, width), np.float32)  # of the rows smoothed
         self.unwrapped = runtime.empty((height, width), np.float32)
-        self.unwrapper = RegionUnwrapper(height, width, method(height, width))
+        self.unwrapper = RegionUnwrapper(height, width, given)
 
     def fits(self, shape: tuple[int, int], period_px: float) -> bool:
         """Whether these buffers are for frames of this size and period."""

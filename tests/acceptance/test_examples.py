@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+from support.missing import import_but_fail_in_ci
+
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 
 
@@ -28,6 +30,15 @@ def test_the_chain_of_2004_measures_a_bust(tmp_path):
     assert found is not None, said
     assert float(found[1]) > 95
     assert float(found[2]) < 0.05
+
+
+def test_scikit_image_unwraps_as_the_decoder_does(tmp_path):
+    """Waves of one region: the same orders at every pixel of a frame of 640x480."""
+    import_but_fail_in_ci("skimage")
+    said = printed("own_unwrapper.py", tmp_path)
+    found = re.fullmatch(r"(\d+) pixels in both, 0 with different orders\n", said)
+    assert found is not None, said
+    assert int(found[1]) > 250_000
 
 
 def test_a_frame_becomes_a_mesh(tmp_path):

@@ -37,7 +37,6 @@ def main() -> None:
     parser.add_argument("--speed", type=float, default=1.0, help="how many times as fast everything moves")
     parser.add_argument("--scenes", nargs="+", default=["bust", "ball", "objects"])
     parser.add_argument("--patterns", nargs="+", default=list(PATTERNS), choices=PATTERNS)
-    parser.add_argument("--unwrap-method", default="directional", choices=["directional", "reliability"])
     parser.add_argument("--arch", default="cpu")
     arguments = parser.parse_args()
     runtime.init(arguments.arch)
@@ -49,8 +48,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|---|---|")
     for scene in arguments.scenes:
         for pattern in arguments.patterns:
-            settings = DecodeSettings(unwrap_method=arguments.unwrap_method)
-            print(row(scene, pattern, arguments.frames, arguments.seed, settings, arguments.speed), flush=True)
+            print(row(scene, pattern, arguments.frames, arguments.seed, DecodeSettings(), arguments.speed), flush=True)
 
 
 def row(scene: str, pattern: str, frames: int, seed: int, settings: DecodeSettings, speed: float) -> str:

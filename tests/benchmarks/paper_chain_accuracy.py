@@ -229,9 +229,6 @@ def print_unwrapping(scenes: list[Scene], rounds: int) -> None:
             "votes, then the mean around (section 4.2)": lambda u=whole: tikernels.correct_fringe_order(
                 u, np.isfinite(u)
             ),
-            "reliable edges": lambda p=phase, q=quality, s=scene: tikernels.unwrap_phase(
-                p, q, s.mask, method="reliability"
-            ),
         }
         for name, body in work.items():
             unwrapped = np.asarray(body())

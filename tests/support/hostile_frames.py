@@ -69,7 +69,6 @@ def hostile_settings(rng: np.random.Generator) -> dict[str, Any]:
         "reflectance_bands": lambda: str(rng.choice(["broad", "narrow"])),
         "transfer": lambda: str(rng.choice(["linear", "srgb", "bt709"])),
         "equalize": lambda: bool(rng.integers(2)),
-        "unwrap_method": lambda: str(rng.choice(["directional", "reliability"])),
         "smoothing_px": lambda: int(rng.choice([0, 1, 3, 7, 15])),
         "code": lambda: "contrast",
         "field_times": lambda: [extreme(), extreme(), -extreme()],

@@ -6,9 +6,9 @@ import reference
 
 from tikernels import runtime
 from tikernels.phase.phase_change import MEAN_QUALITY, RATE_ACROSS, RATE_ALONG, measure_rates
+from tikernels.unwrapping.given_regions import GivenRegions
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, ORDER_BITS, ORDER_MASK, ORDER_ZERO
-from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
 from tikernels.unwrapping.unwrapper import RegionUnwrapper
 
 Floats = npt.NDArray[np.float64]
@@ -43,14 +43,11 @@ def flat_rates(along: float = 0.0, across: float = 0.0, mean_quality: float = 1.
     return rates
 
 
-def join(
-    phase: Phase, quality: Phase | None = None, method: str | PatchMethod = "directional"
-) -> tuple[Patches, Phase]:
-    """Return the patches that a method makes of a wrapped phase, joined to regions, and the phase's rates."""
+def join(phase: Phase, quality: Phase | None = None, given: GivenRegions | None = None) -> tuple[Patches, Phase]:
+    """Return the patches of a wrapped phase, joined to regions, and the phase's rates."""
     quality = np.ones(phase.shape, np.float32) if quality is None else quality
     rates = measure_rates(phase, quality)
-    chosen = METHODS[method](*phase.shape) if isinstance(method, str) else method
-    return RegionUnwrapper(*phase.shape, chosen).join(phase, quality, rates), rates
+    return RegionUnwrapper(*phase.shape, given).join(phase, quality, rates), rates
 
 
 def written(patches: Patches, phase: Phase, rates: Phase) -> tuple[Phase, npt.NDArray[np.uint8], npt.NDArray[np.int32]]:

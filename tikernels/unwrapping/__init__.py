@@ -8,14 +8,11 @@ if TYPE_CHECKING:
     from tikernels.unwrapping.given_regions import GivenRegions, UserUnwrapper
     from tikernels.unwrapping.order_filter import correct_fringe_order
     from tikernels.unwrapping.patches import Patches, PatchGraph, RegionTable
-    from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
     from tikernels.unwrapping.unwrapper import RegionUnwrapper, unwrap_phase
 
 __all__ = [
-    "METHODS",
     "GivenRegions",
     "PatchGraph",
-    "PatchMethod",
     "Patches",
     "RegionTable",
     "RegionUnwrapper",

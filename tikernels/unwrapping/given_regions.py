@@ -31,7 +31,6 @@ from tikernels.unwrapping.tables import (
     Patch,
     cells_of,
 )
-from tikernels.unwrapping.unwrap_methods import PatchMethod
 
 Integers = npt.NDArray[np.int64]
 
@@ -84,10 +83,10 @@ class _Contacts(NamedTuple):
     name: Integers  # (C,) unique
 
 
-class GivenRegions(PatchMethod):
-    """A method made of a user's unwrapper.
+class GivenRegions:
+    """Patches from a user's unwrapper.
 
-    As with every method, regions of fewer than 128 px, pixels beside steps and cells whose borders contradict their
+    As everywhere, regions of fewer than 128 px, pixels beside steps and cells whose borders contradict their
     neighbours' are left out of what is written, and the user's constant of each region is not kept. So regions should
     end where the surface does: where the phase goes on from one into another, the cells between them are left out.
 
@@ -103,13 +102,23 @@ class GivenRegions(PatchMethod):
         integers from 0.
     """
 
-    draft_bits, adds_votes = 2, True
-
     def __init__(self, unwrapper: UserUnwrapper) -> None:
         self._unwrapper = unwrapper
 
     def grow(self, phase: F32, quality: F32, rates: F32, drafts: Drafts) -> None:
-        """Ask the user's unwrapper, and cut its regions into patches."""
+        """Call the user's unwrapper, and cut its regions into patches.
+
+        Parameters
+        ----------
+        phase : (H, W) float32
+            rad in [-pi, pi]; NO_PHASE outside the mask, STEP_PHASE between two surfaces.
+        quality : (H, W) float32
+            Larger is better; the modulation.
+        rates : (N, 5) float32
+            What `measure_rates` found.
+        drafts : Drafts
+            Where patches and contacts are written.
+        """
         marked, seen = runtime.to_host(phase), runtime.to_host(quality)  # synchronises
         valid = marked < LEAST_NO_PHASE
         answer = self._unwrapper.unwrap(np.where(valid, marked, np.float32(np.nan)), seen.copy())

@@ -16,7 +16,6 @@ from tikernels.unwrapping.region_writing import finish_patches_kernel, write_unw
 from tikernels.unwrapping.surface_borders import Borders
 from tikernels.unwrapping.table_columns import columns_at, first_columns, put_columns
 from tikernels.unwrapping.tables import CONTACT_BITS, Cell, Contact, Patch, Region, cells_of, numbers_of
-from tikernels.unwrapping.unwrap_methods import PatchMethod
 
 #: Regions smaller than a cell are noise or slivers behind a step, whose order says nothing.
 MIN_REGION_PX = 128
@@ -45,7 +44,7 @@ class PatchGraph(NamedTuple):
     votes: npt.NDArray[np.int32]
     """(C,) how well each contact is supported."""
     borders: Borders | None = None
-    """What the borders of all patches show; None: the method measures none."""
+    """What the borders of all patches show; None: none were measured."""
 
 
 class RegionTable(NamedTuple):
@@ -66,8 +65,6 @@ class Patches:
         How many patches there are.
     drafts : Drafts
         Labels, and contacts as they were noted; numbered.
-    method : PatchMethod
-        What grew them.
     table : (12, capacity) int32
         See `Patch`; roots and offsets are settled.
     region_table : (4, capacity) int32
@@ -78,9 +75,7 @@ class Patches:
         See `Seam`; scratch.
     """
 
-    def __init__(
-        self, count: int, drafts: Drafts, method: PatchMethod, table: I32, region_table: I32, final: I32, seams: I32
-    ) -> None:
+    def __init__(self, count: int, drafts: Drafts, table: I32, region_table: I32, final: I32, seams: I32) -> None:
         self.count = count
         self.cells = drafts.cells
         self.labels = drafts.labels
@@ -89,12 +84,11 @@ class Patches:
         self.table = table
         self.final = final
         self._draft_contacts = drafts.contacts
-        self._method = method
         self._regions = region_table
         self._seams = seams
         # What the host has read of the table: nobody but `split` and `shift_orders` changes it from here on.
         self._read: npt.NDArray[np.int32] | None = None
-        #: What the patches' borders show; None: the method measures none.
+        #: What the patches' borders show; None: none were measured.
         self.borders: Borders | None = None
         #: (P,) the patch that stands for the region which each patch's region goes on with most, though not enough to
         #: be one with it; its own where there is none. None: nothing was parted.
@@ -123,7 +117,6 @@ class Patches:
         agree = offset[ends[1]] == offset[ends[0]] + noted[Contact.SHIFT]
         agree &= (root[ends[0]] == root[ends[1]]) & (ends[0] != ends[1])
         ends, votes = ends.compress(agree, axis=1), noted[Contact.VOTES].compress(agree)
-        ends, votes = self._method.complete_graph(table[Patch.HEAD], ends, votes)
         pixels, first = table[Patch.PIXELS].copy(), table[Patch.FIRST].copy()
         return PatchGraph(root, offset, pixels, first, ends, votes, self.borders)
 

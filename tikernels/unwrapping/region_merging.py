@@ -106,16 +106,13 @@ def support(patches: I32Array2, contacts: I32Array2, e: i32, votes: i32):
 
 
 @ti.func
-def choose_contact(patches: I32Array2, contacts: I32Array2, e: i32, adds_votes: Static):
-    """Let both regions choose a contact if it is their best; among equals the smallest name, or the first one."""
+def choose_contact(patches: I32Array2, contacts: I32Array2, e: i32):
+    """Let both regions choose a contact if it is their best; among equals the smallest name."""
     votes = contacts[Contact.VOTES, e]
     if votes > 0:
         for end in ti.static((Contact.FROM, Contact.TO)):
             root = contacts[end, e]
-            best = votes == patches[Patch.SUPPORT, root]
-            if ti.static(adds_votes):
-                best &= contacts[Contact.NAME, e] == patches[Patch.KEY, root]
-            if best:
+            if votes == patches[Patch.SUPPORT, root] and contacts[Contact.NAME, e] == patches[Patch.KEY, root]:
                 ti.atomic_min(patches[Patch.CHOICE, root], e)
 
 
@@ -139,7 +136,6 @@ def join_regions(patches: I32Array2, contacts: I32Array2, e: i32, counters: I32A
 @kernel
 def merge_patches_kernel(
     serial: Static,  # whether one thread does it
-    adds_votes: Static,  # whether contacts that claim the same have their votes added up
     contact_count: i32,
     patches: I32Array2,  # (12, capacity) see `Patch`: parents of roots are written, the rest is scratch
     contacts: I32Array2,  # (5, capacity) see `Contact`; the votes of spent contacts become 0
@@ -148,45 +144,40 @@ def merge_patches_kernel(
 ):
     """One Boruvka round: every region joins along its best supported contact.
 
-    Two regions may touch in many places. Where votes are added up, each contact asks for a place in the table by what
-    it claims; the smallest name gets the place, and the votes of all others that claim the same.
+    Two regions may touch in many places, and contacts that claim the same have their votes added up: each requests a
+    place in the table by what it claims; the smallest name gets the place, and the votes of all others that claim the
+    same.
     """
     counters[Counter.MERGED] = 0
-    if ti.static(adds_votes):
-        ti.loop_config(serialize=serial)
-        for place in range(table.shape[1]):
-            table[Match.NAME, place] = MOST
-            table[Match.VOTES, place] = 0
+    ti.loop_config(serialize=serial)
+    for place in range(table.shape[1]):
+        table[Match.NAME, place] = MOST
+        table[Match.VOTES, place] = 0
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
-        votes = lift_contact(patches, contacts, e)
+        if lift_contact(patches, contacts, e) > 0:
+            place = table_place(contacts, e, table.shape[1])
+            ti.atomic_min(table[Match.NAME, place], contacts[Contact.NAME, e])
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        if contacts[Contact.VOTES, e] > 0:
+            place = table_place(contacts, e, table.shape[1])
+            if table[Match.NAME, place] == contacts[Contact.NAME, e]:
+                table[Match.CONTACT, place] = e
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        hand_votes_over(contacts, e, table)
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        votes = take_votes(contacts, e, table)
         if votes > 0:
-            if ti.static(adds_votes):
-                place = table_place(contacts, e, table.shape[1])
-                ti.atomic_min(table[Match.NAME, place], contacts[Contact.NAME, e])
-            else:
-                support(patches, contacts, e, votes)
-    if ti.static(adds_votes):
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            if contacts[Contact.VOTES, e] > 0:
-                place = table_place(contacts, e, table.shape[1])
-                if table[Match.NAME, place] == contacts[Contact.NAME, e]:
-                    table[Match.CONTACT, place] = e
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            hand_votes_over(contacts, e, table)
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            votes = take_votes(contacts, e, table)
-            if votes > 0:
-                support(patches, contacts, e, votes)
-        ti.loop_config(serialize=serial)
-        for e in range(contact_count):
-            offer_name(patches, contacts, e)
+            support(patches, contacts, e, votes)
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
-        choose_contact(patches, contacts, e, adds_votes)
+        offer_name(patches, contacts, e)
+    ti.loop_config(serialize=serial)
+    for e in range(contact_count):
+        choose_contact(patches, contacts, e)
     ti.loop_config(serialize=serial)
     for e in range(contact_count):
         join_regions(patches, contacts, e, counters)

@@ -101,25 +101,6 @@ class Counter(IntEnum):
     CROWDED = 3  # the most patches, or a quarter of the most contacts, that any cell has
 
 
-class Edge(IntEnum):
-    """Planes of the table of edges, which begins a row and a column before the image."""
-
-    COUNTED = 0  # the pixel's phase, in 2^15ths of a cycle
-    RIGHT = 1  # cost of the edge to the pixel on the right; the lower, the more reliable
-    DOWN = 2  # cost of the edge to the pixel below
-    BEST = 3  # side on which the pixel's best edge is, and above three bits the cycles from there to here
-
-
-class Tree(IntEnum):
-    """Rows of the table of the trees that patches form, by drafts of patches."""
-
-    EXIT = 0  # by which pixel and on which side the patch's best edge leaves its cell; -1: by none
-    PARENT = 1  # the patch where that edge leads,
-    PARENT_SHIFT = 2  # and the shift from there to here
-    ROOT = 3  # the patch at the root,
-    ROOT_SHIFT = 4  # and the shift from there to here
-
-
 class Seam(IntEnum):
     """Rows of the scratch that counts border pixels whose phase goes on, but not their orders."""
 

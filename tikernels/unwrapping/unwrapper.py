@@ -1,10 +1,14 @@
 """Find the order of every fringe from its neighbours: patches, joined along the best supported contacts first.
 
-A method (`unwrap_methods.py`) sorts the pixels of every cell into patches and notes where they touch. The patches are
-then joined in rounds (`region_merging.py`): every region joins the neighbour with which its contact is the best
-supported. The result does not depend on the number of threads. Nothing is joined across a step, and what only touches
-where the step is a whole cycle is parted again (`region_parting.py`). So a surface that nothing connects to the rest
-becomes a region of its own, whose start is its reliable pixel nearest the image's centre.
+In every cell, row runs without a doubt inside join the run above by a vote over their whole contact
+(`patch_growing.py`): they form patches, and it is noted where two patches touch. The patches are then joined in rounds
+(`region_merging.py`): every region joins the neighbour with which its contact is the best supported. The result does
+not depend on the number of threads. Nothing is joined across a step, and regions that only touch where the step is a
+whole cycle are parted again (`region_parting.py`). So a surface that nothing connects to the rest becomes a region of
+its own, whose start is its reliable pixel nearest the image's centre.
+
+The paper (sections 4.1 and 4.2 of Je, Lee and Park 2004) grows one region pixel by pixel from a bright start near the
+centre, by priority of intensity, location and direction; here all cells grow at once.
 """
 
 import numpy as np
@@ -16,6 +20,9 @@ from tikernels.phase.phase_change import measure_rates
 from tikernels.phase.wrapped_phase import mark_no_phase_kernel
 from tikernels.transposing import transpose
 from tikernels.unwrapping.drafts import Drafts
+from tikernels.unwrapping.given_regions import GivenRegions
+from tikernels.unwrapping.patch_contacts import note_borders_kernel
+from tikernels.unwrapping.patch_growing import grow_patches_kernel
 from tikernels.unwrapping.patch_numbering import collect_patches_kernel, number_patches_kernel
 from tikernels.unwrapping.patch_slopes import measure_slopes
 from tikernels.unwrapping.patches import Patches, one_thread_is_faster
@@ -24,10 +31,12 @@ from tikernels.unwrapping.region_parting import part_regions, regions_that_step
 from tikernels.unwrapping.surface_borders import measure_borders
 from tikernels.unwrapping.tables import Contact, Counter, Final, Match, Patch, Region, Seam
 from tikernels.unwrapping.union_find import rounds_at_once
-from tikernels.unwrapping.unwrap_methods import METHODS, PatchMethod
 
 # Rounds of joining regions that a GPU does before it is asked whether anything was left: eight are usual.
 _ROUNDS_AT_ONCE = 4
+# A cell drafts up to 2^3 patches, and four times as many contacts: clean surfaces need one and two. Where noise needs
+# more, the drafts grow.
+_DRAFT_BITS = 3
 
 
 class RegionUnwrapper:
@@ -37,8 +46,8 @@ class RegionUnwrapper:
     ----------
     height, width : int
         Size of the frames.
-    method : PatchMethod
-        How pixels are sorted into patches; it is used for frames of this size only.
+    given : GivenRegions, optional
+        Where the patches come from instead of growing; they are not parted.
     """
 
     _table: I32
@@ -46,10 +55,10 @@ class RegionUnwrapper:
     _regions: I32
     _final: I32
 
-    def __init__(self, height: int, width: int, method: PatchMethod) -> None:
+    def __init__(self, height: int, width: int, given: GivenRegions | None = None) -> None:
         self.shape = (height, width)
-        self._method = method
-        self._drafts = Drafts(height, width, method.draft_bits)
+        self._given = given
+        self._drafts = Drafts(height, width, _DRAFT_BITS)
         cells = self._drafts.cells
         self._counters: I32 = runtime.empty((len(Counter),), np.int32)
         self._seams: I32 = runtime.empty((len(Seam), cells), np.int32)
@@ -94,11 +103,10 @@ class RegionUnwrapper:
         drafts, table = self._drafts, self._table
         noted = (drafts.cells, drafts.bits, drafts.patches, drafts.contacts, drafts.cell_table)
         collect_patches_kernel(one_thread_is_faster(contacts), *noted, table, self._contacts)
-        self._method.hang_together(drafts, table)
         self._merge(contacts)
         settle_patches_kernel(one_thread_is_faster(count), count, table)
-        patches = Patches(count, drafts, self._method, table, self._regions, self._final, self._seams)
-        if self._method.parts_regions:
+        patches = Patches(count, drafts, table, self._regions, self._final, self._seams)
+        if self._given is None:
             self._part(patches, phase, quality, rates)
         return patches
 
@@ -113,10 +121,15 @@ class RegionUnwrapper:
             patches.beside = beside
 
     def _grow(self, phase: F32, quality: F32, rates: F32) -> tuple[int, int]:
-        """Let the method draft patches, with more places if a cell is crowded; return how many patches and contacts."""
+        """Draft patches, with more places if a cell is crowded; return how many patches and contacts there are."""
         drafts = self._drafts
         while True:
-            self._method.grow(phase, quality, rates, drafts)
+            growing = (phase, quality, rates, drafts.bits, drafts.labels)
+            if self._given is None:
+                grow_patches_kernel(*growing, drafts.patches, drafts.contacts, drafts.cell_table)
+                note_borders_kernel(*growing, drafts.contacts, drafts.cell_table)
+            else:
+                self._given.grow(phase, quality, rates, drafts)
             at_once = rounds_at_once()
             for first in range(0, drafts.cells, at_once):
                 stop = min(first + at_once, drafts.cells)
@@ -137,7 +150,7 @@ class RegionUnwrapper:
         rounds = 1 if runtime.started() == "cpu" else _ROUNDS_AT_ONCE
         while True:
             for _ in range(rounds):
-                merge_patches_kernel(one_thread_is_faster(contacts), self._method.adds_votes, contacts, *tables)
+                merge_patches_kernel(one_thread_is_faster(contacts), contacts, *tables)
             if runtime.to_host(self._counters)[Counter.MERGED] == 0:  # synchronises
                 break
             # A GPU passes over spent contacts faster than one of its threads could close the gaps.
@@ -151,11 +164,10 @@ def unwrap_phase(
     quality: F32,
     mask: Mask,
     stripes: str = "horizontal",
-    method: str = "directional",
     *,
     out: F32 | None = None,
 ) -> F32:
-    """Unwrap a phase map.
+    """Unwrap a phase map, across no step: where neighbours change by 0.8 rad more or less than usual.
 
     Parameters
     ----------
@@ -167,9 +179,6 @@ def unwrap_phase(
         Valid pixels.
     stripes : {"horizontal", "vertical"}
         "horizontal" where the phase changes from row to row.
-    method : str
-        A name in `tikernels.unwrapping.METHODS`: its class says how it sorts pixels into patches. None joins them
-        across a step, which is where neighbours change by 0.8 rad more or less than usual.
     out : (H, W) float32, optional
         Where the result goes.
 
@@ -183,11 +192,7 @@ def unwrap_phase(
     Raises
     ------
     ShapeError
-        A shape or dtype is another one, `stripes` or `method` is unknown, or `out` cannot be written.
-
-    References
-    ----------
-    M. Arevallilo Herraez et al., Applied Optics 41, 7437 (2002), doi:10.1364/AO.41.007437.
+        A shape or dtype is another one, `stripes` is unknown, or `out` cannot be written.
 
     Examples
     --------
@@ -202,8 +207,6 @@ def unwrap_phase(
     """
     if stripes not in ("horizontal", "vertical"):
         raise ShapeError(f"stripes is {stripes!r}: choose horizontal or vertical")
-    if method not in METHODS:
-        raise ShapeError(f"method is {method!r}: choose {' or '.join(METHODS)}")
     wrapped_phase = checks.read_array("wrapped_phase", wrapped_phase, (None, None), np.float32)
     shape = (int(wrapped_phase.shape[0]), int(wrapped_phase.shape[1]))
     quality = checks.read_array("quality", quality, shape, np.float32)
@@ -215,7 +218,7 @@ def unwrap_phase(
     if stripes == "vertical":
         phase, quality, shape = transpose(phase), transpose(quality), shape[::-1]
         result = runtime.empty(shape, np.float32)
-    unwrapper = RegionUnwrapper(*shape, METHODS[method](*shape))
+    unwrapper = RegionUnwrapper(*shape)
     rates = measure_rates(phase, quality)
     patches = unwrapper.join(phase, quality, rates)
     patches.write(phase, rates, result, runtime.empty(shape, np.uint8), runtime.empty(shape, np.int32))

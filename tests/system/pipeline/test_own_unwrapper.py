@@ -1,4 +1,7 @@
-"""A user's own unwrapper replaces the built-in ones."""
+"""A user's own unwrapper replaces the built-in one."""
+
+import runpy
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,19 +11,8 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import ShapeError
 
+EXAMPLE = Path(__file__).resolve().parents[3] / "docs" / "examples" / "own_unwrapper.py"
 SIZE, SETTINGS = (160, 120), SimulationSettings(scene="waves")
-
-
-class ScikitImage:
-    """The unwrapping of scikit-image, region by region."""
-
-    def unwrap(self, phase, quality):
-        """Return the unwrapped phase, and the connected parts of the mask."""
-        from skimage.measure import label
-        from skimage.restoration import unwrap_phase
-
-        inside = np.isfinite(phase)
-        return unwrap_phase(np.ma.masked_array(phase, ~inside), rng=0), label(inside, connectivity=1)
 
 
 class Wrong:
@@ -38,10 +30,11 @@ def frame_of(rig, unwrapper, **known):
 
 
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
-def test_scikit_image_in_twenty_lines(cpu, stripes):
+def test_scikit_image_plugs_in(cpu, stripes):
     import_but_fail_in_ci("skimage")
     rig = simulated_rig(SIZE, period_px=2 * 768 / 44, stripes=stripes)
-    own, theirs = (frame_of(rig, unwrapper, depth_range_mm=(800, 1010)) for unwrapper in (None, ScikitImage()))
+    scikit_image = runpy.run_path(str(EXAMPLE))["ScikitImage"]()
+    own, theirs = (frame_of(rig, unwrapper, depth_range_mm=(800, 1010)) for unwrapper in (None, scikit_image))
     truth = simulate_frame(rig, SETTINGS)
     both = own.mask & theirs.mask & truth.mask
     assert both.sum() > 0.95 * own.mask.sum()

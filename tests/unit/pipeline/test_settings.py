@@ -21,7 +21,6 @@ def test_settings_from_toml(tmp_path):
         ("stripes = 'diagonal'", "stripes: "),
         ("smoothing_px = 4", "smoothing_px: must be 0 or odd"),
         ("camera_period_px = 2.0", "camera_period_px"),
-        ("unwrap_method = 'magic'", "unwrap_method"),
         ("crosstalk_matrix = [[1, 0, 0], [1, 0, 0], [0, 0, 1]]", "crosstalk_matrix cannot be inverted"),
         ("camera_period_px = 1e6", "camera_period_px: Input should be less than or equal to 10000"),
         ("white_level = 1e30", "white_level: Input should be less than or equal to 16777216"),

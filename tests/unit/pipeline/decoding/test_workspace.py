@@ -1,11 +1,10 @@
 """One set of buffers serves all frames of a size and period."""
 
 from pipeline.decoding.workspace import Workspace
-from tikernels.unwrapping import METHODS
 
 
 def test_it_fits_its_own_size_and_period(cpu):
-    work = Workspace(96, 128, 12.0, 3, METHODS["directional"])
+    work = Workspace(96, 128, 12.0, 3)
     assert work.fits((96, 128), 12.0)
     assert not work.fits((128, 96), 12.0)
     assert not work.fits((96, 128), 13.0)

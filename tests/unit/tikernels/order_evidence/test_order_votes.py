@@ -57,8 +57,7 @@ def smooth(before, y, x) -> bool:
 
 
 @pytest.mark.parametrize("shape", [(97, 131), (33, 41)])
-@pytest.mark.parametrize("method", ["directional", "reliability"])
-def test_as_the_twin(arch, shape, method):
+def test_as_the_twin(arch, shape):
     rng = np.random.default_rng(5)
     true = surface(*shape)
     phase = reference.wrapped(true)
@@ -66,7 +65,7 @@ def test_as_the_twin(arch, shape, method):
     before = (true + 0.3 * rng.standard_normal(shape)).astype(np.float32)
     before[rng.random(shape) < 0.01] = np.nan
     region = np.where(np.isnan(before), 0, rng.integers(1, 4, shape)).astype(np.int32)
-    patches, _ = join(phase, method=method)
+    patches, _ = join(phase)
     votes = vote_orders(phase, patches, before, region, NO_CHANGE)
     expected = twin(phase.astype(np.float64), patches, before.astype(np.float64), region)
     assert votes.shape == (patches.cells * VOTES_A_CELL, 5)

@@ -59,7 +59,7 @@ def test_scikit_image_on_a_simulated_surface(arch, scene):
     frame = simulate_frame(simulated_rig((320, 240)), SimulationSettings(scene=scene))
     noise = 0.1 * np.random.default_rng(1).standard_normal(frame.phase.shape)
     phase = marked(reference.wrapped(np.where(frame.mask, frame.phase, 0) + noise), frame.mask)
-    patches, rates = join(phase, method=GivenRegions(ScikitImage()))
+    patches, rates = join(phase, given=GivenRegions(ScikitImage()))
     unwrapped, mask, region = written(patches, phase, rates)
     assert np.count_nonzero(mask) > 0.98 * np.count_nonzero(frame.mask)
     cycles = np.rint(np.where(mask, unwrapped - frame.phase, 0) / (2 * np.pi)).astype(int)
@@ -78,7 +78,7 @@ def test_what_is_told_comes_through(arch, shape, seed):
     regions = 7 * (1 + y // 40 + 5 * (x // 37)) * mask  # numbers with gaps, too
     answer = np.where(mask, true + 2 * np.pi * 11 * regions, np.nan)
     told = Told(answer, regions)
-    patches, rates = join(marked(phase, mask), method=GivenRegions(told))
+    patches, rates = join(marked(phase, mask), given=GivenRegions(told))
     unwrapped, _, region = written(patches, marked(phase, mask), rates)
     np.testing.assert_array_equal(np.isnan(told.seen[0][0]), ~mask)
     assert len(told.seen) == 1
@@ -95,7 +95,7 @@ def test_pixels_that_do_not_touch_stay_one_region(arch):
     mask = np.ones(true.shape, bool)
     mask[:, 44:50] = False
     phase = reference.wrapped(true)
-    patches, rates = join(marked(phase, mask), method=GivenRegions(Told(true, mask.astype(np.int64))))
+    patches, rates = join(marked(phase, mask), given=GivenRegions(Told(true, mask.astype(np.int64))))
     unwrapped, _, region = written(patches, marked(phase, mask), rates)
     np.testing.assert_array_equal(region, mask.astype(int))
     assert np.ptp((unwrapped - true)[mask]) < 1e-3  # rad, float32 of 80
@@ -109,7 +109,7 @@ def test_orders_that_spread_beyond_a_label(arch):
     order = 9 * np.arange(48)[:, None] + np.zeros((1, 40), int)
     phase = np.random.default_rng(4).uniform(-3, 3, order.shape).astype(np.float32)
     answer = phase + 2 * np.pi * order
-    patches, _ = join(phase, method=GivenRegions(Told(answer, np.ones(order.shape, int))))
+    patches, _ = join(phase, given=GivenRegions(Told(answer, np.ones(order.shape, int))))
     graph = patches.graph()
     assert patches.count > 2 * patches.cells and len(np.unique(graph.root)) == 1
     y, x = np.divmod(graph.first, 40)
@@ -122,7 +122,7 @@ def test_orders_that_spread_beyond_a_label(arch):
 def test_votes_are_pixel_pairs(arch):
     """Two whole cells side by side touch in sixteen pairs, two above each other in eight."""
     true = reference.ramp(32, 16)
-    patches, _ = join(reference.wrapped(true), method=GivenRegions(Told(true, np.ones(true.shape, int))))
+    patches, _ = join(reference.wrapped(true), given=GivenRegions(Told(true, np.ones(true.shape, int))))
     graph = patches.graph()
     found = {(int(a), int(b)): int(votes) for (a, b), votes in zip(graph.ends.T, graph.votes, strict=True)}
     assert found == {(0, 1): 16, (2, 3): 16, (0, 2): 8, (1, 3): 8}
@@ -134,7 +134,7 @@ def test_pixels_between_surfaces_stay_out(arch):
     phase = reference.wrapped(true)
     phase[20, 30], phase[40, 50] = STEP_PHASE, NO_PHASE
     told = Told(true, np.ones(true.shape, int))
-    patches, rates = join(phase, method=GivenRegions(told))
+    patches, rates = join(phase, given=GivenRegions(told))
     assert np.isnan(told.seen[0][0][[20, 40], [30, 50]]).all()
     _, _, region = written(patches, phase, rates)
     assert region[20, 30] == region[40, 50] == 0
@@ -162,11 +162,11 @@ def test_a_wrong_answer_is_refused(arch, change, message):
             return change(phase.astype(np.float64), np.ones(phase.shape, int))
 
     with pytest.raises(tikernels.ShapeError, match=message) as error:
-        join(phase, method=GivenRegions(Wrong()))
+        join(phase, given=GivenRegions(Wrong()))
     assert "\n" not in str(error.value)
 
 
 def test_nothing_valid(arch):
     phase = np.full((32, 24), NO_PHASE, np.float32)
-    patches, rates = join(phase, method=GivenRegions(Told(np.full((32, 24), np.nan), np.ones((32, 24), int))))
+    patches, rates = join(phase, given=GivenRegions(Told(np.full((32, 24), np.nan), np.ones((32, 24), int))))
     assert patches.count == 0 and np.isnan(written(patches, phase, rates)[0]).all()

@@ -10,8 +10,6 @@ from tikernels import runtime
 from tikernels.phase.wrapped_phase import NO_PHASE
 from tikernels.unwrapping.tables import numbers_of
 
-both_methods = pytest.mark.parametrize("method", ["directional", "reliability"])
-
 
 def halves(graph, width: int) -> np.ndarray:
     """Return roots that split a region into the patches left and right of the middle."""
@@ -19,12 +17,11 @@ def halves(graph, width: int) -> np.ndarray:
     return np.array([np.flatnonzero(right == side)[0] for side in (False, True)], np.int32)[right.astype(int)]
 
 
-@both_methods
-def test_the_graph_tells_what_the_labels_do(arch, method):
+def test_the_graph_tells_what_the_labels_do(arch):
     """Pixels and first pixels of every patch, and offsets by which all orders of a plane agree."""
     true = reference.ramp(70, 90, tilt=0.02)
     phase = reference.wrapped(true)
-    patches, _ = join(phase, method=method)
+    patches, _ = join(phase)
     graph = patches.graph()
     drafts, order = drafts_and_orders(runtime.to_host(patches.labels))
     number = numbers_of(drafts, runtime.to_host(patches.cell_table), patches.draft_bits)
@@ -47,12 +44,11 @@ def test_a_graph_stays_what_it_was(arch):
     np.testing.assert_array_equal(patches.roots(), np.arange(patches.count))
 
 
-@both_methods
-def test_parts_get_orders_of_their_own(arch, method):
+def test_parts_get_orders_of_their_own(arch):
     """A split plane's right half is put three cycles higher."""
     true = reference.ramp(80, 96)
     phase = reference.wrapped(true)
-    patches, rates = join(phase, method=method)
+    patches, rates = join(phase)
     whole = orders(written(patches, phase, rates)[0], phase)
     roots = halves(patches.graph(), 96)
     patches.split(roots)

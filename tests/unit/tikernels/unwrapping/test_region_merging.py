@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import reference
 
 from tikernels import runtime
 from tikernels.unwrapping.region_merging import close_gaps_kernel, merge_patches_kernel, settle_patches_kernel
@@ -18,7 +17,7 @@ def graph(seed: int, patches: int = 60, contacts: int = 200, wrong: float = 0.3)
     return ends, shift, rng.integers(1, 40, contacts), offset
 
 
-def merged(ends, shift, votes, patches, adds_votes, serial=True, gaps=True):
+def merged(ends, shift, votes, patches, serial=True, gaps=True):
     """Return root and offset of every patch."""
     count = ends.shape[1]
     contacts = np.zeros((len(Contact), count), np.int32)
@@ -30,7 +29,7 @@ def merged(ends, shift, votes, patches, adds_votes, serial=True, gaps=True):
     matches, counters = np.zeros((len(Match), 1024), np.int32), np.zeros(len(Counter), np.int32)
     buffers = [runtime.to_device(array) for array in (table, contacts, matches, counters)]
     for _ in range(20):
-        merge_patches_kernel(serial, adds_votes, count, *buffers)
+        merge_patches_kernel(serial, count, *buffers)
         if runtime.to_host(buffers[3])[Counter.MERGED] == 0:
             break
         if gaps:
@@ -46,17 +45,6 @@ def same_regions(found, expected) -> bool:
     (root, offset), (root2, offset2) = found, expected
     pairs = np.unique(np.stack([root, root2, offset - offset2]), axis=1)
     return pairs.shape[1] == len(np.unique(root)) == len(np.unique(root2))
-
-
-@pytest.mark.parametrize("serial", [True, False])
-@pytest.mark.parametrize("seed", range(4))
-def test_without_sums_as_kruskal(arch, seed, serial):
-    """The best contact first; of equal ones the first."""
-    ends, shift, votes, _ = graph(seed)
-    sequence = sorted(range(len(votes)), key=lambda e: (-votes[e], e))
-    # Distinct support in that order leaves Kruskal nothing to decide.
-    ranked = [(-rank, 0, int(ends[0, e]), int(ends[1, e]), int(shift[e])) for rank, e in enumerate(sequence)]
-    assert same_regions(merged(ends, shift, votes, 60, False, serial), reference.maximum_spanning_forest(60, ranked))
 
 
 def boruvka_with_sums(ends, shift, votes, patches):
@@ -95,19 +83,17 @@ def test_sums_as_the_twin(arch, seed, serial, gaps):
     """Several contacts between the same regions that agree outvote a better one that does not."""
     ends, shift, votes, _ = graph(seed, patches=40, contacts=400)
     expected = boruvka_with_sums(ends, shift, votes, 40)
-    assert same_regions(merged(ends, shift, votes, 40, True, serial, gaps), expected)
+    assert same_regions(merged(ends, shift, votes, 40, serial, gaps), expected)
 
 
-@pytest.mark.parametrize("adds_votes", [True, False])
-def test_true_claims_give_the_true_offsets(arch, adds_votes):
+def test_true_claims_give_the_true_offsets(arch):
     ends, shift, votes, offset = graph(7, contacts=90, wrong=0.0)
-    root, found = merged(ends, shift, votes, 60, adds_votes)
+    root, found = merged(ends, shift, votes, 60)
     for region in np.unique(root):
         assert np.ptp((found - offset)[root == region]) == 0
 
 
 def test_two_that_agree_outvote_a_third(arch):
     ends, shift = np.array([[0, 0, 0], [1, 1, 1]]), np.array([5, 3, 3])
-    for adds_votes, turn in ((True, 3), (False, 5)):
-        root, offset = merged(ends, shift, np.array([10, 7, 6]), 2, adds_votes)
-        assert root[0] == root[1] and offset[1] - offset[0] == turn
+    root, offset = merged(ends, shift, np.array([10, 7, 6]), 2)
+    assert root[0] == root[1] and offset[1] - offset[0] == 3
