@@ -54,7 +54,7 @@ def export(input: str, /, *, out: Path, kind: Kind = "ply", force: bool = False,
     out
         The folder for frame_000000.ply and so on.
     kind
-        The format: meshes as ply, obj, stl, glb, gltf or wrl; the camera's grid of points as pcd; depth as 16-bit png
+        The format: meshes as ply, obj, stl, glb or wrl; the camera's grid of points as pcd; depth as 16-bit png
         or tiff; all frames in one ROS bag as mcap.
     force
         Write all again, and replace files of these names that were changed or are not ours.

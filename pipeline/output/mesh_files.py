@@ -28,7 +28,7 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     mesh : Mesh
         What to write; `pipeline.output.formats.table` says what each format keeps of it, and which way is up there.
     path : str or Path
-        A .ply, .obj, .stl, .glb, .gltf or .wrl file. An OBJ file with a texture has an .mtl and a .png beside it.
+        A .ply, .obj, .stl, .glb or .wrl file. An OBJ file with a texture has an .mtl and a .png beside it.
 
     Raises
     ------
@@ -89,5 +89,5 @@ def read_mesh(path: str | Path, frame: int | None = None) -> Mesh:
         raise FootageError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:
         raise FootageError(f"cannot read {path} as a surface ({kind.upper()}): {error}") from error
-    form = MESH_FORMATS[f".{kind}"]
+    form = MESH_FORMATS[".glb" if kind == "gltf" else f".{kind}"]
     return in_camera_frame(mesh, form.axes, 0.001 if form.unit == "m" and mesh.unit == "mm" else 1.0)

@@ -1,11 +1,10 @@
-"""Meshes to glTF 2.0, as .glb or .gltf, their texture in the same file.
+"""Meshes to glTF 2.0 as .glb, their texture in the same file.
 
 References
 ----------
 Khronos Group, glTF 2.0 specification, 2021 (ISO/IEC 12113:2022).
 """
 
-import base64
 import json
 import struct
 from typing import Any
@@ -22,7 +21,7 @@ _SRGB = np.arange(256) / 255
 _SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)
 
 
-def _gltf_parts(mesh: Mesh, heading: Heading) -> tuple[dict[str, Any], bytes]:
+def _scene_and_buffer(mesh: Mesh, heading: Heading) -> tuple[dict[str, Any], bytes]:
     """Return the description of a glTF scene and its one buffer."""
     if len(mesh.faces) == 0:
         raise OutputError("glTF cannot hold an empty mesh: write a .ply file instead")
@@ -91,7 +90,7 @@ def encode_glb(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     OutputError
         It has no faces.
     """
-    scene, buffer = _gltf_parts(mesh, heading)
+    scene, buffer = _scene_and_buffer(mesh, heading)
     text = json.dumps(scene, separators=(",", ":")).encode()
     text += b" " * (-len(text) % 4)
     parts = [
@@ -100,16 +99,3 @@ def encode_glb(mesh: Mesh, heading: Heading) -> dict[str, Content]:
         struct.pack("<I4s", len(buffer), b"BIN\0") + buffer,
     ]
     return {".glb": b"".join(parts)}
-
-
-def encode_gltf(mesh: Mesh, heading: Heading) -> dict[str, Content]:
-    """Return a mesh as a glTF file in JSON, its numbers in it in base 64.
-
-    Raises
-    ------
-    OutputError
-        It has no faces.
-    """
-    scene, buffer = _gltf_parts(mesh, heading)
-    scene["buffers"][0]["uri"] = "data:application/octet-stream;base64," + base64.b64encode(buffer).decode()
-    return {".gltf": json.dumps(scene).encode()}

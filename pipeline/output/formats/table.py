@@ -12,7 +12,7 @@ from typing import Literal
 from pipeline.output.formats.axes import OPTICAL, Y_UP, Z_UP, Axes, placed
 from pipeline.output.formats.depth_picture import CAMERA, STEP, depth_step_mm, encode_depth_png, encode_depth_tiff
 from pipeline.output.formats.file_text import Content, Heading
-from pipeline.output.formats.gltf import encode_glb, encode_gltf
+from pipeline.output.formats.gltf import encode_glb
 from pipeline.output.formats.obj import encode_obj
 from pipeline.output.formats.pcd import encode_pcd
 from pipeline.output.formats.ply import encode_ply
@@ -21,7 +21,7 @@ from pipeline.output.formats.vrml import encode_vrml
 from pipeline.output.mesh import NOT_METRIC, Mesh
 from pipeline.output.range_grid import RangeGrid
 
-Kind = Literal["ply", "obj", "stl", "glb", "gltf", "wrl", "pcd", "png", "tiff", "mcap"]
+Kind = Literal["ply", "obj", "stl", "glb", "wrl", "pcd", "png", "tiff", "mcap"]
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,6 @@ FORMATS: dict[Kind, FileFormat] = {
     "glb": FileFormat(
         "glTF 2.0 in one binary file", f"{_SHAPE}, normals, the texture as a picture, flags", "m", Y_UP, encode_glb
     ),
-    "gltf": FileFormat("glTF 2.0 in JSON", "as glb", "m", Y_UP, encode_gltf),
     "wrl": FileFormat("VRML 2.0", f"{_SHAPE}, colour", "m", Y_UP, encode_vrml),
     "pcd": FileFormat(
         "Point Cloud Library, organised", f"{_GRID}, colour, sigma, modulation", "m", OPTICAL, None, encode_pcd

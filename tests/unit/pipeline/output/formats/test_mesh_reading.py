@@ -1,6 +1,8 @@
 """Other programs' meshes, whole and damaged; nothing elsewhere is opened."""
 
+import base64
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -10,9 +12,23 @@ from pipeline.errors import FootageError
 from pipeline.output.mesh_files import read_mesh, write_mesh
 
 
+def write(mesh, path):
+    """Write a mesh; as .gltf, which other programs write, from the parts of a .glb."""
+    if path.suffix != ".gltf":
+        return write_mesh(mesh, path)
+    write_mesh(mesh, path.with_suffix(".glb"))
+    data = path.with_suffix(".glb").read_bytes()
+    (length,) = struct.unpack_from("<I", data, 12)
+    scene = json.loads(data[20 : 20 + length])
+    scene["buffers"][0]["uri"] = (
+        f"data:application/octet-stream;base64,{base64.b64encode(data[28 + length :]).decode()}"
+    )
+    path.write_text(json.dumps(scene))
+
+
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".glb", ".gltf"])
 def test_what_is_written_comes_back(tmp_path, mesh, suffix):
-    write_mesh(mesh, tmp_path / f"mesh{suffix}")
+    write(mesh, tmp_path / f"mesh{suffix}")
     read = read_mesh(tmp_path / f"mesh{suffix}")
     np.testing.assert_allclose(read.vertices[read.faces], mesh.vertices[mesh.faces], rtol=1e-5, atol=1e-4)
     if suffix == ".stl":
@@ -33,7 +49,7 @@ def test_other_programs_meshes_are_read(tmp_path):
 @pytest.mark.parametrize("suffix", [".obj", ".stl", ".glb", ".gltf"])
 def test_damaged_files_are_one_line(tmp_path, mesh, suffix):
     path = tmp_path / f"mesh{suffix}"
-    write_mesh(mesh, path)
+    write(mesh, path)
     whole = path.read_bytes()
     rng = np.random.default_rng(5)
     for content in (b"", b"\0" * 100, whole[: len(whole) // 2], rng.bytes(500)):
@@ -49,7 +65,7 @@ def test_damaged_files_are_one_line(tmp_path, mesh, suffix):
 def test_only_files_beside_a_mesh_are_opened(tmp_path, mesh):
     (tmp_path / "inside").mkdir()
     (tmp_path / "secret.bin").write_bytes(b"\1" * 4000)
-    write_mesh(mesh, tmp_path / "inside" / "mesh.gltf")
+    write(mesh, tmp_path / "inside" / "mesh.gltf")
     scene = json.loads((tmp_path / "inside" / "mesh.gltf").read_text())
     for place in ("../secret.bin", "http://127.0.0.1:9/secret.bin", str(tmp_path / "secret.bin")):
         scene["buffers"][0]["uri"] = place
