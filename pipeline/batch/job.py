@@ -18,8 +18,7 @@ from pipeline.footage.frame_times import frame_times
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
-from pipeline.output.store import ResultStore, camera_attribute, result_attributes
-from pipeline.output.store_size import frame_bytes
+from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes
 from pipeline.settings import DecodeSettings
 from tikernels.arrays import LevelsImage
 from tikernels.raw.development import develop

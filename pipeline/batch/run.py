@@ -14,8 +14,7 @@ from pipeline.errors import DamageError, FootageError, OutputError, SettingsErro
 from pipeline.files import explain, make_folder
 from pipeline.footage.source import BadFrame, Source
 from pipeline.locking import locked
-from pipeline.output.store import ResultStore, is_there
-from pipeline.output.store_size import SizeForecast, mean_frame_bytes, most_frame_bytes
+from pipeline.output.store import ResultStore, SizeForecast, is_there, mean_frame_bytes, most_frame_bytes
 from tikernels import runtime
 
 

@@ -11,7 +11,7 @@ from pipeline.errors import OutputError, SettingsError
 from pipeline.output.folder import store_in
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.pictures.color_meaning import Colors
-from pipeline.output.pictures.picture_job import MOST_SIDE_PX, Buffer, PictureOptions
+from pipeline.output.pictures.drawing_process import MOST_SIDE_PX, Buffer, PictureOptions
 from pipeline.output.pictures.viewpoint import CameraPath, View, Viewpoint
 from pipeline.output.stored_result import StoredResult
 

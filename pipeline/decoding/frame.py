@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from pipeline.calibration import Geometry
 from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers, clear_buffers
-from pipeline.decoding.field_plot import plot_image
 from pipeline.decoding.fields import (
     MODULATION_DIGITS,
     PHASE_DIGITS,
@@ -26,7 +25,7 @@ from pipeline.decoding.frame_reader import size_text
 from pipeline.decoding.labels import make_dataset
 from pipeline.decoding.surface_search import FoundSurfaces, OnlyColor
 from pipeline.errors import SettingsError
-from pipeline.showing import to_html, to_pyvista
+from pipeline.showing import plot_image, to_html, to_pyvista
 from tikernels import runtime
 from tikernels.arrays import F32, Array
 from tikernels.depth.point_uncertainty import point_sigma

@@ -1,9 +1,12 @@
-"""What of a range image is wanted: a box, and what stands before the background.
+"""What of a range image is wanted: a box, or the object, which stands before the background.
 
 The background is the largest plane: the one that most points lie on, by their standard deviations and one per mille of
 their distance, of planes through three points drawn by chance [1]; then a plane fitted to those by least squares, with
 their residuals' own scatter as the tolerance. What it meets only in passing, as an object that stands on it or reaches
 through it, stays: a pixel belongs to the plane where a square of pixels around it does.
+
+In a range image without points the plane is found in 1 / depth, which a camera without a lens's distortion sees as a
+linear function of x and y wherever there is a plane.
 
 References
 ----------
@@ -16,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import SettingsError
+from pipeline.output.mesh import Mesh
 from pipeline.robust import robust_sigma
 
 Floats = npt.NDArray[np.float32]
@@ -36,6 +40,13 @@ _LEAST_SHARE = 0.1
 _MOST_SCATTER = 0.5
 # Side of the square that must lie on the plane, px: more than the band, some px wide, in which an object passes it.
 _SQUARE_PX = 9
+
+# Least part of all that an object before the wall holds; less is noise, or what sticks to the wall.
+_LEAST_PART = 0.01
+# Standard deviation that is assumed of a depth that tells none, as a part of it.
+_ASSUMED = 2e-4
+# What 1 / depth is scaled to, so that its slopes are small: as the tolerance there is a part of it, any number will do.
+_INVERSE = 1000.0
 
 
 def inside_box(points: Floats, corners_mm: tuple[float, float, float, float, float, float]) -> Pixels:
@@ -134,3 +145,51 @@ def _fitted(points: npt.NDArray[np.float64], doubt: npt.NDArray[np.float64]) -> 
     centred = points - middle
     _, axes = np.linalg.eigh((centred * weight[:, None]).T @ centred)
     return axes[:, 0], float(axes[:, 0] @ middle)
+
+
+def object_pixels(depth: Floats, mask: Pixels) -> Pixels:
+    """Tell which pixels of a depth image are of the object; all of them where there is no wall, or nothing before it.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        mm.
+    mask : (H, W) bool
+        Pixels that hold a depth above 0.
+
+    Returns
+    -------
+    (H, W) bool
+    """
+    if not mask.any() or (depth[mask] <= 0).any():
+        return mask
+    y, x = np.indices(depth.shape, np.float32)
+    middle = np.float32(np.median(depth[mask]))
+    inverse = np.where(mask, _INVERSE * middle / np.where(mask, depth, 1), np.nan).astype(np.float32)
+    sigma = np.where(mask, _ASSUMED * inverse, np.nan).astype(np.float32)
+    wall = on_largest_plane(np.stack([x, y, inverse], axis=-1), sigma, mask)
+    return _before(wall, mask, depth)
+
+
+def object_vertices(mesh: Mesh) -> Pixels:
+    """Tell which vertices of a mesh are of the object, (N,) bool; all of them in rad, which has no planes."""
+    return _before(wall_vertices(mesh), np.ones(len(mesh.vertices), np.bool_), mesh.vertices[:, 2])
+
+
+def wall_vertices(mesh: Mesh) -> Pixels:
+    """Tell which vertices of a mesh lie on its largest plane, (N,) bool; none where there is none."""
+    if mesh.unit == "rad" or not len(mesh.vertices) or (mesh.vertices[:, 2] <= 0).any():
+        return np.zeros(len(mesh.vertices), np.bool_)
+    assumed = (_ASSUMED * mesh.vertices[:, 2]).astype(np.float32)
+    sigma = mesh.properties.get("sigma_mm", assumed)
+    sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, assumed)
+    # One long row: vertices follow each other as pixels do, so that what meets the plane in passing is told here, too.
+    return np.asarray(on_largest_plane(mesh.vertices[None], sigma[None], np.ones((1, len(sigma)), np.bool_))[0])
+
+
+def _before(wall: Pixels, mask: Pixels, depth: Floats) -> Pixels:
+    """Return what is not the wall; all where there is none, or what is not of the plane lies behind it."""
+    rest = mask & ~wall
+    if not wall.any() or rest.sum() < _LEAST_PART * mask.sum():
+        return mask
+    return rest if np.median(depth[rest]) < np.median(depth[wall]) else mask

@@ -20,8 +20,8 @@ from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.files import explain, sync
 from pipeline.locking import LOCK, locked
+from pipeline.output.mesh import provenance_of
 from pipeline.output.mesh_files import write_mesh
-from pipeline.output.provenance import provenance_of
 from pipeline.output.range_image import shade_range, write_png, write_range_image
 from pipeline.output.store import chosen_fields, holds_footage, is_there, write_store
 from pipeline.output.surface_mesh import MeshOptions, counted_mesh

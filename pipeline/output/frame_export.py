@@ -24,9 +24,7 @@ from pipeline.locking import locked
 from pipeline.output.folder import file_digest
 from pipeline.output.formats.ros_bag import write_bag
 from pipeline.output.formats.table import FORMATS, Kind, encode_as
-from pipeline.output.mesh import Mesh
-from pipeline.output.provenance import provenance_of
-from pipeline.output.range_grid import RangeGrid
+from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
 from pipeline.output.stored_result import StoredResult, mesh_fields
 from pipeline.output.surface_mesh import MeshOptions
 

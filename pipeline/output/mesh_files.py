@@ -4,13 +4,11 @@ from pathlib import Path
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
-from pipeline.output.formats.axes import in_camera_frame
-from pipeline.output.formats.depth_picture import decode_depth
-from pipeline.output.formats.mesh_reading import READ_SUFFIXES, read_foreign
-from pipeline.output.formats.pcd import decode_pcd
+from pipeline.output.formats.camera_grids import decode_depth, decode_pcd
+from pipeline.output.formats.obj_stl_gltf import READ_SUFFIXES, read_foreign
 from pipeline.output.formats.ply import decode_ply
 from pipeline.output.formats.ros_bag import read_bag
-from pipeline.output.formats.table import MESH_FORMATS, encode_as
+from pipeline.output.formats.table import MESH_FORMATS, encode_as, in_camera_frame
 from pipeline.output.formats.vrml import decode_vrml
 from pipeline.output.mesh import Mesh
 from pipeline.output.surface_mesh import grid_mesh

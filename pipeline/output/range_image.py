@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.files import write_atomically
+from pipeline.output.background import object_pixels
 from pipeline.output.mesh import Unit
-from pipeline.output.pictures.color_scale import ColorScale, color_bar_width, draw_color_bar
-from pipeline.output.pictures.lighting import CLAY
-from pipeline.output.pictures.object_choice import object_pixels
+from pipeline.output.pictures.picture_overlay import ColorScale, color_bar_width, draw_color_bar
+from pipeline.output.pictures.viewpoint import CLAY
 
 # Grey level of pixels that hold no value.
 _HIDDEN = 48

@@ -8,8 +8,7 @@ from pipeline.errors import OutputError, RenderError
 from pipeline.files import write_atomically
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import write_mesh
-from pipeline.output.pictures.drawing_process import draw_apart
-from pipeline.output.pictures.picture_job import Buffer, PictureJob, PictureOptions
+from pipeline.output.pictures.drawing_process import Buffer, PictureJob, PictureOptions, draw_apart
 
 #: Files of buffers in the folder of the process that draws.
 _MADE: dict[Buffer, str] = {"depth": "depth.tiff", "normals": "normals.png"}

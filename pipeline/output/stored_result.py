@@ -14,12 +14,19 @@ from pipeline.calibration.model import Lens
 from pipeline.decoding.frame import FIELDS
 from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import DamageError, DecodeWarning, FootageError
-from pipeline.output.mesh import Mesh
-from pipeline.output.provenance import provenance_of
-from pipeline.output.range_grid import RangeGrid
-from pipeline.output.store_files import StoreFiles
-from pipeline.output.store_marks import FrameMark, frame_fault, identity_digest, marked_frames, read_chunk, read_mark
-from pipeline.output.store_metadata import DONE, read_metadata, read_times
+from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
+from pipeline.output.store_files import (
+    DONE,
+    FrameMark,
+    StoreFiles,
+    frame_fault,
+    identity_digest,
+    marked_frames,
+    read_chunk,
+    read_mark,
+    read_metadata,
+    read_times,
+)
 from pipeline.output.surface_mesh import MeshCounts, MeshOptions, surface_mesh
 from pipeline.showing import to_html
 from pipeline.zarr_chunks import decode_chunk

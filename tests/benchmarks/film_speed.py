@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline import Decoder
 from pipeline.output.film import render_film
-from pipeline.output.pictures.picture_job import PictureOptions
+from pipeline.output.pictures.drawing_process import PictureOptions
 from pipeline.output.store import ResultStore, chosen_fields
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime

@@ -10,7 +10,7 @@ from support.missing import skip_but_fail_in_ci
 
 from pipeline.errors import RenderError
 from pipeline.output.mesh import Mesh
-from pipeline.output.pictures.picture_job import PictureOptions
+from pipeline.output.pictures.drawing_process import PictureOptions
 from pipeline.output.render import render_mesh
 
 SIZE = (240, 180)

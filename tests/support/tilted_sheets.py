@@ -3,8 +3,7 @@
 import numpy as np
 
 from pipeline.calibration.model import Lens
-from pipeline.output.mesh import Mesh
-from pipeline.output.range_grid import RangeGrid
+from pipeline.output.mesh import Mesh, RangeGrid
 from pipeline.output.surface_mesh import MeshOptions, surface_mesh
 
 HEIGHT, WIDTH = 24, 32

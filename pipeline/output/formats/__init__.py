@@ -1,1 +1,30 @@
-"""The files that other programs open, one encoder each; `table` says which there are."""
+"""The files that other programs open; `table` lists the formats. Here: the heading of a file, and numbers as text."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, BinaryIO, TypeAlias
+
+import numpy.typing as npt
+
+#: What a file holds, or what writes it there; see `pipeline.files.write_atomically`.
+Content: TypeAlias = bytes | memoryview | Callable[[BinaryIO], None]
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A file's name, and remarks about what is in it."""
+
+    stem: str
+    """The file's name without its suffix, which files beside it share."""
+    remarks: dict[str, str]
+    """Unit, axes, and how the content was made; one line each."""
+
+    def comments(self, mark: str) -> str:
+        """Return the remarks as lines that begin with a mark."""
+        return "".join(f"{mark} {name} {value}\n" for name, value in self.remarks.items())
+
+
+def text_rows(row: str, table: npt.NDArray[Any]) -> str:
+    """Return a table as text, by the format of one row."""
+    # One format of the whole table is several times faster than numpy.savetxt.
+    return row * len(table) % tuple(table.ravel().tolist())

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.limits import check_mesh_size
-from pipeline.output.formats.file_text import Content, Heading
+from pipeline.output.formats import Content, Heading
 from pipeline.output.mesh import COLOR, FLAGS, NORMAL, POSITION, PROVENANCE, RESERVED, Mesh
 
 _TYPES = dict(

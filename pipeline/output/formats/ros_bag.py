@@ -16,7 +16,7 @@ import numpy.typing as npt
 from pipeline.calibration.model import Lens
 from pipeline.errors import OutputError
 from pipeline.limits import check_mesh_size
-from pipeline.output.range_grid import RangeGrid
+from pipeline.output.mesh import RangeGrid
 
 #: Of the messages' headers.
 FRAME_ID = "camera_optical_frame"

@@ -1,27 +1,87 @@
 """Every format that results are written in: the one table that `write_mesh`, `colorphase export` and the docs take.
 
-Which way is up, and which unit is used, is what the users of each format expect: viewers take y for up, printers z;
-glTF and VRML are in metres by their standards, robots' programs by custom (REP 103), and all others keep mm.
+In memory everything is in the camera frame of OpenCV, in mm: x right, y down, z away from the camera. A program that
+takes y for up shows that upside down, and one that takes the number 1 for a metre shows a face as tall as a tower. So
+files have the axes and the unit that the users of each format expect: viewers take y for up, printers z; glTF and VRML
+are in metres by their standards, robots' programs by custom (REP 103), and all others keep mm.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
-from typing import Literal
+from typing import Any, Literal
 
-from pipeline.output.formats.axes import OPTICAL, Y_UP, Z_UP, Axes, placed
-from pipeline.output.formats.depth_picture import CAMERA, STEP, depth_step_mm, encode_depth_png, encode_depth_tiff
-from pipeline.output.formats.file_text import Content, Heading
-from pipeline.output.formats.gltf import encode_glb
-from pipeline.output.formats.obj import encode_obj
-from pipeline.output.formats.pcd import encode_pcd
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.output.formats import Content, Heading
+from pipeline.output.formats.camera_grids import (
+    CAMERA,
+    STEP,
+    depth_step_mm,
+    encode_depth_png,
+    encode_depth_tiff,
+    encode_pcd,
+)
+from pipeline.output.formats.obj_stl_gltf import encode_glb, encode_obj, encode_stl
 from pipeline.output.formats.ply import encode_ply
-from pipeline.output.formats.stl import encode_stl
 from pipeline.output.formats.vrml import encode_vrml
-from pipeline.output.mesh import NOT_METRIC, Mesh
-from pipeline.output.range_grid import RangeGrid
+from pipeline.output.mesh import NOT_METRIC, Mesh, RangeGrid
 
 Kind = Literal["ply", "obj", "stl", "glb", "wrl", "pcd", "png", "tiff", "mcap"]
+
+
+@dataclass(frozen=True)
+class Axes:
+    """A rotation of the camera frame by right angles."""
+
+    told: str
+    """Where x, y and z point."""
+    sources: tuple[int, int, int]
+    """Of the file's x, y and z: which of the camera frame's each is."""
+    signs: tuple[int, int, int]
+    """And whether it points the same way (1) or back (-1)."""
+
+    def from_camera(self, vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Turn places or directions, (N, 3), of the camera frame; each keeps its dtype."""
+        turned = np.empty_like(vectors)
+        for k, (source, sign) in enumerate(zip(self.sources, self.signs, strict=True)):
+            np.multiply(vectors[:, source], vectors.dtype.type(sign), out=turned[:, k])
+        return turned
+
+    def to_camera(self, vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Turn places or directions, (N, 3), into the camera frame; the inverse of `from_camera`."""
+        turned = np.empty_like(vectors)
+        turned[:, self.sources] = vectors * np.array(self.signs, vectors.dtype)
+        return turned
+
+
+#: As robots have it: the optical frame of REP 103.
+OPTICAL = Axes("x right, y down, z away from the camera", (0, 1, 2), (1, 1, 1))
+
+
+#: As viewers and glTF have it.
+Y_UP = Axes("x right, y up, z towards the camera", (0, 1, 2), (1, -1, -1))
+
+
+#: As a printer's bed has it.
+Z_UP = Axes("x right, y away from the camera, z up", (0, 2, 1), (1, 1, -1))
+
+
+def placed(mesh: Mesh, axes: Axes, scale: float) -> Mesh:
+    """Return a mesh as a file has it: turned, and its vertices multiplied."""
+    vertices = axes.from_camera(mesh.vertices)
+    if scale != 1:
+        vertices *= np.float32(scale)
+    return replace(mesh, vertices=vertices, normals=None if mesh.normals is None else axes.from_camera(mesh.normals))
+
+
+def in_camera_frame(mesh: Mesh, axes: Axes, scale: float) -> Mesh:
+    """Return a mesh that a file has in the camera frame again; the inverse of `placed`."""
+    vertices = axes.to_camera(mesh.vertices)
+    if scale != 1:
+        vertices /= np.float32(scale)
+    return replace(mesh, vertices=vertices, normals=None if mesh.normals is None else axes.to_camera(mesh.normals))
 
 
 @dataclass(frozen=True)
@@ -47,7 +107,11 @@ class FileFormat:
 
 
 _SHAPE = "triangles"
+
+
 _GRID = "the camera's grid of points, NaN kept"
+
+
 FORMATS: dict[Kind, FileFormat] = {
     "ply": FileFormat(
         "Stanford PLY, binary",
@@ -73,6 +137,8 @@ FORMATS: dict[Kind, FileFormat] = {
     ),
     "mcap": FileFormat("ROS 2 bag in MCAP", f"{_GRID}, depth, texture, camera", "m", OPTICAL),
 }
+
+
 #: The kinds that are meshes, by suffix.
 MESH_FORMATS = {f".{kind}": form for kind, form in FORMATS.items() if form.encode_mesh is not None}
 

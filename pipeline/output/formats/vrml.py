@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.limits import check_mesh_size
-from pipeline.output.formats.file_text import Content, Heading, text_rows
+from pipeline.output.formats import Content, Heading, text_rows
 from pipeline.output.mesh import PROVENANCE, Mesh
 
 _COMMENT = re.compile(rb"#[^\n]*")

@@ -1,1 +1,1 @@
-"""Pictures of surfaces without a screen: the eye, light, colours and their meaning, lettering, the child that draws."""
+"""Pictures of surfaces without a screen: the eye, light, colours and their meaning, the child that draws."""

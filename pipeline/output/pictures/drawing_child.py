@@ -15,15 +15,13 @@ import numpy as np
 
 from pipeline.errors import RenderError
 from pipeline.files import sync
+from pipeline.output.film import FilmEncoder
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh
-from pipeline.output.pictures.drawing_process import DONE
-from pipeline.output.pictures.film_encoding import FilmEncoder
-from pipeline.output.pictures.mesh_distance import distance_from
-from pipeline.output.pictures.picture_job import FilmPart, PictureJob
+from pipeline.output.pictures.color_meaning import distance_from
+from pipeline.output.pictures.drawing_process import DONE, FilmPart, PictureJob
 from pipeline.output.pictures.picture_source import MeshSource, StoreSource
-from pipeline.output.pictures.scene import Scene
-from pipeline.output.pictures.surface_renderer import SurfaceRenderer
+from pipeline.output.pictures.scene import Scene, SurfaceRenderer
 from pipeline.output.range_image import write_png
 from tikernels import runtime
 

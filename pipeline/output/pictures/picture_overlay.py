@@ -1,12 +1,27 @@
-"""What is written into a picture: colour bar, scale bar, the frame's number."""
+"""What is written into a picture: letters, the bar of what its colours stand for, the scale bar, the frame's number."""
 
 from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.output.pictures.color_scale import ColorScale, color_bar_width, draw_color_bar, round_step
-from pipeline.output.pictures.lettering import INK, darken, text_size, write_text
+#: RGB of letters and lines.
+INK = (236, 238, 241)
+# Where it may be drawn over anything, letters stand on a panel: its RGB, and how much of it covers what is below.
+_PANEL, _COVER = np.array([24, 27, 32], np.float32), 0.55
+
+# From below zero to above it, blue through grey to red (Moreland's cool and warm), as RGB.
+_DIVERGING = np.array([[59, 76, 192], [141, 176, 254], [221, 221, 221], [244, 154, 123], [180, 4, 38]], np.float32)
+# Ticks of a bar, at most.
+_TICKS = 6
+# Of what is shown on each side that may lie outside the limits, percent.
+_OUTSIDE = 1.0
+# By which part of their range values may lie outside the limits before they are far outside, and the grey of those.
+_BEYOND, _GREY = 0.1, 120
 
 # Parts of the picture's height.
 _EDGE, _LETTERS, _BAR = 0.03, 0.026, 0.62
@@ -14,6 +29,216 @@ _EDGE, _LETTERS, _BAR = 0.03, 0.026, 0.62
 _LONGEST = 0.22
 # Smaller ones have no room for letters.
 _LEAST_HEIGHT = 200
+
+
+def text_size(text: str, size_px: float) -> tuple[int, int]:
+    """Return width and height of a text, px, whose letters are `size_px` high from line to line."""
+    return _drawn(text, round(size_px * 64)).shape[::-1]
+
+
+def write_text(image: npt.NDArray[np.uint8], text: str, place: tuple[float, float], size_px: float) -> None:
+    """Write a text into an image, in place; what lies outside the image is left out.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        RGB.
+    text : str
+        One line.
+    place : (float, float)
+        x of its left edge and y of its middle, px.
+    size_px : float
+        Size of the letters, px.
+    """
+    cover = _drawn(text, round(size_px * 64))
+    left, top = round(place[0]), round(place[1] - cover.shape[0] / 2)
+    rows = slice(max(top, 0), min(top + cover.shape[0], image.shape[0]))
+    columns = slice(max(left, 0), min(left + cover.shape[1], image.shape[1]))
+    if rows.start >= rows.stop or columns.start >= columns.stop:
+        return
+    part = cover[rows.start - top : rows.stop - top, columns.start - left : columns.stop - left, None] / 255
+    image[rows, columns] = (image[rows, columns] * (1 - part) + part * INK).round().astype(np.uint8)
+
+
+def darken(image: npt.NDArray[np.uint8], left: float, top: float, right: float, bottom: float) -> None:
+    """Lay a dark, half clear panel over a part of an image, in place, on which letters can be read."""
+    part = np.s_[max(round(top), 0) : max(round(bottom), 0), max(round(left), 0) : max(round(right), 0)]
+    image[part] = ((1 - _COVER) * image[part] + _COVER * _PANEL).astype(np.uint8)
+
+
+@cache
+def _font() -> Any:
+    import matplotlib  # slow to import
+    from matplotlib.ft2font import FT2Font
+
+    return FT2Font(str(Path(matplotlib.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")))
+
+
+# Films write the same words again and again.
+@cache
+def _glyph(letter: str, size_64: int) -> tuple[npt.NDArray[np.uint8], int, int, int]:
+    """Return a letter's cover, by how many px it is moved right and up from the pen, and how far the pen goes on."""
+    font = _font()
+    font.set_size(size_64 / 64, 72)
+    font.clear()
+    glyph = font.load_char(ord(letter))
+    font.set_text(letter, 0.0)
+    font.draw_glyphs_to_bitmap(antialiased=True)
+    cover = np.array(font.get_image(), np.uint8)
+    left, _, _, top = (round(value / 64) for value in glyph.bbox)
+    return cover, left, top, round(glyph.linearHoriAdvance / 65536)
+
+
+@cache
+def _drawn(text: str, size_64: int) -> npt.NDArray[np.uint8]:
+    """Return how much of each pixel a line of text covers, (H, W), its baseline at the same row for all texts."""
+    size = size_64 / 64
+    glyphs = [_glyph(letter, size_64) for letter in text]
+    height, baseline = round(1.2 * size), round(0.95 * size)
+    cover = np.zeros((height, max(1, sum(glyph[3] for glyph in glyphs) + 2)), np.uint8)
+    pen = 0
+    for image, left, up, onward in glyphs:
+        top, x = baseline - up, max(pen + left, 0)
+        rows = slice(max(top, 0), min(top + image.shape[0], height))
+        columns = slice(x, min(x + image.shape[1], cover.shape[1]))
+        if image.size and rows.start < rows.stop and columns.start < columns.stop:
+            part = image[rows.start - top : rows.stop - top, : columns.stop - x]
+            cover[rows, columns] = np.maximum(cover[rows, columns], part)
+        pen += onward
+    return cover
+
+
+@dataclass(frozen=True)
+class ColorScale:
+    """How values become colours.
+
+    Parameters
+    ----------
+    low, high : float
+        What is blue, and what is red.
+    name : str
+        What the values are; printed over the bar.
+    unit : str
+        In what.
+    diverging : bool
+        Whether zero lies in the middle, in grey.
+    grey_beyond : bool
+        Whether what lies far outside the limits, as a wall behind the object does, has no colour but grey.
+    """
+
+    low: float
+    high: float
+    name: str
+    unit: str
+    diverging: bool = False
+    grey_beyond: bool = False
+
+    @classmethod
+    def over(
+        cls,
+        values: npt.NDArray[np.floating],
+        name: str,
+        unit: str,
+        *,
+        diverging: bool = False,
+        from_zero: bool = False,
+        grey_beyond: bool = False,
+    ) -> "ColorScale":
+        """Return the scale from the 1st to the 99th percentile; about zero, or from it."""
+        values = values[np.isfinite(values)]
+        low, high = np.percentile(values, (_OUTSIDE, 100 - _OUTSIDE)).tolist() if len(values) else (0.0, 1.0)
+        if diverging:
+            high = max(abs(low), abs(high), 1e-6)
+            low = -high
+        elif from_zero:
+            low = 0.0
+        return cls(low, max(high, low + 1e-6 * max(abs(low), 1.0)), name, unit, diverging, grey_beyond)
+
+    def colors(self, values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
+        """Return the RGB of each value, (..., 3); those outside the limits have the limit's."""
+        fractions = ((values - self.low) / (self.high - self.low)).clip(0, 1)
+        if self.diverging:
+            table, numbers = _diverging_map(), 255 * fractions
+        else:  # the map's ends are too dark to tell apart
+            table, numbers = _TURBO, 20 + 215 * fractions
+        colors = np.take(table, numbers.round().astype(np.uint8), axis=0)
+        if self.grey_beyond:
+            reach = _BEYOND * (self.high - self.low)
+            colors[(values < self.low - reach) | (values > self.high + reach)] = _GREY
+        return colors
+
+    def ticks(self) -> list[tuple[float, str]]:
+        """Return round values between the limits, and how they are written."""
+        step = round_step((self.high - self.low) / _TICKS)
+        decimals = max(0, -int(np.floor(np.log10(step))))
+        values = np.arange(np.ceil(self.low / step), np.floor(self.high / step) + 1) * step
+        sign = "+" if self.diverging else ""
+        return [(float(v), f"{v + 0.0:{sign if abs(v) > step / 2 else ''}.{decimals}f}") for v in values]
+
+
+def round_step(step: float) -> float:
+    """Return the least of 1, 2 and 5 times a power of ten that is at least `step`.
+
+    >>> round_step(0.03), round_step(7)
+    (0.05, 10.0)
+    """
+    power: float = 10.0 ** np.floor(np.log10(step))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step * (1 - 1e-9))
+
+
+def draw_color_bar(image: npt.NDArray[np.uint8], scale: ColorScale, place: tuple[float, float], height: float) -> None:
+    """Draw a colour bar with its ticks into an image, in place.
+
+    Parameters
+    ----------
+    image : (H, W, 3) uint8
+        RGB.
+    scale : ColorScale
+        What it tells.
+    place : (float, float)
+        x and y of its upper left corner, px, its title included.
+    height : float
+        px, its title included.
+    """
+    size = letter_size(height)
+    left, top, bottom = round(place[0]), round(place[1] + 2.2 * size), round(place[1] + height - size / 2)
+    width, line = round(1.1 * size), max(1, round(size / 12))
+    write_text(image, _title(scale), (left, place[1] + 0.7 * size), size)
+    levels = np.linspace(scale.high, scale.low, max(bottom - top, 2))
+    colors = scale.colors(levels)[:, None]
+    bar = image[top:bottom, left : left + width]
+    bar[:] = colors[: bar.shape[0]]
+    for value, text in scale.ticks():
+        y = bottom - 1 - (value - scale.low) / (scale.high - scale.low) * (bottom - 1 - top)
+        row = round(y - (line - 1) / 2)
+        image[max(row, top) : row + line, left + width : left + width + round(0.35 * size)] = INK
+        write_text(image, text, (left + width + 0.6 * size, y), size)
+
+
+def color_bar_width(scale: ColorScale, height: float) -> int:
+    """Return how many px of width a bar of some height takes, its letters included."""
+    size = letter_size(height)
+    numbers = max(text_size(text, size)[0] for _, text in [*scale.ticks(), (0.0, "0")])
+    return max(round(1.7 * size) + numbers, text_size(_title(scale), size)[0])
+
+
+def letter_size(height: float) -> float:
+    """Return the size of the letters of a bar of some height, px."""
+    return max(height / 26, 11.0)
+
+
+def _title(scale: ColorScale) -> str:
+    return f"{scale.name}, {scale.unit}" if scale.name and scale.unit else scale.name or scale.unit
+
+
+@cache
+def _diverging_map() -> npt.NDArray[np.uint8]:
+    at = np.linspace(0, len(_DIVERGING) - 1, 256)
+    channels = [np.interp(at, np.arange(len(_DIVERGING)), channel) for channel in _DIVERGING.T]
+    return np.stack(channels, axis=1).round().astype(np.uint8)
+
+
+_TURBO = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
 
 
 @dataclass(frozen=True)

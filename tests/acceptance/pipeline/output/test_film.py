@@ -14,7 +14,7 @@ from pipeline.errors import FootageError, OutputError, RenderError
 from pipeline.output import film
 from pipeline.output.film import render_film
 from pipeline.output.pictures import drawing_process
-from pipeline.output.pictures.picture_job import PictureOptions
+from pipeline.output.pictures.drawing_process import PictureOptions
 
 pytestmark = pytest.mark.usefixtures("cpu")
 

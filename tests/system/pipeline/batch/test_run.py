@@ -216,7 +216,7 @@ def test_arrays_of_another_making_do_not_pass(job, undisturbed):
 
 def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypatch):
     """How large it will be, by a frame or by those that are there; which processes do not help; what is being done."""
-    monkeypatch.setattr("pipeline.output.store_size._WORTH_SAYING", 1e3)
+    monkeypatch.setattr("pipeline.output.store._WORTH_SAYING", 1e3)
     steps, remarks = [], []
     decode_footage(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
     assert list(dict.fromkeys(step.partition(" to about ")[0] for step in steps)) == [
@@ -236,7 +236,7 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
 
 def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_decoded(job, undisturbed, monkeypatch):
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.output.store_size.free_bytes", lambda location: 1000)
+        patch.setattr("pipeline.output.store.free_bytes", lambda location: 1000)
         with pytest.raises(OutputError, match=r"will grow by about .* and 1.0 kB are free on its disk: choose fewer"):
             decode_footage(job)
         assert not Path(job.store).exists()

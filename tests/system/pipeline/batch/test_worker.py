@@ -13,8 +13,7 @@ from pipeline.batch.job import Job
 from pipeline.batch.worker import GoodFrame, Worker
 from pipeline.errors import OutputError
 from pipeline.footage.source import BadFrame, StoredAs
-from pipeline.output.store_files import StoreFiles
-from pipeline.output.store_marks import marked_frames
+from pipeline.output.store_files import StoreFiles, marked_frames
 
 N_FRAMES = 6
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from pipeline.decoding.field_plot import plot_image
+from pipeline.showing import plot_image
 
 
 def ramp():
@@ -59,7 +59,7 @@ def test_a_figure_of_its_own_shows_itself():
 def test_no_window_and_no_backend():
     program = (
         "import sys, numpy\n"
-        "from pipeline.decoding.field_plot import plot_image\n"
+        "from pipeline.showing import plot_image\n"
         "assert 'matplotlib' not in sys.modules\n"
         "plot_image(numpy.ones((4, 4)), 'x', None)\n"
         "assert 'matplotlib.pyplot' not in sys.modules\n"

@@ -14,7 +14,7 @@ from support.stored_planes import store
 from pipeline.errors import OutputError, RenderError
 from pipeline.output.mesh import Mesh
 from pipeline.output.pictures import drawing_process
-from pipeline.output.pictures.picture_job import PictureOptions
+from pipeline.output.pictures.drawing_process import PictureOptions
 from pipeline.output.pictures.viewpoint import FIELD_OF_VIEW_DEG, Viewpoint
 from pipeline.output.render import buffer_path, render_frame, render_mesh
 

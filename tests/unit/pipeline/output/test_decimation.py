@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.output.decimation import decimate_mesh
 from pipeline.output.mesh import FILLED, SMOOTHED, Mesh
+from pipeline.output.surface_mesh import decimate_mesh
 
 
 def bowl(side=60):

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.output.holes import fill_holes
-from pipeline.output.range_surface import RangeSurface
+from pipeline.output.range_surface import RangeSurface, fill_holes
 
 SHAPE = (60, 60)
 SIGMA_MM = 0.05

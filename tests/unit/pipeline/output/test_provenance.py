@@ -2,7 +2,7 @@
 
 import json
 
-from pipeline.output.provenance import provenance_of
+from pipeline.output.mesh import provenance_of
 
 ATTRIBUTES = {
     "colorphase_version": "1.2",

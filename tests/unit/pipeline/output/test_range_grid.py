@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.tilted_sheets import BLUE, HEIGHT, RED, WIDTH, tilted_grid
 
-from pipeline.output.range_grid import RangeGrid
+from pipeline.output.mesh import RangeGrid
 
 
 def test_records_are_in_metres_with_packed_colors():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.output.rims import rim_shifts
+from pipeline.output.range_surface import rim_shifts
 
 SHAPE = (60, 80)
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.linked_pixels import all_linked
 
-from pipeline.output.specks import find_surfaces, links_within
+from pipeline.output.range_surface import find_surfaces, links_within
 from tikernels.depth.step_cutting import DOWN, RIGHT
 
 

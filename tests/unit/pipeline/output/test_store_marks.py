@@ -6,8 +6,7 @@ import pytest
 from support.stored_planes import store
 
 from pipeline.errors import FootageError
-from pipeline.output.store_files import StoreFiles
-from pipeline.output.store_marks import OtherFrame, identity_digest, marked_frames, read_mark
+from pipeline.output.store_files import OtherFrame, StoreFiles, identity_digest, marked_frames, read_mark
 from pipeline.output.stored_result import StoredResult
 
 pytestmark = pytest.mark.usefixtures("cpu")

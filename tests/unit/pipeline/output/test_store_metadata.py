@@ -11,10 +11,9 @@ from support.stored_planes import HEIGHT, WIDTH, plane, store
 
 from pipeline.errors import DamageError, FootageError
 from pipeline.footage.frame_times import FrameTimes
-from pipeline.output import store_metadata
+from pipeline.output import store_files
 from pipeline.output.store import ResultStore, is_there
-from pipeline.output.store_files import StoreFiles
-from pipeline.output.store_metadata import read_metadata, read_times
+from pipeline.output.store_files import StoreFiles, read_metadata, read_times
 from pipeline.output.stored_result import StoredResult
 
 pytestmark = pytest.mark.usefixtures("cpu")
@@ -168,13 +167,13 @@ def test_a_coordinate_of_a_name_that_we_do_not_know(tmp_path):
 def test_a_store_that_has_no_coordinates_yet_stays_readable(tmp_path, monkeypatch):
     """As an earlier version made it; the run that goes on in it leaves it as it is."""
     with monkeypatch.context() as patch:
-        patch.setattr(store_metadata, "_coordinates", lambda *args: {})
+        patch.setattr(store_files, "_coordinates", lambda *args: {})
         path = store(tmp_path / "result.zarr", [400.0, 410.0], missing=(1,))
     about = json.loads((path / "zarr.json").read_text())
     assert about["attributes"].pop("coordinates") == ""
     old = read_metadata(StoreFiles(path))
     files = {f"{name}/zarr.json": (path / name / "zarr.json").read_bytes() for name in old[1]}
-    about["attributes"]["metadata_sha256"] = store_metadata._digest(about, files)
+    about["attributes"]["metadata_sha256"] = store_files._digest(about, files)
     (path / "zarr.json").write_text(json.dumps(about, indent=2))
     result = StoredResult(path)
     assert (result.done, result.time_s(0)) == ((0,), None)

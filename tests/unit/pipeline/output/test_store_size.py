@@ -9,7 +9,7 @@ from support.stored_planes import HEIGHT, WIDTH, _frame, store
 
 from pipeline.decoding.frame import FIELDS
 from pipeline.errors import OutputError
-from pipeline.output.store_size import SizeForecast, frame_bytes, free_bytes, mean_frame_bytes, most_frame_bytes
+from pipeline.output.store import SizeForecast, frame_bytes, free_bytes, mean_frame_bytes, most_frame_bytes
 
 pytestmark = pytest.mark.usefixtures("cpu")
 

@@ -5,7 +5,7 @@ import pytest
 import reference
 from support.linked_pixels import all_linked
 
-from pipeline.output.specks import links_within
+from pipeline.output.range_surface import links_within
 from tikernels.depth import surface_fit
 from tikernels.depth.step_cutting import DOWN
 from tikernels.depth.surface_fit import fit_surface

@@ -7,8 +7,7 @@ from support.drawn_surfaces import read_film, require_drawing
 from support.stored_planes import store
 
 from pipeline.errors import RenderError
-from pipeline.output.pictures.drawing_process import draw_apart
-from pipeline.output.pictures.picture_job import FilmPart, PictureJob, PictureOptions
+from pipeline.output.pictures.drawing_process import FilmPart, PictureJob, PictureOptions, draw_apart
 
 SMALL = PictureOptions(size_px=(64, 48))
 

@@ -6,8 +6,7 @@ import pytest
 
 from pipeline.errors import RenderError
 from pipeline.output.pictures import drawing_process
-from pipeline.output.pictures.drawing_process import draw_apart
-from pipeline.output.pictures.picture_job import PictureJob, PictureOptions
+from pipeline.output.pictures.drawing_process import PictureJob, PictureOptions, draw_apart
 
 JOB = PictureJob(options=PictureOptions(), mesh="mesh.ply", numbers=(0,))
 

@@ -6,7 +6,7 @@ import pytest
 from support.drawn_surfaces import read_film
 
 from pipeline.footage.opening import open_source
-from pipeline.output.pictures.film_encoding import FilmEncoder, join_parts
+from pipeline.output.film import FilmEncoder, join_parts
 from tikernels.raw.development import develop
 
 

@@ -11,7 +11,7 @@ from support.drawn_surfaces import require_drawing
 _PROGRAM = """
 import json, sys
 import numpy as np
-from pipeline.output.pictures.surface_renderer import SurfaceRenderer
+from pipeline.output.pictures.scene import SurfaceRenderer
 from pipeline.output.pictures.viewpoint import Viewpoint
 eye = Viewpoint(position=(0, 0, 0), focal_point=(0, 0, 100))
 square = np.array([[-5, -5, 100], [5, -5, 100], [5, 5, 100], [-5, 5, 100]], np.float32)

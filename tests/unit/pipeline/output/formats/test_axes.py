@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.output.formats.axes import OPTICAL, Y_UP, Z_UP, in_camera_frame, placed
+from pipeline.output.formats.table import OPTICAL, Y_UP, Z_UP, in_camera_frame, placed
 
 
 @pytest.mark.parametrize(

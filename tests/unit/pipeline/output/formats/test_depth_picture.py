@@ -11,8 +11,8 @@ from PIL import Image
 from support.tilted_sheets import tilted_grid
 
 from pipeline.errors import OutputError
-from pipeline.output.formats.depth_picture import decode_depth, depth_step_mm, encode_depth_png
-from pipeline.output.formats.file_text import Heading
+from pipeline.output.formats import Heading
+from pipeline.output.formats.camera_grids import decode_depth, depth_step_mm, encode_depth_png
 from pipeline.output.formats.table import FORMATS, encode_as
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.output.formats.file_text import Heading, text_rows
+from pipeline.output.formats import Heading, text_rows
 
 
 def test_remarks_are_lines_with_a_mark():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.tilted_sheets import HEIGHT, WIDTH, tilted_grid
 
-from pipeline.output.formats.file_text import Heading
-from pipeline.output.formats.pcd import decode_pcd, encode_pcd
+from pipeline.output.formats import Heading
+from pipeline.output.formats.camera_grids import decode_pcd, encode_pcd
 
 
 def test_the_grid_is_kept_row_by_row():

@@ -7,7 +7,7 @@ from support.drawn_surfaces import dome, walled
 from pipeline.errors import RenderError
 from pipeline.output.mesh import Mesh
 from pipeline.output.pictures.color_meaning import SurfaceColors
-from pipeline.output.pictures.lighting import CLAY
+from pipeline.output.pictures.viewpoint import CLAY
 
 
 def test_clay_and_texture_have_no_scale():

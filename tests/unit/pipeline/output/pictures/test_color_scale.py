@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.output.pictures.color_scale import ColorScale, color_bar_width, draw_color_bar, round_step
+from pipeline.output.pictures.picture_overlay import ColorScale, color_bar_width, draw_color_bar, round_step
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import RenderError
-from pipeline.output.pictures.fitted_shapes import plane_deviation, sphere_deviation
+from pipeline.output.pictures.color_meaning import plane_deviation, sphere_deviation
 
 RNG = np.random.default_rng(1)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.output.pictures.lettering import INK, darken, text_size, write_text
+from pipeline.output.pictures.picture_overlay import INK, darken, text_size, write_text
 
 
 @pytest.mark.parametrize("size", [11.0, 30.0])

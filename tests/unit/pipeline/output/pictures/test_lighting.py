@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from pipeline.output.pictures.lighting import CLAY, lit_colors
-from pipeline.output.pictures.viewpoint import Viewpoint
+from pipeline.output.pictures.viewpoint import CLAY, Viewpoint, lit_colors
 
 EYE = Viewpoint(position=(0, 0, 0), focal_point=(0, 0, 100))
 PLACES = np.array([[0, 0, 100]] * 3, np.float32)

@@ -6,7 +6,7 @@ from support.drawn_surfaces import dome
 
 from pipeline.errors import RenderError
 from pipeline.output.mesh import Mesh
-from pipeline.output.pictures.mesh_distance import distance_from
+from pipeline.output.pictures.color_meaning import distance_from
 
 
 def test_the_distance_from_a_ball_is_positive_outside():

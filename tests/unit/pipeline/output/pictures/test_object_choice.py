@@ -3,8 +3,8 @@
 import numpy as np
 from support.drawn_surfaces import dome, walled
 
+from pipeline.output.background import object_pixels, object_vertices, wall_vertices
 from pipeline.output.mesh import Mesh
-from pipeline.output.pictures.object_choice import object_pixels, object_vertices, wall_vertices
 
 
 def scene(tilt=0.2, object_mm=500.0):

@@ -3,7 +3,7 @@
 import pytest
 from pydantic import ValidationError
 
-from pipeline.output.pictures.picture_job import FilmPart, PictureJob, PictureOptions
+from pipeline.output.pictures.drawing_process import FilmPart, PictureJob, PictureOptions
 from pipeline.output.pictures.viewpoint import Viewpoint
 
 

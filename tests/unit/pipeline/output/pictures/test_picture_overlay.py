@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.output.pictures.color_scale import ColorScale
-from pipeline.output.pictures.lettering import INK
-from pipeline.output.pictures.picture_overlay import PictureOverlay, round_length
+from pipeline.output.pictures.picture_overlay import INK, ColorScale, PictureOverlay, round_length
 
 SCALE = ColorScale(700, 800, "depth", "mm")
 

@@ -6,7 +6,7 @@ from support.drawn_surfaces import dome
 
 from pipeline.errors import RenderError
 from pipeline.output.mesh import Mesh
-from pipeline.output.pictures.picture_job import PictureOptions
+from pipeline.output.pictures.drawing_process import PictureOptions
 from pipeline.output.pictures.scene import Scene
 from pipeline.output.pictures.viewpoint import FIELD_OF_VIEW_DEG, CameraPath, Keyframe, Viewpoint
 

@@ -1,0 +1,234 @@
+"""Meshes to OBJ with their texture as a PNG, to binary STL, and to glTF 2.0 with their texture inside; and back.
+
+They are read by trimesh. Only files beside the mesh are opened, by their plain names: nothing is fetched, and no path
+leads elsewhere.
+
+References
+----------
+Wavefront Technologies, Advanced Visualizer manual, appendix B1: Object files; MTL material format.
+Khronos Group, glTF 2.0 specification, 2021 (ISO/IEC 12113:2022).
+"""
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.errors import OutputError
+from pipeline.limits import MAX_PIXELS, check_mesh_size, max_pixels
+from pipeline.output.formats import Content, Heading, text_rows
+from pipeline.output.mesh import Mesh, face_normals, vertex_normals
+from pipeline.output.range_image import encode_png
+
+_SRGB = np.arange(256) / 255
+_SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)
+
+#: What this reads.
+READ_SUFFIXES = (".obj", ".stl", ".glb", ".gltf")
+# A vertex and its two triangles take some 150 bytes as text, and a texture some more.
+_BYTES_A_PIXEL = 1000
+
+
+def encode_obj(mesh: Mesh, heading: Heading) -> dict[str, Content]:
+    """Return a mesh as an OBJ file; with a texture also as the material and the picture that it names.
+
+    Without a texture colours follow each place, as MeshLab and others read them.
+    """
+    told = heading.comments("#")
+    vertices = text_rows("v %.7g %.7g %.7g\n", mesh.vertices)
+    if mesh.colors is not None and mesh.texture is None:
+        table = np.hstack([mesh.vertices, mesh.colors / np.float32(255)])
+        vertices = text_rows("v %.7g %.7g %.7g %.4f %.4f %.4f\n", table)
+    # A corner names its vertex, its place in the texture and its normal, which all have the same number here.
+    textured, bent = mesh.texture is not None, mesh.normals is not None
+    corner = "%d" + ("/%d" if textured else "/" if bent else "") + ("/%d" if bent else "")
+    repeated = np.repeat(mesh.faces + 1, 1 + textured + bent, axis=1)
+    faces = text_rows(f"f {corner} {corner} {corner}\n", repeated)
+    normals = "" if mesh.normals is None else text_rows("vn %.4f %.4f %.4f\n", mesh.normals)
+    if mesh.texture is None:
+        return {".obj": f"{told}{vertices}{normals}{faces}".encode()}
+    # In an OBJ file a texture's v goes up from the bottom of the picture.
+    places = text_rows("vt %.6f %.6f\n", mesh.texture_places() * (1, -1) + (0, 1))
+    head = f"{told}mtllib {heading.stem}.mtl\nusemtl surface\n"
+    material = f"{told}newmtl surface\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {heading.stem}.png\n"
+    return {
+        ".obj": f"{head}{vertices}{places}{normals}{faces}".encode(),
+        ".mtl": material.encode(),
+        ".png": encode_png(mesh.texture),
+    }
+
+
+def encode_stl(mesh: Mesh, heading: Heading) -> dict[str, Content]:
+    """Return a mesh as a binary STL file; of the remarks its head holds what 80 bytes do."""
+    normals = face_normals(mesh)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    triangles = np.zeros(len(mesh.faces), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+    triangles["normal"] = normals / np.where(lengths > 0, lengths, 1)
+    triangles["corners"] = mesh.vertices[mesh.faces]
+    # A head that begins with "solid" is taken for text.
+    head = "; ".join(["binary STL", *(f"{name} {value}" for name, value in heading.remarks.items())])
+    return {".stl": struct.pack("<80sI", head.encode()[:80], len(triangles)) + triangles.tobytes()}
+
+
+def _scene_and_buffer(mesh: Mesh, heading: Heading) -> tuple[dict[str, Any], bytes]:
+    """Return the description of a glTF scene and its one buffer."""
+    if len(mesh.faces) == 0:
+        raise OutputError("glTF cannot hold an empty mesh: write a .ply file instead")
+    columns: dict[str, npt.NDArray[Any]] = {"POSITION": mesh.vertices, "NORMAL": vertex_normals(mesh)}
+    if mesh.texture is not None:
+        columns["TEXCOORD_0"] = mesh.texture_places().astype(np.float32)
+    elif mesh.colors is not None:
+        # glTF's vertex colours are linear light; a fourth channel keeps each on a multiple of four bytes.
+        linear = (65535 * _SRGB_TO_LINEAR).round().astype(np.uint16)
+        columns["COLOR_0"] = np.pad(linear[mesh.colors], ((0, 0), (0, 1)), constant_values=65535)
+    if mesh.flags is not None:
+        # What glTF does not know begins with a line; as floats each keeps to a multiple of four bytes.
+        columns["_FLAGS"] = mesh.flags[:, None].astype(np.float32)
+    blocks = [*columns.values(), mesh.faces.reshape(-1, 1).astype(np.uint32)]
+    contents = [block.tobytes() for block in blocks]
+    if mesh.texture is not None:
+        contents.append(encode_png(mesh.texture))
+        contents[-1] += b"\0" * (-len(contents[-1]) % 4)
+    offsets = np.cumsum([0, *map(len, contents)]).tolist()
+    accessors: list[dict[str, Any]] = [
+        {
+            "bufferView": index,
+            "componentType": {"f4": 5126, "u2": 5123, "u4": 5125}[block.dtype.str[1:]],
+            "normalized": block.dtype == np.uint16,
+            "count": len(block),
+            "type": {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}[block.shape[1]],
+        }
+        for index, block in enumerate(blocks)
+    ]
+    accessors[0] |= {"min": mesh.vertices.min(axis=0).tolist(), "max": mesh.vertices.max(axis=0).tolist()}
+    attributes = {name: index for index, name in enumerate(columns)}
+    surface: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 0.8}
+    views: list[dict[str, Any]] = [
+        {"buffer": 0, "byteOffset": offset, "byteLength": len(content)}
+        for offset, content in zip(offsets, contents, strict=False)
+    ]
+    for index in range(len(blocks)):
+        views[index]["target"] = 34963 if index == len(columns) else 34962
+    pictures: dict[str, Any] = {}
+    if mesh.texture is not None:
+        surface["baseColorTexture"] = {"index": 0}
+        pictures = {
+            "images": [{"bufferView": len(blocks), "mimeType": "image/png"}],
+            "samplers": [{"magFilter": 9729, "minFilter": 9987, "wrapS": 33071, "wrapT": 33071}],
+            "textures": [{"source": 0, "sampler": 0}],
+        }
+    return {
+        "asset": {"version": "2.0", "generator": "colorphase", "extras": heading.remarks},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [{"attributes": attributes, "indices": len(columns), "material": 0}]}],
+        "materials": [{"doubleSided": True, "pbrMetallicRoughness": surface}],
+        "buffers": [{"byteLength": offsets[-1]}],
+        "bufferViews": views,
+        "accessors": accessors,
+        **pictures,
+    }, b"".join(contents)
+
+
+def encode_glb(mesh: Mesh, heading: Heading) -> dict[str, Content]:
+    """Return a mesh as a binary glTF file.
+
+    Raises
+    ------
+    OutputError
+        It has no faces.
+    """
+    scene, buffer = _scene_and_buffer(mesh, heading)
+    text = json.dumps(scene, separators=(",", ":")).encode()
+    text += b" " * (-len(text) % 4)
+    parts = [
+        struct.pack("<4sII", b"glTF", 2, 28 + len(text) + len(buffer)),
+        struct.pack("<I4s", len(text), b"JSON") + text,
+        struct.pack("<I4s", len(buffer), b"BIN\0") + buffer,
+    ]
+    return {".glb": b"".join(parts)}
+
+
+def read_foreign(path: Path) -> Mesh:
+    """Return the mesh that a file holds, with the coordinates that it has there and its colours by vertex.
+
+    Raises
+    ------
+    OSError
+        It cannot be read.
+    ValueError
+        It holds no triangles, more than `max_pixels` allows, or is damaged.
+    """
+    import trimesh  # slow to import, and seldom needed
+
+    most = _BYTES_A_PIXEL * max_pixels()
+    if path.stat().st_size > most:
+        raise ValueError(f"it has more than {most} bytes: set {MAX_PIXELS} to a larger number if it is whole")
+    try:
+        with path.open("rb") as file:
+            scene = trimesh.load_scene(
+                file, file_type=path.suffix[1:].lower(), resolver=_Beside(path.parent), process=False
+            )
+        places = list(scene.graph.nodes_geometry)
+        if len(places) == 1:  # joining parts, even a single one, loses colours that stand beside a material
+            transform, name = scene.graph[places[0]]
+            solid = scene.geometry[name]
+            vertices = trimesh.transform_points(solid.vertices, transform).astype(np.float32)
+        else:
+            solid = scene.to_mesh()
+            vertices = np.asarray(solid.vertices, np.float32)
+        faces = np.asarray(getattr(solid, "faces", np.empty((0, 3))), np.int32)
+        colors = _colors(solid) if len(faces) else None
+    except OSError:
+        raise
+    except Exception as error:  # its readers raise whatever damaged bytes lead to
+        raise ValueError(f"it is damaged, or no such file ({type(error).__name__})") from None
+    if not len(faces):
+        raise ValueError("it has no triangles")
+    check_mesh_size(len(vertices), len(faces), repeated=6)
+    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors)
+
+
+def _colors(solid: Any) -> npt.NDArray[np.uint8] | None:
+    """Return the sRGB colours of a mesh at its vertices, where it has some, from its texture if need be."""
+    visual = solid.visual
+    if visual.kind == "texture" and visual.uv is None:
+        # Beside a glTF material without a picture; the format's colours are linear light.
+        linear = visual.vertex_attributes.get("color")
+        if linear is None or len(linear) != len(solid.vertices):
+            return None
+        full = np.iinfo(linear.dtype).max if linear.dtype.kind == "u" else 1.0
+        light = np.clip(linear[:, :3].astype(np.float64) / full, 0, 1)
+        encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+        return np.asarray(np.rint(255 * encoded), np.uint8)
+    if not visual.defined:
+        return None
+    found = np.asarray((visual.to_color() if visual.kind == "texture" else visual).vertex_colors, np.uint8)
+    return found[:, :3].copy() if found.shape == (len(solid.vertices), 4) else None
+
+
+class _Beside(Mapping[str, bytes]):
+    """The files beside a mesh, by their plain names, which a mesh may name."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def __getitem__(self, name: str) -> bytes:
+        if Path(name).name != name:
+            raise KeyError(name)
+        try:
+            with (self._folder / name).open("rb") as file:
+                return file.read(_BYTES_A_PIXEL * max_pixels())
+        except OSError:
+            raise KeyError(name) from None
+
+    def __iter__(self) -> Iterator[str]:
+        return (entry.name for entry in self._folder.iterdir())
+
+    def __len__(self) -> int:
+        return sum(1 for _ in self)
