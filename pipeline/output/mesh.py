@@ -23,7 +23,7 @@ FLAGS = "flags"
 #: Bits of a vertex's flags; without any it lies where the pixel was measured.
 SMOOTHED, FILLED, RIM = 1, 2, 4
 RESERVED = (*POSITION, *NORMAL, *COLOR, FLAGS)
-#: What a mesh may say of how it was made (`pipeline.output.mesh`).
+#: What a mesh may say of how it was made; see `provenance_of`.
 PROVENANCE = ("software", "source", "frame", "time_s", "calibration_sha256", "settings")
 
 # Fields of records that are no property: places, colours, and what fills gaps between fields.

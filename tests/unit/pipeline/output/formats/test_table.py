@@ -1,10 +1,11 @@
-"""Turning meshes into a format's axes and back."""
+"""Axes, headings and numbers as text."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from pipeline.output.formats import Heading, text_rows
 from pipeline.output.formats.table import OPTICAL, Y_UP, Z_UP, in_camera_frame, placed
 
 
@@ -35,3 +36,12 @@ def test_a_mesh_comes_back(mesh, axes):
     np.testing.assert_allclose(back.vertices, mesh.vertices, rtol=1e-6)
     np.testing.assert_array_equal(back.normals, mesh.normals)
     assert placed(replace(mesh, normals=None), axes, 1.0).normals is None
+
+
+def test_remarks_are_lines_with_a_mark():
+    assert Heading("a", {"unit": "mm", "axes": "x right"}).comments("#") == "# unit mm\n# axes x right\n"
+
+
+def test_a_table_is_a_row_a_line():
+    assert text_rows("v %d %.1f\n", np.array([[1, 2.25], [3, 4]])) == "v 1 2.2\nv 3 4.0\n"
+    assert text_rows("v %d\n", np.empty((0, 1))) == ""
