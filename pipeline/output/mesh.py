@@ -167,11 +167,6 @@ def face_normals(mesh: Mesh) -> npt.NDArray[np.float32]:
     return np.cross(second - first, third - first)
 
 
-def metres_a_unit(mesh: Mesh) -> float:
-    """Return by what to multiply coordinates to get metres; a mesh in rad has none, and keeps its numbers."""
-    return 0.001 if mesh.unit == "mm" else 1.0
-
-
 @dataclass(frozen=True, eq=False)
 class RangeGrid:
     """A frame's places in mm, pixel by pixel."""

@@ -126,12 +126,8 @@ def write(mesh, path):
     if path.suffix != ".gltf":
         return write_mesh(mesh, path)
     write_mesh(mesh, path.with_suffix(".glb"))
-    data = path.with_suffix(".glb").read_bytes()
-    (length,) = struct.unpack_from("<I", data, 12)
-    scene = json.loads(data[20 : 20 + length])
-    scene["buffers"][0]["uri"] = (
-        f"data:application/octet-stream;base64,{base64.b64encode(data[28 + length :]).decode()}"
-    )
+    scene, buffer = load_gltf(path.with_suffix(".glb"))
+    scene["buffers"][0]["uri"] = f"data:application/octet-stream;base64,{base64.b64encode(buffer).decode()}"
     path.write_text(json.dumps(scene))
 
 
