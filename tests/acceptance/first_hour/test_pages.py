@@ -51,7 +51,7 @@ NOT_RUN = {
     "colorphase projector off --rig rig.toml": "the same",
     "sudo apt install gcc-avr avr-libc avrdude make": "needs a person's password",
     "cd hardware/firmware": "only for the next one",
-    "make flash PORT=/dev/ttyACM0": "needs the board; tests/acceptance/hardware/trigger runs the firmware in an emulator",
+    "make flash PORT=/dev/ttyACM0": "needs the board; tests run the firmware in an emulator",
     "dask scheduler --host 10.0.0.1": "needs other machines; tests/acceptance/pipeline/batch/test_cluster.py has some",
     "dask worker tcp://10.0.0.1:8786 --nthreads 1": "the same",
     "colorphase decode /data/film.mkv --out /data/film --cluster tcp://10.0.0.1:8786": "the same",
