@@ -1,0 +1,438 @@
+"""The mechanisms of the decoder that can be switched off one by one, by patching: the product has no option for it.
+
+Each entry names the code that only it needs, and a frame of the scorecard that changes without it, or why none does.
+Modules are named by the last part of their names.
+"""
+
+import ast
+import importlib
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from inspect import getattr_static, getsource
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tikernels._taichi import f32, i32, ti, u1
+
+Original = Any
+Replacement = Callable[[Original], Any]
+
+
+@dataclass(frozen=True)
+class Mechanism:
+    """One mechanism of the decoder."""
+
+    name: str
+    meaning: str
+    shows: str  # a frame that changes without it; "": none does
+    patches: dict[str, Replacement] = field(repr=False)  # by "module:name": from what is there to what takes its place
+    code: str  # modules, "module:name" and "module:Class.name" that only it needs
+    promise: str = ""  # what it is for where no figure shows it
+
+    def switch_off(self) -> None:
+        """Patch the product, before any kernel is compiled."""
+        importlib.import_module("pipeline.decoder")
+        for place, replacement in self.patches.items():
+            owner, name = located(place)
+            original = getattr_static(owner, name)
+            new = replacement(original)
+            setattr(owner, name, new)
+            if callable(original):  # and where it has been imported
+                for module in list(sys.modules.values()):
+                    if getattr(module, "__name__", "").startswith(("pipeline", "tikernels")):
+                        for key in [key for key, value in vars(module).items() if value is original]:
+                            setattr(module, key, new)
+
+    def lines(self) -> int:
+        """Return how many lines of code only it needs."""
+        return sum(lines_of(place) for place in self.code.split())
+
+
+@cache
+def modules() -> dict[str, str]:
+    """Return the full name of every module of the decoder by its last part."""
+    root = Path(__file__).resolve().parents[2]
+    rooms = ("pipeline", *(f"pipeline/{name}" for name in ("decoding", "orders")))
+    rooms += tuple(f"tikernels/{name}" for name in ("phase", "unwrapping", "order_evidence"))
+    files = [file for room in rooms for file in (root / room).glob("*.py")]
+    return {file.stem: ".".join(file.relative_to(root).with_suffix("").parts) for file in files}
+
+
+def located(place: str) -> tuple[Any, str]:
+    """Return the module or class that holds "module:name" or "module:Class.name", and the last name."""
+    module, _, name = place.partition(":")
+    *owners, last = name.split(".")
+    owner: Any = importlib.import_module(modules()[module])
+    for part in owners:
+        owner = getattr(owner, part)
+    if not hasattr(owner, last):
+        raise AttributeError(f"{place} is not there: change the table of mechanisms")
+    return owner, last
+
+
+def lines_of(place: str) -> int:
+    """Return how many lines a module, or what it defines under a name, has."""
+    module, _, name = place.partition(":")
+    source = getsource(importlib.import_module(modules()[module]))
+    if not name:
+        return len(source.splitlines())
+    body: list[ast.stmt] = ast.parse(source).body
+    for part in name.split("."):
+        found = next(node for node in body if getattr(node, "name", None) == part)
+        body = getattr(found, "body", [])
+    assert found.end_lineno is not None
+    return found.end_lineno - found.lineno + 1
+
+
+# --- what takes a mechanism's place --------------------------------------------------------------------------------
+
+
+def gives(value: Any) -> Replacement:
+    """Return what replaces a function by one that always returns a value, and a constant by the value itself."""
+    return lambda original: (lambda *_, **__: value) if callable(original) else value
+
+
+def nothing(original: Original) -> Any:
+    """Replace a function by one that does nothing."""
+    return lambda *_, **__: None
+
+
+def first_argument(original: Original) -> Any:
+    """Replace a function by one that returns its first argument."""
+    return lambda first, *_, **__: first
+
+
+def without_memory(original: Original) -> Any:
+    """Decode every frame as if it were the first."""
+    return lambda self, image, previous=None, out=None: original(self, image, None, out)
+
+
+def then(change: Callable[[Any], None]) -> Replacement:
+    """Return what lets a method run and changes its object afterwards."""
+
+    def replaced(original: Original) -> Any:
+        def method(self: Any, *arguments: Any, **named: Any) -> Any:
+            result = original(self, *arguments, **named)
+            change(self)
+            return result
+
+        return method
+
+    return replaced
+
+
+def setting(**values: Any) -> Callable[[Any], None]:
+    """Return what sets attributes of an object."""
+    return lambda found: vars(found).update(values)
+
+
+def with_arguments(**fixed: Any) -> Replacement:
+    """Return what calls a function with some arguments fixed."""
+    return lambda original: lambda *arguments, **named: original(*arguments, **(named | fixed))
+
+
+def no_light(original: Original) -> Any:
+    """Refuse to tell the light."""
+    from pipeline.errors import CalibrationError
+
+    def refuse(*_: Any, **__: Any) -> None:
+        raise CalibrationError("switched off")
+
+    return refuse
+
+
+def no_harmonics(original: Original) -> Any:
+    """Measure no harmonic of the phase's distribution."""
+    return lambda histogram, harmonics=None: original(histogram, 0)
+
+
+def no_blur(original: Original) -> Any:
+    """Take a known response as it is."""
+    return lambda self, measured, period_px: (0.0, original(self, measured, period_px)[1])
+
+
+def no_variance(original: Original) -> Any:
+    """Say that all harmonics are certain."""
+    return lambda tiles: np.zeros(tiles.shape[1] // 2 + 1)
+
+
+def first_pass_only(original: Original) -> Any:
+    """Find no gains again once the phase is known."""
+    return lambda sums, predicted, out: None if predicted else original(sums, predicted, out)
+
+
+def raw_phase(original: Original) -> Any:
+    """Leave the phase as it was fitted."""
+
+    def copied(phase: Any, brightness: Any, precision: Any, out: Any) -> None:
+        out[0][...] = phase
+
+    return copied
+
+
+def still(original: Original) -> Any:
+    """Leave a frame's colours where they are."""
+    return lambda self, frame, levels, work, memory: (frame.image, None)
+
+
+def uncut(original: Original) -> Any:
+    """Cut no region."""
+    return lambda steps, graph, *_: (graph.root.copy(), np.full(len(graph.root), -1))
+
+
+def unsettled(original: Original) -> Any:
+    """Move no patch across a border."""
+    from pipeline.orders.border_settling import SettledBorders
+
+    def settled(cycles: Any, graph: Any, width: int, strength: float, roots: Any, *_: Any) -> Any:
+        return SettledBorders(roots, np.zeros(len(roots), np.int64), np.zeros(len(roots), np.bool_))
+
+    return settled
+
+
+def orders_of_this_frame(original: Original) -> Any:
+    """Find orders without the frame before."""
+    return lambda self, seen, patches, rays, memory: original(self, seen, patches, rays, None)
+
+
+def no_luck(original: Original) -> Any:
+    """Count no piece's freedom to choose where it ends."""
+    return lambda likelihoods, luck: original(likelihoods, 0 * luck)
+
+
+def no_slopes(original: Original) -> Any:
+    """Take all patches for equally steep."""
+    return lambda phase, labels, cells, draft_bits, count: np.zeros((2, count))
+
+
+def no_model_variance(original: Original) -> Any:
+    """Take the model of the light to be right."""
+    return lambda precision, *_, **__: np.zeros(precision.shape, np.float32)
+
+
+def zeros_like_mask(original: Original) -> Any:
+    """Return zeros of the size of the first argument."""
+    return lambda first, *_, **__: np.zeros(np.shape(first), np.float32)
+
+
+def nobody(original: Original) -> Any:
+    """Find none of the pixels."""
+    return lambda misfit, *_: np.zeros(misfit.shape, bool)
+
+
+def flat_contrast(original: Original) -> Any:
+    """Take the fringe to be as sharp everywhere."""
+    return property(lambda self: np.ones(self.ratios.shape[:2], np.float32))
+
+
+def of_roots(original: Original) -> Any:
+    """Split no region by votes."""
+    return lambda votes, graph, known: graph.root
+
+
+def without_pairs(original: Original) -> Any:
+    """Smooth over no neighbour."""
+    return lambda pairs, *rest: original(0, *rest)
+
+
+@ti.func
+def never_between(one: f32, other: f32) -> u1:
+    """Never take a pixel to be between two surfaces."""
+    return one > 1e30
+
+
+@ti.func
+def counts_always(one: f32, other: f32, per_bend: f32) -> f32:
+    """Count every neighbour that has a phase."""
+    return ti.select(ti.max(ti.abs(one), ti.abs(other)) < 1e3, 1.0, 0.0)
+
+
+@ti.func
+def mean_weights(count: f32, squares: f32, fourths: f32):
+    """Return the weights of a mean in place of a quadric's."""
+    return 1.0 / count, 0.0 * squares
+
+
+@ti.func
+def bright_as_usual(quality: f32, mean_quality: f32) -> i32:
+    """Give every pixel an ordinary one's weight."""
+    return 4
+
+
+@ti.func
+def never_beside(
+    phase: ti.template(), rates: ti.template(), labels: ti.template(), final: ti.template(), y: i32, x: i32
+) -> i32:
+    """Leave no pixel out beside a step."""
+    return 0
+
+
+def ti_function(function: Any) -> Replacement:
+    """Return what puts a function of the kernel language in another one's place."""
+    return lambda original: function
+
+
+# --- the table -----------------------------------------------------------------------------------------------------
+
+# fmt: off
+_ALL = (
+    # The light.
+    Mechanism("light learned", "crosstalk and response from the first frame", "plane-skin-2",
+        {"decoder:estimate_light": no_light}, "self_calibration"),
+    Mechanism("equalisation", "the phases' distribution undoes the response", "bust-skin-1.8",
+        {"light_path:measure_correction": no_harmonics}, "equalization:measure_correction"),
+    Mechanism("equalisation's tiles", "how far tiles differ weighs the distribution", "bust-skin-1.8",
+        {"equalization:_scatter": no_variance}, "equalization:_scatter"),
+    Mechanism("known response", "a calibration's response as a prior", "bust-skin-2-all",
+        {"light_path:LightPath.__init__": then(setting(_priors=[]))}, "projector_response"),
+    Mechanism("response's blur", "the fringe is blurred after a known response", "r-objects",
+        {"projector_response:ResponsePrior.fit": no_blur}, "projector_response:ResponsePrior.fit"),
+    Mechanism("telling pixels", "dim pixels do not count for the frame's light", "r-dark-beside-bright",
+        {"thresholds:_TELLING": gives(0.0)}, ""),
+    # Surfaces.
+    Mechanism("surfaces", "surfaces of different colours, each with a matrix", "r-objects",
+        {"light_path:LightPath._use": then(setting(surfaces=None))},
+        "surface_search surface_finding first_look surface_labels surface_matrix surface_colors "
+        "surface_edges surfaces"),
+    Mechanism("new surfaces", "pixels that no surface explains become new ones", "r-objects",
+        {"surface_search:SurfaceSearch._add": gives(False)},
+        "surface_search:SurfaceSearch._add surface_search:_largest_part"),
+    Mechanism("unusual neighbourhoods", "places with more misfit than elsewhere are looked at anew", "r-objects",
+        {"surface_labels:_unusual_neighbourhoods": nobody}, "surface_labels:_unusual_neighbourhoods"),
+    Mechanism("only colour acts after", "no search where the only colour acts after the crosstalk", "bust-skin-1.8",
+        {"surface_finding:SurfaceFinder._acts_after": gives(False)}, "surface_finding:SurfaceFinder._acts_after"),
+    Mechanism("surfaces' contrast", "blur takes more of the fringe where it is finer", "r-objects",
+        {"first_look:FirstLook.contrast": flat_contrast}, "first_look:FirstLook.contrast"),
+    Mechanism("surfaces' ambient light", "what of a surface's light does not follow the fringe", "r-objects",
+        {"first_look:FirstLook.ambient": lambda original: property(lambda self: 0.0)}, "first_look:FirstLook.ambient"),
+    Mechanism("surfaces before", "surfaces of the frame before are kept", "",
+        {"surface_finding:SurfaceFinder.find": with_arguments(before=None)},
+        "surface_search:SurfaceSearch.follow", promise="films of coloured things take less time"),
+    Mechanism("edge variance", "sigma where two surfaces meet", "r-objects",
+        {"frame:edge_variance": gives(None)}, "surface_edges"),
+    # One channel's model.
+    Mechanism("second balance", "gains again once the phase is known", "bust-skin-1.8",
+        {"color_balance:find_gains_kernel": first_pass_only}, "color_balance:predict_blocks_kernel"),
+    Mechanism("ambient light", "the share of the background that does not follow the fringe", "bust-skin-1.8",
+        {"channel_model:ChannelModel.recover": then(setting(_share=0.0))}, "channel_model:ambient_at"),
+    Mechanism("template", "one cycle of the channels is read off the frame", "bust-skin-1.8",
+        {"channel_model:ChannelModel.fit": with_arguments(fixed=True)},
+        "channel_model:ChannelModel._fit_template channel_model:sum_template_kernel"),
+    Mechanism("empty windows", "nodes whose window is cut off take those around", "objects-skin-2",
+        {"channel_model:_EMPTY": gives(1000000.0)}, "channel_model:settle_nodes_kernel"),
+    Mechanism("sharpness", "how sharp the fringe is from place to place", "r-deep-out-of-focus",
+        {"fringe_sharpness:FringeSharpness.refine": gives(False)}, "fringe_sharpness"),
+    Mechanism("model fit", "the phase that fits the channels' model best, not the arctangent", "bust-skin-1.8",
+        {"phase_fit:_MAX_STEP": gives(1e-09)}, "phase_fit:fitted_step phase_fit:estimator_of"),
+    Mechanism("contrast's variance", "how far a pixel's contrast may be from its neighbourhood's", "bust-skin-2-coded",
+        {"light_path:_CONTRAST_DOUBT": gives({None: 0.0, "contrast": 0.0})}, ""),
+    Mechanism("misfit's weight", "pixels that the model does not fit count less", "r-objects",
+        {"phase_fit:MAX_MISFIT": gives(1000000000.0), "model_variance:MAX_MISFIT": gives(1000000000.0)},
+        "model_variance:divided_by"),
+    Mechanism("camera blur", "the phase is corrected where the brightness changes", "bust-skin-2-blurred",
+        {"decoder:undo_camera_blur": raw_phase}, "camera_blur"),
+    Mechanism("camera blur's misfit", "sigma of that correction", "r-face",
+        {"camera_blur:_DOUBT_PX": gives(0.0)}, ""),
+    Mechanism("field motion", "motion between the colours is undone", "r-in-turns",
+        {"decoder:Decoder._hold_still": still}, "field_motion decoder:Decoder._hold_still"),
+    Mechanism("field motion's second turn", "motion is undone twice", "r-in-turns",
+        {"decoder:MOTION_TURNS": gives(1)}, ""),
+    Mechanism("field motion's misfit", "sigma where motion was undone", "r-in-turns",
+        {"decoder:doubt_motion": nothing}, "field_motion:doubt_motion"),
+    # Smoothing.
+    Mechanism("smoothing along", "along the stripes", "bust-skin-1.8",
+        {"smoothing:_smooth_rows_kernel": without_pairs}, ""),
+    Mechanism("smoothing across", "across the stripes", "bust-skin-1.8",
+        {"smoothing:_smooth_columns_kernel": without_pairs}, ""),
+    Mechanism("smoothing's quadric", "a quadric and not a mean", "bust-skin-1.8",
+        {"smoothing:quadric_weights": ti_function(mean_weights)}, "smoothing:quadric_share"),
+    Mechanism("smoothing's edges", "neighbours beyond a bend count less", "objects-skin-2",
+        {"smoothing:pair_counts": ti_function(counts_always)}, "smoothing:inverse_bend"),
+    Mechanism("between surfaces", "pixels between two surfaces are left out", "objects-skin-2",
+        {"smoothing:between_surfaces": ti_function(never_between)}, "smoothing:between_surfaces"),
+    # Sigma.
+    Mechanism("model variance", "what the model is wrong by is part of sigma", "bust-skin-1.8",
+        {"uncertainty:model_variance": no_model_variance}, "model_variance"),
+    Mechanism("window variance", "what the model is wrong by around a place", "bust-skin-1.8",
+        {"model_variance:_window_error": zeros_like_mask},
+        "model_variance:_window_error model_variance:sum_blocks_kernel"),
+    Mechanism("row scatter", "sigma is scaled to what rows differ by", "bust-skin-1.8",
+        {"uncertainty:_scatter": gives(1.0)}, "uncertainty:_scatter uncertainty:compare_rows"),
+    Mechanism("empty share", "sigma where the balance's window is empty", "objects-skin-2",
+        {"uncertainty:_empty_share": zeros_like_mask}, "uncertainty:_empty_share wide_blur"),
+    # Unwrapping.
+    Mechanism("parting", "regions that step along most of a border are parted", "touching",
+        {"unwrap_methods:VotedRuns.parts_regions": gives(False)}, "region_parting surface_borders patch_slopes"),
+    Mechanism("parting's slopes", "patches of like slopes join first", "touching",
+        {"unwrapper:measure_slopes": no_slopes}, "patch_slopes"),
+    Mechanism("hidden steps", "cells that must hold a step are left out", "touching",
+        {"patches:mark_hidden_steps_kernel": nothing}, "hidden_steps"),
+    Mechanism("step pixels", "the last pixel before a step is left out", "objects-skin-2",
+        {"region_writing:beside_step": ti_function(never_beside)},
+        "region_writing:beside_step region_writing:beyond_step"),
+    Mechanism("votes' brightness", "bright pixels' votes weigh more", "touching",
+        {"continuity:brightness_weight": ti_function(bright_as_usual)}, "continuity:brightness_weight"),
+    Mechanism("strangers", "pixels cut off from their surface by another's light are left out", "objects-skin-2",
+        {"rim_pixels:leave_out_strangers_kernel": nothing},
+        "rim_pixels:mark_strangers rim_pixels:is_cut_off rim_pixels:follow_ray rim_pixels:stopped_pixels"),
+    Mechanism("rims", "spikes and mixed pixels at rims are left out", "objects-skin-2",
+        {"rim_pixels:trim_rims_kernel": nothing},
+        "rim_pixels:mark_rim rim_pixels:looks_like_others rim_pixels:is_spike"),
+    Mechanism("rim growing", "surfaces grow into measured pixels at their rims", "objects-skin-2",
+        {"decoder:grow_rims": nothing}, "rim_growing"),
+    Mechanism("rims' leak", "sigma of grown pixels next to brighter ones", "r-face",
+        {"rim_growing:_LEAK": gives(0.0)}, "rim_growing:widen rim_growing:brightest_beyond"),
+    # Orders by the code.
+    Mechanism("cutting", "regions that the code contradicts are cut", "touching-coded",
+        {"coded_orders:cut_regions": uncut}, "region_cutting:cut_regions offset_labelling"),
+    Mechanism("cutting's pooling", "patches pool their evidence with their neighbours'", "touching-coded",
+        {"region_cutting:pool_evidence": first_argument},
+        "offset_labelling:pool_evidence offset_labelling:pool_evidence_kernel"),
+    Mechanism("rejoining", "pieces with their region's offset are put back", "touching-coded",
+        {"coded_orders:_rejoined": first_argument}, "coded_orders:_rejoined"),
+    Mechanism("settling", "patches at a border move to the part that they fit, or are left out", "touching-coded",
+        {"coded_orders:settle_borders": unsettled}, "border_settling"),
+    Mechanism("contrast's level", "how high a part's contrast is", "pile-small-coded",
+        {"coded_orders:level_evidence": lambda original: lambda levels, *_: [0.0] * len(levels)},
+        "frame_context:level_evidence frame_context:_usual_factor code_posterior:part_level"),
+    Mechanism("nearness", "parts are near the rest rather than anywhere", "pile-small-coded",
+        {"coded_orders:log_nearness": lambda original: lambda lacking, offsets: 0.0 * offsets},
+        "frame_context:nearness frame_context:log_nearness"),
+    Mechanism("luck", "a piece that was cut off fits the code by chance more often", "touching-coded",
+        {"coded_orders:code_posteriors": no_luck}, ""),
+    Mechanism("same surface", "a piece has its region's orders before its own steps count", "touching-coded",
+        {"posterior:Posterior.beside": first_argument}, "posterior:Posterior.beside"),
+    Mechanism("order range", "the projector's picture and the depth range limit the orders", "pile-small-coded",
+        {"order_finder:OrderFinder._order_range": gives(None)},
+        "order_finder:OrderFinder._order_range posterior:PartRange"),
+    Mechanism("adoption", "pixels at steps go to the one absolute surface that they continue", "objects-skin-2-coded",
+        {"order_finder:adopt_pixels": nothing}, "pixel_adoption"),
+    Mechanism("code's correction", "the phase is corrected by each cycle's modulation", "bust-skin-2-coded",
+        {"order_finder:_MIN_CORRECTION": gives(np.inf)}, "modulation_correction modulation"),
+    Mechanism("code's ripples", "what is left of the code's ripples is measured", "bust-skin-2-coded",
+        {"order_finder:ripple_left": gives(0.0)}, "modulation:ripple_left modulation:code_ripples"),
+    Mechanism("guesses", "small parts whose order is a guess are left out", "pile-small-coded",
+        {"order_finder:_MIN_GUESSED": gives(0.0)}, ""),
+    # The frame before.
+    Mechanism("frame before", "everything of the frame before", "film-coded-once",
+        {"decoder:Decoder.decode": without_memory}, "carried_orders order_votes"),
+    Mechanism("orders before", "orders of the frame before", "film-coded-once",
+        {"order_finder:OrderFinder.find": orders_of_this_frame}, "carried_orders order_votes"),
+    Mechanism("phases before", "phases of the frames before count for the equalisation", "film",
+        {"frame:FrameMemory.faded_phase_counts": lambda original: property(lambda self: 0.0)},
+        "frame:FrameMemory.faded_phase_counts"),
+    Mechanism("split by votes", "regions that the frame before saw apart are split", "film-coded-once",
+        {"order_finder:split_by_votes": of_roots}, "carried_orders:split_by_votes part_joining"),
+    Mechanism("orders of neighbours", "parts that nothing carries follow what they continue", "film",
+        {"carried_orders:CarriedOrders.with_neighbours": first_argument},
+        "carried_orders:CarriedOrders.with_neighbours"),
+    Mechanism("certainty before", "orders that were certain before are certain now", "film-coded-once",
+        {"order_finder:with_frame_before": first_argument}, "order_finder:with_frame_before posterior:Posterior.after"),
+)
+# fmt: on
+#: Every mechanism by name.
+MECHANISMS = {mechanism.name: mechanism for mechanism in _ALL}
