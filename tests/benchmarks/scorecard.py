@@ -36,6 +36,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
+from zlib import crc32
 
 import cv2
 import numpy as np
@@ -137,6 +138,7 @@ def decode(folder: Path, name: str, seed: int, fields: str | None) -> Figures:
         previous, frame = frame, decoder.decode(image, previous=frame)
     assert decoder is not None and frame is not None
     figures = judge(frame, images[-1], truth)
+    figures["digest"] = float(crc32(b"".join(np.ascontiguousarray(getattr(frame, key)).tobytes() for key in _COMPARED)))
     if fields is not None:
         path = folder / fields / f"{name}.npz"
         path.parent.mkdir(exist_ok=True)
@@ -364,7 +366,8 @@ def changes(folder: Path, now: Run, then: Run, fields: tuple[str, str]) -> str:
     for name in now.by_frame:
 
         def ratio(key: str, name: str = name) -> str:
-            return f"x {now.mean(name, key) / then.mean(name, key):.3f}" if then.mean(name, key) else "-"
+            value, other = now.mean(name, key), then.mean(name, key)
+            return f"x {value / other:.3f}" if value > 0 and other > 0 else "-"
 
         def rise(key: str, factor: float, digits: int, name: str = name) -> str:
             return f"{factor * (now.mean(name, key) - then.mean(name, key)):+.{digits}f}"
@@ -432,7 +435,7 @@ def ablation_page(runs: dict[str, Run], seeds: int) -> str:
             cells.append(cell)
             buys |= pays
         cost = np.median([base.mean(frame, "cpu_ms") - run.mean(frame, "cpu_ms") for frame in base.by_frame])
-        verdict = "stays" if buys else "buys nothing" + (f"; stays: {mechanism.promise}" if mechanism.promise else "")
+        verdict = _verdict(base, run, mechanism) if not buys else "stays"
         lines.append(
             f"| **{name}**: {mechanism.meaning} | "
             + " | ".join(cells)
@@ -441,14 +444,26 @@ def ablation_page(runs: dict[str, Run], seeds: int) -> str:
     return "\n".join(lines) + "\n"
 
 
+def _verdict(base: Run, run: Run, mechanism: Any) -> str:
+    """Return what becomes of a mechanism that buys nothing."""
+    found = [[[one["digest"] for one in of.by_frame[frame]] for frame in base.by_frame] for of in (base, run)]
+    changes_nothing = "changes no pixel" if found[0] == found[1] else "buys nothing"
+    return f"{changes_nothing}; stays: {mechanism.promise}" if mechanism.promise else changes_nothing
+
+
 def worth(base: Run, run: Run, frames: list[str]) -> tuple[str, bool]:
     """Return what frames lose most without a mechanism, and whether any loses so much that the mechanism pays."""
     losses: dict[str, list[tuple[float, str]]] = {"RMS": [], "coverage": [], "right": [], "orders": [], "sigma": []}
     pays = False
     for frame in frames:
-        rms, noise = _loss(base, run, frame, "rms")
-        losses["RMS"].append((rms / max(base.mean(frame, "rms"), 1e-9), frame))
-        pays |= rms > max(_RMS * base.mean(frame, "rms"), noise)
+        usual = base.mean(frame, "rms")
+        if not np.isnan(usual):
+            rms, noise = _loss(base, run, frame, "rms")
+            losses["RMS"].append((rms / usual, frame))
+            pays |= rms > max(_RMS * usual, noise)
+            far = [abs(np.log(max(of.mean(frame, "pull"), 1e-3))) for of in (base, run)]
+            losses["sigma"].append((float(np.exp(far[1] - far[0])) - 1, frame))
+            pays |= losses["sigma"][-1][0] > _SIGMA - 1
         for kind, key in (("coverage", "coverage"), ("right", "right")):
             lost, noise = _loss(base, run, frame, key, -1)
             losses[kind].append((lost, frame))
@@ -457,9 +472,6 @@ def worth(base: Run, run: Run, frames: list[str]) -> tuple[str, bool]:
             orders, noise = _loss(base, run, frame, key)
             losses["orders"].append((1e5 * orders, frame))
             pays |= orders > max(_FEW_ORDERS / 1e5, _ORDERS * base.mean(frame, key), noise)
-        far = [abs(np.log(max(of.mean(frame, "pull"), 1e-3))) for of in (base, run)]
-        losses["sigma"].append((float(np.exp(far[1] - far[0])) - 1, frame))
-        pays |= losses["sigma"][-1][0] > _SIGMA - 1
     parts = []
     for kind, found in losses.items():
         small = 1.0 if kind == "orders" else 0.002

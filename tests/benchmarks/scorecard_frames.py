@@ -51,11 +51,7 @@ RENDERED = {
     "grey_objects": ("coded",),
     "board": ("plain",),
     "corner": ("plain",),
-    "gloss": ("plain",),
     "dark_beside_bright": ("plain",),
-    "deep_out_of_focus": ("plain",),
-    "in_turns_before": ("plain",),
-    "in_turns": ("plain",),
 }
 
 
@@ -378,10 +374,7 @@ def frames() -> dict[str, Frame]:
         _rendered("r-grey-objects-coded", "grey_objects", "coded", "matrix"),
         _rendered("r-board", "board", "plain", "matrix"),
         _rendered("r-corner", "corner", "plain", "nothing"),
-        _rendered("r-gloss", "gloss", "plain", "matrix"),
         _rendered("r-dark-beside-bright", "dark_beside_bright", "plain", "matrix"),
-        _rendered("r-deep-out-of-focus", "deep_out_of_focus", "plain", "matrix"),
-        _rendered("r-in-turns", "in_turns", "plain", "matrix", before="in_turns_before"),
         Frame("pile-small-coded", partial(pile, {"objects": 10, "cycles": (5, 8), "gamma": 2.0}), 8, own_truth=True),
         Frame("pile-painted-coded", partial(pile, {"objects": 4, "cycles": (10, 20), **_PAINTED}), 8, own_truth=True),
         Frame(

@@ -366,7 +366,7 @@ _ALL = (
         {"uncertainty:_empty_share": zeros_like_mask}, "uncertainty:_empty_share wide_blur"),
     # Unwrapping.
     Mechanism("parting", "regions that step along most of a border are parted", "touching",
-        {"unwrap_methods:VotedRuns.parts_regions": gives(False)}, "region_parting surface_borders patch_slopes"),
+        {"unwrapper:regions_that_step": nobody}, "region_parting patch_slopes"),
     Mechanism("parting's slopes", "patches of like slopes join first", "touching",
         {"unwrapper:measure_slopes": no_slopes}, "patch_slopes"),
     Mechanism("hidden steps", "cells that must hold a step are left out", "touching",
