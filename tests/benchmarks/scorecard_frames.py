@@ -139,6 +139,19 @@ def film(scene: str, pattern: str, frames: int, seed: int) -> Taken:
     return Taken(images, calibrations, simulated_truth(taken))
 
 
+def in_turns(seed: int) -> Taken:
+    """Return two frames of a ball that comes nearer while colours are shown one after another, the second at rest."""
+    rig, step_mm = simulated_rig(), -0.7
+    calibration, settings = known_light(rig, "matrix", None)[0], {"field_times": [1 / 6, 3 / 6, 5 / 6]}
+
+    def taken(steps: int, moving_mm: float) -> SimulatedFrame:
+        moved = {"object_motion_mm": (0, 0, steps * step_mm), "field_motion_mm": (0, 0, moving_mm)}
+        return simulate_frame(rig, SimulationSettings(scene="ball", seed=10 * seed + steps, **moved))
+
+    images = [taken(3 * number, step_mm).image for number in range(2)]
+    return Taken(images, [calibration] * 2, simulated_truth(taken(4, 0.0)), settings)
+
+
 def connected(
     points: npt.NDArray[np.floating], lit: npt.NDArray[np.bool_], paint: npt.NDArray[Any] | None = None
 ) -> npt.NDArray[np.int32]:
@@ -171,7 +184,7 @@ def depth_change(
 # --- rendered ------------------------------------------------------------------------------------------------------
 
 
-def rendered(scene: str, pattern: str, known: str, seed: int, before: str | None = None) -> Taken:
+def rendered(scene: str, pattern: str, known: str, seed: int) -> Taken:
     """Return a rendered frame, kept in `frames/`."""
     from camera_film import Sensor
 
@@ -193,15 +206,8 @@ def rendered(scene: str, pattern: str, known: str, seed: int, before: str | None
     if known == "nothing":
         changed |= {"crosstalk_matrix": None}
     calibration = calibration.model_copy(update=changed)
-    lights = [(kept, pattern)] if before is None else [(read_kept(before), "plain"), (kept, pattern)]
-    images = [
-        Sensor().expose(
-            np.cumsum(light[name].astype(np.int64), axis=1).astype(np.float32) / _LEVELS, 1.0, 100 * number + seed
-        )
-        for number, (light, name) in enumerate(lights)
-    ]
-    settings = {} if before is None else {"field_times": [1 / 6, 3 / 6, 5 / 6]}
-    return Taken(images, [calibration] * len(images), truth, settings)
+    light = np.cumsum(kept[pattern].astype(np.int64), axis=1).astype(np.float32) / _LEVELS
+    return Taken([Sensor().expose(light, 1.0, seed)], [calibration], truth)
 
 
 def read_kept(scene: str) -> dict[str, npt.NDArray[Any]]:
@@ -339,8 +345,8 @@ def _simulated(
     return Frame(name, partial(simulated, scene, gamma, color, code, known, more), 1 if color == WHITE else 8)
 
 
-def _rendered(name: str, scene: str, pattern: str, known: str, before: str | None = None) -> Frame:
-    return Frame(name, partial(rendered, scene, pattern, known, before=before), 1 if scene.startswith("grey") else 8)
+def _rendered(name: str, scene: str, pattern: str, known: str) -> Frame:
+    return Frame(name, partial(rendered, scene, pattern, known), 1 if scene.startswith("grey") else 8)
 
 
 _BLURRED = {"projector_blur_px": (1.0,) * 3, "camera_blur_px": (0.7,) * 3}
@@ -390,6 +396,7 @@ def frames() -> dict[str, Frame]:
             own_truth=True,
         ),
         Frame("film", partial(film, "objects", "plain", 6), 4, own_truth=True),
+        Frame("film-in-turns", in_turns, 8),
         Frame("film-coded-once", partial(film, "bust", "coded once", 6), 4, own_truth=True),
     ]
     if CAPTURES.is_dir():
