@@ -1,12 +1,50 @@
-"""A board's corners in camera and projector, from the captures of one pose."""
+"""A board's poses: their corners in camera and projector, how their pictures were taken, and their folders."""
 
 import cv2
 import numpy as np
 import pytest
-from support.posed_boards import CHARUCO, CHESSBOARD, PROJECTOR_PX, captured, rig
+from support.board_rig import MovedCaptures
+from support.posed_boards import CHARUCO, CHESSBOARD, PROJECTOR_PX, SEQUENCE, captured, rig
 
-from pipeline.calibration.board_poses import measure_pose
+from pipeline.calibration import board_poses
+from pipeline.calibration.board import Board
+from pipeline.calibration.board_poses import PictureEvidence, edge_blur_px, measure_pose, measure_poses
+from pipeline.calibration.multishot import multishot_sequence
 from pipeline.errors import CalibrationError
+from pipeline.output.range_image import write_png
+
+SIZE = (64, 48)
+BOARD = Board(kind="chessboard", squares=(9, 6), square_mm=20.0)
+
+
+@pytest.mark.parametrize("blur_px", [0.8, 1.5, 3.0])
+def test_the_blur_of_an_edge_is_found(blur_px):
+    """To a tenth of it and 0.15 px, of a checkerboard with noise whose edges lie half-way between pixels."""
+    y, x = np.mgrid[:120, :160] // 20
+    grey = cv2.GaussianBlur(np.where((x + y) % 2 == 0, 0.1, 0.8), (0, 0), blur_px)
+    grey += 0.004 * np.random.default_rng(1).standard_normal(grey.shape)
+    corners = np.stack(np.meshgrid(np.arange(20, 160, 20), np.arange(20, 120, 20)), axis=-1).reshape(-1, 2) - 0.5
+    assert edge_blur_px(grey, corners, 20.0) == pytest.approx(blur_px, rel=0.1, abs=0.15)
+
+
+def test_corners_at_the_very_rim_tell_no_blur():
+    assert np.isnan(edge_blur_px(np.zeros((40, 40)), np.array([[1.0, 1.0]]), 20.0))
+
+
+def test_a_board_that_moves_between_its_pictures():
+    """By half a millimetre, which is 0.6 px, from the fine columns on: found to a tenth of a pixel, and when."""
+    before, after = captured(CHESSBOARD), captured(CHESSBOARD, place=(0.4, 0.25, 900.0))
+    shift_px = np.linalg.norm([0.4, 0.25]) * 1232 / 900
+    still = measure_pose("still", before, CHESSBOARD, PROJECTOR_PX).evidence
+    moved = measure_pose("moved", MovedCaptures(before, after, SEQUENCE.names[10]), CHESSBOARD, PROJECTOR_PX).evidence
+    assert still.moved_px < 0.03 and still.blur_px < 0.7
+    assert moved.moved_px == pytest.approx(shift_px, abs=0.1)
+    assert moved.moved_before == "10-column-fine-0"
+    assert [name for name, _ in moved.drift_px][:3] == ["02-column-coarse-0", "06-column-middle-0", "10-column-fine-0"]
+
+
+def test_what_was_not_looked_at_has_not_moved():
+    assert PictureEvidence(1.0, ()).moved_px == 0
 
 
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
@@ -49,3 +87,42 @@ def test_a_board_that_is_partly_hidden():
     """A ChArUco board still serves."""
     pose = measure_pose("p", captured(CHARUCO, hide=(slice(None), slice(0, 160))), CHARUCO, PROJECTOR_PX)
     assert 12 <= len(pose.corners_mm) < 40
+
+
+def capture(folder, size_px=SIZE):
+    folder.mkdir(parents=True)
+    for name in multishot_sequence(SIZE).names:
+        write_png(folder / f"{name}.png", np.zeros((size_px[1], size_px[0], 3), np.uint8))
+
+
+def test_each_folder_is_a_pose_in_the_order_of_their_names(tmp_path, monkeypatch):
+    for number in (2, 1, *range(3, 11)):
+        capture(tmp_path / f"pose{number:02d}")
+    (tmp_path / "notes.txt").touch()
+
+    def measured(name, captures, board, projector_size_px, white_level):
+        if name == "pose04":
+            raise CalibrationError("pose04: no board is seen")
+        assert (board, projector_size_px, white_level, len(captures)) == (BOARD, SIZE, 200.0, 30)
+        return name
+
+    monkeypatch.setattr(board_poses, "measure_pose", measured)
+    found = measure_poses(tmp_path, BOARD, SIZE, 200.0)
+    assert found.poses == [f"pose{number:02d}" for number in range(1, 11) if number != 4]
+    assert found.refused == ("pose04: no board is seen",)
+    assert found.camera_size_px == SIZE
+
+
+def test_too_few_poses_are_refused_with_the_first_reason(tmp_path):
+    with pytest.raises(CalibrationError, match=r"none is no folder: give the one with a folder a pose"):
+        measure_poses(tmp_path / "none", BOARD, SIZE)
+    with pytest.raises(CalibrationError, match=r"0 usable poses, at least 8 .* holds 0 folders of captures"):
+        measure_poses(tmp_path, BOARD, SIZE)
+    capture(tmp_path / "black")
+    with pytest.raises(CalibrationError, match="0 usable poses, at least 8 are needed: black"):
+        measure_poses(tmp_path, BOARD, SIZE)
+    with pytest.raises(CalibrationError, match="0 usable poses, at least 1 are needed: black"):
+        measure_poses(tmp_path, BOARD, SIZE, least=1)
+    capture(tmp_path / "other", (32, 24))
+    with pytest.raises(CalibrationError, match="other is 32x24, the poses before are 64x48"):
+        measure_poses(tmp_path, BOARD, SIZE)

@@ -1,4 +1,4 @@
-"""Captures of anything that holds still, against a rig's epipolar lines."""
+"""Figures of a check, and captures of anything that holds still, against a rig's epipolar lines."""
 
 import cv2
 import numpy as np
@@ -8,7 +8,7 @@ from support.board_rig import BoardCaptures
 from pipeline.calibration import Uncertainty
 from pipeline.calibration.board import Board
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
-from pipeline.diagnosis.rig_check import check_epipolar
+from pipeline.diagnosis.rig_check import BLIND_SPOTS, CheckResult, Measure, check_epipolar
 from pipeline.errors import CalibrationError
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 
@@ -20,6 +20,22 @@ KNOWN = {
     "crosstalk_matrix": np.array(TYPICAL_CROSSTALK),
     "uncertainty": Uncertainty(depth_bias_mm=0.3, reprojection_px=(0.05, 0.08)),
 }
+
+
+@pytest.mark.parametrize("measured, fine", [(0.0, True), (0.2, True), (0.201, False)])
+def test_twice_the_prediction_is_fine_and_more_is_not(measured, fine):
+    assert Measure("flatness", measured, 0.1, "mm").fine == fine
+
+
+def test_one_figure_that_is_not_spoils_the_check():
+    good, bad = Measure("flatness", 0.1, 0.1, "mm"), Measure("scale", 0.5, 0.1, "mm")
+    assert CheckResult((good, good), None, None).fine
+    assert not CheckResult((good, bad), None, None).fine
+
+
+def test_every_kind_of_check_says_what_shows_more():
+    assert BLIND_SPOTS.keys() == {"plane", "ball", "epipolar"}
+    assert all("radius" in text for text in BLIND_SPOTS.values())
 
 
 @pytest.mark.parametrize(("degrees", "fine"), [((0.0, 0.0, 0.0), True), ((0.1, 0.2, 0.0), False)])
