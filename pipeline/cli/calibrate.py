@@ -13,7 +13,7 @@ from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import measure_poses
 from pipeline.calibration.captures import CapturedFolder, PictureSequence, refuse_other_camera, write_sequence
 from pipeline.calibration.color_chart import chart_codes, chart_sequence, measure_wavelengths, read_spectra
-from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Uncertainty, choose_pattern
+from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Uncertainty
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
 from pipeline.calibration.radiometry import (
     PRIMARIES,
@@ -26,14 +26,28 @@ from pipeline.calibration.radiometry import (
 from pipeline.calibration.rig_geometry import GeometryFit, SecondBoard, solve_geometry
 from pipeline.calibration.verdict import judge_radiometry
 from pipeline.cli.calibrate_check import check
-from pipeline.cli.console import Arch, above_zero, check_target, read_calibration, say, size_of, stdout, steps
-from pipeline.cli.project import BoardOptions
+from pipeline.cli.console import (
+    Arch,
+    Make,
+    NewCalibration,
+    ProjectorSize,
+    Replace,
+    WhiteLevel,
+    above_zero,
+    check_target,
+    read_calibration,
+    say,
+    size_of,
+    stdout,
+    steps,
+)
+from pipeline.cli.project import BoardOptions, PatternOptions
 from pipeline.errors import SettingsError
 from pipeline.models import CameraState, FloatArray, build
 
 #: The projector's size where none is given.
 PROJECTOR_SIZE = "{}x{}".format(*DEFAULT_PROJECTOR_PX)
-_BOARD = BoardOptions()
+_BOARD, _FRINGES = BoardOptions(), PatternOptions()
 
 
 def captures_and_target(captures: Path | None, out: Path | None) -> tuple[Path, Path]:
@@ -53,16 +67,16 @@ def radiometry(
     captures: Path | None = None,
     /,
     *,
-    make: Path | None = None,
+    make: Make = None,
     out: Path | None = None,
-    size: str = PROJECTOR_SIZE,
+    size: ProjectorSize = PROJECTOR_SIZE,
     calibration: Path | None = None,
     transfer: Literal["linear", "srgb", "bt709"] | None = None,
-    white_level: Annotated[float | None, Parameter(validator=above_zero)] = None,
+    white_level: WhiteLevel = None,
     exposure_s: float | None = None,
     gain: float | None = None,
     white_balance: Annotated[tuple[float, float, float] | None, Parameter(consume_multiple=True)] = None,
-    force: bool = False,
+    force: Replace = False,
 ) -> None:
     """Measure the projector's response, the colour crosstalk and the camera's transfer.
 
@@ -73,26 +87,18 @@ def radiometry(
     ----------
     captures
         Folder with the captures, under the names that the pictures have.
-    make
-        Write the pictures to project into this new folder instead.
     out
         The calibration to write; a plot of the responses goes beside it.
-    size
-        The projector's width and height in px.
     calibration
         An earlier calibration, whose geometry is kept.
     transfer
         How the camera encodes light; left out, it is measured.
-    white_level
-        Full scale of the captures; left out, their type's.
     exposure_s
         Exposure, s, to be compared when frames are decoded.
     gain
         The camera's gain, likewise.
     white_balance
         The camera's gains of red, green and blue, likewise.
-    force
-        Replace an existing calibration.
     """
     if make is not None and captures is None and out is None:
         _write_fields(make, radiometry_sequence(size_of(size)), radiometry_codes, "a white target")
@@ -124,9 +130,9 @@ def wavelengths(
     captures: Path | None = None,
     /,
     *,
-    make: Path | None = None,
-    out: Path | None = None,
-    size: str = PROJECTOR_SIZE,
+    make: Make = None,
+    out: NewCalibration = None,
+    size: ProjectorSize = PROJECTOR_SIZE,
     calibration: Path | None = None,
     spectra: Path | None = None,
     corners: Annotated[
@@ -135,8 +141,8 @@ def wavelengths(
     nm: Annotated[
         tuple[float, float, float, float, float, float, float, float, float] | None, Parameter(consume_multiple=True)
     ] = None,
-    white_level: Annotated[float | None, Parameter(validator=above_zero)] = None,
-    force: bool = False,
+    white_level: WhiteLevel = None,
+    force: Replace = False,
 ) -> None:
     """Measure at which wavelengths the camera's channels see the projector's primaries, from a colour chart.
 
@@ -148,12 +154,6 @@ def wavelengths(
     ----------
     captures
         Folder with the captures, in linear light, under the names that the pictures have.
-    make
-        Write the pictures to project into this new folder instead.
-    out
-        The calibration to write.
-    size
-        The projector's width and height in px.
     calibration
         The calibration that they are added to; it holds the crosstalk.
     spectra
@@ -163,10 +163,6 @@ def wavelengths(
     nm
         The nine wavelengths from data sheets instead: of the red channel under red, green and blue light, then of the
         green one, then of the blue one.
-    white_level
-        Full scale of the captures; left out, their type's.
-    force
-        Replace an existing calibration.
     """
     if make is not None and captures is None and out is None:
         _write_fields(make, chart_sequence(size_of(size)), chart_codes, "the chart")
@@ -217,20 +213,18 @@ def geometry(
     captures: Path | None = None,
     /,
     *,
-    make: Path | None = None,
-    out: Path | None = None,
-    size: str = PROJECTOR_SIZE,
+    make: Make = None,
+    out: NewCalibration = None,
+    size: ProjectorSize = PROJECTOR_SIZE,
     board: Literal["charuco", "chessboard"] = "charuco",
     options: BoardOptions = _BOARD,
-    period: float | None = None,
-    stripes: Literal["horizontal", "vertical"] | None = None,
-    code: Literal["contrast", "none"] | None = None,
+    fringes: PatternOptions = _FRINGES,
     baseline_mm: float | None = None,
     second_board: Path | None = None,
     second_square_mm: Annotated[float | None, Parameter(validator=above_zero)] = None,
-    white_level: Annotated[float | None, Parameter(validator=above_zero)] = None,
+    white_level: WhiteLevel = None,
     calibration: Path | None = None,
-    force: bool = False,
+    force: Replace = False,
 ) -> None:
     """Measure both lenses and where camera and projector stand, from a board in eight poses or more.
 
@@ -242,33 +236,16 @@ def geometry(
     ----------
     captures
         Folder with a folder a pose, each with the captures under the names that the pictures have.
-    make
-        Write the pictures to project into this new folder instead.
-    out
-        The calibration to write.
-    size
-        The projector's width and height in px.
     board
         What the board is.
-    period
-        Period of the pattern that frames will be taken with, projector px; left out, the earlier calibration's, else
-        17.4545.
-    stripes
-        Its direction; left out, the earlier calibration's, else horizontal.
-    code
-        Its code, as colorphase pattern was told; left out, the earlier calibration's, else contrast.
     baseline_mm
         The distance between camera and projector where it is known; a wrong square size shows in it.
     second_board
         Folder with one pose or more of the same board printed in another size; a wrong square size shows in it.
     second_square_mm
         The side of its squares, measured by itself.
-    white_level
-        Full scale of the captures; left out, their type's.
     calibration
         An earlier calibration, whose light is kept.
-    force
-        Replace an existing calibration.
     """
     size_px = size_of(size)
     if make is not None and captures is None and out is None:
@@ -280,7 +257,7 @@ def geometry(
     check_target(target, force=force)
     known = read_calibration(calibration)
     described = options.board(board)
-    pattern = choose_pattern(known, period, stripes, code)
+    pattern = fringes.pattern(known)
     measured = measure_poses(folder, described, size_px, white_level)
     refused, second = [*measured.refused], None
     if second_board is not None and second_square_mm is not None:
@@ -362,8 +339,6 @@ def simulate(*, out: Path, arch: Arch = "auto") -> None:
     ----------
     out
         The folder to make.
-    arch
-        Where to compute.
     """
     from pipeline.acquisition import practice_set as practice
 

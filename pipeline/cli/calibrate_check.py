@@ -9,7 +9,7 @@ from cyclopts import Parameter
 from rich.table import Table
 
 from pipeline.calibration.model import Calibration
-from pipeline.cli.console import Arch, above_zero, check_target, read_settings, say, stdout
+from pipeline.cli.console import Arch, Replace, SettingsFile, above_zero, check_target, read_settings, say, stdout
 from pipeline.errors import SettingsError
 
 if TYPE_CHECKING:
@@ -24,10 +24,10 @@ def check(
     calibration: Path,
     shape: Literal["plane", "ball"] | None = None,
     radius_mm: Annotated[float | None, Parameter(validator=above_zero)] = None,
-    settings: Path | None = None,
+    settings: SettingsFile = None,
     fix: Path | None = None,
     arch: Arch = "auto",
-    force: bool = False,
+    force: Replace = False,
 ) -> None:
     """Ask whether a calibration still holds, and why a surface is wavy.
 
@@ -44,14 +44,8 @@ def check(
         What was captured, to be compared with a perfect one.
     radius_mm
         The ball's true radius.
-    settings
-        TOML file of decoding settings.
     fix
         Write a calibration with what the picture tells of the light corrected.
-    arch
-        Where to compute.
-    force
-        Replace an existing calibration.
     """
     from pipeline.batch.job import with_transfer_of
     from pipeline.diagnosis.rig_check import check_captures, check_picture, check_sequence, holds_captures

@@ -11,7 +11,7 @@ from pipeline.acquisition.capture_folder import CALIBRATION, LOG, SETTINGS, Capt
 from pipeline.acquisition.chosen_rig import choose_rig
 from pipeline.acquisition.session import CaptureSummary
 from pipeline.acquisition.stopping import Stopping
-from pipeline.cli.console import Arch, above_zero, read_settings, remark, say, stderr, steps
+from pipeline.cli.console import Arch, SettingsFile, above_zero, read_settings, remark, say, stderr, steps
 from pipeline.errors import SettingsError
 
 #: Exit code where it was stopped before all bursts were there.
@@ -27,7 +27,7 @@ def capture(
     keep_last: Annotated[float | None, Parameter(validator=above_zero)] = None,
     format: Literal["zarr", "mkv"] = "zarr",
     live: bool = False,
-    settings: Path | None = None,
+    settings: SettingsFile = None,
     arch: Arch = "auto",
 ) -> None:
     """Fire projector and camera, and record every frame with the pulse that it belongs to.
@@ -54,10 +54,6 @@ def capture(
         "zarr" is fast, "mkv" (FFV1) a third smaller.
     live
         Decode the newest frame meanwhile, into live.png, and show how long after its exposure that is done.
-    settings
-        TOML file of settings for --live.
-    arch
-        Where --live computes, and the simulated rig is rendered.
     """
     if settings is not None and not live:
         raise SettingsError(f"{settings} tells how --live decodes: add --live, or leave --settings away")

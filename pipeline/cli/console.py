@@ -11,8 +11,9 @@ from datetime import timedelta
 from math import inf
 from pathlib import Path
 from threading import Event, Thread
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from cyclopts import Parameter
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
     BarColumn,
@@ -42,7 +43,6 @@ _LONGEST_S = 30.0
 #: Exit code where some frames are bad, or damaged, and the rest is not.
 SOME_ARE_BAD = 3
 
-Arch = Literal["auto", "cpu", "vulkan", "cuda", "metal"]
 
 # Where there is no terminal, a line says how it stands whenever this time is over: short commands say nothing, and logs
 # of hours stay short.
@@ -238,6 +238,20 @@ def above_zero(_: Any, value: float | None) -> None:
     """Refuse an option's value that is zero, negative, infinite or NaN."""
     if value is not None and not 0 < value < inf:
         raise ValueError("must be above 0, and a number")
+
+
+# Options that several commands have, explained once.
+Arch = Annotated[Literal["auto", "cpu", "vulkan", "cuda", "metal"], Parameter(help="Where to compute.")]
+Replace = Annotated[bool, Parameter(help="Replace a file that is there.")]
+IntoOther = Annotated[bool, Parameter(help="Write into a folder that holds other things.")]
+SettingsFile = Annotated[Path | None, Parameter(help="TOML file of settings; what is left out is the default.")]
+RigFile = Annotated[Path, Parameter(help="The rig's TOML file.")]
+WhiteLevel = Annotated[
+    float | None, Parameter(validator=above_zero, help="Full scale of the captures; left out, their type's.")
+]
+ProjectorSize = Annotated[str, Parameter(help="The projector's width and height in px.")]
+Make = Annotated[Path | None, Parameter(help="Write the pictures to project into this new folder instead.")]
+NewCalibration = Annotated[Path | None, Parameter(help="The calibration to write.")]
 
 
 def size_of(text: str, option: str = "--size") -> tuple[int, int]:

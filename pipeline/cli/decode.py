@@ -16,6 +16,8 @@ from pipeline.calibration import Calibration
 from pipeline.cli.console import (
     SOME_ARE_BAD,
     Arch,
+    IntoOther,
+    SettingsFile,
     bounded,
     counted,
     frames,
@@ -123,11 +125,11 @@ def decode(
     /,
     *,
     out: str,
-    settings: Path | None = None,
+    settings: SettingsFile = None,
     calibration: Path | None = None,
     depth_range: tuple[float, float] | None = None,
     arch: Arch = "auto",
-    force: bool = False,
+    force: IntoOther = False,
     chosen: SettingsOptions = _AS_SET,
     video: FootageOptions = _FOOTAGE,
     part: MeshChoice = _ALL,
@@ -147,16 +149,10 @@ def decode(
         The picture or footage.
     out
         Folder for the results; footage's may be an fsspec URL, as s3://bucket/film.
-    settings
-        TOML file of settings; what is left out is the default.
     calibration
         The rig's calibration.json; with it results are in mm.
     depth_range
         The nearest and the farthest depth of what was photographed, mm; it tells the order of what has no code.
-    arch
-        Where to compute.
-    force
-        Write into a folder that holds other things.
     """
     how, rig = chosen.applied_to(read_settings(settings)), _within(read_calibration(calibration), depth_range)
     if input.suffix.lower() not in IMAGE_SUFFIXES or input.is_dir():

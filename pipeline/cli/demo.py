@@ -4,10 +4,10 @@ from pathlib import Path
 
 from rich.table import Table
 
-from pipeline.cli.console import Arch, remark, say, stdout, steps
+from pipeline.cli.console import Arch, IntoOther, remark, say, stdout, steps
 
 
-def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: bool = False) -> None:
+def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: IntoOther = False) -> None:
     """Simulate one colour frame of a bust, decode it, and measure the result against the truth.
 
     Example: colorphase demo --out demo
@@ -16,10 +16,6 @@ def demo(*, out: Path = Path("colorphase-demo"), arch: Arch = "auto", force: boo
     ----------
     out
         Folder for the frame, the mesh, the pictures and the report.
-    arch
-        Where to compute.
-    force
-        Write into a folder that holds other things.
     """
     from pipeline.batch.one_frame import decode_simulated
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 from rich.table import Table
 
-from pipeline.cli.console import Arch, read_settings, say, stdout, steps
+from pipeline.cli.console import Arch, SettingsFile, read_settings, say, stdout, steps
 from pipeline.footage.source import StoredAs
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ def inspect(
     input: Path,
     /,
     *,
-    settings: Path | None = None,
+    settings: SettingsFile = None,
     json: bool = False,
     arch: Arch = "auto",
     stored_as: Annotated[StoredAs, Parameter(name="*")] = _AS_IT_SAYS,
@@ -38,12 +38,8 @@ def inspect(
     ----------
     input
         A picture, a folder of pictures, a video or a recording.
-    settings
-        TOML file of the settings that it is to be decoded with.
     json
         Print JSON instead of a table.
-    arch
-        Where to compute.
     """
     from pipeline.diagnosis.footage_inspection import NOT_AS_IT_IS, inspect_footage
 

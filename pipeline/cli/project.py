@@ -14,8 +14,8 @@ from hardware.projector import open_projector
 from hardware.protocols import Projector
 from pipeline.acquisition.rig_file import read_rig
 from pipeline.calibration.board import Board
-from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, choose_pattern
-from pipeline.cli.console import above_zero, read_calibration, remark, say, size_of, stderr, stdout
+from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Pattern, choose_pattern
+from pipeline.cli.console import RigFile, above_zero, read_calibration, remark, say, size_of, stderr, stdout
 from pipeline.errors import CalibrationError, SettingsError
 from pipeline.footage.image_file import read_codes
 from pipeline.models import build
@@ -58,7 +58,25 @@ class BoardOptions:
         return build(Board, {"kind": kind, "dictionary": self.dictionary, **sides}, SettingsError, "board")
 
 
-_BOARD = BoardOptions()
+@Parameter(name="*")
+@dataclass(frozen=True)
+class PatternOptions:
+    """The options that describe the fringes."""
+
+    period: float | None = None
+    """Projector px per cycle; left out, the calibration's, else 17.4545."""
+    stripes: Literal["horizontal", "vertical"] | None = None
+    """Which way they run; left out, the calibration's, else horizontal."""
+    code: Literal["contrast", "none"] | None = None
+    """"contrast": the modulation of each cycle identifies it, so that one frame gives absolute depth; "none": a plain
+    pattern, whose depth is relative. Left out, the calibration's, else contrast."""
+
+    def pattern(self, calibration: Calibration | None) -> Pattern:
+        """Return the pattern; see `choose_pattern`."""
+        return choose_pattern(calibration, self.period, self.stripes, self.code)
+
+
+_BOARD, _FRINGES = BoardOptions(), PatternOptions()
 
 
 def pattern(
@@ -66,9 +84,7 @@ def pattern(
     /,
     *,
     size: str | None = None,
-    period: float | None = None,
-    stripes: Literal["horizontal", "vertical"] | None = None,
-    code: Literal["contrast", "none"] | None = None,
+    fringes: PatternOptions = _FRINGES,
     calibration: Path | None = None,
     brightness: float = 1.0,
     board: Literal["charuco", "chessboard"] | None = None,
@@ -85,13 +101,6 @@ def pattern(
         The PNG to write; a board may be a PDF or SVG.
     size
         The projector's width and height in px; left out, the calibration's, else 1024x768.
-    period
-        Projector px a cycle; left out, the calibration's, else 17.4545.
-    stripes
-        Which way they run; left out, the calibration's, else horizontal.
-    code
-        "contrast": the modulation of each cycle tells which one it is, so that one frame gives absolute depth; "none":
-        a plain pattern, whose depth is relative. Left out, the calibration's, else contrast.
     calibration
         The rig's calibration.json; the projector's response is then undone in the pattern.
     brightness
@@ -109,9 +118,8 @@ def pattern(
     if rig is not None and rig.response is None:
         raise CalibrationError(f"{calibration} holds no response: run colorphase calibrate radiometry")
     size_px = rig.projector.size_px if rig is not None and rig.projector is not None else DEFAULT_PROJECTOR_PX
-    chosen = choose_pattern(rig, period, stripes, code)
     response = None if rig is None else rig.response
-    write_pattern(file, size_px if size is None else size_of(size), chosen, response, brightness)
+    write_pattern(file, size_px if size is None else size_of(size), fringes.pattern(rig), response, brightness)
 
 
 def project(
@@ -145,59 +153,36 @@ def project(
 
 
 @projector.command
-def on(*, rig: Path) -> None:
+def on(*, rig: RigFile) -> None:
     """Switch it on, and wait until it is.
 
     Example: colorphase projector on --rig rig.toml
-
-    Parameters
-    ----------
-    rig
-        The rig's TOML file, whose section [projector] says how it is spoken to.
     """
     _switch(rig, on=True)
 
 
 @projector.command
-def off(*, rig: Path) -> None:
-    """Switch it off, and wait until it has cooled.
-
-    Parameters
-    ----------
-    rig
-        The rig's TOML file.
-    """
+def off(*, rig: RigFile) -> None:
+    """Switch it off, and wait until it has cooled."""
     _switch(rig, on=False)
 
 
 @projector.command
-def blank(*, rig: Path) -> None:
-    """Show black, the lamp staying on.
-
-    Parameters
-    ----------
-    rig
-        The rig's TOML file.
-    """
+def blank(*, rig: RigFile) -> None:
+    """Show black, the lamp staying on."""
     with _opened(rig) as device:
         device.blank(True)
 
 
 @projector.command
-def unblank(*, rig: Path) -> None:
-    """Show the picture again.
-
-    Parameters
-    ----------
-    rig
-        The rig's TOML file.
-    """
+def unblank(*, rig: RigFile) -> None:
+    """Show the picture again."""
     with _opened(rig) as device:
         device.blank(False)
 
 
 @projector.command(name="input")
-def choose_input(source: str, /, *, rig: Path) -> None:
+def choose_input(source: str, /, *, rig: RigFile) -> None:
     """Choose what it shows.
 
     Example: colorphase projector input 31 --rig rig.toml
@@ -206,22 +191,14 @@ def choose_input(source: str, /, *, rig: Path) -> None:
     ----------
     source
         As the projector's manual numbers them for its control: of PJLink 31 is the first digital input.
-    rig
-        The rig's TOML file.
     """
     with _opened(rig) as device:
         device.input(source)
 
 
 @projector.command
-def status(*, rig: Path) -> None:
-    """Say what it does, and what is wrong with it.
-
-    Parameters
-    ----------
-    rig
-        The rig's TOML file.
-    """
+def status(*, rig: RigFile) -> None:
+    """Say what it does, and what is wrong with it."""
     with _opened(rig) as device:
         found = device.status()
         table = Table(title=str(device.identity), show_header=False)

@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
 from hardware.settings import CameraSettings, ProjectorSettings, RigSettings, TriggerSettings
-from pipeline.cli.console import check_target, say
+from pipeline.cli.console import Replace, check_target, say
 from pipeline.errors import SettingsError
 from pipeline.files import write_atomically
 from pipeline.models import build
@@ -58,7 +58,7 @@ _SOFTWARE_PERIOD_S = 0.5
 _NO_PROJECTOR = "none"
 
 
-def settings(file: Path, /, *, force: bool = False) -> None:
+def settings(file: Path, /, *, force: Replace = False) -> None:
     """Write a file of all settings with their defaults and what they mean, each to be uncommented where it is changed.
 
     Example: colorphase settings settings.toml
@@ -67,8 +67,6 @@ def settings(file: Path, /, *, force: bool = False) -> None:
     ----------
     file
         The TOML file to make.
-    force
-        Replace a file that is there.
     """
     check_target(file, force=force)
     write_atomically(file, settings_template().encode())
@@ -97,7 +95,7 @@ def rig(
     projector: Annotated[
         str, Parameter(help=f"What switches the projector: {', '.join(PROJECTORS)}; or none: somebody does.")
     ] = _NO_PROJECTOR,
-    force: bool = False,
+    force: Replace = False,
 ) -> None:
     """Write a rig.toml for some instruments, in which every key is explained, and what is to be filled in is marked.
 
@@ -109,8 +107,6 @@ def rig(
     ----------
     file
         The TOML file to make.
-    force
-        Replace a file that is there.
     """
     check_target(file, force=force)
     text = rig_template(trigger, camera, None if projector == _NO_PROJECTOR else projector)
