@@ -34,7 +34,7 @@ def _one_of(names: Iterable[str]) -> Callable[[str], str]:
 
 
 class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, use_attribute_docstrings=True)
 
 
 class TriggerSettings(_Section):
@@ -62,12 +62,17 @@ class TimingSettings(_Section):
     """When they come."""
 
     period_s: Positive
+    """From one pulse, and so frame, to the next; no shorter than the camera's exposure and readout."""
     frames: Count = 1
     """Pulses, and so frames, a burst."""
     projector_delay_s: NonNegative = 0.0
+    """From the start of each period to the projector's pulse."""
     projector_width_s: Positive = 100e-6
+    """How long the projector's pulse is."""
     camera_delay_s: NonNegative = 0.0
+    """From the start of each period to the camera's pulse."""
     camera_width_s: Positive = 100e-6
+    """How long the camera's pulse is."""
 
 
 class CameraSettings(_Section):
@@ -78,7 +83,10 @@ class CameraSettings(_Section):
     serial: Annotated[str | None, Field(coerce_numbers_to_str=True)] = None
     """Its serial number, or for opencv its number; None: the only one there."""
     exposure_s: Positive
+    """How long each frame is exposed; a whole number of colour cycles where the projector shows colours one after
+    another."""
     gain_db: Annotated[float, Field(ge=0, le=_MOST_GAIN_DB)] = 0.0
+    """Amplification: noise grows with it, so light and aperture come first."""
     pixel_format: str | None = None
     """As GenICam spells it, as BayerRG12 or RGB8; None: the camera's deepest colour format that can be stored."""
     size_px: tuple[_Side, _Side] | None = None
@@ -93,8 +101,11 @@ class FieldSettings(_Section):
     """When a projector shows its colours one after another: the middle of each, after the frame's pulse."""
 
     red_s: NonNegative
+    """The middle of red's light, after the frame's pulse."""
     green_s: NonNegative
+    """The middle of green's light."""
     blue_s: NonNegative
+    """The middle of blue's light."""
 
     @property
     def middle_s(self) -> float:
@@ -114,7 +125,9 @@ class ProjectorSettings(_Section):
     port: str | None = None
     """A serial device, or a URL such as socket://10.0.0.6:4352."""
     baud: Count | None = None
+    """Bits per second of a serial line; None: the projector's usual ones are tried."""
     password: str | None = None
+    """PJLink's, where one is set; None: none. It is kept out of logs."""
     alternating: bool = False
     """Whether each projector pulse shows the other of two pictures, the second one dimmer (`colorphase pattern
     --brightness 0.85`), so that a lost projector pulse is seen in the frames. Without, it goes unnoticed."""

@@ -188,6 +188,11 @@ class Geometry:
         pixels = cv2.projectPoints(points, turn, self.translation_mm, lens.matrix, lens.distortion)[0]
         return np.asarray(pixels[:, 0, self.phase_axis] / self.pattern.period_px)
 
+    def rad_per_mm(self, depth_mm: float) -> float:
+        """Return how much the phase changes per mm of depth on the camera's axis, rad."""
+        near, far = self.pattern_cycles(np.array([[0, 0, depth_mm - 0.5], [0, 0, depth_mm + 0.5]]))
+        return float(2 * np.pi * abs(far - near))
+
     def working_distance_mm(self) -> float | None:
         """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.
 

@@ -15,6 +15,7 @@ alone.
 of the distance. So errors are judged as parts of the distance.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -85,18 +86,32 @@ def grade_of(error: float, good: float, usable: float) -> Grade:
 
 
 @dataclass(frozen=True)
-class RadiometryVerdict:
-    """What a radiometry is worth."""
+class Verdict(ABC):
+    """The quality of a part of a calibration."""
 
     grade: Grade
+    advice: tuple[str, ...]  # improvements, the most effective first
+
+    @abstractmethod
+    def in_words(self) -> str:
+        """Return one line with the grade and its figures."""
+
+    def lines(self) -> list[str]:
+        """Return all that there is to say, a line each."""
+        return [self.in_words(), *(f"better: {advice}" for advice in self.advice)]
+
+
+@dataclass(frozen=True)
+class RadiometryVerdict(Verdict):
+    """The quality of a radiometry."""
+
     ripple_rad: float  # RMS over a cycle, by what is uncertain of response and crosstalk
     noise_rad: float  # of one pixel, one frame as bright as the white capture, nothing smoothed
     mm_per_rad: float | None  # at the working distance, where the geometry is known
     gamma: tuple[float, float, float]  # of the projector's red, green and blue
-    advice: tuple[str, ...]
 
     def in_words(self) -> str:
-        """Return a line that says what it is worth."""
+        """Return one line with the grade and its figures."""
 
         def both(rad: float) -> str:
             return f"{rad:.4f} rad" + ("" if self.mm_per_rad is None else f" ({rad * self.mm_per_rad:.3f} mm)")
@@ -133,13 +148,14 @@ def judge_radiometry(found: Radiometry, geometry: Geometry | None) -> Radiometry
         )
     if rows.max() < _DIM:
         advice.append(f"white reaches {rows.max():.0%} of full scale only: expose longer")
+    distance = None if geometry is None else geometry.working_distance_mm()
     return RadiometryVerdict(
-        grade_of(ripple, _GOOD_RAD, _USABLE_RAD),
-        ripple,
-        noise,
-        None if geometry is None else _mm_per_rad(geometry),
-        (gamma[0], gamma[1], gamma[2]),
-        tuple(advice),
+        grade=grade_of(ripple, _GOOD_RAD, _USABLE_RAD),
+        advice=tuple(advice),
+        ripple_rad=ripple,
+        noise_rad=noise,
+        mm_per_rad=None if geometry is None or distance is None else 1 / geometry.rad_per_mm(distance),
+        gamma=(gamma[0], gamma[1], gamma[2]),
     )
 
 
@@ -148,15 +164,6 @@ def _gamma(response: FloatArray) -> float:
     codes = np.log(np.arange(_GAMMA_FROM, len(response)) / (len(response) - 1))
     light = np.log(np.maximum(response[_GAMMA_FROM:], 1e-6))
     return float((codes @ light) / (codes @ codes))
-
-
-def _mm_per_rad(geometry: Geometry) -> float | None:
-    """Return what a radian of phase is in depth, mm, where the two devices' axes meet; None where they do not."""
-    distance = geometry.working_distance_mm()
-    if distance is None:
-        return None
-    near, far = geometry.pattern_cycles(np.array([[0, 0, distance - 0.5], [0, 0, distance + 0.5]]))
-    return float(1 / (2 * np.pi * abs(far - near)))
 
 
 @dataclass(frozen=True)
@@ -316,24 +323,28 @@ def depth_bias_mm(
 
 
 @dataclass(frozen=True)
-class GeometryVerdict:
-    """What a geometry is worth."""
+class GeometryVerdict(Verdict):
+    """The quality of a geometry."""
 
-    grade: Grade
     distance_mm: float  # where it is judged: the middle of the depth range, or else where the boards stood
     bias_mm: float  # one standard deviation of depth by what the calibration is uncertain of; smooth over the picture
     random_mm: float  # by the noise of a frame of `FRAME_NOISE_RAD`, a point
-    advice: tuple[str, ...]  # what would make it better, the most effective first
     poses: tuple[PoseJudgement, ...]  # the worst, and others whose pictures show a fault
 
     def in_words(self) -> str:
-        """Return a line that says what it is worth."""
+        """Return one line with the grade and its figures."""
         part = round(self.distance_mm / self.bias_mm, -2) if self.bias_mm > 0 else np.inf
         return (
             f"{self.grade}: {self.distance_mm:.0f} mm away the calibration leaves depth off by {self.bias_mm:.2f} mm "
             f"(one standard deviation, smooth over the picture; 1 part in {part:.0f}), and the noise of a frame, "
             f"{FRAME_NOISE_RAD:g} rad, adds {self.random_mm:.2f} mm a point"
         )
+
+    def lines(self) -> list[str]:
+        """Return all that there is to say, a line each."""
+        worst, *faulty = self.poses
+        poses = [f"worst pose: {worst.in_words()}", *(f"look at {pose.in_words()}" for pose in faulty)]
+        return [*poses, *super().lines()]
 
 
 def judge_geometry(
@@ -363,7 +374,7 @@ def judge_geometry(
     random = FRAME_NOISE_RAD * pattern.period_px / (2 * np.pi) / across
     grade = grade_of(max(bias, random) / distance, _GOOD, _USABLE)
     advice = () if grade == "good" else _advice(fit, camera_size_px, pattern, depths, distance, bias, random)
-    return GeometryVerdict(grade, distance, bias, random, advice, judge_poses(fit))
+    return GeometryVerdict(grade, advice, distance, bias, random, judge_poses(fit))
 
 
 def _advice(

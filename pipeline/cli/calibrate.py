@@ -120,10 +120,8 @@ def radiometry(
     verdict = judge_radiometry(found, known.geometry() if known is not None and known.has_geometry else None)
     name = found.transfer if isinstance(found.transfer, str) else "a curve of its own, measured"
     say(f"the camera's transfer: {name}; grey is red + green + blue to {found.additivity:.2%} of white")
-    say(verdict.in_words())
-    for advice in verdict.advice:
-        say(f"better: {advice}")
-    say(f"wrote {target} and {plot}")
+    for line in (*verdict.lines(), f"wrote {target} and {plot}"):
+        say(line)
 
 
 def wavelengths(
@@ -285,14 +283,8 @@ def _say_verdict(found: GeometryFit, refused: list[str]) -> None:
         say(f"note: {line}")
     if found.calibration.color_shift_px is not None and found.calibration.crosstalk_matrix is None:
         say("note: crosstalk dampens the projector's lateral colour: measure radiometry first, and give --calibration")
-    worst, *faulty = found.verdict.poses
-    say(f"worst pose: {worst.in_words()}")
-    for pose in faulty:
-        say(f"look at {pose.in_words()}")
-    say(found.verdict.in_words())
-    for advice in found.verdict.advice:
-        say(f"better: {advice}")
-    say(_scale_in_words(found.calibration))
+    for line in (*found.verdict.lines(), _scale_in_words(found.calibration)):
+        say(line)
 
 
 def _scale_in_words(calibration: Calibration) -> str:

@@ -1,7 +1,5 @@
 """`colorphase settings` and `colorphase rig`: TOML files to begin with, in which every key is explained."""
 
-import ast
-import inspect
 import json
 import textwrap
 from collections.abc import Iterator, Mapping
@@ -23,22 +21,6 @@ from pipeline.settings import DecodeSettings
 _WIDTH = 118
 _FILL_IN = "FILL IN"
 _UNITS = {"_s": "s", "_db": "dB", "_px": "px"}
-# What keys are for of which the settings say no more than the name.
-_MEANINGS = {
-    "timing.period_s": "From one pulse, and so frame, to the next; no shorter than the camera's exposure and readout",
-    "timing.projector_delay_s": "From the start of each period to the projector's pulse",
-    "timing.projector_width_s": "How long the projector's pulse is",
-    "timing.camera_delay_s": "From the start of each period to the camera's pulse",
-    "timing.camera_width_s": "How long the camera's pulse is",
-    "camera.exposure_s": "How long each frame is exposed; a whole number of colour cycles where the projector shows "
-    "colours one after another",
-    "camera.gain_db": "Amplification: noise grows with it, so light and aperture come first",
-    "projector.baud": "Bits a second of a serial line; None: the projector's usual ones are tried",
-    "projector.password": "PJLink's, where one is set; None: none. It is kept out of logs",
-    "projector.fields.red_s": "The middle of red's light, after the frame's pulse",
-    "projector.fields.green_s": "The middle of green's light",
-    "projector.fields.blue_s": "The middle of blue's light",
-}
 # Plausible values where each rig has its own: of a camera at 20 frames a second before a projector at 60 Hz, whose
 # colour fields are thirds of a cycle.
 _EXAMPLES = {
@@ -77,8 +59,7 @@ def settings_template() -> str:
     """Return a settings file in which every default stands as a comment, below what it means."""
     lines = ["# Settings for colorphase decode. What is commented out, or left out, has its default."]
     for name, field in DecodeSettings.model_fields.items():
-        meaning = " ".join((field.description or "").split())
-        lines += ["", *textwrap.wrap(meaning, _WIDTH, initial_indent="# ", subsequent_indent="# ")]
+        lines += ["", *_comment(" ".join((field.description or "").split()))]
         default = "(left out)" if field.default is None else json.dumps(field.default)
         lines.append(f"# {name} = {default}")
     return "\n".join(lines) + "\n"
@@ -175,14 +156,14 @@ def _section(model: type[BaseModel], prefix: str, values: Mapping[str, Any], nee
             inner.append((name, field, section))
             continue
         key = prefix + name
-        yield from ("", *_explained(model, key, field))
+        yield from ("", *_explained(name, field))
         value = values.get(key, _EXAMPLES.get(key, field.default) if field.is_required() else field.default)
         shown = "(left out)" if value is None else json.dumps(value)
         mark = f"  # {_FILL_IN}" if key in needed else ""
         yield f"{name} = {shown}{mark}" if key in values else f"# {name} = {shown}"
     for name, field, section in inner:
         optional = field.default is None
-        said = _said(model).get(name) or " ".join((section.__doc__ or "").split())
+        said = " ".join((field.description or section.__doc__ or "").split())
         yield from ("", *_comment(said.replace("None:", "left out:")))
         yield f"{'# ' if optional else ''}[{prefix}{name}]"
         yield from _section(section, f"{prefix}{name}.", values, needed)
@@ -196,10 +177,9 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
-def _explained(model: type[BaseModel], key: str, field: FieldInfo) -> list[str]:
+def _explained(name: str, field: FieldInfo) -> list[str]:
     """Return the comment above a key: its meaning, its unit and its default."""
-    name = key.rpartition(".")[2]
-    meaning = (_said(model).get(name) or _MEANINGS[key]).replace("None:", "left out:").rstrip(".")
+    meaning = " ".join((field.description or "").split()).replace("None:", "left out:").rstrip(".")
     sentences = [meaning, *(f"In {unit}" for suffix, unit in _UNITS.items() if name.endswith(suffix))]
     if field.is_required():
         sentences.append("It has no default")
@@ -212,15 +192,3 @@ def _explained(model: type[BaseModel], key: str, field: FieldInfo) -> list[str]:
 
 def _comment(text: str) -> list[str]:
     return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
-
-
-def _said(model: type[BaseModel]) -> dict[str, str]:
-    """Return what a model says of its keys: the strings below them."""
-    (definition,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
-    said = {}
-    if isinstance(definition, ast.ClassDef):
-        for statement, below in zip(definition.body, definition.body[1:], strict=False):
-            if isinstance(statement, ast.AnnAssign) and isinstance(statement.target, ast.Name):
-                if isinstance(below, ast.Expr) and isinstance(below.value, ast.Constant):
-                    said[statement.target.id] = " ".join(str(below.value.value).split())
-    return said

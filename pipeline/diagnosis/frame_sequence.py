@@ -47,6 +47,8 @@ _LEAST_STEP_RAD = 0.003
 _LEAST_SPEED_RAD = 0.01
 # Tiles of all frames together, at least, whose speed varies by more.
 _MIN_MOVING = 20
+# The object's depth where the axes of camera and projector do not meet, mm.
+_USUAL_DEPTH_MM = 1000.0
 # A motion must exceed its own standard error by this factor.
 _SIGMAS = 5.0
 
@@ -208,7 +210,7 @@ def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> 
         return None
     text = f"{bias:.3f} rad"
     if geometry is not None:
-        text += f" ({bias / rad_per_mm(geometry):.2f} mm)"
+        text += f" ({bias / geometry.rad_per_mm(geometry.working_distance_mm() or _USUAL_DEPTH_MM):.2f} mm)"
     lagging = np.exp(1j * (PHASES + worst_speed * np.array([0, green, blue])))
     surest = float(np.max(np.abs(fit.value[0]) / np.maximum(fit.error[0], 1e-12)))
     return RippleFinding(
@@ -218,15 +220,3 @@ def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> 
         confidence=min(0.99, 1 - float(np.exp(-surest / 5))),
         advice="show all colours at once, or a faster cycle; what is left when nothing moves is lateral colour",
     )
-
-
-def rad_per_mm(geometry: Geometry) -> float:
-    """Return how much the phase changes with depth on the camera's axis, where the two axes meet."""
-    depth = geometry.working_distance_mm() or 1000.0
-    axis, lens = geometry.phase_axis, geometry.projector
-
-    def coordinate(z: float) -> float:
-        place = geometry.rotation @ np.array([0.0, 0.0, z]) + geometry.translation_mm
-        return float(lens.matrix[axis, axis] * place[axis] / place[2])
-
-    return abs(coordinate(depth + 0.5) - coordinate(depth - 0.5)) * 2 * np.pi / geometry.pattern.period_px
