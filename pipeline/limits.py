@@ -1,4 +1,4 @@
-"""How large what is read may be: a small file can claim more than any machine holds."""
+"""Limits on the size of what is read: a small file can claim more than any machine holds."""
 
 import os
 import re

@@ -1,4 +1,4 @@
-"""What the files that a user hands over share: frozen models, unknown keys refused, errors that name the key."""
+"""Models of users' files: frozen, unknown keys refused, errors that name the key."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -65,13 +65,13 @@ Matrix3 = Annotated[FloatArray, ArrayOf((3, 3))]
 
 
 class CameraState(Model):
-    """How the camera was set; what a calibration holds of it, and settings of the footage."""
+    """The camera's state, as calibrations and settings of footage hold it."""
 
     exposure_s: Positive | None = None
     gain: Signed | None = None
     white_balance: Vector3 | None = None
     transfer: Literal["linear", "srgb", "bt709"] | Annotated[FloatArray, ArrayOf((256,))] | None = None
-    """How the camera encodes light; or, measured, the linear light of 256 levels, from 0 to 1."""
+    """The camera's encoding of light; or, measured, the linear light of 256 levels, from 0 to 1."""
 
 
 def build(model: type[M], values: Any, error: type[Exception], where: str) -> M:

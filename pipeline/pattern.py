@@ -73,7 +73,7 @@ def contrast_levels(strength: float = 1.0) -> npt.NDArray[np.float64]:
     Parameters
     ----------
     strength : float
-        By how much the levels differ beside those in linear light; 0: there is no code.
+        The levels' differences relative to those in linear light; 0: there is no code.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def make_pattern(
     Raises
     ------
     SettingsError
-        The size is not positive, or holds less than one cycle, or more of them than the code tells apart; or the
+        The size is not positive, or holds less than one cycle, or more of them than the code distinguishes; or the
         brightness is not above 0 and at most 1.
     """
     if not 0 < brightness <= 1:
@@ -133,7 +133,7 @@ def make_pattern(
     if pattern.code == "contrast":
         if length > CYCLES * pattern.period_px:
             raise SettingsError(
-                f"the code tells {CYCLES} cycles apart, but {length} px hold {length / pattern.period_px:.0f} of "
+                f"the code distinguishes {CYCLES} cycles, but {length} px hold {length / pattern.period_px:.0f} of "
                 f"{pattern.period_px:g} px: take a period of {length / CYCLES:.3g} px or more, or no code"
             )
         modulation = modulation_at(np.arange(length) / pattern.period_px)[:, None]
@@ -147,7 +147,7 @@ def make_pattern(
 
 
 def codes_for_light(light: npt.NDArray[np.float64], response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the codes, 0..1, by which a projector of this response makes the light asked for, 0..1."""
+    """Return the codes, 0..1, by which a projector of this response makes the wanted light, 0..1."""
     codes = np.linspace(0, 1, len(response))
     rising = np.concatenate([[True], np.diff(response) > 0])  # where it is flat, the smallest code does
     return np.asarray(np.interp(light, response[rising], codes[rising]))
@@ -160,7 +160,7 @@ def write_pattern(
     response: npt.NDArray[np.float64] | None = None,
     brightness: float = 1.0,
 ) -> None:
-    """Write the pattern as an 8-bit PNG, and beside it, as JSON, what a calibration stores of it.
+    """Write the pattern as an 8-bit PNG, and next to it, as JSON, what a calibration stores of it.
 
     Parameters
     ----------

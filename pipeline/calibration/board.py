@@ -58,7 +58,7 @@ _MM_PER_INCH = 25.4
 
 @dataclass(frozen=True)
 class ChessboardSearch:
-    """What a search for a chessboard found."""
+    """Result of a search for a chessboard."""
 
     corners_px: FloatArray | None  # (rows, columns, 2), or None
     seen: int  # how many corners the largest grid has: another board's, or a part's
@@ -91,7 +91,7 @@ def find_chessboard(grey: npt.NDArray[np.floating], size: tuple[int, int]) -> Ch
 
 
 def refine_corners(grey: npt.NDArray[np.floating], corners: FloatArray) -> FloatArray:
-    """Return corners to a few hundredths of a pixel, (..., 2) px, from places a pixel beside them.
+    """Return corners to a few hundredths of a pixel, (..., 2) px, from places a pixel off.
 
     A corner stays where it is where the picture has no saddle point near it.
     """
@@ -217,7 +217,7 @@ class _Saddles:
         way: tuple[int, int],
         first: tuple[FloatArray, FloatArray],
     ) -> FloatArray:
-        """Return the step that leads one way: as the one before it, or beside it, or else the first."""
+        """Return the step that leads one way: as the one before it, or next to it, or else the first."""
         (i, j), (di, dj) = at, way
         for m, n in ((i - di, j - dj), (i + dj, j + di), (i - dj, j - di)):
             if (m, n) in cells and (m + di, n + dj) in cells:
@@ -238,7 +238,7 @@ class _Saddles:
 def _board(cells: npt.NDArray[np.intp], places: FloatArray, size: tuple[int, int]) -> FloatArray | None:
     """Return the (rows, columns, 2) corners of a board of this size in a grid; None: it is another board, or a part.
 
-    At the rim of a narrow margin there may be saddles beside the board's corners, which do not fit its homography.
+    At the rim of a narrow margin there may be saddles that are not the board's corners and do not fit its homography.
     """
     least, board = np.inf, None
     for grid in (cells, cells[:, ::-1]):
@@ -347,7 +347,7 @@ class Board(Model):
         raise CalibrationError(f"no {name} is seen, {wrong}")
 
     def spans(self, numbers: npt.NDArray[np.integer]) -> bool:
-        """Return whether these corners tell how the board stands: two rows of it with two corners each, or more."""
+        """Return whether these corners fix the board's pose: two rows of it with two corners each, or more."""
         rows = np.asarray(numbers) // (self.squares[0] - 1)
         return int(np.count_nonzero(np.bincount(rows) >= 2)) >= 2
 

@@ -33,7 +33,7 @@ _MIN_REACH_PX = 4
 _SMOOTHING_PX, _ADDED_PX2 = 1.0, 1.0 + 1 / 3
 #: Poses at least: three determine a lens, and with eight a wrong one stands out from the others.
 MIN_POSES = 8
-# A pose with fewer corners says little of the lenses beside what its own place takes up (six parameters).
+# A pose with fewer corners says little of the lenses in addition to its own place (six parameters).
 _MIN_CORNERS = 12
 # The radius around a corner in which projector coordinates are fitted, over a square's side on the camera's image:
 # below one, so that it ends before the next corners.
@@ -52,7 +52,7 @@ _REFINEMENT_END = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 60, 1e-4)
 
 @dataclass(frozen=True)
 class PictureEvidence:
-    """What the pictures of one pose show of how they were taken."""
+    """The evidence in the pictures of one pose of how they were taken."""
 
     blur_px: float  # sigma of the edges at the corners; NaN: there is no room to see it
     drift_px: tuple[tuple[str, float], ...]  # by how much corners have moved since the white picture, and the name of
@@ -146,7 +146,7 @@ class BoardPose:
     camera_shift_px: FloatArray  # (3, 2) what R, G and B say more than their mean; NaN where squares are too small
     projector_shift_px: FloatArray  # (3, 2) the same in the projector, at the same camera pixel
     jacobian: FloatArray  # (2, 2) projector px a camera px, mean
-    evidence: PictureEvidence | None = None  # what the pictures show beside the corners; None: not looked for
+    evidence: PictureEvidence | None = None  # what else the pictures show; None: not looked for
 
 
 def measure_pose(
@@ -273,7 +273,7 @@ def _local_homography(seen: ProjectorMap, corner: FloatArray, radius: float) -> 
 
 
 def _channel_corners(white: FloatArray, corners: FloatArray, half: int) -> FloatArray:
-    """Return by how much the corners of R, G and B alone lie beside those of their mean, (3, 2) px; NaN: no room."""
+    """Return by how much the corners of R, G and B alone differ from those of their mean, (3, 2) px; NaN: no room."""
     if half < _MIN_HALF_WINDOW_PX:
         return np.full((3, 2), np.nan)
     alone = [_refined(white[..., channel], corners, half) - corners for channel in range(3)]
@@ -310,7 +310,7 @@ def measure_poses(
     Parameters
     ----------
     folder : Path
-        With a folder a pose, each with the captures of `multishot_sequence` under the pictures' names.
+        With one folder per pose, each with the captures of `multishot_sequence` under the pictures' names.
     board : Board
         What stands there.
     projector_size_px : (width, height)
@@ -326,7 +326,7 @@ def measure_poses(
         The folder lacks captures, they differ in size, or the board is found in too few of them.
     """
     if not folder.is_dir():
-        raise CalibrationError(f"{folder} is no folder: give the one with a folder a pose")
+        raise CalibrationError(f"{folder} is no folder: give the one with one folder per pose")
     names = multishot_sequence(projector_size_px).names
     poses: list[BoardPose] = []
     refused: list[str] = []

@@ -19,7 +19,7 @@ from pipeline.models import FloatArray
 _LENS_PRIOR = np.array([1.0, 1.0, 0.02, 0.02, 1.0])
 # Corners further from the fit than this many standard deviations are left out; of good ones fewer than one in 10,000.
 _CORNER_SIGMAS = 4.5
-# A corner's standard deviation, px, until the first fit tells it.
+# A corner's standard deviation, px, until the first fit estimates it.
 _START_SIGMA_PX = 0.1
 # Damping, of the normal matrix's diagonal: at the start; times this where a step makes the fit worse, over that where
 # it makes it better; and where it is given up, as steps are then too small to change anything.
@@ -123,7 +123,7 @@ class BundleAdjustment:
         return residual, jacobian
 
     def corner_errors(self, pose: BoardPose, stands: FloatArray, scale: float = 1.0) -> tuple[FloatArray, FloatArray]:
-        """Return by how much the corners of a board lie beside where lenses and step put them.
+        """Return the distances of a board's corners from where lenses and step put them.
 
         Parameters
         ----------

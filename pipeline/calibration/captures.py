@@ -27,7 +27,7 @@ SWAPPED = "camera and projector are swapped in the calibration: calibrate geomet
 
 
 class PictureSequence(Model):
-    """What is projected, in order; ``sequence.json``."""
+    """The pictures that are projected, in order; ``sequence.json``."""
 
     kind: Literal["radiometry", "geometry", "chart"]
     size_px: tuple[int, int]  # the projector's width and height
@@ -106,7 +106,7 @@ def captured_files(folder: Path) -> dict[str, Path]:
 
 
 class CapturedFolder(Mapping[str, ImageArray]):
-    """The captures in a folder by their names, each read when it is asked for."""
+    """The captures in a folder by their names, each read on demand."""
 
     def __init__(self, folder: Path, names: tuple[str, ...]) -> None:
         """Look for the files.

@@ -2,7 +2,7 @@
 
 Filter i and primary j meet around a wavelength of their own, lambda_ij: there the crosstalk's entry is weighed by a
 surface's reflectance (`tikernels/phase/surface_matrix.py`). Four pictures of a chart, under black and under each
-primary alone, tell all nine: with the ambient light of black taken off, channel i sees of patch n under primary j
+primary alone, determine all nine: with the ambient light of black taken off, channel i sees of patch n under primary j
 
     c_ij e_j(n) rho_n(lambda_ij),
 
@@ -32,7 +32,7 @@ _MIDDLE = 0.4
 # Light, of full scale, that counts half: noise and stray light are about as much. From this part of it on pixels may be
 # saturated.
 _HALF, _SATURATED = 0.005, 0.99
-# A primary whose brightest patch is darker than this, of full scale, tells nothing.
+# A primary whose brightest patch is darker than this, of full scale, shows nothing.
 _MIN_SIGNAL = 0.04
 # Wavelengths that are tried, nm.
 _TRIED = np.arange(400.0, 701.0)
@@ -42,7 +42,7 @@ _ROUNDS = 10
 # A chart whose patches are off by more than this fraction, RMS, is another; a patch that is darker by more under all
 # primaries is in shadow.
 _MAX_MISFIT, _SHADOW = 0.12, 0.25
-# A primary's own wavelength that is less sure than this is not told by the chart, nm.
+# A primary's own wavelength that is less sure than this is not determined by the chart, nm.
 _UNSURE = 15.0
 # What is known of a reflectance, at the least.
 _LEAST_RHO = 0.01
@@ -50,7 +50,7 @@ _LEAST_RHO = 0.01
 
 @dataclass(frozen=True)
 class ChartLight:
-    """What a colour chart says of the light."""
+    """Wavelengths measured from a colour chart."""
 
     wavelengths_nm: FloatArray  # (3, 3) where channel i sees primary j
     sigma_nm: FloatArray  # (3, 3) standard deviations
@@ -152,7 +152,8 @@ def measure_wavelengths(
     for name, own, sigma in zip(PRIMARIES, np.diag(wavelengths), np.diag(sigmas), strict=True):
         if sigma > _UNSURE or not (np.diff(np.diag(wavelengths)) < 0).all():
             raise CalibrationError(
-                f"the chart tells no wavelength for {name} ({own:.0f} ± {sigma:.0f} nm): take one of saturated colours"
+                f"the chart determines no wavelength for {name} ({own:.0f} ± {sigma:.0f} nm): take one of saturated "
+                "colours"
             )
     return ChartLight(wavelengths, sigmas, misfit)
 
@@ -210,5 +211,5 @@ def _of_primary(
     steepness = np.gradient(logs, _TRIED, axis=1)[:, chosen]
     steepness = steepness - (weights * steepness).sum(axis=0) / weights.sum(axis=0)
     variance = (weights * rests**2).sum(axis=0) / weights.sum(axis=0)
-    told = (weights * steepness**2).sum(axis=0) / np.maximum(variance, 1e-5)
-    return _TRIED[chosen], 1 / np.sqrt(told + 1 / _APART**2), rests, weights
+    certainty = (weights * steepness**2).sum(axis=0) / np.maximum(variance, 1e-5)
+    return _TRIED[chosen], 1 / np.sqrt(certainty + 1 / _APART**2), rests, weights

@@ -1,4 +1,4 @@
-"""What is known of a rig: both lenses, where they stand, and how light turns into grey levels."""
+"""A calibrated rig: both lenses, where they stand, and how light turns into grey levels."""
 
 import hashlib
 import json
@@ -39,11 +39,12 @@ Response = Annotated[FloatArray, ArrayOf((3, 256))]
 
 #: Crosstalk worse than this cannot be undone: noise grows by it.
 MAX_CONDITION = 100.0
-#: What is taken where nobody has named a projector or a pattern: width and height in px, and px a cycle: 44 cycles down
+#: What is taken where nobody has named a projector or a pattern: width and height in px, and px per cycle: 44 cycles
+# down
 #: the picture.
 DEFAULT_PROJECTOR_PX = (1024, 768)
 DEFAULT_PERIOD_PX = 768 / 44
-#: What beside the side of the board's squares tells the scale of a geometry.
+#: What proves the scale of a geometry, in addition to the side of the board's squares.
 ScaleProof = Literal["baseline", "second board"]
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
 # No picture format that is read has longer sides.
@@ -74,7 +75,7 @@ class Lens(Model):
         Parameters
         ----------
         shift_px : (2,), optional
-            Lateral colour: x, y by which a channel lands beside its place.
+            Lateral colour: x, y by which a channel lands off its place.
 
         Returns
         -------
@@ -124,11 +125,11 @@ class Lens(Model):
 
 
 class Pattern(Model):
-    """What the projector shows."""
+    """The pattern that the projector shows."""
 
-    period_px: Annotated[float, Field(ge=4, le=LARGEST)]  # projector px a cycle
+    period_px: Annotated[float, Field(ge=4, le=LARGEST)]  # projector px per cycle
     stripes: Literal["horizontal", "vertical"] = "horizontal"
-    code: Literal["contrast"] | None = None  # "contrast": the modulation of each cycle tells which one it is
+    code: Literal["contrast"] | None = None  # "contrast": the modulation of each cycle identifies it
     compensated: bool | None = None  # whether the projector's response is undone in it; None: unknown
 
 
@@ -264,7 +265,7 @@ class Calibration(Model):
 
     @property
     def has_geometry(self) -> bool:
-        """Whether it says where camera and projector stand."""
+        """True where it states where camera and projector stand."""
         return self.camera is not None
 
     def geometry(self) -> Geometry:

@@ -37,7 +37,7 @@ _MAX_UNEVEN = 0.12
 
 @dataclass(frozen=True)
 class ProjectorMap:
-    """Where in the projector every camera pixel's light comes from."""
+    """Projector coordinates of the light that every camera pixel sees."""
 
     position_px: FloatArray  # (H, W, 2) column, row; NaN where unknown
     channel_shift_px: FloatArray  # (3, H, W, 2) what R, G and B alone say more than their sum
@@ -45,7 +45,7 @@ class ProjectorMap:
 
 
 def multishot_sequence(size_px: tuple[int, int]) -> PictureSequence:
-    """Return the pictures that tell every pixel's projector column and row."""
+    """Return the pictures from which every pixel's projector column and row are found."""
     names = [WHITE, BLACK]
     for axis in _AXES:
         for level, steps in _STEPS.items():

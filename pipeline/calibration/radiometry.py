@@ -1,9 +1,9 @@
-"""How much light the projector makes of each code, and how much of it each camera channel sees.
+"""The light that the projector makes of each code, and how much of it each camera channel sees.
 
 Full fields of red, green, blue and grey are shown at rising codes on a white target. In linear light, with the ambient
 light of the black field taken off, camera channel i sees sum_k M[i, k] f_k(code_k): of one primary alone, a column of
 the crosstalk matrix M times that primary's response f_k (section 2.2 of Je, Lee and Park 2004), so that each ramp is a
-matrix of rank one. Grey must be the sum of the three, which also tells how the camera encodes light.
+matrix of rank one. Grey must be the sum of the three, which also determines how the camera encodes light.
 """
 
 import io
@@ -48,7 +48,7 @@ _KNOTS = 24
 
 @dataclass(frozen=True)
 class Radiometry:
-    """What the ramps say of the light."""
+    """Response, crosstalk and transfer measured from the ramps."""
 
     crosstalk_matrix: FloatArray  # (3, 3) camera = matrix @ projector, of full scale
     crosstalk_sigma: FloatArray  # (3, 3) standard deviations
@@ -136,8 +136,8 @@ def measure_radiometry(
     factors = _factorise(ramps)
     if np.linalg.cond(factors[0]) > MAX_CONDITION:
         raise CalibrationError(
-            "the camera hardly tells the projector's colours apart: switch off its colour effects, and the projector's "
-            "colour mode"
+            "the camera hardly distinguishes the projector's colours: switch off its colour effects, and the "
+            "projector's colour mode"
         )
     ambient = np.array([histograms[_BLACK][i] @ _light_of_levels(chosen) for i in range(3)])
     noise = _pixel_noise(linear_values(np.clip(white / full, 0, 1), chosen), lit)
@@ -237,7 +237,7 @@ def _additive_curve(histograms: dict[str, FloatArray]) -> FloatArray:
     """Return the linear light of 256 levels for which grey is the sum of the primaries, as nearly as may be.
 
     The curve is piecewise linear between knots, so a capture's mean light is linear in the knots' values, and
-    additivity one homogeneous equation a code and channel; a little smoothness settles what no level tells.
+    additivity one homogeneous equation per code and channel; a little smoothness settles what no level determines.
     """
     knots = np.linspace(0, 1, _KNOTS) ** 1.5
     # Each level's weights on the knots.
@@ -263,7 +263,7 @@ def _additive_curve(histograms: dict[str, FloatArray]) -> FloatArray:
 def _factorise(ramps: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Split each primary's ramp into a column of the crosstalk matrix and a response, each with its deviations."""
     codes = np.array([0, *RAMP_CODES]) / 255
-    # What grey differs from the sum by is no noise, but tells how far the model can be trusted.
+    # What grey differs from the sum by is no noise, but shows how far the model can be trusted.
     misfit = float(np.sqrt(((ramps[3] - ramps[:3].sum(axis=0)) ** 2).mean()))
     matrix, matrix_sigma = np.zeros((3, 3)), np.zeros((3, 3))
     response, response_sigma = np.zeros((3, 256)), np.zeros((3, 256))

@@ -1,4 +1,4 @@
-"""Where camera and projector stand, and what their lenses do, from a board in several poses.
+"""Solve where camera and projector stand, and what their lenses do, from a board in several poses.
 
 Poses that repeat others or do not fit are left out of the bundle adjustment, and a result that the poses do not support
 is refused.
@@ -42,14 +42,15 @@ _OUTLIER, _OUTLIER_PX = 3.0, 0.2
 _MAX_RMS_PX = 1.0
 # Two poses that differ by less than this turn, and by less than this part of their distance, add nothing.
 _SAME_DEG, _SAME_PART = 2.0, 0.02
-# Boards whose normals differ by less, deg, tell no lens: what tilting takes off a board's width is 0.4 % of it then.
+# Boards whose normals differ by less, deg, determine no lens: what tilting takes off a board's width is 0.4 % of it
+# then.
 _PARALLEL_DEG = 5.0
 # Poses that are all alike leave the focal lengths open: a greater relative standard deviation is no calibration.
 _MAX_FOCAL_SIGMA = 0.02
 # Where depth moves the light across the stripes by less than this part of what it moves along them, the stripes run
 # along the baseline.
 _MIN_ACROSS = 0.3
-# Lateral colour below this, px, changes nothing that could be measured: 0.03 px is 0.016 rad at 12 px a cycle.
+# Lateral colour below this, px, changes nothing that could be measured: 0.03 px is 0.016 rad at 12 px per cycle.
 _MIN_COLOR_SHIFT_PX = 0.03
 
 
@@ -62,7 +63,7 @@ class SecondBoard(NamedTuple):
 
 
 def prove_scale(fit: BundleAdjustment, baseline_mm: float | None, second: SecondBoard | None) -> ScaleProof | None:
-    """Return what proves the scale of a fit; None: nothing.
+    """Return the proof of a fit's scale; None: there is none.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def prove_scale(fit: BundleAdjustment, baseline_mm: float | None, second: Second
     Raises
     ------
     CalibrationError
-        The baseline or the second board contradicts the fit, or cannot tell anything.
+        The baseline or the second board contradicts the fit, or cannot prove anything.
     """
     if baseline_mm is not None:
         _check_baseline(fit, baseline_mm)
@@ -120,7 +121,7 @@ def _check_second_board(fit: BundleAdjustment, second: SecondBoard) -> None:
 
 
 def board_scale(fit: BundleAdjustment, poses: Sequence[BoardPose]) -> tuple[float, float]:
-    """Return how many times as large as given a board's squares are by a fit of another one, and the deviation.
+    """Return the ratio of a board's squares to their given size by a fit of another board, and its deviation.
 
     Parameters
     ----------
@@ -162,7 +163,7 @@ def board_scale(fit: BundleAdjustment, poses: Sequence[BoardPose]) -> tuple[floa
 
 
 def _start_of(fit: BundleAdjustment, pose: BoardPose) -> FloatArray:
-    """Return roughly how a pose stands in the camera's frame: rotation vector and place."""
+    """Return roughly where a pose stands in the camera's frame: rotation vector and place."""
     lens = fit.parameters[:9]
     matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     _, turn, place = cv2.solvePnP(pose.corners_mm, pose.camera_px, matrix, lens[4:])
@@ -278,7 +279,7 @@ def _fit_without_outliers(
 
 
 def _check_fit(fit: BundleAdjustment, pattern: Pattern) -> None:
-    """Refuse a fit that its poses do not support, or whose stripes tell no depth."""
+    """Refuse a fit that its poses do not support, or whose stripes show no depth."""
     if fit.camera_rms_px > _MAX_RMS_PX or fit.projector_rms_px > _MAX_RMS_PX:
         raise CalibrationError(
             f"the poses do not fit together ({fit.camera_rms_px:.2f} px off in the camera, {fit.projector_rms_px:.2f} "
@@ -287,14 +288,14 @@ def _check_fit(fit: BundleAdjustment, pattern: Pattern) -> None:
     focal_sigma = fit.focal_sigma()
     if not focal_sigma < _MAX_FOCAL_SIGMA:
         raise CalibrationError(
-            f"the poses are too much alike, they tell the focal lengths only to {focal_sigma:.0%}: tilt the board by "
-            "15-35 deg, a different way in each pose"
+            f"the poses are too much alike, they determine the focal lengths only to {focal_sigma:.0%}: tilt the "
+            "board by 15-35 deg, a different way in each pose"
         )
     across, along = fit.px_per_mm(pattern, float(np.median(fit.depths_mm())))
     if across < _MIN_ACROSS * along:
         other = "vertical" if pattern.stripes == "horizontal" else "horizontal"
         raise CalibrationError(
-            f"{pattern.stripes} stripes run along the line from camera to projector, where their phase tells no depth: "
+            f"{pattern.stripes} stripes run along the line from camera to projector, where their phase shows no depth: "
             f"calibrate for {other} ones"
         )
 
@@ -422,9 +423,9 @@ def _color_shift(poses: list[BoardPose], crosstalk_matrix: FloatArray | None) ->
     if not poses:
         return None
     camera = np.median([pose.camera_shift_px for pose in poses], axis=0)
-    beside = np.median([pose.projector_shift_px + camera @ pose.jacobian.T for pose in poses], axis=0)
+    relative = np.median([pose.projector_shift_px + camera @ pose.jacobian.T for pose in poses], axis=0)
     mix = np.eye(3) if crosstalk_matrix is None else crosstalk_matrix / crosstalk_matrix.sum(axis=1, keepdims=True)
-    projector = -np.linalg.solve(mix, beside)
+    projector = -np.linalg.solve(mix, relative)
     if max(np.abs(camera).max(), np.abs(projector).max()) < _MIN_COLOR_SHIFT_PX:
         return None
     return ColorShift(camera=camera, projector=projector)

@@ -28,7 +28,7 @@ _AMBIENT = 0.02
 
 @dataclass(frozen=True)
 class CaptureLight:
-    """What happens to light and grey levels on the way from a picture to its capture."""
+    """The path of light and grey levels from a picture to its capture."""
 
     gamma: float = 2.0  # the projector's response: light = code ** gamma
     crosstalk: FloatArray | None = None  # (3, 3) camera = matrix @ projector in linear light; None: none
@@ -42,7 +42,7 @@ _LIGHT = CaptureLight()
 
 
 class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
-    """The captures of one pose, rendered when they are asked for.
+    """The captures of one pose, rendered on demand.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
     seed : int
         Of the noise.
     samples : int
-        Rays a pixel, along either side.
+        Rays per pixel, along either side.
     """
 
     def __init__(
@@ -154,13 +154,13 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
             for k in range(3):
                 if self.crosstalk[i, k] == 0:
                     continue
-                # A channel whose light lands beside its place shows there what belongs elsewhere.
-                beside, plane = _place(self.projector_shift[k]), 0 if is_grey else k
-                if (place, beside, plane) not in landed:
-                    at = position - np.array(beside, np.float32)
+                # A channel whose light lands off its place shows there what belongs elsewhere.
+                offset, plane = _place(self.projector_shift[k]), 0 if is_grey else k
+                if (place, offset, plane) not in landed:
+                    at = position - np.array(offset, np.float32)
                     light = cv2.remap(planes[plane], at[..., 0], at[..., 1], cv2.INTER_LINEAR)
-                    landed[place, beside, plane] = self._averaged(reflectance * light)
-                channels[..., i] += np.float32(self.crosstalk[i, k]) * landed[place, beside, plane]
+                    landed[place, offset, plane] = self._averaged(reflectance * light)
+                channels[..., i] += np.float32(self.crosstalk[i, k]) * landed[place, offset, plane]
             channels[..., i] += _AMBIENT * self._averaged(reflectance)
         if self.light.blur_px:
             channels = np.asarray(cv2.GaussianBlur(channels, (0, 0), self.light.blur_px), np.float32)

@@ -31,7 +31,7 @@ from pipeline.models import FloatArray
 
 #: "good": a frame's noise limits a measurement; "usable": the calibration does; "poor": calibrate again.
 Grade = Literal["good", "usable", "poor"]
-# rad a part of the channels' range, at full modulation.
+# rad per part of the channels' range, at full modulation.
 _RAD_PER_PART = float(np.sqrt(8 / 3))
 # rad RMS: what the noise of one frame leaves of a smoothed phase (0.007 to 0.014, docs/accuracy.md); and what the
 # paper's chain leaves, which measures no response.
@@ -55,7 +55,7 @@ _MOVED_PX, _MOVED = 0.1, 3.0
 _BLURRED_PX, _BLURRED = 1.2, 1.5
 # Beyond this tilt, deg, boards are found less and less well (docs/calibration.md).
 _STEEP_DEG = 50.0
-# Squares of fewer px leave no room for the corners' windows; and what counts as far away beside the other poses.
+# Squares of fewer px leave no room for the corners' windows; and what counts as far away compared with the other poses.
 _SMALL_PX, _SMALL = 12.0, 0.6
 # The worst tenth of the corners carries a third of the squared error where it is noise; so much only where it is their
 # own.
@@ -65,8 +65,8 @@ FRAME_NOISE_RAD = 0.01
 # Parts of the distance. With the first a face of 200 mm is wrong by 0.07 mm, which is what a frame's noise makes of a
 # point 900 mm away; with the second by 0.2 mm, three times that.
 _GOOD, _USABLE = 1 / 3000, 1 / 1000
-# Boards whose normals differ by less, deg, hardly tell focal length from distance: two poses tilted by 15 deg to either
-# side differ by this.
+# Boards whose normals differ by less, deg, hardly distinguish focal length from distance: two poses tilted by 15 deg to
+# either side differ by this.
 _MIN_SPREAD_DEG = 30.0
 # Corners that fill less of the picture leave its rim, where lenses bend most, to extrapolation.
 _MIN_FIELD = 0.5
@@ -131,7 +131,7 @@ def judge_radiometry(found: Radiometry, geometry: Geometry | None) -> Radiometry
     found : Radiometry
         What was measured.
     geometry : Geometry, optional
-        The rig's, which tells what a radian is in mm.
+        The rig's, which turns a radian into mm.
     """
     # Of light 0..1, RMS over codes and primaries; and of each channel's crosstalk, over all that it sees.
     response = float(np.sqrt((found.response_sigma**2).mean()))
@@ -168,7 +168,7 @@ def _gamma(response: FloatArray) -> float:
 
 @dataclass(frozen=True)
 class PoseJudgement:
-    """How a pose fits beside the others."""
+    """Fit of a pose compared with the others."""
 
     name: str
     rms_px: tuple[float, float]  # camera, projector
@@ -177,11 +177,11 @@ class PoseJudgement:
 
     @property
     def stands_out(self) -> bool:
-        """Whether it fits worse than chance explains."""
+        """True where it fits worse than chance explains."""
         return any(rms > _STANDS_OUT * usual for rms, usual in zip(self.rms_px, self.usual_px, strict=True))
 
     def in_words(self) -> str:
-        """Return a line that says how it fits, and why."""
+        """Return one line with its fit and the causes."""
         figures = (
             f"{self.name}: corners off by {self.rms_px[0]:.3f} px RMS in the camera and {self.rms_px[1]:.3f} in the "
             f"projector, those of the middle pose by {self.usual_px[0]:.3f} and {self.usual_px[1]:.3f}"
@@ -195,7 +195,7 @@ def judge_poses(fit: BundleAdjustment) -> tuple[PoseJudgement, ...]:
     """Return the worst pose of a fit, and after it all others whose pictures show a fault.
 
     A board that moves in its own plane hardly changes which projector pixels shine on it, nor do blurred corners lie
-    beside their place: such poses need not fit badly.
+    off their place: such poses need not fit badly.
     """
     rms = fit.pose_rms_px()
     usual = np.maximum(np.median(rms, axis=0), 1e-9)  # corners without noise are nowhere off
@@ -210,7 +210,7 @@ def judge_poses(fit: BundleAdjustment) -> tuple[PoseJudgement, ...]:
 
 
 def pose_causes(fit: BundleAdjustment, k: int) -> tuple[str, ...]:
-    """Return what the data of a pose shows that makes corners lie beside their place, beside the other poses."""
+    """Return the causes of corners that lie off their place, as the data of a pose shows them."""
     others = [pose for i, pose in enumerate(fit.poses) if i != k]
     causes = _picture_causes(fit, k)
     tilt = _tilt_deg(fit, k)
@@ -218,7 +218,7 @@ def pose_causes(fit: BundleAdjustment, k: int) -> tuple[str, ...]:
         causes.append(f"the board is tilted by {tilt:.0f} deg: turn it to {_STEEP_DEG:.0f} deg or less")
     side, usual_side = square_px(fit.poses[k]), float(np.median([square_px(pose) for pose in others]))
     if side < _SMALL_PX or side < _SMALL * usual_side:
-        causes.append(f"the board is small, {side:.0f} px a square and elsewhere {usual_side:.0f}: show it nearer")
+        causes.append(f"the board is small, {side:.0f} px per square, elsewhere {usual_side:.0f}: show it nearer")
     few = _few_corners(fit, k)
     if few is not None:
         causes.append(
@@ -245,19 +245,19 @@ def square_px(pose: BoardPose) -> float:
 
 
 def _picture_causes(fit: BundleAdjustment, k: int) -> list[str]:
-    """Return what a pose's pictures show: a board that moved, or that is not sharp."""
+    """Return the causes that a pose's pictures show: a board that moved, or that is not sharp."""
     evidence = fit.poses[k].evidence
-    beside = [pose.evidence for i, pose in enumerate(fit.poses) if i != k and pose.evidence is not None]
+    others = [pose.evidence for i, pose in enumerate(fit.poses) if i != k and pose.evidence is not None]
     if evidence is None:
         return []
     causes = []
-    usual_move = float(np.median([other.moved_px for other in beside])) if beside else 0.0
+    usual_move = float(np.median([other.moved_px for other in others])) if others else 0.0
     if evidence.moved_px > max(_MOVED_PX, _MOVED * usual_move):
         causes.append(
-            f"it moved: from {evidence.moved_before} on its corners lie up to {evidence.moved_px:.2f} px beside those "
+            f"it moved: from {evidence.moved_before} on its corners lie up to {evidence.moved_px:.2f} px from those "
             "of the white picture: let board and camera stand still"
         )
-    sharp = [other.blur_px for other in beside if np.isfinite(other.blur_px)]
+    sharp = [other.blur_px for other in others if np.isfinite(other.blur_px)]
     usual_blur = float(np.median(sharp)) if sharp else 0.0
     if evidence.blur_px > max(_BLURRED_PX, _BLURRED * usual_blur):
         causes.append(
@@ -337,7 +337,7 @@ class GeometryVerdict(Verdict):
         return (
             f"{self.grade}: {self.distance_mm:.0f} mm away the calibration leaves depth off by {self.bias_mm:.2f} mm "
             f"(one standard deviation, smooth over the picture; 1 part in {part:.0f}), and the noise of a frame, "
-            f"{FRAME_NOISE_RAD:g} rad, adds {self.random_mm:.2f} mm a point"
+            f"{FRAME_NOISE_RAD:g} rad, adds {self.random_mm:.2f} mm per point"
         )
 
     def lines(self) -> list[str]:
@@ -386,7 +386,7 @@ def _advice(
     bias: float,
     random: float,
 ) -> tuple[str, ...]:
-    """Return what would make a geometry better."""
+    """Return what would improve a geometry."""
     advice = []
     if random > max(bias, _GOOD * distance):
         baseline = float(np.linalg.norm(fit.stereo[3:]))

@@ -88,7 +88,7 @@ def radiometry(
     captures
         Folder with the captures, under the names that the pictures have.
     out
-        The calibration to write; a plot of the responses goes beside it.
+        The calibration to write; a plot of the responses is written next to it.
     calibration
         An earlier calibration, whose geometry is kept.
     transfer
@@ -171,7 +171,7 @@ def wavelengths(
     known = Calibration.read(calibration)
     if nm is not None:
         if captures is not None:
-            raise SettingsError("--nm gives the wavelengths: leave the captures away")
+            raise SettingsError("--nm gives the wavelengths: omit the captures")
         values = {**known.model_dump(), "wavelengths_nm": np.reshape(nm, (3, 3))}
         build(Calibration, values, SettingsError, "calibration").write(out, force=force)
         say(f"wrote {out}")
@@ -233,7 +233,7 @@ def geometry(
     Parameters
     ----------
     captures
-        Folder with a folder a pose, each with the captures under the names that the pictures have.
+        Folder with one folder per pose, each with the captures under the names that the pictures have.
     board
         What the board is.
     baseline_mm
@@ -274,11 +274,13 @@ def _write_fringes(folder: Path, size_px: tuple[int, int]) -> None:
     """Write the pictures to project."""
     sequence = multishot_sequence(size_px)
     write_sequence(folder, sequence, lambda name: multishot_codes(name, size_px))
-    say(f"{len(sequence.names)} pictures in {folder}: project and capture all of them in each pose, a folder a pose")
+    say(
+        f"{len(sequence.names)} pictures in {folder}: project and capture all of them in each pose, one folder per pose"
+    )
 
 
 def _say_verdict(found: GeometryFit, refused: list[str]) -> None:
-    """Say which poses are missing or bad, what the geometry is worth, and what is known of its scale."""
+    """Print which poses are missing or bad, the quality of the geometry, and what is known of its scale."""
     for line in (*refused, *(f"{name} left out: {reason}" for name, reason in found.left_out)):
         say(f"note: {line}")
     if found.calibration.color_shift_px is not None and found.calibration.crosstalk_matrix is None:
@@ -288,13 +290,13 @@ def _say_verdict(found: GeometryFit, refused: list[str]) -> None:
 
 
 def _scale_in_words(calibration: Calibration) -> str:
-    """Return what is to be known of the scale."""
+    """Return what is known of the scale."""
     baseline_mm = float(np.linalg.norm(calibration.geometry().translation_mm))
     if calibration.scale_proof is not None:
         return f"scale proven by the {calibration.scale_proof}; camera and projector stand {baseline_mm:.1f} mm apart"
     return (
-        f"scale unproven: only --square-mm tells it, and camera and projector stand {baseline_mm:.0f} mm apart by it; "
-        "measure that and give it as --baseline-mm, or show a board of another size (--second-board)"
+        f"scale unproven: only --square-mm determines it, and camera and projector stand {baseline_mm:.0f} mm apart "
+        "by it; measure that and give it as --baseline-mm, or show a board of another size (--second-board)"
     )
 
 

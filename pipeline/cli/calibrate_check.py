@@ -29,7 +29,7 @@ def check(
     arch: Arch = "auto",
     force: Replace = False,
 ) -> None:
-    """Ask whether a calibration still holds, and why a surface is wavy.
+    """Check whether a calibration still holds, and why a surface is wavy.
 
     Example: colorphase calibrate check ball.png --calibration calibration.json --shape ball --radius-mm 40
 
@@ -45,7 +45,7 @@ def check(
     radius_mm
         The ball's true radius.
     fix
-        Write a calibration with what the picture tells of the light corrected.
+        Write a calibration whose light is corrected by the picture.
     """
     from pipeline.batch.job import with_transfer_of
     from pipeline.diagnosis.rig_check import check_captures, check_picture, check_sequence, holds_captures

@@ -56,7 +56,7 @@ def capture(
         Decode the newest frame meanwhile, into live.png, and show how long after its exposure that is done.
     """
     if settings is not None and not live:
-        raise SettingsError(f"{settings} tells how --live decodes: add --live, or leave --settings away")
+        raise SettingsError(f"{settings} is for --live: add --live, or omit --settings")
     plan = CapturePlan(
         n_bursts=1 if bursts is None and not endless and keep_last is None else bursts,
         endless=endless,
@@ -66,7 +66,7 @@ def capture(
         arch=arch,
     )
     stopping = Stopping()
-    with stopping.listening():  # to the last line, which who asks twice is not to miss
+    with stopping.listening():  # until the last line is printed
         with steps() as show:
             chosen = choose_rig(rig, arch, show)
             stopping.check()

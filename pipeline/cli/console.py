@@ -1,4 +1,4 @@
-"""What all commands share: two consoles, one progress bar, bounds of options, and how a mistake is reported."""
+"""Shared by all commands: two consoles, one progress bar, bounds of options, and how a mistake is reported."""
 
 import re
 import sys
@@ -106,7 +106,7 @@ class _Printed(Console):
                 yield Segment(lines, segment.style)
 
 
-#: Results, and what is said beside them. Names of files may look like markup.
+#: Results, and remarks. Names of files may look like markup.
 stdout = _Printed(markup=False, emoji=False)
 stderr = _Printed(stderr=True, markup=False, emoji=False)
 
@@ -129,7 +129,7 @@ def frames(count: int) -> str:
 
 
 def remark(line: str) -> None:
-    """Print a line beside the result, in yellow, on standard error."""
+    """Print a remark, in yellow, on standard error."""
     _tell(line, "yellow")
 
 
@@ -148,7 +148,7 @@ class _Progress:
 
     def __init__(self, *columns: ProgressColumn) -> None:
         self._bar = Progress(*columns, console=stderr, transient=True, disable=not stderr.is_terminal)
-        self._task: TaskID = self._bar.add_task("starting", total=None, beside="")
+        self._task: TaskID = self._bar.add_task("starting", total=None, rate="")
         self._since_s = time.monotonic()
         self._ended = Event()
         self._thread = Thread(target=self._tell_rarely, name="progress", daemon=True)
@@ -171,15 +171,15 @@ class _Progress:
             # At once: a kernel that is compiled next may keep the line as it is until it is done.
             self._bar.update(self._task, description=what, refresh=True)
 
-    def count(self, done: int, of: int, beside: str) -> None:
+    def count(self, done: int, of: int, rate: str) -> None:
         """Say how much is done, and how fast."""
-        self._bar.update(self._task, completed=done, total=of, beside=beside)
+        self._bar.update(self._task, completed=done, total=of, rate=rate)
 
     def _tell_rarely(self) -> None:
         while not self._ended.wait(_RARELY_S):
             task = self._bar.tasks[0]
             counts = "" if task.total is None else f" {task.completed:.0f} of {task.total:.0f}"
-            parts = [f"{task.description}{counts}", task.fields["beside"]]
+            parts = [f"{task.description}{counts}", task.fields["rate"]]
             elapsed_s = time.monotonic() - self._since_s
             _tell(", ".join(part for part in (*parts, f"after {elapsed_s:.0f} s") if part), "")
 
@@ -192,7 +192,7 @@ def steps() -> Iterator[Callable[[str], None]]:
 
 
 class Count:
-    """What hears how many frames are done, and of how many; and what is being done."""
+    """Shows how many frames are done, and of how many; and what is being done."""
 
     def __init__(self, line: _Progress) -> None:
         self._line = line
@@ -200,7 +200,7 @@ class Count:
         self._before: int | None = None  # that were done before this run
 
     def __call__(self, done: int, of: int) -> None:
-        """Show that some frames are done; what this is told first was done before."""
+        """Show that some frames are done; the first count was done before."""
         if self._before is None:
             self._before = done
         elif done > self._before:
@@ -217,7 +217,7 @@ class Count:
 @contextmanager
 def counted(what: str) -> Iterator[Count]:
     """Show how many frames are done, and how fast; what is yielded hears how many, and of how many."""
-    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[beside]}", markup=False)
+    columns = BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rate]}", markup=False)
     with _Progress(TextColumn("{task.description}", markup=False), *columns, TimeElapsedColumn()) as line:
         line.say(what)
         yield Count(line)

@@ -47,14 +47,14 @@ _SHOWN = 10  # bad frames that are named
 @Parameter(name="*")
 @dataclass(frozen=True)
 class SettingsOptions:
-    """Settings that are asked for most; they overrule those of --settings."""
+    """The most common settings; they overrule those of --settings."""
 
     stripes: Literal["horizontal", "vertical"] | None = None
     """Horizontal where the phase changes from row to row."""
     transfer: Literal["linear", "srgb", "bt709"] | None = None
-    """How the camera encoded light; left out, the calibration or the file tells."""
+    """The camera's encoding of light; left out, that of the calibration or the file."""
     period: float | None = None
-    """Camera px a cycle, roughly; left out, measured from the frame."""
+    """Camera px per cycle, roughly; left out, measured from the frame."""
     code: Literal["contrast"] | None = None
     """The pattern's code; a calibration's pattern wins."""
     smoothing: int | None = None
@@ -81,7 +81,7 @@ class FootageOptions:
     """The options for footage."""
 
     fields: Annotated[tuple[str, ...] | None, Parameter(consume_multiple=True)] = None
-    """Which fields to store, as range_image mask, or all; left out, mask, phase_sigma, absolute and points, or
+    """The fields to store, as range_image mask, or all; left out, mask, phase_sigma, absolute and points, or
     range_image without a calibration."""
     start: Annotated[int, Parameter(validator=bounded(0))] = 0
     """The first frame, from 0."""
@@ -152,19 +152,17 @@ def decode(
     calibration
         The rig's calibration.json; with it results are in mm.
     depth_range
-        The nearest and the farthest depth of what was photographed, mm; it tells the order of what has no code.
+        The nearest and the farthest depth of what was photographed, mm; it places surfaces without a code.
     """
     how, rig = chosen.applied_to(read_settings(settings)), _within(read_calibration(calibration), depth_range)
     if input.suffix.lower() not in IMAGE_SUFFIXES or input.is_dir():
         if part != _ALL and video.export is None:
-            raise SettingsError(
-                "--crop, --no-background and --triangles are for meshes: add --export, or leave them away"
-            )
+            raise SettingsError("--crop, --no-background and --triangles are for meshes: add --export, or omit them")
         _decode_video(input, out, how, rig, arch, video, part.options(), stored_as, force=force)
         return
     if video != _FOOTAGE:
         raise SettingsError(
-            f"{input.name} is a picture, and these options are for footage: leave them away, or give its folder"
+            f"{input.name} is a picture, and these options are for footage: omit them, or give its folder"
         )
     from pipeline.batch.one_frame import decode_picture
 
@@ -241,7 +239,7 @@ def _decode_video(
 
 
 def _wanted_fields(names: tuple[str, ...] | None, *, in_mm: bool) -> tuple[str, ...] | None:
-    """Return the fields that are asked for, or those that most people read; None: all."""
+    """Return the given fields, or those that most people read; None: all."""
     if names is None:
         return ("mask", "phase_sigma", *(("absolute", "points") if in_mm else ("range_image",)))
     return None if names == ("all",) else names
@@ -250,7 +248,7 @@ def _wanted_fields(names: tuple[str, ...] | None, *, in_mm: bool) -> tuple[str, 
 def _check_meshes(out: str, job: Job, kind: Kind, *, in_mm: bool) -> None:
     """Refuse files that could not be made, before footage is decoded for hours."""
     if "://" in out:
-        raise SettingsError(f"meshes go into folders here: leave --export away, and run colorphase export {job.store}")
+        raise SettingsError(f"meshes go into folders here: omit --export, and run colorphase export {job.store}")
     lacking = [name for name in mesh_fields(in_mm=in_mm) if name not in job.fields]
     if lacking:
         raise SettingsError(f"meshes are made of {' and '.join(lacking)}: add that to --fields")

@@ -67,7 +67,7 @@ def render(
     compare
         Another mesh in mm, the signed distance from which colours show, in place of --colors.
     buffers
-        What to write beside a still, too: NAME.depth.tiff (float32, mm before the eye), NAME.normals.png.
+        What to write in addition to a still: NAME.depth.tiff (float32, mm before the eye), NAME.normals.png.
     size
         Width and height of the picture in px.
     fps

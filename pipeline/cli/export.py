@@ -18,7 +18,7 @@ from tikernels import runtime
 @Parameter(name="*")
 @dataclass(frozen=True)
 class MeshChoice:
-    """What to leave out of meshes."""
+    """The parts to leave out of meshes."""
 
     crop: Annotated[tuple[float, float, float, float, float, float] | None, Parameter(consume_multiple=True)] = None
     """Keep what is inside a box: two opposite corners, x0 y0 z0 x1 y1 z1, mm in the camera's frame (x right, y down, z

@@ -62,6 +62,6 @@ def _show(found: "Inspection", title: str) -> None:
         table.add_row(finding.topic, finding.found, cost, finding.advice, style=_STYLES[finding.grade])
     stdout.print(table)
     for sentence in found.not_told:
-        say(f"not told: {sentence}")
+        say(f"unknown: {sentence}")
     worst = "" if found.grade == "fine" else f" ({', '.join(found.topics(found.grade))})"
     say(_VERDICTS[found.grade] + worst)

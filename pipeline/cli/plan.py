@@ -58,7 +58,7 @@ def _rows(plan: RigPlan) -> list[tuple[str, str, str]]:
     near, far = fringe.lit_range_mm
     size = "{}x{}".format(*choice.projector_px)
     return [
-        ("camera sees", _area(fields.camera_mm), f"{_number(fields.mm_per_px)} mm a pixel"),
+        ("camera sees", _area(fields.camera_mm), f"{_number(fields.mm_per_px)} mm per pixel"),
         (
             "projector lights",
             _area(fields.projector_mm),
@@ -79,9 +79,9 @@ def _rows(plan: RigPlan) -> list[tuple[str, str, str]]:
             f"{_number(fringe.pitch_mm)} mm",
             f"{fringe.period_camera_px:.1f} camera px; {plan.cycles_in_view:.0f} cycles in view",
         ),
-        ("depth a radian", f"{_number(fringe.depth_per_rad_mm)} mm", "of the phase"),
+        ("depth per radian", f"{_number(fringe.depth_per_rad_mm)} mm", "of the phase"),
         (
-            "depth a cycle",
+            "depth per cycle",
             f"{_number(fringe.depth_per_cycle_mm)} mm",
             "a step of this depth does not show under a plain pattern",
         ),
@@ -149,7 +149,7 @@ def _board_rows(plan: RigPlan) -> list[tuple[str, str, str]]:
             "board",
             f"{squares} of {board.square_mm:.3g} mm",
             f"colorphase pattern board.pdf --board charuco --squares {squares} --square-mm {board.square_mm:.3g}; "
-            f"sheet: {board.sheet}; {board.square_px:.0f} camera px a square",
+            f"sheet: {board.sheet}; {board.square_px:.0f} camera px per square",
         ),
         (
             "board's tilt",

@@ -66,7 +66,7 @@ class PatternOptions:
     period: float | None = None
     """Projector px per cycle; left out, the calibration's, else 17.4545."""
     stripes: Literal["horizontal", "vertical"] | None = None
-    """Which way they run; left out, the calibration's, else horizontal."""
+    """The direction of the stripes; left out, the calibration's, else horizontal."""
     code: Literal["contrast", "none"] | None = None
     """"contrast": the modulation of each cycle identifies it, so that one frame gives absolute depth; "none": a plain
     pattern, whose depth is relative. Left out, the calibration's, else contrast."""
@@ -90,7 +90,7 @@ def pattern(
     board: Literal["charuco", "chessboard"] | None = None,
     options: BoardOptions = _BOARD,
 ) -> None:
-    """Write the picture that the projector shows, and its description beside it as JSON; or a board to be printed.
+    """Write the picture that the projector shows, and its description as JSON next to it; or a board to be printed.
 
     Example: colorphase pattern pattern.png --size 1024x768 --period 17.4545 --stripes horizontal, or
     colorphase pattern board.pdf --board charuco --squares 11x8 --square-mm 20
@@ -105,7 +105,7 @@ def pattern(
         The rig's calibration.json; the projector's response is then undone in the pattern.
     brightness
         Show the same with this share of the light, above 0 to 1; without a calibration as if light were linear in the
-        codes. A rig that shows two pictures in turn tells them apart by it.
+        codes. A rig that alternates two pictures distinguishes them by it.
     board
         Write this kind of calibration board instead, in its true size, as PDF, SVG or PNG.
     """
@@ -212,7 +212,7 @@ def status(*, rig: RigFile) -> None:
         ("faults", faults),
         ("lamp hours", hours),
     ):
-        table.add_row(name, value or "not told")
+        table.add_row(name, value or "unknown")
     stdout.print(table)
 
 
@@ -220,7 +220,7 @@ def _switch(rig: Path, on: bool) -> None:
     with _opened(rig) as device, stderr.status("asking") as shown:
         tell: Callable[[str], None] = shown.update
         sure = device.power(on, tell)
-    what = "the projector is" if sure else "the projector does not tell whether it is, but was told to be"
+    what = "the projector is" if sure else "the projector does not report whether it is, but was switched"
     stdout.print(f"{what} {'on' if on else 'off'}")
 
 

@@ -1,4 +1,4 @@
-"""`colorphase verify`: whether what is stored is whole."""
+"""`colorphase verify`: check that stored frames are complete."""
 
 import sys
 
@@ -12,7 +12,7 @@ def verify(input: str, /) -> None:
     """Read all of a result or recording, and say which frames are whole.
 
     A capture whose program was killed is finished: what was whole stands under its name. Decoding again, with the same
-    options, mends a result. Exit code 3: something is damaged.
+    options, repairs a result. Exit code 3: something is damaged.
 
     Example: colorphase verify film/result.zarr, or colorphase verify capture
 

@@ -1,4 +1,4 @@
-"""Whether a rig still holds what its calibration says, why a surface is wavy, and what footage costs in accuracy."""
+"""Checks of a calibration, causes of a wavy surface, and the cost of footage in accuracy."""
 
 from typing import TYPE_CHECKING
 

@@ -23,20 +23,21 @@ from pipeline.robust import robust_sigma
 from pipeline.settings import DecodeSettings
 
 CHANNELS = "RGB"
-#: Tiles at least: fewer have no scatter that tells how sure a cause is.
+#: Tiles at least: fewer have no scatter that shows how sure a cause is.
 MIN_TILES = 20
 #: A fault must exceed its own standard error by this factor: noise does so once in two million times.
 SIGMAS = 5.0
 #: Chi square by which one explanation beats another: three standard deviations.
 DECISIVE = 9.0
-# Samples a cycle: between them the light's twelfth harmonic is off by 0.2 % of its own, which is little to begin with.
+# Samples per cycle: between them the light's twelfth harmonic is off by 0.2 % of its own, which is little to begin
+# with.
 _SAMPLES = 128
 #: A response that changes nothing.
 LINEAR = np.array([[0.0, 1.0]] * 3)
 PHASES = np.array(CHANNEL_PHASES)
 #: Harmonics of the phase at which the ripples of a three-channel arctangent are.
 RIPPLE_HARMONICS = (1, 2, 3, 6)
-# Cycles a tile: enough to tell harmonics from a slowly changing mean, few enough to follow a surface.
+# Cycles per tile: enough to distinguish harmonics from a slowly changing mean, few enough to follow a surface.
 _TILE_CYCLES = 3
 #: Tiles start every half a tile along both axes, so that only one in four is independent of the others.
 OVERLAP = 2
@@ -46,7 +47,7 @@ _SLOPES = 6
 
 @dataclass(frozen=True)
 class RippleFinding:
-    """One thing that is wrong, or the smallest set of things that this frame cannot tell apart."""
+    """One thing that is wrong, or the smallest set of things that this frame cannot distinguish."""
 
     causes: tuple[str, ...]
     size: str  # in the fault's own unit
@@ -57,7 +58,7 @@ class RippleFinding:
 
 @dataclass(frozen=True, eq=False)
 class KnownLight:
-    """What settings and calibration tell of the light, which decoding undoes.
+    """Light as settings and calibration describe it, which decoding undoes.
 
     Attributes
     ----------
@@ -78,7 +79,7 @@ class KnownLight:
 
     @classmethod
     def of(cls, settings: DecodeSettings, calibration: Calibration) -> "KnownLight":
-        """Return what settings and calibration tell; the settings overrule."""
+        """Return the light that settings and calibration describe; the settings overrule."""
         pattern = calibration.pattern
         compensated = None if pattern is None else pattern.compensated
         responses = [LINEAR]
@@ -138,7 +139,7 @@ class Tiles(NamedTuple):
     mean: FloatArray  # (T, 3) of full scale
     spectrum: npt.NDArray[np.complex128]  # (T, 3, K) harmonics 1..K over the mean, their common phase taken out
     noise: FloatArray  # (T,) residual, of full scale
-    frequency: FloatArray  # (T,) rad a px
+    frequency: FloatArray  # (T,) rad per px
     place: npt.NDArray[np.int64]  # (T, 2) row, column of the tile
     across: FloatArray  # (T,) distance from the image's centre across the stripes, in half diagonals
     weight: FloatArray  # (T,) inverse variance of the contrasts
@@ -146,7 +147,7 @@ class Tiles(NamedTuple):
 
 
 class RobustFit(NamedTuple):
-    """What `robust_fit` finds, (N, ...) for N shapes."""
+    """Result of `robust_fit`, (N, ...) for N shapes."""
 
     value: Any  # real or complex, as the values
     error: Any  # standard deviation

@@ -39,13 +39,13 @@ _LIT = 0.5
 _EDGE_SAMPLES = 8
 # A window holds an edge where its chroma changes by this factor more than in most.
 _EDGE_STRENGTH = 20.0
-# Windows with an edge, at least, that tell where chroma sits.
+# Windows with an edge, at least, that show where chroma sits.
 _MIN_EDGES = 100
 # One siting fits better than another where it leaves less than this part of it; noise makes a difference of up to 3 %.
 _CLEARLY = 0.95
 # Rows and columns of the middle of a frame that are kept.
 _KEPT_PX = (768, 1024)
-# A place tells the colour of what is lit where the lit share around it is at least this.
+# A place shows the colour of what is lit where the lit share around it is at least this.
 _INSIDE = 0.95
 # A drift of the camera is alike in most places: a quarter of them may change by less than this part of the median.
 _EVEN = 0.5
@@ -54,11 +54,11 @@ _EVEN = 0.5
 _STILL_RAD = 0.3
 # Motion shows where a pixel's standard deviation is at most this many times what most have.
 _AS_SURE = 2.0
-# Places at least that tell a drift.
+# Places at least that show a drift.
 _MIN_PLACES = 12
 # Pairs of neighbours that are looked at, evenly spaced.
 _PAIRS = 4
-# Frames of the run in the middle: as many as a sequence needs to tell a beat.
+# Frames of the run in the middle: as many as a sequence needs to show a beat.
 _RUN = MIN_FRAMES
 
 
@@ -74,7 +74,7 @@ class InspectedFrame:
 
     @property
     def period_px(self) -> float:
-        """Camera px a cycle."""
+        """Camera px per cycle."""
         return (self.frame.period_px if self.frame is not None else None) or 1.0
 
 
@@ -98,7 +98,7 @@ def as_light(image: LevelsImage, settings: DecodeSettings) -> tuple[npt.NDArray[
 
 @dataclass(frozen=True)
 class FrameQuality:
-    """What one frame shows; the limits are for a pixel smoothed as decoded."""
+    """Quality of one frame; the limits are for a pixel smoothed as decoded."""
 
     contrast: float  # amplitude over mean of the camera's channels
     limit_rad: float  # what contrast and noise allow
@@ -111,7 +111,7 @@ class FrameQuality:
 
 def measure_quality(look: InspectedFrame, frame: DecodedFrame, bits: int) -> FrameQuality:
     """Measure a frame with fringes, whose levels have `bits` bits; medians over the fringes."""
-    part = _middle(frame.mask.shape)  # tells enough of the fringes, at a quarter of the time for a large frame
+    part = _middle(frame.mask.shape)  # shows enough of the fringes, at a quarter of the time for a large frame
     inside, light = frame.mask[part], look.light[part]
     along, across = 1.0, 0.75 * look.period_px
     if look.settings.stripes == "vertical":
@@ -147,7 +147,7 @@ def _middle(shape: tuple[int, ...]) -> tuple[slice, slice]:
 
 @dataclass(frozen=True, eq=False)
 class KeptFrame:
-    """What is kept of a frame with fringes while others are looked at: of a large one, the middle."""
+    """The part of a frame with fringes that is kept for comparison: of a large one, the middle."""
 
     encoded: npt.NDArray[np.float32]  # (H, W, 3) as stored, 0..1 of full scale
     light: npt.NDArray[np.float32]  # (H, W, 3) linear, 0..1
@@ -187,7 +187,7 @@ def measure_gains(first: KeptFrame, later: KeptFrame) -> npt.NDArray[np.float64]
 
 
 def stands_still(first: KeptFrame, later: KeptFrame) -> bool:
-    """Whether most of what both frames show is where it was, so that its brightness tells the camera's exposure."""
+    """Return whether most of what both frames show is where it was: its brightness then shows the camera's exposure."""
     both = first.mask & later.mask
     change = later.unwrapped_phase[both] - first.unwrapped_phase[both]
     return bool(np.mean(np.cos(change) > np.cos(_STILL_RAD)) > 0.5) if both.any() else False
@@ -211,9 +211,9 @@ def _sure_pixels(frame: DecodedFrame) -> npt.NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class SitingFit:
-    """Which siting of the chroma samples fits a frame."""
+    """Siting of the chroma samples that fits a frame."""
 
-    better: Siting | None  # None: the frame does not tell
+    better: Siting | None  # None: the frame does not show it
     differ_rad: float  # by how much their phases differ, RMS
 
 
@@ -232,7 +232,7 @@ def fit_siting(stored: StoredFrame, settings: DecodeSettings, arch: str) -> Siti
     change = np.exp(1j * (frames[1].wrapped_phase[both] - frames[0].wrapped_phase[both]))
     apart = np.angle(change * np.conj(change.mean()))
     # Where the fringe runs across the samples, a wrong siting is lateral colour: the channels' waves lag against each
-    # other as no crosstalk makes them, which leaves the constant unsure. Where it runs along them, only edges tell.
+    # other as no crosstalk makes them, which leaves the constant unsure. Where it runs along them, only edges show it.
     if settings.stripes == "vertical":
         left, centre = (float(frame.constant_sigma) for frame in frames)
     else:
@@ -285,7 +285,7 @@ def decoder_settings(settings: DecodeSettings) -> DecodeSettings:
 
 @dataclass
 class FootageEvidence:
-    """What the frames that were looked at show."""
+    """Evidence of the frames that were inspected."""
 
     settings: DecodeSettings  # as given, with the container's transfer, and the stripes' true direction
     n_frames: int = 0
@@ -312,13 +312,13 @@ def gather_evidence(
     source : Source
         The footage.
     says : StoredAs
-        What the user says of how pixels are stored.
+        The user's statement of how pixels are stored.
     settings : DecodeSettings
         How it is meant to be decoded.
     arch : str
         Where to compute.
     tell : callable
-        Is told what is being done.
+        Called with what is being done.
     """
     if settings.transfer is None:
         settings = settings.model_copy(update={"transfer": source.transfer or "linear"})
@@ -441,7 +441,7 @@ def _runs(n_frames: int) -> list[range]:
 
 
 def bits_of(source: Source) -> int:
-    """Return how many bits tell levels apart; floats are as fine as their mantissa."""
+    """Return how many bits distinguish levels; floats are as fine as their mantissa."""
     return 24 if source.format.bits == FLOAT_BITS else source.format.bits
 
 
@@ -456,7 +456,7 @@ def _turned(stored: StoredFrame, settings: DecodeSettings) -> DecodeSettings:
 
 
 def _known_crosstalk(decoder: Decoder | None) -> FloatArray | None:
-    """Return the crosstalk that decoding undoes, as far as anything tells it."""
+    """Return the crosstalk that decoding undoes, as far as anything determines it."""
     if decoder is None:
         return None
     known = decoder.settings.crosstalk_matrix

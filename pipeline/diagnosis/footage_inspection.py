@@ -1,4 +1,4 @@
-"""What footage costs in phase before it is decoded, and what to change; `docs/footage.md` says how each is found."""
+"""The cost of footage in phase before it is decoded, and what to change; `docs/footage.md` explains each finding."""
 
 import re
 from collections.abc import Callable, Iterator, Sequence
@@ -44,9 +44,9 @@ _LITTLE_FAINT = 0.02
 # Shares of the lit pixels whose phase is lost by clipping: up to the first it costs nothing, above the second it
 # spoils.
 _LITTLE_LOST, _MUCH_LOST = 0.005, 0.2
-# Part by which all channels may have changed from the first frame on, and one beside the others.
+# Part by which all channels may have changed from the first frame on, and one compared with the others.
 _MOST_GAIN, _MOST_TINT = 0.03, 0.015
-# A surface that moves by more in a frame, rad, is on another cycle as far as the next frame tells.
+# A surface that moves by more in a frame, rad, is on another cycle as far as the next frame shows.
 _THIRD_OF_A_CYCLE = 2 * np.pi / 3
 # The 95th percentile of a change by noise alone, in standard deviations of a phase: 1.96 sqrt(2).
 _NOISE_CHANGE = 2.8
@@ -56,7 +56,7 @@ _MOVING = 1.5
 _ROUGH = 0.5
 # Where this many upper bits are unused, that is a mistake, or the exposure much too short.
 _UNUSED_BITS = 2
-# What is the rig's and not the footage's: decoding learns it from a frame, or a calibration tells it.
+# What is the rig's and not the footage's: decoding learns it from a frame, or a calibration holds it.
 _OF_THE_RIG = {"response", "crosstalk", "even crosstalk"}
 _STILL_NOT_TOLD = "frames that are the same may be repeated, or nothing moved: this codec makes them alike either way"
 #: Exit code for footage that should not be used as it is.
@@ -65,21 +65,21 @@ NOT_AS_IT_IS = 3
 
 @dataclass(frozen=True)
 class ContainerFacts:
-    """What is known without decoding."""
+    """Facts that are known without decoding."""
 
     container: str
     codec: str
     pixels: str  # in FFmpeg's words, or those of `PixelFormat`
     lossy: bool  # whether the codec drops what it considers invisible
     predicts: bool  # whether frames are made of others, so that one that does not change is repeated exactly
-    rate_hz: float | None  # frames a second
+    rate_hz: float | None  # frames per second
     bits_a_pixel: float | None
-    missing: int | None  # frames that are not there between others; None: nothing tells
+    missing: int | None  # frames that are not there between others; None: unknown
     gaps: int  # in how many places
 
 
 def container_facts(path: Path, source: Source) -> ContainerFacts:
-    """Return what the container of an open source says."""
+    """Return the facts that the container of an open source states."""
     width, height = source.size_px
     if isinstance(source, VideoFile):
         import av  # slow to import, and only needed here
@@ -132,7 +132,7 @@ class FootageFinding:
 
     topic: str  # a word for programs, as "chroma"
     found: str
-    cost_rad: float | None = None  # RMS of the phase's error by it; None: it has none, or none that can be told
+    cost_rad: float | None = None  # RMS of the phase's error by it; None: it has none, or none that can be known
     grade: Grade = "fine"
     advice: str = ""
 
@@ -148,7 +148,7 @@ def _finding(
 
 
 def container_findings(facts: ContainerFacts, source: Source) -> Iterator[FootageFinding]:
-    """Yield what the container says, and what is missing of the file."""
+    """Yield the container's facts, and what is missing from the file."""
     width, height = source.size_px
     rate = "" if facts.rate_hz is None else f", {facts.rate_hz:.4g} a second"
     frames = "1 frame" if len(source) == 1 else f"{len(source)} frames"
@@ -217,7 +217,7 @@ def frame_findings(seen: FootageEvidence, facts: ContainerFacts, given: DecodeSe
 def fringe_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[FootageFinding]:
     """Yield what the fringes are like, and how noisy their phase is."""
     periods = [look.period_px for look in seen.kept]
-    yield _finding("fringes", f"{seen.settings.stripes}, {np.median(periods):.1f} px a cycle")
+    yield _finding("fringes", f"{seen.settings.stripes}, {np.median(periods):.1f} px per cycle")
     # A limit that is lower than neighbours differ by shows what it is that costs.
     faint, spoils = typical.contrast < MIN_CONTRAST, typical.limit_rad >= _MOST_RAD
     found = f"the fringe's amplitude is {typical.contrast:.0%} of the light"
@@ -249,7 +249,7 @@ def storage_findings(
     x, y = source.format.subsampling
     subsampled = source.format.layout == "yuv" and (x, y) != (1, 1)
     name = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (1, 1): "4:4:4"}[x, y]
-    rate = "" if facts.bits_a_pixel is None else f", {facts.bits_a_pixel:.2f} bits a pixel"
+    rate = "" if facts.bits_a_pixel is None else f", {facts.bits_a_pixel:.2f} bits per pixel"
     yield _finding(
         "codec",
         f"{facts.codec}, {facts.pixels}, {'with' if facts.lossy else 'without'} loss{rate}",
@@ -267,7 +267,7 @@ def storage_findings(
     if seen.siting is not None:
         assumed, better = source.format.siting, seen.siting.better
         if better is None:
-            found = f"{assumed} is assumed; these frames do not tell; if it is the other one, its cost is this"
+            found = f"{assumed} is assumed; these frames do not show it; if it is the other one, its cost is this"
             yield _finding("siting", found, seen.siting.differ_rad, grade="fine")
         elif better == assumed:
             yield _finding("siting", f"{assumed} fits better than the other", 0.0)
@@ -310,12 +310,12 @@ def light_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Foo
     elif seen.diagnosis is not None and np.isnan(seen.diagnosis.limit_rad):
         yield _finding(
             "transfer",
-            f"taken for {transfer}, which these frames do not tell, nor the projector's response",
+            f"taken for {transfer}, which these frames do not show, nor the projector's response",
             advice="calibrate the light, or show a larger smooth surface: what is not known of them makes waves",
             grade="costs",
         )
     elif any("transfer" in finding.causes for finding in diagnosed):
-        yield _finding("transfer", f"{transfer}; or it is the projector's response: these frames do not tell")
+        yield _finding("transfer", f"{transfer}; or it is the projector's response: these frames do not show which")
     else:
         yield _finding("transfer", f"{transfer}; the fringes do not contradict it")
     rig = [f for f in diagnosed if "clipping" not in f.causes and f.causes != ("transfer",)]
@@ -345,14 +345,15 @@ def time_findings(seen: FootageEvidence, typical: FrameQuality) -> Iterator[Foot
         cost = typical.sigma_rad * float(np.sqrt(1 / max(left, 0.05) ** 2 - 1))
         yield _finding(
             "motion",
-            f"{moved:.2f} rad a frame; at most {1 - left:.0%} of the contrast is blurred away, if exposed all the time"
+            f"{moved:.2f} rad per frame; at most {1 - left:.0%} of the contrast is blurred away, if exposed all the "
+            "time"
             if moved
             else "none that stands out of the noise",
             cost,
             "expose for less time"
             if moved < _THIRD_OF_A_CYCLE
-            else "more frames a second, or a coded pattern: by "
-            "more than a third of a cycle a frame, orders cannot be followed",
+            else "more frames per second, or a coded pattern: by "
+            "more than a third of a cycle per frame, orders cannot be followed",
             grade="spoils" if moved >= _THIRD_OF_A_CYCLE else None,
         )
     for finding in () if seen.sequence is None else seen.sequence.findings:
@@ -377,7 +378,7 @@ def _drift_findings(seen: FootageEvidence) -> Iterator[FootageFinding]:
     if not tints:
         return
     gain, shade = max(map(abs, exposures), default=0.0), float(np.abs(tints).max())
-    exposure = f"exposure by up to {np.expm1(gain):.1%}" if exposures else "exposure not told, as what is in view moves"
+    exposure = f"exposure by up to {np.expm1(gain):.1%}" if exposures else "exposure unknown, as what is in view moves"
     yield _finding(
         "drift",
         f"{exposure}; white balance by up to {np.expm1(shade):.1%}",
@@ -389,7 +390,7 @@ def _drift_findings(seen: FootageEvidence) -> Iterator[FootageFinding]:
 
 
 def not_told(seen: FootageEvidence, facts: ContainerFacts, source: Source) -> Iterator[str]:
-    """Yield what these frames cannot tell, a sentence each."""
+    """Yield what these frames cannot show, one sentence each."""
     if facts.lossy:
         yield "the camera's own noise: the codec has removed some of it"
     if seen.diagnosis is not None and np.isnan(seen.diagnosis.limit_rad):
@@ -409,7 +410,7 @@ def not_told(seen: FootageEvidence, facts: ContainerFacts, source: Source) -> It
 
 
 def _moves(seen: FootageEvidence) -> bool:
-    """Whether anything but noise moves between neighbours."""
+    """Return whether anything but noise moves between neighbours."""
     sigma = float(np.median([shown.sigma_rad for shown in seen.qualities])) if seen.qualities else 0.0
     return bool(seen.motion_rad) and float(np.median(seen.motion_rad)) > _MOVING * _NOISE_CHANGE * sigma
 
@@ -421,10 +422,10 @@ def _rms(ripple_rad: dict[int, float]) -> float:
 
 @dataclass(frozen=True)
 class Inspection:
-    """What footage is like: every finding, the container's first."""
+    """All findings about some footage, the container's first."""
 
     findings: tuple[FootageFinding, ...]
-    not_told: tuple[str, ...]  # what these frames cannot tell, a sentence each
+    not_told: tuple[str, ...]  # what these frames cannot show, one sentence each
     n_looked_at: int
     n_frames: int
 
@@ -462,7 +463,7 @@ def inspect_footage(
     arch : {"auto", "cpu", "vulkan", "cuda", "metal"}
         Where to compute.
     tell : callable
-        Is told what is being done.
+        Called with what is being done.
 
     Raises
     ------
@@ -484,7 +485,7 @@ def inspect_footage(
     open_questions = []
     if facts.missing is None and len(source) > 1:
         open_questions.append(
-            "whether frames are missing between others: neither even time stamps nor numbers in names tell"
+            "whether frames are missing between others: neither even time stamps nor numbers in names show it"
         )
     if seen.kept:
         typical = FrameQuality(*np.median([list(vars(shown).values()) for shown in seen.qualities], axis=0).tolist())

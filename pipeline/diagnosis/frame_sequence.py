@@ -1,11 +1,11 @@
-"""What only a sequence of frames shows: a beat with the projector's colour cycle, and motion between its fields.
+"""Faults that only a sequence of frames shows: a beat with the projector's colour cycle, and motion between its fields.
 
 A projector with a colour wheel, or with sequential LEDs, shows red, green and blue one after another. If the exposure
 is no whole number of its cycles, each frame catches another share of each colour, which beats from frame to frame: in
 every part of the image alike, where an object that passes changes the colours of some parts only. And what moves is
 in another place in each colour: the channels' phases differ by the speed times the time between two fields, which one
-frame cannot tell from lateral colour. Lateral colour stays where it is, so the change of the one with the other, tile
-by tile, is motion.
+frame cannot distinguish from lateral colour. Lateral colour stays where it is, so the change of the one with the other,
+tile by tile, is motion.
 """
 
 from collections.abc import Sequence
@@ -29,9 +29,9 @@ from pipeline.diagnosis.channel_spectra import (
 )
 from pipeline.models import FloatArray, ImageArray
 
-#: Frames at least: fewer tell nothing.
+#: Frames at least: fewer show nothing.
 MIN_FRAMES = 12
-# Tiles that stay in view, at least, for a beat or a motion to be told from what passes.
+# Tiles that stay in view, at least, to distinguish a beat or a motion from what passes.
 _MIN_TILES = 8
 # Pixels with a phase, at least, for a frame to show fringes.
 _MIN_PIXELS = 1000
@@ -43,7 +43,7 @@ _EVEN = 0.5
 _LEAST_BEAT = 0.01
 # Nobody sees a smaller step of the phase from colour to colour, rad.
 _LEAST_STEP_RAD = 0.003
-# Speeds that vary by less, rad a frame, do not tell motion from lateral colour.
+# Speeds that vary by less, rad per frame, do not distinguish motion from lateral colour.
 _LEAST_SPEED_RAD = 0.01
 # Tiles of all frames together, at least, whose speed varies by more.
 _MIN_MOVING = 20
@@ -55,10 +55,10 @@ _SIGMAS = 5.0
 
 @dataclass(frozen=True)
 class SequenceDiagnosis:
-    """What changes from frame to frame that should not."""
+    """Unwanted changes from frame to frame."""
 
     findings: tuple[RippleFinding, ...]
-    notes: tuple[str, ...]  # what these frames cannot tell, and why
+    notes: tuple[str, ...]  # what these frames cannot show, and why
 
 
 def diagnose_sequence(
@@ -69,7 +69,7 @@ def diagnose_sequence(
     geometry: Geometry | None = None,
     crosstalk_matrix: FloatArray | None = None,
 ) -> SequenceDiagnosis:
-    """Say what changes from frame to frame that should not.
+    """Find unwanted changes from frame to frame.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def diagnose_sequence(
     masks : sequence of (H, W) bool
         Where they hold.
     geometry : Geometry, optional
-        The rig; with it the depth bias is told in mm.
+        The rig; with it the depth bias is given in mm.
     crosstalk_matrix : (3, 3), optional
         camera = matrix @ projector; without it, leaks between neighbouring colours feign a tenth of the time more.
 
@@ -92,7 +92,7 @@ def diagnose_sequence(
         Neither findings nor notes: fine.
     """
     if len(images) < MIN_FRAMES:
-        return SequenceDiagnosis((), (f"{len(images)} frames tell nothing, at least {MIN_FRAMES} are needed",))
+        return SequenceDiagnosis((), (f"{len(images)} frames show nothing, at least {MIN_FRAMES} are needed",))
     lit = [mask & np.isfinite(phase) for mask, phase in zip(masks, unwrapped_phases, strict=True)]
     dark = [k for k, mask in enumerate(lit) if np.count_nonzero(mask) < _MIN_PIXELS]
     if dark:
@@ -102,7 +102,7 @@ def diagnose_sequence(
     notes, found = [], []
     steady = np.isfinite(ratios).all(axis=(0, 2))
     if np.count_nonzero(steady) < _MIN_TILES:
-        notes.append("too little surface stays in view to tell a beat of the colours")
+        notes.append("too little surface stays in view to show a beat of the colours")
     else:
         found.append(_beat(ratios[:, steady]))
     motion = _motion(lags, speeds, geometry)
@@ -123,7 +123,7 @@ def _follow(
     """Follow the tiles of one grid from frame to frame; NaN where a tile holds no smooth surface.
 
     Returns, by frame and tile, the logarithms of red and blue over green, (F, T, 2); the phases of green and blue less
-    red's, (F, T, 2) rad; and the speed, (F, T) rad a frame, up to half a cycle a frame.
+    red's, (F, T, 2) rad; and the speed, (F, T) rad per frame, up to half a cycle per frame.
     """
     unmix = np.linalg.inv(matrix / matrix.sum(axis=1, keepdims=True))
     phase, usable, period = smooth_phase(unwrapped_phases[0], lit[0])
@@ -177,7 +177,7 @@ def _beat(ratios: FloatArray) -> RippleFinding | None:
     rate = (peak + 2) / count
     return RippleFinding(
         causes=("colour-cycle beat",),
-        size=f"the colours beat by {amplitude:.1%}, {rate:.3f} times a frame",
+        size=f"the colours beat by {amplitude:.1%}, {rate:.3f} times per frame",
         ripple_rad={1: 0.0},  # a gain, which the balance undoes
         confidence=0.95,
         advice="the balance undoes a gain, but levels that the projector makes of pulses are cut short, too: expose "
@@ -186,22 +186,22 @@ def _beat(ratios: FloatArray) -> RippleFinding | None:
 
 
 def _motion(lags: FloatArray, speeds: FloatArray, geometry: Geometry | None) -> RippleFinding | str | None:
-    """Compare the phase from colour to colour with the phase from frame to frame; a string: why that tells nothing."""
+    """Compare the phase from colour to colour with the phase from frame to frame; a string: why that shows nothing."""
     known = np.isfinite(speeds) & np.isfinite(lags).all(axis=2)
     followed = known.sum(axis=0) >= MIN_FRAMES // 2
     if np.count_nonzero(followed) < _MIN_TILES:
-        return "too little surface stays in view to tell motion between colour fields from lateral colour"
+        return "too little surface stays in view to distinguish motion between colour fields from lateral colour"
     known, lags, speeds = known[:, followed], lags[:, followed], speeds[:, followed]
     worst_speed = float(np.quantile(np.abs(speeds[known]), 0.99))
-    # What a tile's colours have beside each other at all times is lateral colour.
+    # A difference between a tile's colours that is there at all times is lateral colour.
     seen = known.sum(axis=0)
     speed = speeds - np.where(known, speeds, 0).sum(axis=0) / seen
     lag = lags - np.where(known[..., None], lags, 0).sum(axis=0) / seen[:, None]
     speed, lag = speed[known], lag[known]
     if np.count_nonzero(np.abs(speed) > _LEAST_SPEED_RAD) < _MIN_MOVING:
         return (
-            "nothing changes its speed, which alone tells motion between colour fields from lateral colour: move the "
-            "object to and fro"
+            "nothing changes its speed, which alone distinguishes motion between colour fields from lateral colour: "
+            "move the object to and fro"
         )
     fit = robust_fit(lag, np.ones(len(lag)), speed[:, None])
     green, blue = fit.value[0]

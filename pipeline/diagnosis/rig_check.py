@@ -1,4 +1,4 @@
-"""Whether a rig still is as it was calibrated, from files: one picture, frames in a row, or the captures of a pose.
+"""Check that a rig still is as it was calibrated, by one picture, frames in a row, or the captures of a pose.
 
 A picture of a plane or ball is compared with a perfect one, captures of anything that holds still with the rig's
 epipolar lines. Where the light is at fault, one frame can correct the calibration.
@@ -45,7 +45,7 @@ BLIND_SPOTS = {
 }
 Shape = Literal["plane", "ball"]
 
-# A surface this large, px, tells a shape.
+# A surface this large, px, shows a shape.
 _MIN_SURFACE_PX = 2000
 # Residuals further out than this many deviations are highlights and rims.
 _OUTLIER_SIGMAS = 4.0
@@ -73,13 +73,13 @@ class Measure:
 
     @property
     def fine(self) -> bool:
-        """Whether it is within twice the prediction."""
+        """True where it is within twice the prediction."""
         return self.measured <= _TOLERANCE * self.predicted
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What a check found."""
+    """Result of a check."""
 
     measures: tuple[Measure, ...]
     position_mm: tuple[float, float, float] | None  # a ball's centre, or the plane's point on the camera's axis
@@ -88,7 +88,7 @@ class CheckResult:
 
     @property
     def fine(self) -> bool:
-        """Whether every figure is within twice its prediction; if not, calibrate again."""
+        """True where every figure is within twice its prediction; if not, calibrate again."""
         return all(measure.fine for measure in self.measures)
 
 
@@ -124,7 +124,7 @@ def check_surface(
     placed = {0: frame.points}
     if shape == "ball":
         # Where orders are not absolute, a surface's is a guess; a ball of the right radius, or else the roundest one,
-        # tells it.
+        # determines it.
         rays, projector = geometry.camera.rays(), geometry.for_triangulation()
         for cycles in range(-_ORDERS, _ORDERS + 1):
             phase = frame.unwrapped_phase + np.float32(2 * np.pi * cycles)
@@ -137,7 +137,7 @@ def check_surface(
         if (fit := _fit_shape(points, frame.point_sigma, frame.region == n, shape)) is not None
     ]
     if not fits:
-        raise CalibrationError(f"no surface is large enough to tell a {shape}: fill the picture with it")
+        raise CalibrationError(f"no surface is large enough to show a {shape}: fill the picture with it")
     if shape == "ball":
         # A wall behind the ball fits a huge one.
         known = [fit for fit in fits if fit.radius is not None and 5 < fit.radius < 1000]
@@ -297,7 +297,7 @@ def _swapped(geometry: Geometry) -> Geometry:
 
 
 def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: FloatArray) -> FloatArray:
-    """Return how far projector pixels lie beside the epipolar lines of camera pixels, (N,) projector px.
+    """Return the distances of projector pixels from the epipolar lines of camera pixels, (N,) projector px.
 
     Parameters
     ----------
@@ -322,7 +322,7 @@ def correct_light(
     frame: DecodedFrame,
     transfer: Transfer = "linear",
 ) -> Calibration:
-    """Return the calibration with what a frame tells of the light in place of what it held.
+    """Return the calibration with the light that a frame shows in place of its own.
 
     Crosstalk and response are estimated anew from the frame, where they, or what looks like them, were found at fault.
     The response is that of the pattern as it was projected, so measure the radiometry before making a new pattern. A
@@ -346,7 +346,7 @@ def correct_light(
     Raises
     ------
     CalibrationError
-        Nothing is at fault that a frame could correct, or the frame tells too little.
+        Nothing is at fault that a frame could correct, or the frame shows too little.
     """
     if any(finding.causes == ("transfer",) for finding in diagnosis.findings):
         camera = calibration.capture or CameraState()
@@ -359,7 +359,7 @@ def correct_light(
         image, white_level = runtime.to_host(linearize(image, transfer, white_level)), 1.0
     light = estimate_light([image], white_level, [frame.unwrapped_phase], [frame.mask], frame.period_px or 0.0)
     if not light.reliable:
-        raise CalibrationError("the frame tells too little of the light to correct it: capture a larger smooth surface")
+        raise CalibrationError("the frame shows too little of the light to correct it: capture a larger smooth surface")
     update: dict[str, Any] = {"crosstalk_matrix": light.crosstalk_matrix}
     if "response" in causes or calibration.response is None:
         update["response"] = np.tile(light.response, (3, 1))
@@ -382,9 +382,9 @@ def check_captures(folder: Path, calibration: Calibration, settings: DecodeSetti
 
 @dataclass(frozen=True)
 class PictureCheck:
-    """What one picture of a smooth surface tells."""
+    """Result of the check of one picture of a smooth surface."""
 
-    surface: CheckResult | None  # beside a perfect plane or ball, where the picture shows one
+    surface: CheckResult | None  # compared with a perfect plane or ball, where the picture shows one
     diagnosis: Diagnosis
     calibration: Calibration
     transfer: Transfer  # by which the levels were read
@@ -393,7 +393,7 @@ class PictureCheck:
     frame: DecodedFrame
 
     def corrected(self) -> Calibration:
-        """Return the calibration with what the picture tells of the light; see `correct_light`."""
+        """Return the calibration with the light that the picture shows; see `correct_light`."""
         return correct_light(self.calibration, self.diagnosis, self.light, self.white_level, self.frame, self.transfer)
 
 
@@ -405,7 +405,7 @@ def check_picture(
     shape: Shape | None = None,
     radius_mm: float | None = None,
 ) -> PictureCheck | None:
-    """Decode a picture of a smooth surface, and say why it is wavy.
+    """Decode a picture of a smooth surface, and explain why it is wavy.
 
     Parameters
     ----------
@@ -452,7 +452,7 @@ def check_picture(
 def check_sequence(
     source: Source, calibration: Calibration, settings: DecodeSettings, arch: str = "auto"
 ) -> tuple[int, SequenceDiagnosis]:
-    """Say what frames, one after another, show of beat and motion; and how many frames there are.
+    """Return how many frames there are, and what they show of beat and motion.
 
     Raises
     ------
@@ -463,7 +463,7 @@ def check_sequence(
     """
     if len(source) < MIN_FRAMES:
         raise CalibrationError(
-            f"{source.name} holds {len(source)} pictures: at least {MIN_FRAMES} frames in a row tell anything"
+            f"{source.name} holds {len(source)} pictures: at least {MIN_FRAMES} frames in a row are needed"
         )
     reader = _Reader(source, calibration, settings, arch)
     light: list[ImageArray] = []

@@ -34,7 +34,7 @@ from pipeline.diagnosis.ripple_causes import UNKNOWN, explain_fundamental, expla
 from pipeline.models import FloatArray, ImageArray
 from tikernels.raw.linearization import Transfer, linear_values
 
-#: What makes them.
+#: Causes of bands.
 BANDS = ("colours in turn and a rolling shutter", "a surface striped along the rows")
 # Parts of a row that are compared: as many as leave each of them some 50 px of a small picture.
 _PARTS = 10
@@ -48,7 +48,7 @@ _LEAST_STEP = 0.03
 _SCATTERS = 3.0
 # Standard deviations of normal values that the median of their sizes is.
 _SIGMAS_A_MEDIAN = 0.6745
-# Rows, as a part of those that tell, from which on they are bands. Surfaces have none of them (bust, ball, waves
+# Rows, as a part of those that count, from which on they are bands. Surfaces have none of them (bust, ball, waves
 # and painted planes, simulated), bands of 40 rows 0.6.
 _LEAST_ROWS = 0.1
 # How often means are taken of means.
@@ -61,7 +61,7 @@ _MIN_PIXELS = 5000
 _NOISE_SHARE = 0.25
 # Nobody sees a smaller ripple: 3 mrad are 0.02 mm on a rig with 0.14 rad a mm.
 _LEAST_RIPPLE_RAD = 0.003
-# Where a greater share of a channel's pixels is clipped, what is left of its wave tells nothing else.
+# Where a greater share of a channel's pixels is clipped, what is left of its wave shows nothing else.
 _MAX_CLIPPED = 0.1
 
 
@@ -75,7 +75,7 @@ def find_bands(light: FloatArray, mask: npt.NDArray[np.bool_], period_px: float)
     mask : (H, W) bool
         Where a phase was found.
     period_px : float
-        Camera px a cycle: means over a whole one do not show the fringe.
+        Camera px per cycle: means over a whole one do not show the fringe.
     """
     side = max(1, round(period_px))
     if len(mask) < _MIN_CYCLES * side:
@@ -121,7 +121,7 @@ def _color_ratios(light: FloatArray, mask: npt.NDArray[np.bool_], side: int) -> 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What is wrong with a frame, the worst first."""
+    """Faults of a frame, the worst first."""
 
     findings: tuple[RippleFinding, ...]
     ripple_rad: dict[int, float]  # of all faults together, from the channels
@@ -139,7 +139,7 @@ def diagnose(
     transfer: Transfer = "linear",
     absolute: npt.NDArray[np.bool_] | None = None,
 ) -> Diagnosis:
-    """Say why a surface is wavy.
+    """Find out why a surface is wavy.
 
     Parameters
     ----------
@@ -218,14 +218,14 @@ def diagnose(
 
 
 def _clipping_finding(shares: FloatArray, ripple_rad: dict[int, float]) -> RippleFinding:
-    """Say which share of each channel's pixels is clipped, (3,), and what that does."""
+    """Return the finding for the clipped share of each channel's pixels, (3,)."""
     share = ", ".join(f"{c} {100 * s:.1f} %" for c, s in zip(CHANNELS, shares, strict=True))
     advice = "expose less, or dim the projector"
     return RippleFinding(("clipping",), f"clipped pixels: {share}", ripple_rad, 0.99, advice)
 
 
 def _color_note(tiles: Tiles) -> str:
-    """Say how bright the channels are beside each other, which makes no ripple."""
+    """Return the channels' relative brightness, which makes no ripple."""
     color = np.median(tiles.mean, axis=0)
     means = " : ".join(f"{v / color[1]:.2f}" for v in color)
     return (

@@ -31,7 +31,7 @@ from pipeline.diagnosis.channel_spectra import (
 )
 from pipeline.models import FloatArray
 
-#: What is said of harmonics that neither explains.
+#: Cause of harmonics that neither explains.
 UNKNOWN = ("unknown harmonics",)
 # Below this share of the harmonics' power that the better of both explains, neither is the cause.
 _MIN_EXPLAINED = 0.7
@@ -40,8 +40,8 @@ _MIN_EXPLAINED = 0.7
 _MOST_BLUR_PX, _BLURS = 1.5, 31
 # A leak that comes out negative by up to this part of a channel's own is noise's.
 _LEAST_LEAK = 0.05
-# Lags up to a shift of a pixel at 12 px a cycle, in steps of 5 mrad: what a step leaves of a fundamental the leaks take
-# up, and spoil harmonics by as much.
+# Lags up to a shift of a pixel at 12 px per cycle, in steps of 5 mrad: what a step leaves of a fundamental the leaks
+# take up, and spoil harmonics by as much.
 _MOST_LAG_RAD, _LAGS = 0.6, 241
 # Contrast and phase leak into each other a little (curvature, second order): up to this share is not a second fault.
 _LEAKAGE = 0.15
@@ -121,7 +121,7 @@ def explain_harmonics(
     other: str,
     read_otherwise: Callable[[], Tiles],
 ) -> tuple[list[RippleFinding], Tiles, npt.NDArray[np.complex128]]:
-    """Tell the projector's response from the camera's transfer.
+    """Distinguish the projector's response from the camera's transfer.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def explain_harmonics(
     limit : float
         Ripple below it is no fault, rad.
     period_px : float
-        Camera px a cycle.
+        Camera px per cycle.
     other : str
         The transfer that the levels may have instead.
     read_otherwise : callable
@@ -193,7 +193,7 @@ def explain_harmonics(
 
 
 def _words(gamma: FloatArray, other: str) -> dict[str, tuple[str, str]]:
-    """Say of each cause how large it is, and what to do."""
+    """Return for each cause its size, and what to do."""
     return {
         "response": (
             f"projector gamma R {gamma[0]:.2f}, G {gamma[1]:.2f}, B {gamma[2]:.2f}",

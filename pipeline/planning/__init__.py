@@ -1,4 +1,4 @@
-"""What a rig will measure, before it is bought: field, fringe, accuracy, exposure and board."""
+"""Plan a rig before it is bought: field, fringe, accuracy, exposure and board."""
 
 from typing import TYPE_CHECKING
 

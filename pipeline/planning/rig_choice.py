@@ -63,25 +63,25 @@ class RigChoice(Model):
     throw_ratio: _Throw = 1.75
     """Its throw ratio: distance over the width of the picture."""
     stripes: Literal["horizontal", "vertical"] = "horizontal"
-    """Which way they run."""
+    """The direction of the stripes."""
     period_px: Positive | None = None
     """Projector px per cycle; left out, the recommended one."""
     surface: Literal["skin", "white"] = "skin"
-    """What is measured."""
+    """The surface that is measured."""
     brightness: _Share = 0.7
     """The camera's brightest channel where the fringe is brightest on the surface, 0..1 of full scale."""
     contrast: _Share = 0.9
-    """What ambient light and blur leave of the fringe's contrast, 0..1."""
+    """The part of the fringe's contrast that ambient light and blur leave, 0..1."""
     noise_levels: _Noise = 1.5
     """The camera's noise, one standard deviation, in 1/255 of full scale."""
     bits: Literal[8, 10, 12, 16] = 8
     """The camera's."""
     speed_mm_s: _Speed = 100.0
-    """How fast the object comes nearer or goes away, mm/s; 0: it holds still."""
+    """The speed at which the object comes nearer or goes away, mm/s; 0: it holds still."""
     exposure_s: _Time | None = None
     """The camera's, s; left out, the longest that motion allows."""
     colour_cycle_s: _Time | None = None
-    """How long red, green and blue take together where the projector shows them one after another, s; left out, all at
+    """The time of red, green and blue together where the projector shows them one after another, s; left out, all at
     once."""
 
     @model_validator(mode="after")
@@ -128,7 +128,7 @@ class RigChoice(Model):
         Parameters
         ----------
         period_px : float
-            Projector px a cycle.
+            Projector px per cycle.
         code : {"contrast"}, optional
             The pattern's.
         """
@@ -156,7 +156,7 @@ def _lens(size_px: tuple[int, int], focal_px: float) -> Lens:
 
 @dataclass(frozen=True)
 class SeenFields:
-    """What camera and projector see of a plane across the camera's axis, at the object's distance."""
+    """Fields of camera and projector on a plane across the camera's axis, at the object's distance."""
 
     camera_mm: tuple[float, float]  # width, height
     projector_mm: tuple[float, float]  # through the middle of its picture
@@ -168,7 +168,7 @@ class SeenFields:
 
 @dataclass(frozen=True)
 class FringeGeometry:
-    """How the fringe lies on that plane, and the depths that it tells, along the camera's axis."""
+    """The fringe on that plane, and the depths that it shows, along the camera's axis."""
 
     pitch_mm: float  # of a cycle, across the stripes
     period_camera_px: float
@@ -207,7 +207,7 @@ def seen_fields(choice: RigChoice) -> SeenFields:
 
 
 def fringe_geometry(choice: RigChoice, period_px: float) -> FringeGeometry:
-    """Return how a fringe of this period (projector px) lies on the object, and what depths it tells."""
+    """Return how a fringe of this period (projector px) lies on the object, and the depths that it shows."""
     geometry = choice.calibration(period_px).geometry()
     mm_per_px = choice.distance_mm / choice.camera_focal_px
     points = np.zeros((2, 3))

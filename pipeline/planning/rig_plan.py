@@ -1,4 +1,4 @@
-"""What a rig will measure, computed before it is bought.
+"""Predict what a rig will measure, before it is bought.
 
 The depth's standard deviation is the phase's times the depth of a radian (`tikernels/depth/point_uncertainty.py`).
 
@@ -56,23 +56,23 @@ _VARIANCE = {"bayer": 3.0, "rgb": 1.0}
 _GAMMA = 2.0
 # What decoding leaves of a smooth surface under the coded pattern without noise, rad, by the cycles in view: planes,
 # skin and white, 640x480 and 1280x960, gamma 2, 12 bits, noise of 0.3 levels. It is the third harmonic: a frame of few
-# cycles does not tell the projector's response well. With a response that is known and undone in the pattern 0.003 to
-# 0.005 rad are left.
+# cycles does not determine the projector's response well. With a response that is known and undone in the pattern 0.003
+# to 0.005 rad are left.
 _NOISELESS_CYCLES = (19.0, 23.5, 27.4, 33.0, 40.0)
 _NOISELESS_RAD = (0.0115, 0.0066, 0.0048, 0.003, 0.0025)
 # Of a cycle: four times as many change the result by less than 0.1 %.
 _SAMPLES = 64
-# Light of a phase this much before and after tells the slope, rad, to one part in a thousand.
+# Light of a phase this much before and after shows the slope, rad, to one part in a thousand.
 _SHIFT = 0.02
-#: Camera px a cycle: what most figures of `docs/accuracy.md` were measured at, and what they should lie between.
+#: Camera px per cycle: what most figures of `docs/accuracy.md` were measured at, and what they should lie between.
 USUAL_CAMERA_PX, LEAST_CAMERA_PX, MOST_CAMERA_PX = 12.0, 10.0, 20.0
 # The third harmonic, in which a projector's response shows, then has two pixels a cycle: in fewer it is not seen.
 _SHORTEST_CAMERA_PX = 6.0
-# The code's sequence was made for a projector of 1024 px at this many px a cycle.
+# The code's sequence was made for a projector of 1024 px at this many px per cycle.
 _LEAST_PROJECTOR_PX = 8.0
-# With fewer cycles in view a frame does not tell crosstalk and response at all (`docs/calibration.md`); with fewer than
-# the other it leaves as much of the response as half of the usual noise (`_NOISELESS_RAD`).
-_LEAST_CYCLES, _TOLD_CYCLES = 4.0, 28.0
+# With fewer cycles in view a frame does not determine crosstalk and response at all (`docs/calibration.md`); with fewer
+# than the other it leaves as much of the response as half of the usual noise (`_NOISELESS_RAD`).
+_LEAST_CYCLES, _ENOUGH_CYCLES = 4.0, 28.0
 # A surface of so many cycles of its own is placed by the code under an ordinary projector (`docs/coded_pattern.md`).
 _CODE_CYCLES = 9
 # Orders are carried from frame to frame while the phase changes by less (`docs/accuracy.md`), cycles.
@@ -188,10 +188,10 @@ def _light(cycles: FloatArray, shift: float, surface: str) -> FloatArray:
 
 @dataclass(frozen=True)
 class RigPlan:
-    """What follows from a choice."""
+    """The figures that follow from a choice."""
 
     choice: RigChoice
-    period_px: float  # projector px a cycle
+    period_px: float  # projector px per cycle
     angle_deg: float  # between camera and projector, at the object
     fields: SeenFields
     fringe: FringeGeometry
@@ -203,7 +203,7 @@ class RigPlan:
     colour_bias_mm: float  # RMS at most, what motion between colours in turn leaves
     least_rate_hz: float  # to carry orders from frame to frame under a plain pattern
     board: BoardChoice
-    warnings: tuple[str, ...]  # a line each, with the cure
+    warnings: tuple[str, ...]  # one line each, with the cure
 
     @property
     def depth_sigma_mm(self) -> float:
@@ -217,17 +217,17 @@ class RigPlan:
 
     @property
     def code_mm(self) -> float:
-        """How long across the stripes a surface must be to be placed by the code alone."""
+        """The least length of a surface across the stripes to be placed by the code alone, mm."""
         return _CODE_CYCLES * self.fringe.pitch_mm
 
     @property
     def passed_mm(self) -> float:
-        """How far the object moves during the exposure."""
+        """The object's way during the exposure, mm."""
         return self.choice.speed_mm_s * (self.exposure_s or 0.0)
 
 
 def plan_rig(**values: Any) -> RigPlan:
-    """Return what a rig will measure.
+    """Predict what a rig will measure.
 
     Parameters
     ----------
@@ -306,8 +306,8 @@ def _period_px(choice: RigChoice) -> float:
         )
     if period_px < least:
         raise SettingsError(
-            f"the code tells {CYCLES} cycles apart, but {length} px hold {length / period_px:.0f} of {period_px:g} px: "
-            f"give a period of {usual:g} px, which is {usual * camera_px:.3g} camera px"
+            f"the code distinguishes {CYCLES} cycles, but {length} px hold {length / period_px:.0f} of {period_px:g} "
+            f"px: give a period of {usual:g} px, which is {usual * camera_px:.3g} camera px"
         )
     if period_px > length / _LEAST_CYCLES:
         raise SettingsError(
@@ -330,7 +330,7 @@ def _usual_exposure_s(longest_s: float, colour_cycle_s: float | None) -> float |
 
 
 def _warnings(plan: RigPlan) -> list[str]:
-    """Return what is wrong with it, a line each, with the cure."""
+    """Return what is wrong with it, one line each, with the cure."""
     choice, fields, fringe, found = plan.choice, plan.fields, plan.fringe, []
     if fields.lit_share < _LIT_ENOUGH:
         found.append(_dark(choice, fields))
@@ -343,15 +343,16 @@ def _warnings(plan: RigPlan) -> list[str]:
         )
     if fringe.period_camera_px < LEAST_CAMERA_PX:
         found.append(
-            f"{fringe.period_camera_px:.1f} camera px a cycle lose contrast in the lens: give a longer period, or none"
+            f"{fringe.period_camera_px:.1f} camera px per cycle lose contrast in the lens: give a longer period, or "
+            "none"
         )
     if fringe.period_camera_px > MOST_CAMERA_PX:
         cure = "a projector with more px" if choice.period_px is None else "a shorter period, or none"
-        found.append(f"{fringe.period_camera_px:.0f} camera px a cycle lose precision in depth: take {cure}")
-    if plan.cycles_in_view < _TOLD_CYCLES:
+        found.append(f"{fringe.period_camera_px:.0f} camera px per cycle lose precision in depth: take {cure}")
+    if plan.cycles_in_view < _ENOUGH_CYCLES:
         found.append(
-            f"only {plan.cycles_in_view:.0f} cycles are in view, and a frame does not tell the projector's response "
-            "well: run colorphase calibrate radiometry, and give colorphase pattern its --calibration"
+            f"only {plan.cycles_in_view:.0f} cycles are in view, and a frame does not determine the projector's "
+            "response well: run colorphase calibrate radiometry, and give colorphase pattern its --calibration"
         )
     if plan.cycles_in_view < _CODE_CYCLES:
         found.append(
@@ -368,7 +369,7 @@ def _warnings(plan: RigPlan) -> list[str]:
 
 
 def _motion_warnings(plan: RigPlan) -> list[str]:
-    """Return what motion costs beyond the noise, a line each, with the cure."""
+    """Return the cost of motion beyond the noise, one line each, with the cure."""
     choice, found = plan.choice, []
     speed, longest_ms = f"{choice.speed_mm_s:g} mm/s", 1e3 * plan.longest_exposure_s
     if plan.exposure_s is not None and plan.exposure_s > 1.001 * plan.longest_exposure_s:

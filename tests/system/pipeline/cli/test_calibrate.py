@@ -86,7 +86,7 @@ def test_wavelengths_command(folder, command):
     for path in (folder / "fields").glob("*.png"):
         write_png(path, (0.3 * read_image(path) + 20).astype(np.uint8))
     done = command(*known[:-1], "colors.json", "fields", *chart, cwd=folder)
-    assert done.returncode == 1 and "tells no wavelength" in done.stderr and not (folder / "colors.json").exists()
+    assert done.returncode == 1 and "determines no wavelength" in done.stderr and not (folder / "colors.json").exists()
 
 
 @pytest.fixture
@@ -111,7 +111,7 @@ def test_a_verdict_follows_the_figures(posed, command, tmp_path):
     assert "depth bias to be expected" in done.stdout and "note: pose_99: no board is seen" in done.stdout
     worst, verdict, scale, wrote = done.stdout.strip().splitlines()[-4:]
     assert worst.startswith("worst pose: pose_0") and "it does not stand out" in worst
-    assert verdict.startswith("good: 9") and "mm a point" in verdict
+    assert verdict.startswith("good: 9") and "mm per point" in verdict
     assert scale == "scale proven by the second board; camera and projector stand 180.0 mm apart"
     assert wrote == "wrote rig.json"
     assert json.loads((tmp_path / "rig.json").read_text())["scale_proof"] == "second board"
@@ -129,7 +129,7 @@ def test_squares_that_are_wrong_by_a_quarter(posed, command, tmp_path):
         assert not (tmp_path / "rig.json").exists()
     done = command(*wrong)
     assert done.returncode == 0, done.stderr
-    assert "scale unproven: only --square-mm tells it, and camera and projector stand 225 mm apart" in done.stdout
+    assert "scale unproven: only --square-mm determines it, and camera and projector stand 225 mm apart" in done.stdout
     found = json.loads((tmp_path / "rig.json").read_text())
     assert found["scale_proof"] is None
     assert abs(np.linalg.norm(found["translation_mm"]) - 225) < 0.5

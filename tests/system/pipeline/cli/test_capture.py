@@ -46,7 +46,7 @@ def test_bursts_of_a_simulated_rig_are_recorded_and_can_be_decoded(tmp_path):
     [
         (SIMULATED, ("--bursts", "0"), 2, "must be above 0, and a number"),
         (SIMULATED, ("--keep-last", "inf"), 2, "must be above 0, and a number"),
-        (SIMULATED, ("--settings", "rig.toml"), 1, "add --live, or leave --settings away"),
+        (SIMULATED, ("--settings", "rig.toml"), 1, "add --live, or omit --settings"),
         (SIMULATED.replace("period_s = 0.02", "period_s = 0.001"), (), 1, "make the period that long"),
         (SIMULATED.replace('"simulated"', '"basler"', 1), (), 1, "trigger.driver: Input should be 'box', "),
         (SIMULATED.replace('"simulated"', '"box"', 1), (), 1, "a simulated trigger source and a simulated camera"),

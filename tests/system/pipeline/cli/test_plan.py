@@ -25,7 +25,7 @@ def test_it_prints_what_to_buy_show_and_print(command):
     assert (code, complained) == (0, "")
     found = figures(said)
     assert found["camera sees"] == "458 x 343 mm" and found["period"] == "16.5 px"
-    assert found["depth a cycle"] == "43 mm" and found["board"] == "11x8 of 29 mm"
+    assert found["depth per cycle"] == "43 mm" and found["board"] == "11x8 of 29 mm"
     assert "colorphase pattern pattern.png --size 1024x768 --period 16.5 --stripes horizontal" in said
     assert "colorphase pattern board.pdf --board charuco --squares 11x8 --square-mm 29" in said
 

@@ -40,7 +40,7 @@ def test_a_projector_is_switched(command):
         assert device.mute == "30"
         assert command("projector", "off", "--rig", "rig.toml") == (0, "the projector is off\n", "")
         said = command("projector", "status", "--rig", "rig.toml")[1]
-        assert said.count("not told") == 2  # input and blank
+        assert said.count("unknown") == 2  # input and blank
         code, _, complained = command("projector", "blank", "--rig", "rig.toml")
         assert code == 1
         assert complained.startswith("error: the projector refuses AVMT 31: not while it is off")

@@ -97,7 +97,7 @@ def test_frames_in_a_row(plane, tmp_path):
     for number in range(3):
         write_png(tmp_path / f"{number}.png", image)
     assert not holds_captures(tmp_path)
-    with pytest.raises(CalibrationError, match="holds 3 pictures: at least 12 frames in a row tell anything"):
+    with pytest.raises(CalibrationError, match="holds 3 pictures: at least 12 frames in a row are needed"):
         check_sequence(open_source(tmp_path), rig, DecodeSettings(), "cpu")
     with pytest.raises(FootageError, match="holds 3 frames: give one picture"):
         check_picture(open_source(tmp_path), rig, DecodeSettings(), "cpu")

@@ -50,9 +50,12 @@ def test_coarse_projector_pixels_make_longer_cycles():
         ({"throw_ratio": 2.2}, "take a throw ratio of 1.93 or less, or a camera's lens of 6.9 mm or more"),
         ({"baseline_mm": 500.0}, "a step hides half of its height: a fifth is usual, 180 mm"),
         ({"baseline_mm": 40.0}, "little depth is in the phase: a fifth is usual, 180 mm"),
-        ({"period_px": 11.0}, "8.0 camera px a cycle lose contrast in the lens: give a longer period, or none"),
-        ({"period_px": 30.0}, "22 camera px a cycle lose precision in depth: take a shorter period, or none"),
-        ({"period_px": 30.0}, "only 22 cycles are in view, and a frame does not tell the projector's response well"),
+        ({"period_px": 11.0}, "8.0 camera px per cycle lose contrast in the lens: give a longer period, or none"),
+        ({"period_px": 30.0}, "22 camera px per cycle lose precision in depth: take a shorter period, or none"),
+        (
+            {"period_px": 30.0},
+            "only 22 cycles are in view, and a frame does not determine the projector's response well",
+        ),
         ({"period_px": 90.0}, "only 7 cycles are in view, and the code may not place them"),
         ({"camera_px": (160, 120)}, "the board's squares are 15 camera px, and not surely found below 24"),
         ({"exposure_s": 0.01}, "mm in an exposure of 10 ms, which costs more than the noise: expose for 3.4 ms"),
@@ -77,7 +80,10 @@ def test_the_cure_of_a_small_picture_is_one(values):
     [
         ({"baseline_mm": 1000.0}, "the rig: a baseline of 1000 mm is as long as the distance"),
         ({"throw_ratio": 9.0}, "the projector lights 5.2 % of what the camera sees"),
-        ({"period_px": 5.0}, "the code tells 136 cycles apart, but 768 px hold 154 of 5 px: give a period of 16.5 px"),
+        (
+            {"period_px": 5.0},
+            "the code distinguishes 136 cycles, but 768 px hold 154 of 5 px: give a period of 16.5 px",
+        ),
         ({"period_px": 300.0}, "fewer than four cycles on the projector's 768 px: give a period of 16.5 px"),
         ({"period_px": 8.0}, "a period of 8 px is 5.84 camera px, too short to be seen: give 16.5 px"),
         ({"camera_px": (64, 64), "lens_mm": 0.6, "throw_ratio": 2.6}, "not even four cycles would be seen"),

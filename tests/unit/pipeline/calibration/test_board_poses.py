@@ -114,7 +114,7 @@ def test_each_folder_is_a_pose_in_the_order_of_their_names(tmp_path, monkeypatch
 
 
 def test_too_few_poses_are_refused_with_the_first_reason(tmp_path):
-    with pytest.raises(CalibrationError, match=r"none is no folder: give the one with a folder a pose"):
+    with pytest.raises(CalibrationError, match=r"none is no folder: give the one with one folder per pose"):
         measure_poses(tmp_path / "none", BOARD, SIZE)
     with pytest.raises(CalibrationError, match=r"0 usable poses, at least 8 .* holds 0 folders of captures"):
         measure_poses(tmp_path, BOARD, SIZE)

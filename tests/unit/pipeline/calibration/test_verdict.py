@@ -107,7 +107,7 @@ def poses_with(evidence, noise_px):
 @pytest.mark.parametrize(
     ("evidence", "named"),
     [
-        (MOVED, "it moved: from 16-row-coarse-0 on its corners lie up to 0.40 px beside"),
+        (MOVED, "it moved: from 16-row-coarse-0 on its corners lie up to 0.40 px from"),
         (BLURRED, "it is blurred (edges have a sigma of 2.5 px, elsewhere 0.5)"),
         (SHARP, "no cause shows but the error itself"),
     ],

@@ -124,7 +124,7 @@ def test_an_exposure_is_told_by_what_stands_still():
     phase, light = np.zeros((120, 160), np.float32), np.full((120, 160, 3), 0.4, np.float32)
     first = KeptFrame(light, light, phase, phase == 0, 12.0)
     brighter = np.float32([1.32, 1.2, 1.2]) * light
-    for moved_rad, found in ((0.0, "exposure by up to 23"), (1.0, "exposure not told")):
+    for moved_rad, found in ((0.0, "exposure by up to 23"), (1.0, "exposure unknown")):
         later = KeptFrame(brighter, brighter, phase + np.float32(moved_rad), phase == 0, 12.0)
         (drift,) = time_findings(seen(kept=[first, later]), GOOD)
         assert drift.topic == "drift" and drift.grade == "costs"
@@ -155,7 +155,7 @@ def test_light_that_cannot_be_told_is_not_called_fine():
     for diagnosis, grade in ((blind, "costs"), (replace(blind, limit_rad=0.01, notes=()), "fine")):
         (transfer,) = (f for f in light_findings(seen(diagnosis=diagnosis), GOOD) if f.topic == "transfer")
         assert transfer.grade == grade
-        assert ("do not tell" in transfer.found) == (grade == "costs")
+        assert ("do not show" in transfer.found) == (grade == "costs")
 
 
 @pytest.mark.parametrize("motion_rad, grade", [(0.03, "fine"), (1.0, "costs"), (2.2, "spoils")])
