@@ -4,6 +4,7 @@ import warnings
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -11,7 +12,7 @@ from threadpoolctl import ThreadpoolController
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
-from pipeline.decoding.doubts import few_pixels_doubt, fringe_doubt, light_doubts, over_exposure_doubt
+from pipeline.decoding.doubts import CODE_SHOWN, few_pixels_doubt, fringe_doubt, light_doubts, over_exposure_doubt
 from pipeline.decoding.expected_fringe import ExpectedFringe
 from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, FrameSetup, Measured
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
@@ -169,6 +170,7 @@ class Decoder:
             statistics = measure_frame(frame.image, frame.white)
             levels = frame_levels(self.settings, statistics, frame.white, self._path.crosstalk)
             period_px = self.settings.camera_period_px or statistics.period_px
+            looks_for_code = self._path.code_unknown
             with nullcontext() if out is None else out.emptied_on_error():
                 if statistics.period_px is None or period_px is None:
                     clear_buffers(*buffers)
@@ -176,12 +178,11 @@ class Decoder:
                 else:
                     measured = self._measure(frame, levels, period_px, memory, *buffers)
                     if self._learn_light(frame, period_px, measured.surface):
-                        first = measured
                         memory = None if out is previous else memory  # its buffers have just been written
                         measured = self._measure(frame, levels, period_px, memory, *buffers)
-                        if self._path.code is None:  # whether the frame shows a code is asked once
-                            measured = replace(measured, order_doubt=measured.order_doubt or first.order_doubt)
                     measured = self._doubted(measured, frame, levels, statistics, period_px)
+                    if looks_for_code and self.code is not None:
+                        measured = replace(measured, light_doubts=(CODE_SHOWN, *measured.light_doubts))
                     if self._setup.rays is None:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
                         measured = replace(measured, range_sign=sign, front_is_clear=clear)
@@ -189,6 +190,20 @@ class Decoder:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
             result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)
             return result if out is None else out.become(result)
+
+    @property
+    def code(self) -> Literal["contrast"] | None:
+        """The pattern's code: by the settings, the calibration, or the first frame with fringes; None: none yet."""
+        return None if self._path.code_unknown else self._path.code
+
+    def use_code(self, code: Literal["contrast"] | None) -> None:
+        """Take what another decoder has seen of a code, instead of looking for one in the first frame with fringes.
+
+        A code that settings or calibration state stays.
+        """
+        if self._path.code_unknown:
+            self._path.use_code(code)
+            self._orders.code = code
 
     @property
     def asks_for_light(self) -> bool:
@@ -202,7 +217,6 @@ class Decoder:
         """
         self.light = light
         self._path.learn(light)
-        self._orders.ask_for_no_code()
 
     @property
     def asks_rims(self) -> bool:
@@ -251,6 +265,10 @@ class Decoder:
         patches = work.unwrapper.join(work.phase, phases.modulation, rates)
         smoothed = (work.phase, phases.modulation, work.raw_phase, rates)
         seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px, float(model.contrast))
+        if path.code_unknown:  # up to here as if there were a code: without, its contrasts look like more surfaces
+            self.use_code("contrast" if self._orders.shows_a_code(seen, patches) else None)
+            if path.code is None:
+                return self._measure(frame, levels, period_px, memory, phases, surface)
         placement = self._orders.find(seen, patches, rays, memory)
         if placement.roots is not None:
             patches.split(placement.roots, placement.left_out)

@@ -129,7 +129,7 @@ class LiveDecoder:
         """
         if frame.shape != self._slot.shape or frame.dtype != self._slot.dtype:
             expected = f"{self._slot.shape} {self._slot.dtype}"
-            raise ShapeError(f"frame is {frame.shape} {frame.dtype}, expected {expected}")
+            raise ShapeError(f"frame has shape {frame.shape} {frame.dtype}, expected {expected}")
         if not self.ready:
             return False
         np.copyto(self._slot, frame)

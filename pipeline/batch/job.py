@@ -3,14 +3,15 @@
 import hashlib
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
+from pipeline.decoding.doubts import CODE_SHOWN
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
@@ -75,10 +76,14 @@ class Crop:
 class Learnt:
     """What footage tells of itself before its frames are decoded for good."""
 
-    light: LightEstimate | None
-    rims: RimVotes  # which side is in front
-    notes: tuple[str, ...]  # what the user should know of the light
-    frame_bytes: int | None  # what the last frame that was asked takes in the store; None: none can be decoded
+    light: LightEstimate | None = None
+    code: Literal["contrast"] | None = None  # that frames show
+    rims: RimVotes = field(default_factory=RimVotes)  # which side is in front
+    notes: tuple[str, ...] = ()  # what the user should know of the light and of a code that frames show
+    frame_bytes: int | None = None  # what the last frame that was asked takes in the store; None: none can be decoded
+
+
+_NOTHING = Learnt()
 
 
 @dataclass(frozen=True)
@@ -152,10 +157,8 @@ class Job:
         """
         return ResultStore(self.store, self.identity(source), self.fields)
 
-    def make_store(
-        self, source: Source, light: LightEstimate | None = None, rims: RimVotes | None = None
-    ) -> ResultStore:
-        """Make what is missing of the store, with what has been learnt of the light and of which side is in front.
+    def make_store(self, source: Source, learnt: Learnt = _NOTHING) -> ResultStore:
+        """Make what is missing of the store, with what has been learnt of its footage.
 
         Raises
         ------
@@ -163,8 +166,9 @@ class Job:
             It holds something else, or cannot be written.
         """
         also = {
-            "light": None if light is None else light.as_json(),
-            "rims": asdict(rims or RimVotes()),
+            "light": None if learnt.light is None else learnt.light.as_json(),
+            "code": learnt.code,
+            "rims": asdict(learnt.rims),
             **camera_attribute(self._calibration_of_part()),
         }
         identity, size_px = self.identity(source), self.size_px(source)
@@ -189,13 +193,15 @@ class Job:
         return image
 
     def learn(self, source: Source) -> Learnt:
-        """Ask the footage for its light and which side is in front, where neither settings nor calibration say it.
+        """Learn the light, a code, and which side is in front from the footage, where nothing else states them.
 
-        Of 64 evenly spaced frames, the first that tells the light does; of 16, the first that shows the side clearly.
+        Of 64 evenly spaced frames, the first with fringes shows whether there is a code, and the first whose light can
+        be estimated its light; of 16, the first that shows the side clearly.
         """
         light: LightEstimate | None = None
+        code: Literal["contrast"] | None = None
         size: int | None = None
-        rims, light_told = RimVotes(), False
+        rims, light_told, code_told = RimVotes(), False, False
         notes: tuple[str, ...] = ()
         asked = range(0, len(source), -(-len(source) // _MOST_ASKED))
         for turn, number in enumerate(asked):
@@ -205,6 +211,8 @@ class Job:
             if not isinstance(stored, StoredFrame):
                 continue
             decoder = self.decoder()
+            if code_told:
+                decoder.use_code(code)
             if light_told:
                 decoder.use_light(light)
             known = not decoder.asks_for_light
@@ -217,11 +225,15 @@ class Job:
             rims = decoder.rims
             size = frame_bytes(frame, self.fields)
             tells_light = known or (decoder.light is not None and decoder.light.reliable)
+            if frame.period_px is not None and not code_told:
+                code, code_told = decoder.code, True
+                notes = tuple(note for note in frame.warnings if note == CODE_SHOWN)
             if frame.period_px is not None and tells_light and not light_told:
-                light, notes, light_told = decoder.light, frame.warnings, True
+                light, light_told = decoder.light, True
+                notes += tuple(note for note in frame.warnings if note not in notes)
             if light_told and not decoder.asks_rims:
                 break
-        return Learnt(light, rims, notes, size)
+        return Learnt(light, code, rims, notes, size)
 
 
 def with_transfer_of(

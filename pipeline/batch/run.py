@@ -9,7 +9,6 @@ from pipeline.batch.job import Job, Learnt, chains
 from pipeline.batch.local_processes import decode_in_processes, shares
 from pipeline.batch.sharing import idle_processes, usable_cores, worthwhile_processes
 from pipeline.batch.worker import Chain, Outcome, Worker
-from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import DamageError, FootageError, OutputError, SettingsError
 from pipeline.files import explain, make_folder
 from pipeline.footage.source import BadFrame, Source
@@ -189,7 +188,7 @@ def _ready_store(
     SizeForecast or None
         How large a new store will be, which has been told.
     """
-    notes, learnt, size = source.notes, Learnt(None, RimVotes(), (), None), None
+    notes, learnt, size = source.notes, Learnt(), None
     damaged = False
     try:
         there = is_there(job.store)
@@ -202,7 +201,7 @@ def _ready_store(
         if not damaged:  # else there may be frames
             size = _forecast(job, source, len(wanted), learnt.frame_bytes)
             telling.remark_if(size.check())
-    store = job.make_store(source, learnt.light, learnt.rims)
+    store = job.make_store(source, learnt)
     store.remove_leftovers()
     return store, (*notes, *learnt.notes), size
 

@@ -65,6 +65,7 @@ class Worker:
         self._store = job.open_store(self._source)
         self._decoder = job.decoder()
         light = self._store.attributes["light"]
+        self._decoder.use_code(self._store.attributes["code"])
         self._decoder.use_light(None if light is None else LightEstimate.from_json(light))
         self._decoder.use_rims(RimVotes(**self._store.attributes["rims"]))
         width, height = job.size_px(self._source)

@@ -55,8 +55,8 @@ class SettingsOptions:
     """The camera's encoding of light; left out, that of the calibration or the file."""
     period: float | None = None
     """Camera px per cycle, roughly; left out, measured from the frame."""
-    code: Literal["contrast"] | None = None
-    """The pattern's code; a calibration's pattern wins."""
+    code: Literal["contrast", "none"] | None = None
+    """The pattern's code; left out, the calibration states it, or the first frame with fringes shows it."""
     smoothing: int | None = None
     """Side of the window that the phase is smoothed over, px, an odd number; 0: none."""
 

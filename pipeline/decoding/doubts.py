@@ -10,6 +10,8 @@ from tikernels import runtime
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure_frame
 from tikernels.transposing import transpose
 
+#: Said once, by the frame that shows it.
+CODE_SHOWN = 'the frame shows a contrast code, which is used: set code = "none" (--code none) to decode it as plain'
 # Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
 _MIN_CONTRAST = 0.12
 # A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.

@@ -115,12 +115,12 @@ class FrameReader:
         if self._calibrated_px is not None and self._calibrated_px != (shape[1], shape[0]):
             width, height = self._calibrated_px
             raise CalibrationError(
-                f"frame is {size_text(shape)} but the calibration is for {height}x{width}: recalibrate or crop"
+                f"frame is {size_text(shape)} but the calibration is for {width}x{height}: recalibrate or crop"
             )
         if self._reference_shape is not None and self._reference_shape != shape[:2]:
             raise ShapeError(f"frame is {size_text(shape)} but the reference is {size_text(self._reference_shape)}")
 
 
 def size_text(shape: tuple[int, ...]) -> str:
-    """Return height and width as messages say them."""
-    return f"{shape[0]}x{shape[1]}"
+    """Return the size of an image of a shape (H, W, ...) for messages: width x height."""
+    return f"{shape[1]}x{shape[0]}"

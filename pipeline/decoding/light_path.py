@@ -1,6 +1,7 @@
 """The way of the light from the pattern's codes to the camera's levels, as far as settings and calibration tell it."""
 
 import warnings
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -43,7 +44,9 @@ class LightPath:
     crosstalk : Crosstalk
         The crosstalk, where the surface's colour acts, and the projector's lateral colour.
     code : {"contrast"} or None
-        The pattern's code.
+        The pattern's code; while it is unknown, "contrast".
+    code_unknown : bool
+        Whether neither settings nor calibration state one, so that a frame is to show whether there is one.
     constant_known : bool
         Whether the constant of all phases is known.
     constant_sigma : float
@@ -59,7 +62,6 @@ class LightPath:
         self.camera_shift_px: FloatArray | None = None
         self._lag: FloatArray | None = None
         self._bands = settings.reflectance_bands
-        self.code = settings.code
         self._equalize = settings.equalize
         self._wavelengths_nm: FloatArray | None = None
         responses: list[FloatArray] = []  # that the pattern's codes may go through
@@ -67,7 +69,7 @@ class LightPath:
         # What a frame has told of the light, and one cycle of each channel by that.
         self._learned: LightEstimate | None = None
         self._learned_cycle: npt.NDArray[np.float32] = flat_template()
-        matrix, light = settings.crosstalk_matrix, np.ones(3)
+        matrix, code = settings.crosstalk_matrix, settings.code
         if calibration is not None:
             if calibration.pattern is not None:
                 if calibration.pattern.stripes != settings.stripes:
@@ -76,7 +78,7 @@ class LightPath:
                         f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
                     )
                 compensated = calibration.pattern.compensated
-                self.code = calibration.pattern.code
+                code = code or calibration.pattern.code
             self.transfer = _transfer(settings, calibration)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
             self._wavelengths_nm = calibration.wavelengths_nm
@@ -87,17 +89,25 @@ class LightPath:
             if calibration.color_shift_px is not None:
                 self.camera_shift_px = calibration.color_shift_px.camera
                 self._lag = calibration.projector_lag_rad()
-        contrast = float(cycle_contrasts().mean()) if self.code == "contrast" else 1.0
-        self._priors = [ResponsePrior(response, self._lag, contrast) for response in responses]
-        if len(self._priors) == 1:
-            light = self._priors[0].light
         # Without any word of the light the first frame with fringes tells it; not, though, how bright the camera's
         # channels are to each other, which matters where the crosstalk is undone before the balance.
         self.unknown = matrix is None and self._bands != "narrow"
         self.constant_known = matrix is not None
         self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
         self.white: FloatArray | None = None if matrix is None else matrix.sum(axis=1)
-        self._use(np.eye(3) if matrix is None else matrix @ np.diag(light))
+        self._matrix, self._responses = matrix, responses
+        self.use_code(None if code == "none" else "contrast")
+        self.code_unknown = code is None
+
+    def use_code(self, code: Literal["contrast"] | None) -> None:
+        """Take the pattern's code; what was learnt of the light stays."""
+        self.code, self.code_unknown = code, False
+        contrast = float(cycle_contrasts().mean()) if code == "contrast" else 1.0
+        self._priors = [ResponsePrior(response, self._lag, contrast) for response in self._responses]
+        light = self._priors[0].light if len(self._priors) == 1 else np.ones(3)
+        self._use(np.eye(3) if self._matrix is None else self._matrix @ np.diag(light))
+        if self._learned is not None:
+            self.learn(self._learned)
 
     def learn(self, light: LightEstimate | None) -> None:
         """Take what a frame told, if it is better than nothing; None: it told nothing. No other one is asked."""

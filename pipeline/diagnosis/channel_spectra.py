@@ -78,8 +78,8 @@ class KnownLight:
     code: Literal["contrast"] | None = None
 
     @classmethod
-    def of(cls, settings: DecodeSettings, calibration: Calibration) -> "KnownLight":
-        """Return the light that settings and calibration describe; the settings overrule."""
+    def of(cls, settings: DecodeSettings, calibration: Calibration, code: Literal["contrast"] | None) -> "KnownLight":
+        """Return what settings and calibration state, which the settings overrule, and the code of the decoder."""
         pattern = calibration.pattern
         compensated = None if pattern is None else pattern.compensated
         responses = [LINEAR]
@@ -91,7 +91,7 @@ class KnownLight:
             calibration.crosstalk_matrix if given is None else given,
             tuple(responses),
             calibration.projector_lag_rad(),
-            settings.code if pattern is None else pattern.code,
+            code,
         )
 
     @property

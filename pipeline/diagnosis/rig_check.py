@@ -444,7 +444,7 @@ def check_picture(
     shift = calibration.color_shift_px
     light = image if shift is None else runtime.to_host(align_channels(image, shift.camera))
     white = settings.white_level or WHITE_LEVELS[image.dtype.name]
-    known = KnownLight.of(settings, calibration)
+    known = KnownLight.of(settings, calibration, reader.code)
     found = diagnose(light, white, frame.unwrapped_phase, frame.mask, known, reader.transfer, frame.absolute)
     return PictureCheck(surface, found, calibration, reader.transfer, light, white, frame)
 
@@ -489,6 +489,11 @@ class _Reader:
             self.transfer = at_calibration
         self._source, self._stripes = source, settings.stripes
         self._decoder = Decoder(settings, calibration, arch=arch)
+
+    @property
+    def code(self) -> Literal["contrast"] | None:
+        """The pattern's code, by all that has been read."""
+        return self._decoder.code
 
     def frames(self) -> Iterator[tuple[ImageArray, DecodedFrame]]:
         for stored in self._source.frames():

@@ -71,7 +71,7 @@ class ZarrRecording:
             (self._shape,) = format.plane_shapes(height, width)
             self._dtype = np.dtype(format.dtype)
             if array.shape[1:] != self._shape or array.dtype != self._dtype:
-                raise ValueError(f"its frames are {array.shape[1:]} {array.dtype}")
+                raise ValueError(f"its frames have shape {array.shape[1:]} {array.dtype}")
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FootageError(f"{path} is damaged: {error}") from None
         self._check_claims(width, height)

@@ -38,7 +38,7 @@ _MAX_LOST = 0.02
 _MIN_CORRECTION = 1e-3
 # Every eighth column tells how far blur shifts the phase.
 _EVERY_COLUMN = 8
-# Where a code that nobody has told of places more than this share of the pixels, it is one.
+# Where a code that is not stated places more than this share of the pixels, the frame shows it.
 _MIN_CODED = 0.5
 # A part that is a smaller share of the frame, and whose likeliest order is wrong with a higher probability, may have
 # any depth, and is left out: a nose's tip that its shadow cuts off would stand somewhere before the face.
@@ -56,7 +56,6 @@ _CODE_NOT_SEEN = (
 # is 1; a simulated bust keeps all its orders at .73, and loses a fifth to a third of them at .53.
 _CODE_CONTRAST = 0.65
 _OTHER_LIGHT = "; other light, or a wrong transfer, takes the fringe's contrast to {:.0%}: shut it out"
-_CODE_NOT_TOLD = 'the frame shows a contrast code: set code = "contrast" (--code contrast) to use it'
 _OUT_OF_RANGE = (
     "{:.0%} of the surface fits at no order into the depth range of {:g} to {:g} mm, which therefore tells none: "
     "give the range of all that is in view"
@@ -171,7 +170,7 @@ class OrderFinder:
     Parameters
     ----------
     code : {"contrast"} or None
-        The pattern's.
+        The pattern's; it may be set later.
     geometry : Geometry, optional
         The rig's; with it, the depth tells what the orders may be.
     depth_range_mm : (2,) float, optional
@@ -189,18 +188,13 @@ class OrderFinder:
         geometry: Geometry | None,
         depth_range_mm: tuple[float, float] | None,
     ) -> None:
-        self._code = code
-        self._code_looked_for = code is not None
+        self.code = code
         self._geometry = geometry
         self._depth_range_mm = depth_range_mm
         #: Where the object is expected, mm; regions that nothing places are put nearest to it.
         self.expected_depth_mm = None if geometry is None else _expected_depth(geometry, depth_range_mm)
         if geometry is not None and self.expected_depth_mm is not None:
             _check_view(geometry, self.expected_depth_mm)
-
-    def ask_for_no_code(self) -> None:
-        """Do not look in the first frame for a code that nobody has told of."""
-        self._code_looked_for = True
 
     def find(self, seen: SeenPhase, patches: Patches, rays: CameraRays | None, memory: FrameMemory | None) -> Placement:
         """Find where the evidence contradicts regions, and which offsets it names.
@@ -218,7 +212,7 @@ class OrderFinder:
         """
         roots, absolute, carried, warning, left_out = None, None, None, None, None
         found: CodedOrders | None = None
-        if self._code == "contrast":
+        if self.code == "contrast":
             graph = patches.graph()
             found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
             absolute, roots = found.absolute, found.roots
@@ -247,9 +241,6 @@ class OrderFinder:
         if found is None and self._depth_range_mm is not None:
             absolute, out_of_range = self._place_by_depth(seen, patches.graph(), roots, rays)
             warning = warning or out_of_range
-        if not self._code_looked_for:
-            self._code_looked_for = True
-            warning = _CODE_NOT_TOLD if self._shows_a_code(seen, patches) else warning
         orders = with_frame_before(absolute, carried, None if memory is None else memory.orders)
         return Placement(roots, orders, carried, found is not None, left_out, warning)
 
@@ -272,7 +263,7 @@ class OrderFinder:
         str or None
             What the user should know.
         """
-        if self._code != "contrast":
+        if self.code != "contrast":
             return None
         known = orders.known
         if known.any():
@@ -293,8 +284,8 @@ class OrderFinder:
             return _code_lost(text, seen)
         return None
 
-    def _shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
-        """Whether the frame shows the code that nobody has told of."""
+    def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
+        """Whether a frame shows a code that neither settings nor calibration state."""
         graph = patches.graph()
         found = self._find_absolute(seen, patches, graph, None)
         absolute = found.absolute

@@ -108,7 +108,7 @@ class Mesh:
                 raise ValueError("texture: give the vertices' pixels in it, too")
         for name, values, shape, dtype in wanted:
             if values.shape != shape or values.dtype != dtype:
-                raise ValueError(f"{name}: got {values.shape} {values.dtype}, expected {shape} {np.dtype(dtype)}")
+                raise ValueError(f"{name}: got shape {values.shape} {values.dtype}, expected {shape} {np.dtype(dtype)}")
         for name in self.properties:
             if not name.isascii() or name.split() != [name] or name in RESERVED:
                 raise ValueError(f"property {name!r}: expected one plain word other than {', '.join(RESERVED)}")

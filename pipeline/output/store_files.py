@@ -58,7 +58,7 @@ _MOST_BYTES = 2**20
 
 #: The attributes that footage itself has told, and tells again, and what follows from others; the rest are what its
 #: frames depend on.
-LEARNT = ("light", "rims", "camera")
+LEARNT = ("light", "code", "rims", "camera")
 
 _KEY = re.compile(r"c\.(\d{1,18})\.0")
 # Bytes of a chunk's checksum, at its end.

@@ -122,7 +122,7 @@ class Recorder:
         shape = self._format.plane_shapes(*frame.shape[:2])[0] if frame.ndim >= 2 else ()
         if frame.shape != (self._shape or shape) or frame.dtype != self._format.dtype:
             expected = self._shape or ("(H, W, 3)" if self._format.layout == "rgb" else "(H, W)")
-            raise ShapeError(f"frame is {frame.shape} {frame.dtype}, expected {expected} {self._format.dtype}")
+            raise ShapeError(f"frame has shape {frame.shape} {frame.dtype}, expected {expected} {self._format.dtype}")
         if self._ended:
             raise OutputError(f"cannot record to {self._path}: the recording has ended")
         try:

@@ -57,7 +57,7 @@ def diagnosed_as_known(scene, seed, *, compensated, size_px=(640, 480), known=No
     light = {"crosstalk_matrix": MIXING, "response": RESPONSE, "pattern": pattern, **(known or {})}
     calibration = rig.model_copy(update=light)
     frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(truth.image)
-    undone = KnownLight.of(DecodeSettings(), calibration)
+    undone = KnownLight.of(DecodeSettings(), calibration, calibration.pattern.code)
     return diagnose(truth.image, 255, frame.unwrapped_phase, frame.mask, undone, "linear", frame.absolute)
 
 

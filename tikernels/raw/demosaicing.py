@@ -136,7 +136,7 @@ def demosaic(mosaic: Plane, format: PixelFormat, stripes: str = "horizontal", ou
     mosaic = checks.read_array("mosaic", mosaic, (None, None), format.dtype)
     height, width = mosaic.shape
     if min(height, width) < _MIN_SIZE_PX:
-        raise ShapeError(f"mosaic is {height}x{width}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
+        raise ShapeError(f"mosaic is {width}x{height}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
     out = checks.out_buffer("out", out, (height, width, 3), np.float32)
     red = format.bayer.index("r")
     _demosaic_kernel(stripes, red // 2, red % 2)(mosaic, 1 / format.white_level, out)

@@ -195,7 +195,7 @@ NAMED = {
         "COLORPHASE_MAX_PIXELS",
     ),
     "tiny.png": (lambda f: by_pillow(eight(f.linear)[200:208, 300:310], "PNG"), "at least 16x16 px are needed"),
-    "cropped.png": (lambda f: by_pillow(eight(f.linear)[100:300, 200:500], "PNG"), "the calibration is for 480x640"),
+    "cropped.png": (lambda f: by_pillow(eight(f.linear)[100:300, 200:500], "PNG"), "the calibration is for 640x480"),
     "upside down.png": (lambda f: by_pillow(np.ascontiguousarray(eight(f.linear)[::-1, ::-1]), "PNG"), "upside down"),
     "mirrored over.png": (lambda f: by_pillow(np.ascontiguousarray(eight(f.linear)[::-1]), "PNG"), "or mirrored"),
     "blue first.png": (lambda f: by_pillow(np.ascontiguousarray(eight(f.linear)[..., ::-1]), "PNG"), "order B, G, R"),

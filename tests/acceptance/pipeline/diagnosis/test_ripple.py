@@ -75,7 +75,7 @@ def test_what_decoding_undoes_is_no_fault():
         "response",
         "lateral colour of the projector",
     }
-    assert not diagnose(*seen, KnownLight.of(DecodeSettings(), known)).findings
+    assert not diagnose(*seen, KnownLight.of(DecodeSettings(), known, known.pattern.code)).findings
 
 
 @pytest.mark.parametrize("compensated", [True, False])

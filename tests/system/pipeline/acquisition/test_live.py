@@ -95,7 +95,7 @@ def test_what_becomes_of_a_frame(rig, image, tmp_path, format):
         assert dark.measured == 0
         assert np.isnan(dark.phase_sigma)
         assert "no fringe stands out" in dark.warnings[0]
-        with pytest.raises(ShapeError, match=r"frame is \(95, 128"):
+        with pytest.raises(ShapeError, match=r"frame has shape \(95, 128"):
             decoder.offer(frame[1:], 11, 0)
         assert decoder.ended is None
     assert decoder.ended == "live decoding was closed"

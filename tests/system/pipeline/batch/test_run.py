@@ -572,3 +572,22 @@ def test_a_store_says_nothing_of_times_or_hosts(job, tmp_path):
     decode_footage(job, stop=1)
     text = (Path(job.store) / "zarr.json").read_text()
     assert str(tmp_path) not in text and os.uname().nodename not in text
+
+
+def test_a_code_that_footage_shows_is_learnt_once_for_all_frames(tmp_path, job):
+    """Whatever process decodes whichever frame: the first one with fringes shows it."""
+    rig = simulated_rig((320, 240), period_px=2 * 768 / 44, code="contrast")
+    coded = simulate_frame(rig, SimulationSettings(scene="plane")).image
+    with Recorder(tmp_path / "film.zarr", PixelFormat("rgb")) as recorder:
+        for image in (np.zeros_like(coded), coded, coded):
+            recorder.add(image)
+    job = replace(job, footage=str(tmp_path / "film.zarr"))
+    stated = replace(job, settings=DecodeSettings(code="contrast"), store=str(tmp_path / "stated.zarr"))
+    notes = [decode_footage(each).notes for each in (job, stated)]
+    assert [sum("shows a contrast code" in note for note in said) for said in notes] == [1, 0]
+    shown, expected = StoredResult(job.store), StoredResult(stated.store)
+    assert shown.attributes["code"] == expected.attributes["code"] == "contrast"
+    assert shown.read("absolute", 2).any()
+    for number in (1, 2):
+        for name in ("unwrapped_phase", "absolute", "phase_sigma"):
+            np.testing.assert_array_equal(shown.read(name, number), expected.read(name, number))

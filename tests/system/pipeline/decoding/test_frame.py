@@ -72,7 +72,7 @@ def test_what_travels_to_the_next_frame(cpu):
     decoder, images, (frame, _) = frames("cpu", 2)
     memory = frame.memory
     assert memory.checked((96, 128), "horizontal") is memory
-    with pytest.raises(ShapeError, match="frame is 48x64 but the one before is 96x128"):
+    with pytest.raises(ShapeError, match="frame is 64x48 but the one before is 128x96"):
         memory.checked((48, 64), "horizontal")
     with pytest.raises(SettingsError, match="stripes are vertical"):
         memory.checked((96, 128), "vertical")

@@ -73,12 +73,40 @@ def test_uniform_phases_need_no_correction():
     assert not off.cycle(UNIFORM + np.arange(256), 12.0)[0].any()
 
 
-def test_the_code_is_the_patterns():
-    coded = simulated_rig((64, 48), code="contrast")
-    assert LightPath(DecodeSettings(), coded).code == "contrast"
-    assert LightPath(DecodeSettings(code="contrast"), simulated_rig((64, 48))).code is None
-    plain, told = (LightPath(DecodeSettings(code=code), None) for code in (None, "contrast"))
-    assert told.contrast_doubt > plain.contrast_doubt
+@pytest.mark.parametrize(
+    ("setting", "pattern", "code", "unknown"),
+    [
+        (None, None, "contrast", True),
+        (None, "contrast", "contrast", False),
+        ("contrast", None, "contrast", False),
+        ("none", None, None, False),
+        ("none", "contrast", None, False),
+    ],
+)
+def test_the_code_is_the_settings_or_the_patterns(setting, pattern, code, unknown):
+    path = LightPath(DecodeSettings(code=setting), simulated_rig((64, 48), code=pattern))
+    assert (path.code, path.code_unknown) == (code, unknown)
+
+
+@pytest.mark.parametrize(
+    "known", [{}, {"crosstalk_matrix": MATRIX, "response": np.linspace(0, 1, 256)[None] ** [[2]] * 3}]
+)
+def test_what_a_frame_shows_of_a_code_is_as_if_it_were_stated(known):
+    """Whether the light is learnt before or after."""
+    plain, coded = (LightPath(DecodeSettings(code=code), rig(**known)) for code in ("none", "contrast"))
+    assert plain.contrast_doubt < coded.contrast_doubt
+    for code, stated in ((None, plain), ("contrast", coded)):
+        seen = LightPath(DecodeSettings(), rig(**known))
+        seen.use_code(code)
+        assert seen.code == stated.code and not seen.code_unknown
+        assert seen.contrast_doubt == stated.contrast_doubt
+        for got, expected in zip(seen.cycle(UNIFORM, 12.0), stated.cycle(UNIFORM, 12.0), strict=True):
+            np.testing.assert_array_equal(got, expected)
+    late = LightPath(DecodeSettings(), None)
+    late.learn(TOLD)
+    late.use_code(None)
+    np.testing.assert_allclose(late.crosstalk.matrix, NORMAL, atol=1e-6)
+    assert late.light_known and not late.unknown
 
 
 def test_a_camera_that_stands_otherwise():

@@ -263,14 +263,14 @@ def test_previous_must_fit():
     rig = simulated_rig(SIZE)
     decoder = Decoder(DecodeSettings(), arch="cpu")
     before = decoder.decode(simulate_frame(rig).image)
-    with pytest.raises(ShapeError, match="frame is 120x160 but the one before is 240x320"):
+    with pytest.raises(ShapeError, match="frame is 160x120 but the one before is 320x240"):
         decoder.decode(simulate_frame(simulated_rig((160, 120), period_px=768 / 22)).image, previous=before)
     upright = simulated_rig(SIZE, stripes="vertical")
     other = Decoder(DecodeSettings(stripes="vertical"), arch="cpu")
     with pytest.raises(SettingsError, match="stripes are vertical"):
         other.decode(simulate_frame(upright).image, previous=before)
     seen = other.decode(simulate_frame(upright).image)
-    with pytest.raises(ShapeError, match="frame is 120x160 but the one before is 240x320"):
+    with pytest.raises(ShapeError, match="frame is 160x120 but the one before is 320x240"):
         small = simulated_rig((160, 120), period_px=768 / 22, stripes="vertical")
         other.decode(simulate_frame(small).image, previous=seen)
 

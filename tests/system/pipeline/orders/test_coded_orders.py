@@ -170,20 +170,67 @@ def test_the_error_probability_is_what_it_says():
     assert (regions[:, 0] < 1e-3).sum() > 20
 
 
-def test_a_code_that_nobody_told_of_in_unknown_light():
-    """The frame is decoded twice, to learn the light; what the first run said of the code is not lost."""
-    truth, _ = simulated("bust")
-    with pytest.warns(DecodeWarning, match=r'shows a contrast code: set code = "contrast"'):
-        Decoder(DecodeSettings(), arch="cpu").decode(truth.image)
+SHOWN = r'shows a contrast code, which is used: set code = "none" \(--code none\) to decode it as plain'
 
 
-def test_a_code_that_nobody_told_of():
-    truth, calibration = simulated("bust")
-    decoder = Decoder(DecodeSettings(), said(calibration, None), arch="cpu")
-    with pytest.warns(DecodeWarning, match=r'shows a contrast code: set code = "contrast"'):
+def same(frame, other):
+    """Whether two frames were decoded alike, bit by bit."""
+    names = ("unwrapped_phase", "mask", "region", "absolute", "order_error_probability", "phase_sigma", "modulation")
+    return all(np.array_equal(getattr(frame, name), getattr(other, name), equal_nan=True) for name in names)
+
+
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_a_code_that_the_frame_shows(calibrated):
+    """It is used as if it were stated, also where the calibration's pattern is plain or the light is unknown."""
+    truth, rig = simulated("bust")
+    calibration = said(rig, None) if calibrated else None
+    decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
+    with pytest.warns(DecodeWarning, match=SHOWN):
         frame = decoder.decode(truth.image)
-    assert not frame.absolute.any()
-    assert decoder.decode(truth.image).warnings == ()  # once is enough
+    assert decoder.code == "contrast" and shares(frame, truth)[0] > 0.97
+    assert same(frame, Decoder(DecodeSettings(code="contrast"), calibration, arch="cpu").decode(truth.image))
+    assert decoder.decode(truth.image).warnings == ()  # it is said once
+
+
+def test_it_is_used_into_the_buffers_of_the_frame_before():
+    truth, rig = simulated("bust")
+    frames = []
+    for code in (None, "contrast"):
+        before = Decoder(DecodeSettings(code="none"), rig, arch="cpu").decode(truth.image)
+        decoder = Decoder(DecodeSettings(code=code), said(rig, None), arch="cpu")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DecodeWarning)
+            frames.append(decoder.decode(truth.image, previous=before, out=before))
+    assert frames[0].absolute.any() and same(*frames)
+
+
+def test_a_coded_frame_decoded_as_plain():
+    truth, rig = simulated("bust")
+    frame = Decoder(DecodeSettings(code="none"), rig, arch="cpu").decode(truth.image)
+    assert frame.warnings == () and not frame.absolute.any()
+
+
+def test_a_plain_frame_shows_no_code():
+    for scene in projection.SCENES:
+        truth, calibration = simulated(scene, code=None)
+        decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
+        frame = decoder.decode(truth.image)
+        assert decoder.code is None and not frame.absolute.any(), scene
+        assert same(frame, Decoder(DecodeSettings(code="none"), calibration, arch="cpu").decode(truth.image)), scene
+
+
+def test_what_another_decoder_has_seen_of_a_code():
+    """A code that is stated stays."""
+    truth, rig = simulated("bust")
+    worker = Decoder(DecodeSettings(), said(rig, None), arch="cpu")
+    worker.use_code("contrast")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        frame = worker.decode(truth.image)
+    assert same(frame, Decoder(DecodeSettings(), rig, arch="cpu").decode(truth.image))
+    stated = Decoder(DecodeSettings(), rig, arch="cpu")
+    stated.use_code(None)
+    assert stated.code == "contrast"
 
 
 @pytest.mark.parametrize("rows", [26, 44, 60])

@@ -58,9 +58,9 @@ def test_what_is_no_frame(cpu, image, error, message):
 
 
 def test_sizes_that_contradict(cpu):
-    with pytest.raises(CalibrationError, match="frame is 20x30 but the calibration is for 96x128"):
+    with pytest.raises(CalibrationError, match="frame is 30x20 but the calibration is for 128x96"):
         reader(simulated_rig((128, 96)).geometry()).read(LEVELS)
-    with pytest.raises(ShapeError, match="frame is 20x30 but the reference is 30x20"):
+    with pytest.raises(ShapeError, match="frame is 30x20 but the reference is 20x30"):
         reader(None, np.zeros((30, 20), np.float32)).read(LEVELS)
 
 

@@ -54,7 +54,7 @@ def test_a_response_counts_unless_the_pattern_has_undone_it(compensated, expecte
     pattern = rig.geometry().pattern.model_copy(update={"compensated": compensated})
     shift = ColorShift(camera=np.zeros((3, 2)), projector=np.array([[0, 1.0], [0, 0], [0, -1.0]]))
     light = {"crosstalk_matrix": MIXING, "response": SQUARE, "pattern": pattern, "color_shift_px": shift}
-    known = KnownLight.of(DecodeSettings(), rig.model_copy(update=light))
+    known = KnownLight.of(DecodeSettings(), rig.model_copy(update=light), "contrast")
     assert len(known.responses) == len(expected)
     for one, other in zip(known.responses, expected, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -63,9 +63,7 @@ def test_a_response_counts_unless_the_pattern_has_undone_it(compensated, expecte
 
 
 def test_settings_overrule():
-    known = KnownLight.of(
-        DecodeSettings(crosstalk_matrix=np.eye(3), code="contrast"), Calibration(crosstalk_matrix=MIXING)
-    )
+    known = KnownLight.of(DecodeSettings(crosstalk_matrix=np.eye(3)), Calibration(crosstalk_matrix=MIXING), "contrast")
     np.testing.assert_array_equal(known.matrix, np.eye(3))
     assert known.code == "contrast" and known.lag_rad is None
 
