@@ -26,6 +26,7 @@ with warnings.catch_warnings():
     from support.array_forms import every_second, on_device, read_only
 
     import tikernels
+    from tikernels import runtime
 
 #: What runs on Vulkan without --every-arch, next to the first test of each file in `tests/unit/tikernels`: a frame.
 ON_VULKAN = {"test_accuracy_on_every_scene"}
@@ -50,7 +51,7 @@ def pytest_sessionstart(session: pytest.Session) -> None:
 
 def pytest_sessionfinish() -> None:
     """Write the kernels that this process has compiled, for the next run."""
-    tikernels.runtime.stop()
+    runtime.stop()
 
 
 def on_vulkan(item: pytest.Item) -> bool:
@@ -82,7 +83,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
     """Start the CPU again for what does not say where it runs, if a test on another device was the last one here."""
-    if "arch" not in getattr(item, "fixturenames", ()) and tikernels.runtime.is_started():
+    if "arch" not in getattr(item, "fixturenames", ()) and runtime.is_started():
         tikernels.init("cpu")
 
 
