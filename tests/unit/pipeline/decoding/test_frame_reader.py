@@ -64,5 +64,5 @@ def test_sizes_that_contradict(cpu):
         reader(None, np.zeros((30, 20), np.float32)).read(LEVELS)
 
 
-def test_sizes_are_height_by_width():
-    assert size_text((480, 640, 3)) == "480x640"
+def test_sizes_are_width_by_height():
+    assert size_text((480, 640, 3)) == "640x480"
