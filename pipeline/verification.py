@@ -20,13 +20,13 @@ _RECORDINGS = ("recording.mkv", "recording.zarr")
 
 @dataclass(frozen=True)
 class Verified:
-    """What became of one thing that was looked at."""
+    """The verdict on one result or recording."""
 
     name: str
     n_whole: int  # frames
     faults: dict[int, str]  # what is wrong with the others, by their numbers
     notes: tuple[str, ...] = ()  # what else there is to know
-    damage: tuple[str, ...] = ()  # and what is wrong beside the frames
+    damage: tuple[str, ...] = ()  # and what else is wrong
 
     @property
     def whole(self) -> bool:
@@ -35,14 +35,14 @@ class Verified:
 
 
 def verify(location: str, tell: Tell = lambda done, of: None) -> list[Verified]:
-    """Look at a result, the folder that it is in, a capture, or a recording; finish a capture that was killed.
+    """Check a result, the folder that it is in, a capture, or a recording; finish a capture that was killed.
 
     Parameters
     ----------
     location : str
         A ``result.zarr``, which may be an fsspec URL; or a folder or file here.
     tell : callable
-        Told how many of how many frames have been looked at.
+        Receives how many of how many frames have been checked.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def _is_result(path: Path) -> bool:
 
 
 def _verify_result(location: str, tell: Tell) -> Verified:
-    """Look at every frame of a result that is done, while others go on writing it or not."""
+    """Check every frame of a result that is done, even while others continue to write it."""
     try:
         result = StoredResult(location)
     except FootageError as error:
@@ -120,5 +120,5 @@ def _finish(folder: Path) -> Iterator[Verified]:
             continue
         if (folder / LOG).exists():
             end_log(folder / LOG, n_frames)
-        held = f"{path.name} now holds the {n_frames} frames" if n_frames else "no frame"
-        yield Verified(str(path), n_frames, {}, notes=(f"its program was killed: {held} that were whole",))
+        held = f"{path.name} now holds the {n_frames} frames that were whole" if n_frames else "no frame was whole"
+        yield Verified(str(path), n_frames, {}, notes=(f"its program was killed: {held}",))

@@ -1,4 +1,4 @@
-"""Where results go: stores, meshes, reports, images and films."""
+"""Results: stores, meshes, reports, images and films."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""What of a range image is wanted: a box, or the object, which stands before the background.
+"""The wanted part of a range image: a box, or the object, which stands before the background.
 
 The background is the largest plane: the one that most points lie on, by their standard deviations and one per mille of
 their distance, of planes through three points drawn by chance [1]; then a plane fitted to those by least squares, with
@@ -43,14 +43,14 @@ _SQUARE_PX = 9
 
 # Least part of all that an object before the wall holds; less is noise, or what sticks to the wall.
 _LEAST_PART = 0.01
-# Standard deviation that is assumed of a depth that tells none, as a part of it.
+# Standard deviation that is assumed of a depth without one, as a part of it.
 _ASSUMED = 2e-4
 # What 1 / depth is scaled to, so that its slopes are small: as the tolerance there is a part of it, any number will do.
 _INVERSE = 1000.0
 
 
 def inside_box(points: Floats, corners_mm: tuple[float, float, float, float, float, float]) -> Pixels:
-    """Tell which points lie in a box.
+    """Mark the points in a box.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def inside_box(points: Floats, corners_mm: tuple[float, float, float, float, flo
 
 
 def on_largest_plane(points: Floats, sigma: Floats, mask: Pixels, seed: int = 0) -> Pixels:
-    """Tell which points lie on the largest plane; none do where no plane holds a tenth of them.
+    """Mark the points on the largest plane; none where no plane holds a tenth of them.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def _fitted(points: npt.NDArray[np.float64], doubt: npt.NDArray[np.float64]) -> 
 
 
 def object_pixels(depth: Floats, mask: Pixels) -> Pixels:
-    """Tell which pixels of a depth image are of the object; all of them where there is no wall, or nothing before it.
+    """Mark the object's pixels of a depth image; all of them where there is no wall, or nothing before it.
 
     Parameters
     ----------
@@ -172,18 +172,18 @@ def object_pixels(depth: Floats, mask: Pixels) -> Pixels:
 
 
 def object_vertices(mesh: Mesh) -> Pixels:
-    """Tell which vertices of a mesh are of the object, (N,) bool; all of them in rad, which has no planes."""
+    """Mark the object's vertices of a mesh, (N,) bool; all of them in rad, which has no planes."""
     return _before(wall_vertices(mesh), np.ones(len(mesh.vertices), np.bool_), mesh.vertices[:, 2])
 
 
 def wall_vertices(mesh: Mesh) -> Pixels:
-    """Tell which vertices of a mesh lie on its largest plane, (N,) bool; none where there is none."""
+    """Mark the vertices on the largest plane of a mesh, (N,) bool; none where there is none."""
     if mesh.unit == "rad" or not len(mesh.vertices) or (mesh.vertices[:, 2] <= 0).any():
         return np.zeros(len(mesh.vertices), np.bool_)
     assumed = (_ASSUMED * mesh.vertices[:, 2]).astype(np.float32)
     sigma = mesh.properties.get("sigma_mm", assumed)
     sigma = np.where(np.isfinite(sigma) & (sigma > 0), sigma, assumed)
-    # One long row: vertices follow each other as pixels do, so that what meets the plane in passing is told here, too.
+    # One long row: vertices follow each other as pixels do, so that what meets the plane in passing is recognised, too.
     return np.asarray(on_largest_plane(mesh.vertices[None], sigma[None], np.ones((1, len(sigma)), np.bool_))[0])
 
 

@@ -1,7 +1,7 @@
 """Films of a surface, or of the frames of a ``result.zarr``, drawn without a screen.
 
 A film is drawn in parts, side by side, in processes that read, draw and encode one frame after another. Each part is a
-file in a folder beside the film, ``.film.mp4.parts``, whose name holds the hash of all that it shows; so a film that
+file in a folder next to the film, ``.film.mp4.parts``, whose name holds the hash of all that it shows; so a film that
 was stopped goes on where it was, and what has changed since is drawn anew. At the end the parts are joined as they are.
 """
 
@@ -44,7 +44,7 @@ _MPEG4 = {"qmin": "2", "qmax": "5"}
 
 @dataclass(frozen=True)
 class Film:
-    """What has been drawn."""
+    """A film that has been drawn."""
 
     n_images: int
     before: int
@@ -84,7 +84,7 @@ def render_film(
     timeout_s : float
         Time without a new image after which drawing is given up, s.
     tell : callable
-        Is told how many of how many images are drawn; first how many were before.
+        Receives how many of how many images are drawn; first how many were before.
 
     Raises
     ------
@@ -175,7 +175,7 @@ class _FilmRun:
         return Film(len(self._job.numbers), before, tuple(held), broken, about[0]["codec"], renderer)
 
     def _parts(self) -> list[FilmPart]:
-        """Return the film's parts; a file's name tells all that it depends on."""
+        """Return the film's parts; a file's name is a hash of all that it depends on."""
         n_pictures = len(self._job.numbers)
         length = min(_MOST_PICTURES, max(_LEAST_PICTURES, -(-n_pictures // _SHORT_PARTS)))
         digests = [self._source.digest(number) for number in dict.fromkeys(self._job.numbers)]
@@ -233,7 +233,7 @@ class _FilmRun:
 
 
 def _whole(part: FilmPart) -> bool:
-    """Tell whether a part is there, and none of its frames was damaged, which may have been mended since."""
+    """Whether a part is there, and none of its frames was damaged, which may have been repaired since."""
     try:
         about = json.loads(Path(part.path).with_suffix(".json").read_text(encoding="utf-8"))
         return bool(Path(part.path).stat().st_size == about["bytes"] and not about["broken"])
@@ -251,7 +251,7 @@ class FilmEncoder:
     size_px : (int, int)
         Width and height, even.
     fps : float
-        Pictures a second.
+        Pictures per second.
     """
 
     def __init__(self, path: str | Path, size_px: tuple[int, int], fps: float) -> None:
@@ -294,7 +294,7 @@ def join_parts(parts: Sequence[tuple[Path, int]], path: Path, fps: float) -> Non
     path : Path
         The MP4 file to write.
     fps : float
-        Pictures a second.
+        Pictures per second.
     """
     import av
 

@@ -39,7 +39,7 @@ _MOST_RECORD = 2**28
 
 @dataclass
 class Exported:
-    """What became of an export."""
+    """The outcome of an export."""
 
     written: list[int] = field(default_factory=list)  # numbers of frames
     before: list[int] = field(default_factory=list)  # whose files were there already
@@ -49,7 +49,7 @@ class Exported:
 
 @dataclass(frozen=True)
 class _Item:
-    """What is known of an item that was exported."""
+    """The record of an item that was exported."""
 
     made_of: str
     sha256: dict[str, str]  # of each file, by its path in the folder; empty: the frame shows no surface
@@ -76,7 +76,7 @@ def export_frames(
     kind : str
         The format, one of `FORMATS`. All frames go into one bag where it is ``"mcap"``.
     tell : callable
-        Is told how many of how many frames have been looked at.
+        Receives how many of how many frames have been read.
     options : MeshOptions, optional
         What to leave out of meshes.
     force : bool
@@ -136,7 +136,7 @@ class _Maker:
         return {f"frame_{number:06d}.{self._kind}": (number,) for number in self._result.done}
 
     def made_of(self, numbers: tuple[int, ...]) -> str:
-        """Return what tells an item, and its making, from others.
+        """Return a digest that distinguishes an item, and its making, from others.
 
         Raises
         ------

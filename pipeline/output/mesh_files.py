@@ -26,7 +26,7 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
     mesh : Mesh
         What to write; `pipeline.output.formats.table` says what each format keeps of it, and which way is up there.
     path : str or Path
-        A .ply, .obj, .stl, .glb or .wrl file. An OBJ file with a texture has an .mtl and a .png beside it.
+        A .ply, .obj, .stl, .glb or .wrl file. An OBJ file with a texture has an .mtl and a .png next to it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What frames, results, meshes and calibrations show in a notebook, and a frame as PyVista's data.
+"""Displays of frames, results, meshes and calibrations in a notebook, and a frame as PyVista's data.
 
 Nothing here draws with VTK, which dies where there is no GL: pictures are shaded range images.
 """
@@ -21,9 +21,9 @@ from pipeline.showing import html_block, to_html, to_pyvista
 Floats = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.bool_]
 
-# Of a picture, px: beside it there is room for the figures.
+# Of a picture, px: next to it there is room for the figures.
 _WIDTH_PX = 320
-# Vertices a pixel of a mesh's picture, so that hardly any is left without one.
+# Vertices per pixel of a mesh's picture, so that hardly any is left without one.
 _VERTICES_A_PIXEL = 2
 # Of which one is made: enough for its width.
 _MOST_VERTICES = 2 * _WIDTH_PX**2

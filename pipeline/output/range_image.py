@@ -19,7 +19,7 @@ _HIDDEN = 48
 _ROWS = 64
 # From the surface to the lamp.
 _TO_LAMP = (np.array([-1, -1, -2]) / np.sqrt(6)).astype(np.float32)
-# Lines of pixels that tell steps from slopes, and pixels of a side that tell the object from a wall.
+# Lines of pixels that distinguish steps from slopes, and pixels per side that distinguish the object from a wall.
 _ASKED_LINES = 500
 
 
@@ -50,7 +50,7 @@ def depth_colors(
 def write_range_image(
     path: str | Path, values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], unit: Unit
 ) -> None:
-    """Write a range image as a coloured PNG with a scale beside it; its limits are those of the object, not of a wall.
+    """Write a range image as a coloured PNG with a scale next to it; its limits are those of the object, not of a wall.
 
     Parameters
     ----------
@@ -75,12 +75,12 @@ def write_range_image(
     name, told = ("depth", "mm") if unit == "mm" else ("", "rad, not mm")
     scale = ColorScale.over(some[chosen], name, told, grey_beyond=not np.array_equal(chosen, seen))
     image = np.where(mask[..., None], scale.colors(np.where(mask, values, scale.low)), np.uint8(_HIDDEN))
-    height = max(len(image), 160)  # room for the scale's numbers beside a small image
+    height = max(len(image), 160)  # room for the scale's numbers next to a small image
     gap = round(height / 40)
     width = gap * 3 + color_bar_width(scale, height - 2 * gap)
     canvas = np.full((height, image.shape[1] + width, 3), _HIDDEN, np.uint8)
     canvas[: len(image), : image.shape[1]] = image
-    if mask.any():  # else there is nothing to tell
+    if mask.any():  # else there is nothing to show
         draw_color_bar(canvas, scale, (image.shape[1] + gap, gap), height - 2 * gap)
     write_png(path, canvas)
 
@@ -158,7 +158,7 @@ def _largest_slope(surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_]
 def _slopes(
     surface: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], rows: slice, most: list[float]
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
-    """Return the slopes a pixel to the right and down in some rows, (C, H, W) each, and where there is a value."""
+    """Return the slopes per pixel to the right and down in some rows, (C, H, W) each, and where there is a value."""
     top, bottom = max(rows.start - 1, 0), min(rows.stop + 1, len(mask))
     inner = slice(rows.start - top, rows.stop - top)
     # Each coordinate by itself: arithmetic on them is several times as fast.
@@ -191,7 +191,7 @@ def encode_png(image: npt.NDArray[np.uint8]) -> bytes:
 def _slope(
     planes: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], most: float, after: Any, before: Any
 ) -> npt.NDArray[np.float32]:
-    """Return the slope a pixel from what is before to what is after it, (C, H, W); 0 where neither side has one."""
+    """Return the slope per pixel from what is before to what is after it, (C, H, W); 0 where neither side has one."""
     steps = planes[after] - planes[before]
     whole = mask[after] & mask[before] & (np.abs(steps[-1]) <= most)
     steps *= whole

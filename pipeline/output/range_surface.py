@@ -32,15 +32,15 @@ Floats = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.bool_]
 
 #: By how many widths of a pixel a surface's depth may change from one to the next: what is turned away by more, 81
-#: degrees, cannot be told from a step. On simulated busts no triangle then joins what lies 5 mm apart.
+#: degrees, cannot be distinguished from a step. On simulated busts no triangle then joins what lies 5 mm apart.
 MAX_SLOPE = float(np.tan(np.radians(81.0)))
 # Without a calibration a pixel's width in rad is not known. A neighbour that differs by this much lies on another
 # surface: unwrapping joins none that differs by more than 0.8 rad from what is usual.
 _MAX_STEP_RAD = 1.0
-# Where nothing is known of noise, second differences over pixels so far apart that smoothing has not made them alike
-# tell it, px.
+# Where nothing is known of noise, it is estimated from second differences over pixels so far apart that smoothing has
+# not made them alike, px.
 _APART_PX = 4
-# Rows that tell what a pixel is wide: a median of more changes nothing.
+# Rows from which a pixel's width is estimated: a median of more changes nothing.
 _ASKED_ROWS = 40
 
 Bits = npt.NDArray[np.uint8]
@@ -74,7 +74,7 @@ _MOST_SHIFT_PX = 0.49
 
 @dataclass(frozen=True, eq=False)
 class RangeSurface:
-    """A range image; outside its regions the numbers are of no account."""
+    """A range image; outside its regions the numbers have no meaning."""
 
     depth: Floats
     """(H, W) float32: mm or rad."""
@@ -99,7 +99,7 @@ class RangeSurface:
         Parameters
         ----------
         values : (H, W) float32
-            Relative phase, rad; of no account where there are points.
+            Relative phase, rad; not used where there are points.
         mask : (H, W) bool
             Pixels that have a range.
         points : (H, W, 3) float32 or None
@@ -147,7 +147,7 @@ def _ray_step(points: Floats, mask: Pixels) -> float:
 
 
 def find_surfaces(links: Bits, least_squares: int = _LEAST_SQUARES) -> tuple[Pixels, Pixels]:
-    """Tell the pixels of surfaces from teeth and specks.
+    """Separate the pixels of surfaces from teeth and specks.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def fill_holes(surface: RangeSurface, most_px: int = _MOST_PX) -> FilledHoles:
     most_px : int
         Pixels that a hole has at most.
     """
-    known = surface.region  # what is filled does not tell what the next hole holds
+    known = surface.region  # what is filled is no evidence for the next hole
     depth, sigma, width = surface.depth.copy(), surface.sigma.copy(), surface.width.copy()
     region = known.copy()
     filled, beside = [np.empty(0, np.intp)], [np.empty(0, np.intp)]

@@ -34,9 +34,9 @@ def render_mesh(
     options : PictureOptions, optional
         From where, in which colours, and how large.
     buffers : sequence of {"depth", "normals"}
-        What to write beside it, of the same view: ``NAME.depth.tiff``, float32, the depth before the eye along the line
-        of sight in mm, NaN where nothing is; ``NAME.normals.png``, the normals to the right, up and towards the eye
-        from -1 to 1 as 0 to 255, black where nothing is.
+        What to write next to it, of the same view: ``NAME.depth.tiff``, float32, the depth before the eye along the
+        line of sight in mm, NaN where nothing is; ``NAME.normals.png``, the normals to the right, up and towards the
+        eye from -1 to 1 as 0 to 255, black where nothing is.
     compared : Mesh, optional
         Another mesh, the signed distance from which colours show.
     timeout_s : float
@@ -125,7 +125,7 @@ def write_compared(compared: Mesh | None, folder: Path) -> str | None:
 
 
 def buffer_path(picture: str | Path, buffer: Buffer) -> Path:
-    """Return the file of a buffer beside a picture.
+    """Return the file of a buffer next to a picture.
 
     >>> buffer_path("face.png", "depth").name
     'face.depth.tiff'

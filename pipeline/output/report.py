@@ -1,4 +1,4 @@
-"""What a result is worth, in numbers: ``report.json``, and how far a simulated frame's result is from its truth."""
+"""The quality of a result in numbers: ``report.json``, and the error of a simulated frame's result."""
 
 from collections.abc import Callable
 from typing import Any

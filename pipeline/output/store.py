@@ -43,7 +43,7 @@ from pipeline.zarr_chunks import chunk_key, encode_chunk
 # Threads that look whether frames are whole: reading and checksums leave the interpreter alone.
 _READERS = 4
 
-# What a chunk may hold beside its values that do not compress: Blosc's head is 16 bytes, the checksum 4.
+# What a chunk may hold in addition to values that do not compress: Blosc's head is 16 bytes, the checksum 4.
 _CHUNK_HEAD_BYTES = 20
 # Frames of one footage differ in how much of them is measured, and so in size; an estimate from one of them is not
 # taken to be this many times too large.
@@ -124,7 +124,7 @@ class ResultStore:
         try:
             found = read_metadata(self._files)
         except DamageError as error:
-            raise OutputError(f"{error}: run again, which mends it") from None
+            raise OutputError(f"{error}: run again, which repairs it") from None
         if found is None:
             raise OutputError(f"{location} is not there: every worker must see it under this name")
         self.attributes = found[0]
@@ -183,9 +183,9 @@ class ResultStore:
             return marked_frames(self._files)
 
     def faults(self, numbers: Iterable[int]) -> dict[int, str]:
-        """Look whether frames that have a mark are whole, and return what is wrong, by number.
+        """Check whether frames that have a mark are whole, and return what is wrong, by number.
 
-        Behind a URL, where reading all may cost more than decoding it anew, it is only looked whether all is there.
+        Behind a URL, where reading all may cost more than decoding it anew, only the presence of all files is checked.
         """
         numbers = sorted(numbers)
         if self._files.folder is None:
@@ -203,7 +203,7 @@ class ResultStore:
             return {number: fault for number, fault in zip(numbers, found, strict=True) if fault is not None}
 
     def check(self, numbers: Set[int]) -> None:
-        """Look whether frames that were stored are still there.
+        """Check that frames that were stored are still there.
 
         Raises
         ------
@@ -308,7 +308,7 @@ def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calib
     path : Path
         The folder to make.
     frame : DecodedFrame
-        What to store: each field becomes an array whose first axis is the frame, one chunk a frame.
+        What to store: each field becomes an array whose first axis is the frame, one chunk per frame.
     settings, calibration
         How it was decoded; kept as attributes.
 
@@ -331,7 +331,7 @@ def _whole_identity(identity: dict[str, Any], fields: Sequence[str]) -> dict[str
 
 
 def _refuse_others(files: StoreFiles, identity: str) -> None:
-    """Refuse to mend a store whose frames were decoded otherwise, as far as their marks can be read."""
+    """Refuse to repair a store whose frames were decoded otherwise, as far as their marks can be read."""
     numbers: set[int] = set()
     with files.explained(), suppress(FileNotFoundError):
         numbers = marked_frames(files)
@@ -378,7 +378,7 @@ def frame_bytes(frame: DecodedFrame, fields: Sequence[str]) -> int:
 def most_frame_bytes(fields: Sequence[str], size_px: tuple[int, int]) -> int:
     """Return how many bytes a frame takes at most, where nothing of it can be compressed.
 
-    >>> most_frame_bytes(["mask"], (640, 480))  # a byte a pixel
+    >>> most_frame_bytes(["mask"], (640, 480))  # a byte per pixel
     308244
     """
     lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3, "rgb": 3}
@@ -415,7 +415,7 @@ def free_bytes(location: str | Path) -> int | None:
 
 
 class SizeForecast:
-    """How much a run will add to a store: at first by one frame, then by those that it has stored.
+    """Forecast of what a run will add to a store: at first by one frame, then by those that it has stored.
 
     Parameters
     ----------
@@ -426,7 +426,7 @@ class SizeForecast:
     most_bytes : int
         What one takes at most; see `most_frame_bytes`.
     frame_bytes : float or None
-        What one takes, by a frame like it; None: there was none to ask.
+        What one takes, by a frame like it; None: there is no such frame.
     """
 
     def __init__(self, location: str, n_frames: int, most_bytes: int, frame_bytes: float | None) -> None:

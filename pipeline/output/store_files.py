@@ -434,7 +434,7 @@ class OtherFrame(DamageError):
 
 @dataclass(frozen=True)
 class FrameMark:
-    """What is known of a frame as a whole."""
+    """The record of a frame as a whole."""
 
     period_px: float | None
     noise_levels: float

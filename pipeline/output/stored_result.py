@@ -38,7 +38,7 @@ def mesh_fields(*, in_mm: bool) -> tuple[str, str]:
 
 
 class StoredResult:
-    """What `colorphase decode` has stored.
+    """A result that `colorphase decode` has stored.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class StoredResult:
             self.done = () if found is None else tuple(sorted(marked_frames(self._files)))
             self._times = None if found is None else read_times(self._files)
         except DamageError as error:
-            raise FootageError(f"{error}: run colorphase decode again as before, which mends it") from None
+            raise FootageError(f"{error}: run colorphase decode again as before, which repairs it") from None
         except OSError as error:
             raise FootageError(f"{self.name} is not a result.zarr that can be read: decode first") from error
         if found is None:
@@ -149,7 +149,7 @@ class StoredResult:
             raise FootageError(f"{self.name} is in rad, not in mm: decode with a --calibration that holds the geometry")
 
     def frame_digest(self, number: int) -> str:
-        """Return what tells a frame from all others, also from itself decoded otherwise.
+        """Return a text that distinguishes a frame from all others, also from itself decoded otherwise.
 
         Raises
         ------
@@ -171,7 +171,7 @@ class StoredResult:
         return self._mark[1]
 
     def _damaged(self, number: int, error: DamageError) -> FootageError:
-        return FootageError(f"{self.name}: frame {number}: {error}: decode again as before, which mends it")
+        return FootageError(f"{self.name}: frame {number}: {error}: decode again as before, which repairs it")
 
     @property
     def camera(self) -> Lens | None:
@@ -242,7 +242,7 @@ class StoredResult:
                 if field.vertex is not None and name in self.fields
             },
             self.camera,
-            float(number) if time_s is None else time_s,  # pictures, as if one a second
+            float(number) if time_s is None else time_s,  # pictures, as if one per second
             self.provenance(number),
         )
 

@@ -44,15 +44,15 @@ Pixels = npt.NDArray[np.bool_]
 
 # Vertices at a time, which stay in the processor's cache.
 _BLOCK = 2**15
-# A link depends on no pixel that is farther away, px: on one of its ends, and what tells the slope beside that.
+# A link depends on no pixel that is farther away, px: on its ends, and the pixels that determine the slope there.
 _REACH = 5
-# The property that tells how probably a vertex is whole cycles off.
+# The property with the probability that a vertex is whole cycles off.
 _WRONG = "order_error_probability"
 
 
 @dataclass(frozen=True)
 class MeshOptions:
-    """What becomes of a frame's points in its mesh."""
+    """Options of a frame's mesh."""
 
     smoothed: bool = True
     """Whether vertices move along their pixels' rays to the surface through their neighbours."""
@@ -61,12 +61,12 @@ class MeshOptions:
     without_background: bool = False
     """Whether the largest plane is left out."""
     max_triangles: int | None = None
-    """How many triangles the mesh may have."""
+    """The most triangles that the mesh may have."""
 
 
 @dataclass(frozen=True)
 class MeshCounts:
-    """What became of a frame's points in its mesh."""
+    """Counts of a frame's points by what became of them in its mesh."""
 
     vertices: int
     triangles: int
@@ -81,9 +81,9 @@ class MeshCounts:
     background: int
     """Pixels on the largest plane."""
     specks: int
-    """Pixels of surfaces too small to tell anything."""
+    """Pixels of surfaces too small to be reliable."""
     teeth: int
-    """Pixels that hang together with their surface by less than a square of four."""
+    """Pixels connected to their surface by less than a square of four."""
 
 
 def frame_mesh(frame: DecodedFrame, options: MeshOptions | None = None) -> Mesh:
@@ -150,8 +150,8 @@ def surface_mesh(
     points : (H, W, 3) float32 or None
         mm, camera frame.
     properties : dict of (N,) float32
-        More about each masked pixel, row by row. ``sigma_mm``, or ``sigma_rad`` without points, tells noise from steps;
-        where it is missing the range image's own scatter does.
+        More about each masked pixel, row by row. ``sigma_mm``, or ``sigma_rad`` without points, distinguishes noise
+        from steps; where it is missing the range image's own scatter does.
     region : (H, W) int32, optional
         Connected surfaces; without it all pixels may be one.
     options : MeshOptions, optional

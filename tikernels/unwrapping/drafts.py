@@ -1,4 +1,4 @@
-"""Where a method writes the patches and contacts of each cell."""
+"""Drafts of the patches and contacts of each cell, before they are numbered."""
 
 import numpy as np
 

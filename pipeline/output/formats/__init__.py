@@ -15,7 +15,7 @@ class Heading:
     """A file's name, and remarks about what is in it."""
 
     stem: str
-    """The file's name without its suffix, which files beside it share."""
+    """The file's name without its suffix, which files next to it share."""
     remarks: dict[str, str]
     """Unit, axes, and how the content was made; one line each."""
 

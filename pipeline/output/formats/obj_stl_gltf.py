@@ -1,6 +1,6 @@
 """Meshes to OBJ with their texture as a PNG, to binary STL, and to glTF 2.0 with their texture inside; and back.
 
-They are read by trimesh. Only files beside the mesh are opened, by their plain names: nothing is fetched, and no path
+They are read by trimesh. Only files next to the mesh are opened, by their plain names: nothing is fetched, and no path
 leads elsewhere.
 
 References
@@ -175,7 +175,7 @@ def read_foreign(path: Path) -> Mesh:
                 file, file_type=path.suffix[1:].lower(), resolver=_Beside(path.parent), process=False
             )
         places = list(scene.graph.nodes_geometry)
-        if len(places) == 1:  # joining parts, even a single one, loses colours that stand beside a material
+        if len(places) == 1:  # joining parts, even a single one, loses colours next to a material
             transform, name = scene.graph[places[0]]
             solid = scene.geometry[name]
             vertices = trimesh.transform_points(solid.vertices, transform).astype(np.float32)
@@ -213,7 +213,7 @@ def _colors(solid: Any) -> npt.NDArray[np.uint8] | None:
 
 
 class _Beside(Mapping[str, bytes]):
-    """The files beside a mesh, by their plain names, which a mesh may name."""
+    """The files next to a mesh, by their plain names, which a mesh may name."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

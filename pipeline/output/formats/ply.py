@@ -122,7 +122,7 @@ def decode_ply(data: bytes) -> Mesh:
 
 
 def _columns(vertices: npt.NDArray[Any], names: tuple[str, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
-    """Return properties of the vertices beside each other; beyond the type's largest number they become infinite."""
+    """Return properties of the vertices side by side; beyond the type's largest number they become infinite."""
     with np.errstate(over="ignore"):
         return np.stack([vertices[name] for name in names], axis=1).astype(dtype)
 

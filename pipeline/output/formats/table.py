@@ -36,7 +36,7 @@ class Axes:
     """A rotation of the camera frame by right angles."""
 
     told: str
-    """Where x, y and z point."""
+    """The directions of x, y and z."""
     sources: tuple[int, int, int]
     """Of the file's x, y and z: which of the camera frame's each is."""
     signs: tuple[int, int, int]
@@ -86,7 +86,7 @@ def in_camera_frame(mesh: Mesh, axes: Axes, scale: float) -> Mesh:
 
 @dataclass(frozen=True)
 class FileFormat:
-    """What a format is, and who makes it: a mesh's encoder, or a grid's; neither: one file holds all frames."""
+    """A format and its encoder, of meshes or of grids; neither: one file holds all frames."""
 
     meaning: str
     holds: str

@@ -16,7 +16,7 @@ from pipeline.output.formats import Content, Heading, text_rows
 from pipeline.output.mesh import PROVENANCE, Mesh
 
 _COMMENT = re.compile(rb"#[^\n]*")
-# Where a list begins that tells of the mesh, and how many numbers a row of it has.
+# The beginning of a list that belongs to the mesh, and how many numbers a row of it has.
 _POINTS = re.compile(rb"coord\s+Coordinate\s*{\s*point\s*\["), 3
 _COLORS = re.compile(rb"color\s+Color\s*{\s*color\s*\["), 3
 _FACES = re.compile(rb"coordIndex\s*\["), 4

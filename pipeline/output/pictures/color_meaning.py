@@ -1,4 +1,4 @@
-"""What the colours of a surface show: nothing (clay), a property of its vertices, or their distance from a shape.
+"""Meanings of a surface's colours: none (clay), a property of its vertices, or their distance from a shape.
 
 The shape is a plane or a sphere fitted to the points, some of which lie elsewhere, or another mesh.
 """
@@ -36,7 +36,7 @@ class SurfaceColors:
     Parameters
     ----------
     samples : sequence of Mesh
-        What tells the limits; of some frames it need not be all, and needs no faces. The limits are those of the
+        Meshes that set the limits; of some frames it need not be all, and needs no faces. The limits are those of the
         object, and not of the wall behind it.
     colors : str
         What they show.
@@ -183,7 +183,7 @@ def _within(points: Points, residuals: Points) -> Points:
 
 
 def distance_from(mesh: Mesh) -> Callable[[Floats], Floats]:
-    """Return a function that tells the signed distance of points, (N, 3), from a mesh, mm.
+    """Return a function for the signed distance of points, (N, 3), from a mesh, mm.
 
     It is that of the mesh's nearest point, and more than 0 on the side that its normals point to: before a surface that
     was measured, towards the camera. Beyond its rim it is that of the rim.

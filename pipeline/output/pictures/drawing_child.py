@@ -45,7 +45,7 @@ class _Drawing:
         _say({"renderer": self._renderer.name()})
 
     def _samples(self) -> list[Mesh]:
-        """Return what tells limits and the eye's place: of a still itself."""
+        """Return the meshes that set limits and the eye's place: of a still itself."""
         return self._source.samples() if self._job.picture is None else [self._wanted()]
 
     def _wanted(self) -> Mesh:

@@ -1,4 +1,4 @@
-"""What is to be drawn, and the child process that draws it.
+"""Picture jobs, and the child process that draws them.
 
 The drawing library ends the whole process where a machine has no graphics library, hence the child.
 """
@@ -42,7 +42,7 @@ _GRAPHICS_WORDS = ("opengl", "libgl", "egl", "glx", "osmesa", "x server", "share
 
 
 class PictureOptions(Model):
-    """How a surface is drawn, in a still and in a film.
+    """Options of a drawing, for stills and films.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class PictureOptions(Model):
         "texture" (what the camera sees without stripes), or the deviation from a fitted "plane" or "sphere". Limits
         are those of the object and not of a wall behind it, and the same all along.
     fps : float
-        A film's pictures a second.
+        A film's pictures per second.
     seconds : float
         How long a film of a single surface is.
     size_px : (int, int)
@@ -97,7 +97,7 @@ class FilmPart(Model):
 
 
 class PictureJob(Model):
-    """What the process that draws is told.
+    """The job of the process that draws.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class PictureJob(Model):
     picture : str, optional
         The PNG file of a still.
     buffers : tuple of str
-        Files to write beside it, in its folder: ``depth.tiff``, ``normals.png``.
+        Files to write next to it, in its folder: ``depth.tiff``, ``normals.png``.
     parts : tuple of FilmPart
         Those of a film to draw.
     compared : str, optional
@@ -173,7 +173,7 @@ def draw_apart(
     environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
     if threads is not None:
         names = (*runtime.THREAD_VARIABLES, "OPENBLAS_NUM_THREADS")
-        # Mesa's renderer counts the threads beside the one that calls it.
+        # Mesa's renderer counts the threads in addition to the one that calls it.
         few = {**dict.fromkeys(names, str(threads)), "LP_NUM_THREADS": str(threads - 1)}
         environment = few | environment  # a user's own numbers win
     (folder / "job.json").write_text(job.model_dump_json(), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What is written into a picture: letters, the bar of what its colours stand for, the scale bar, the frame's number."""
+"""Overlays of a picture: letters, the bar that explains its colours, the scale bar, the frame's number."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -110,7 +110,7 @@ def _drawn(text: str, size_64: int) -> npt.NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class ColorScale:
-    """How values become colours.
+    """A colour map with its limits.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ class ColorScale:
         fractions = ((values - self.low) / (self.high - self.low)).clip(0, 1)
         if self.diverging:
             table, numbers = _diverging_map(), 255 * fractions
-        else:  # the map's ends are too dark to tell apart
+        else:  # the map's ends are too dark to distinguish
             table, numbers = _TURBO, 20 + 215 * fractions
         colors = np.take(table, numbers.round().astype(np.uint8), axis=0)
         if self.grey_beyond:
@@ -194,7 +194,7 @@ def draw_color_bar(image: npt.NDArray[np.uint8], scale: ColorScale, place: tuple
     image : (H, W, 3) uint8
         RGB.
     scale : ColorScale
-        What it tells.
+        What it shows.
     place : (float, float)
         x and y of its upper left corner, px, its title included.
     height : float
@@ -243,7 +243,7 @@ _TURBO = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP
 
 @dataclass(frozen=True)
 class PictureOverlay:
-    """What every picture of a film tells, and where.
+    """The overlay that all pictures of a film share.
 
     Parameters
     ----------

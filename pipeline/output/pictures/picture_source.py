@@ -1,4 +1,4 @@
-"""Where the surfaces of pictures come from: a mesh, or the frames of a ``result.zarr``."""
+"""Sources of the surfaces in pictures: a mesh, or the frames of a ``result.zarr``."""
 
 import hashlib
 from pathlib import Path
@@ -11,7 +11,7 @@ from pipeline.output.mesh_files import read_mesh
 from pipeline.output.pictures.color_meaning import Colors
 from pipeline.output.stored_result import StoredResult, mesh_fields
 
-# Frames, evenly spaced, that tell the eye's place and the colours' limits for a whole film.
+# Frames, evenly spaced, that set the eye's place and the colours' limits for a whole film.
 _ASKED = 16
 # Of their points every sixteenth is enough for that.
 _EVERY = 16
@@ -31,7 +31,7 @@ class MeshSource:
         self._mesh = read_mesh(path)
 
     def samples(self) -> list[Mesh]:
-        """Return what tells limits and the eye's place."""
+        """Return the meshes that set the limits and the eye's place."""
         return [self._mesh]
 
     def mesh(self, number: int) -> Mesh | None:
@@ -39,7 +39,7 @@ class MeshSource:
         return self._mesh
 
     def digest(self, number: int) -> str:
-        """Return what tells the mesh from others."""
+        """Return a digest that distinguishes the mesh from others."""
         return hashlib.sha256(self._path.read_bytes()).hexdigest()
 
 
@@ -73,7 +73,7 @@ class StoreSource:
         self._fields = (*mesh_fields(in_mm=self.result.in_mm), *more)
         for field in self._fields:
             self.result.require(field)
-        # It tells noise from steps, and walls from objects.
+        # It distinguishes noise from steps, and walls from objects.
         self._fields = tuple(dict.fromkeys((*self._fields, *({sigma} & self.result.fields))))
         self._done = set(self.result.done)
         self.broken: dict[int, str] = {}
@@ -111,7 +111,7 @@ class StoreSource:
         return mesh if len(mesh.faces) else None
 
     def digest(self, number: int) -> str:
-        """Return what tells a frame from others, also from itself decoded otherwise."""
+        """Return a digest that distinguishes a frame from others, also from itself decoded otherwise."""
         if number not in self._done:
             return "missing"
         try:

@@ -24,7 +24,7 @@ _WINDOWS = {"vtkEGLRenderWindow": "EGL", "vtkOSOpenGLRenderWindow": "OSMesa", "v
 
 # Share of the points on each side that may be stray ones, and does not move the eye away.
 _STRAY = 0.002
-# Places of an eye that moves, and points, that tell how far away it must be.
+# Places of an eye that moves, and points, that determine how far away it must be.
 _TURNS, _TURNED_POINTS = 73, 2000
 # Part of its width that the depth of a surface in rad is scaled to, for the relief to show.
 _RELIEF = 0.33
@@ -126,7 +126,7 @@ class Scene:
     Parameters
     ----------
     samples : sequence of Mesh
-        What tells limits and the eye's place for all pictures; they need no faces.
+        Meshes that set limits and the eye's place for all pictures; they need no faces.
     options : PictureOptions
         How they are drawn.
     distance : callable, optional

@@ -1,4 +1,4 @@
-"""Where the eye is (by a name, by numbers, or along a path from a file), and the light, which moves with it.
+"""Viewpoints (by a name, by numbers, or along a path from a file), and the light, which moves with them.
 
 The light is computed at the vertices and not by the drawing library: dense surfaces have one per pixel or two, so
 that nothing is lost, and a software renderer without lights draws four samples per pixel in the time of one.
@@ -48,7 +48,7 @@ _AMBIENT = 0.16
 _EVEN = 0.45
 # What mirrors the key light: its share, and the power (of two) of the cosine.
 _SHEEN, _DOUBLINGS = 0.10, 4
-# Vertices that tell which side of a surface is seen.
+# Vertices that show which side of a surface is seen.
 _FEW = 10_000
 
 
@@ -71,12 +71,12 @@ class Viewpoint(Model):
 
     @classmethod
     def of_numbers(cls, numbers: tuple[float, ...]) -> "Viewpoint":
-        """Return the viewpoint that six or nine numbers tell: position, focal point, and what is up.
+        """Return the viewpoint that six or nine numbers give: position, focal point, and what is up.
 
         Raises
         ------
         SettingsError
-            They are too many, too few, or tell none.
+            They are too many, too few, or give no viewpoint.
         """
         if len(numbers) not in (6, 9):
             raise SettingsError(
@@ -110,7 +110,7 @@ class Viewpoint(Model):
 
 
 class Keyframe(Viewpoint):
-    """Where the eye is when some part of the film is over."""
+    """The eye when some part of the film is over."""
 
     at: Annotated[float, Field(ge=0, le=1)]
 
@@ -232,7 +232,7 @@ def lit_colors(vertices: Floats, normals: Floats, colors: npt.NDArray[np.uint8],
     vertices, normals : (N, 3) float32
         The surface; a normal that points away from the eye is of its back, which is lit, too.
     colors : (N, 3) or (3,) uint8
-        sRGB in full light; one for all is of a surface that only its relief tells about.
+        sRGB in full light; one for all: only the surface's relief is shown.
     eye : Viewpoint
         The lights move with it.
 

@@ -120,7 +120,7 @@ def test_a_broken_chunk_is_named_and_the_rest_is_shown(tmp_path):
     chunk.write_bytes(data)
     made = render_film(path, tmp_path / "film.mp4", SMALL)
     assert (made.n_images, made.held, list(made.broken)) == (3, (1,), [1])
-    assert "frame 1" in made.broken[1] and "decode again as before, which mends it" in made.broken[1]
+    assert "frame 1" in made.broken[1] and "decode again as before, which repairs it" in made.broken[1]
 
 
 @pytest.mark.usefixtures("can_draw")

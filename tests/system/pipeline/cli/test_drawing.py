@@ -82,9 +82,9 @@ def test_a_broken_chunk_ends_with_its_name_and_3(command, things):
     code, said, complained = command("render", "film.zarr", "--out", "film.mp4", *SIZE)
     assert code == 3 and "3 pictures" in said
     assert "1 frame is damaged, and the one before is shown in its place: " in complained
-    assert "film.zarr: frame 2: points is damaged" in complained and "which mends it" in complained
+    assert "film.zarr: frame 2: points is damaged" in complained and "which repairs it" in complained
     code, said, complained = command("render", "film.zarr", "--out", "two.png", "--frame", "2")
-    assert (code, said, complained.count("\n")) == (1, "", 1) and "which mends it" in complained
+    assert (code, said, complained.count("\n")) == (1, "", 1) and "which repairs it" in complained
 
 
 @pytest.mark.parametrize(
