@@ -28,7 +28,7 @@ with warnings.catch_warnings():
     import tikernels
     from tikernels import runtime
 
-#: What runs on Vulkan without --every-arch, next to the first test of each file in `tests/unit/tikernels`: a frame.
+#: What runs on Vulkan without --every-arch, next to the first test of each folder in `tests/unit/tikernels`: a frame.
 ON_VULKAN = {"test_accuracy_on_every_scene"}
 
 
@@ -69,13 +69,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     chosen, omitted, seen = [], [], set()
     for item in items:
         file, _, test = item.nodeid.partition("[")[0].partition("::")
-        first = file not in seen and (file.startswith("tests/unit/tikernels") or test in ON_VULKAN)
+        room = file.rpartition("/")[0]
+        first = room not in seen and (room.startswith("tests/unit/tikernels") or test in ON_VULKAN)
         if not on_vulkan(item) or config.getoption("every_arch") or first:
             chosen.append(item)
         else:
             omitted.append(item)
-        if on_vulkan(item):
-            seen.add(file)
+        if on_vulkan(item) and first:
+            seen.add(room)
     config.hook.pytest_deselected(items=omitted)
     items[:] = sorted(chosen, key=on_vulkan)
 
