@@ -1,5 +1,12 @@
 """Surfaces to draw, and whether this machine can."""
 
+import atexit
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -10,10 +17,13 @@ from support.missing import skip_but_fail_in_ci
 
 from pipeline.errors import RenderError
 from pipeline.output.mesh import Mesh
+from pipeline.output.pictures import drawing_process
 from pipeline.output.pictures.drawing_process import PictureOptions
 from pipeline.output.render import render_mesh
 
 SIZE = (240, 180)
+#: What starts a drawing process of its own.
+DRAWING_PROCESS = drawing_process.COMMAND
 
 
 def dome(unit: Any = "mm", colors: bool = True, at_mm: float = 400.0, sigma_mm: float | None = None) -> Mesh:
@@ -41,8 +51,23 @@ def walled(mesh: Mesh, wall_mm: float = 600.0) -> Mesh:
     )
 
 
+@cache
+def share_drawing_process() -> None:
+    """Let one process, which has the drawing library loaded, fork for all pictures that this process has drawn."""
+    folder = Path(tempfile.mkdtemp(prefix="drawing-"))
+    program = [sys.executable, str(Path(__file__).with_name("drawing_server.py")), str(folder / "socket")]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
+    server = subprocess.Popen(program, env=environment, stdout=subprocess.PIPE, stdin=subprocess.PIPE)
+    atexit.register(shutil.rmtree, folder)
+    atexit.register(server.kill)
+    assert server.stdout is not None and server.stdout.readline() == b"ready\n"
+    drawing_process.COMMAND = [program[0], "-I", *program[1:]]
+
+
 def require_drawing(folder: Path) -> None:
     """Skip the test, but fail in CI, where nothing can be drawn."""
+    if hasattr(os, "fork"):
+        share_drawing_process()
     try:
         render_mesh(dome(), folder / "probe.png", PictureOptions(size_px=SIZE))
     except RenderError as error:

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from support.drawn_surfaces import SIZE, dome, read_picture, require_drawing, shown, walled
+from support.drawn_surfaces import DRAWING_PROCESS, SIZE, dome, read_picture, require_drawing, shown, walled
 from support.stored_planes import store
 
 from pipeline.errors import OutputError, RenderError
@@ -129,6 +129,7 @@ def test_a_namesake_in_the_current_folder_is_not_run(tmp_path: Path, monkeypatch
     (tmp_path / "pipeline.py").write_text("raise SystemExit('the wrong one')")
     (tmp_path / "out").mkdir()
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(drawing_process, "COMMAND", DRAWING_PROCESS)
     draw(dome(), tmp_path / "out")
 
 

@@ -3,10 +3,11 @@
 import json
 
 import pytest
-from support.drawn_surfaces import read_film, require_drawing
+from support.drawn_surfaces import DRAWING_PROCESS, read_film, require_drawing
 from support.stored_planes import store
 
 from pipeline.errors import RenderError
+from pipeline.output.pictures import drawing_process
 from pipeline.output.pictures.drawing_process import FilmPart, PictureJob, PictureOptions, draw_apart
 
 SMALL = PictureOptions(size_px=(64, 48))
@@ -17,7 +18,8 @@ def can_draw(tmp_path_factory):
     require_drawing(tmp_path_factory.mktemp("probe"))
 
 
-def test_a_part_is_drawn_and_says_what_was_held(tmp_path):
+def test_a_part_is_drawn_and_says_what_was_held(tmp_path, monkeypatch):
+    monkeypatch.setattr(drawing_process, "COMMAND", DRAWING_PROCESS)
     path = store(tmp_path / "r.zarr", [None, 400.0, None, 402.0])
     part = FilmPart(first=2, stop=4, path=str(tmp_path / "part.mp4"))
     job = PictureJob(options=SMALL, store=str(path), numbers=(0, 1, 2, 3), parts=(part,))
