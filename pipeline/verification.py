@@ -4,18 +4,16 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.acquisition.capture_folder import LOG
-from pipeline.acquisition.capture_log import end_log
+from pipeline.acquisition.capture_folder import LOG, RECORDING, end_log
 from pipeline.errors import FootageError
 from pipeline.files import LEFTOVER
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame
 from pipeline.output.folder import STORE, changed_files
 from pipeline.output.stored_result import StoredResult
-from pipeline.recording.finishing import finish_recording, unfinished
+from pipeline.recording.zarr_writer import finish_recording, unfinished
 
 Tell = Callable[[int, int], None]
-_RECORDINGS = ("recording.mkv", "recording.zarr")
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,8 @@ def verify(location: str, tell: Tell = lambda done, of: None) -> list[Verified]:
         result = _verify_result(str(path / STORE), tell)
         changed = tuple(f"{name} has been changed since it was written" for name in changed_files(path))
         found.append(Verified(result.name, result.n_whole, result.faults, result.notes, (*result.damage, *changed)))
-    found += [_verify_recording(path / name, tell) for name in _RECORDINGS if (path / name).exists()]
+    if (path / RECORDING).exists():
+        found.append(_verify_recording(path / RECORDING, tell))
     if left := tuple(f"{name} was left by a program that was killed, and may be removed" for name in _left(path)):
         found.append(Verified(location, 0, {}, notes=left))
     if not found:

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from tikernels.lazy_names import lazily
 
 if TYPE_CHECKING:
+    from pipeline.acquisition.chosen_rig import read_rig
     from pipeline.acquisition.live import LiveDecoder
-    from pipeline.acquisition.rig_file import read_rig
     from pipeline.acquisition.session import capture_bursts
 
 __all__ = ["LiveDecoder", "capture_bursts", "read_rig"]

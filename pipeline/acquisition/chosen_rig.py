@@ -1,18 +1,20 @@
 """The rig that a capture is to use: what it says of itself, what opens its instruments, and whether it is ready."""
 
+import tomllib
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 from hardware.drivers import SIMULATED
-from hardware.errors import ProjectorError
+from hardware.errors import ProjectorError, RigError
 from hardware.instruments import open_instruments
 from hardware.projector import open_projector
 from hardware.protocols import Camera, Trigger
 from hardware.settings import RigSettings
-from pipeline.acquisition.rig_file import read_rig
 from pipeline.calibration import Calibration
+from pipeline.models import read_file
 
 # The exposure may differ from the calibration's by this fraction.
 _SAME_EXPOSURE = 1e-3
@@ -34,6 +36,30 @@ class ChosenRig:
         if before is None or abs(now / before - 1) < _SAME_EXPOSURE:
             return []
         return [f"the exposure is {now:g} s, and was {before:g} s at calibration"]
+
+
+def read_rig(path: str | Path) -> RigSettings:
+    """Read what is wired to what.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file.
+
+    Returns
+    -------
+    RigSettings
+        What it says; a calibration named relative to its folder is found from here.
+
+    Raises
+    ------
+    RigError
+        It cannot be read, or a key is missing, unknown or wrong; the message names it.
+    """
+    settings = read_file(path, RigSettings, tomllib.loads, RigError)
+    if settings.calibration is None:
+        return settings
+    return settings.model_copy(update={"calibration": str(Path(path).parent / settings.calibration)})
 
 
 def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:

@@ -4,22 +4,20 @@ import asyncio
 import logging
 import secrets
 import socket
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import CancelledError, ThreadPoolExecutor
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from typing import Any
 from urllib.parse import urlsplit
 
+from pipeline.batch.executors import Executor, Report
 from pipeline.batch.job import Job
 from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import ClusterError
 
-# Tasks a worker: more even out the time that each takes, fewer let footage be read in one go.
-_TASKS_A_WORKER = 8
 # Time that a scheduler may take to answer: on a busy network it takes a few seconds.
 _TIMEOUT_S = 20
-# Between two looks at whether the scheduler still has workers.
-_LOOK_S = 5
 # Time without any worker after which the run ends: a worker that is restarted is back sooner.
 _ALONE_S = 60
 
@@ -29,48 +27,31 @@ _workers: dict[str, Worker] = {}
 _stopped: set[str] = set()
 
 
-def decode_on_cluster(job: Job, todo: Sequence[Chain], address: str, tell: Callable[[Outcome], None]) -> None:
-    """Decode chains of frames by the workers of a cluster; see `Worker.decode`.
+@contextmanager
+def cluster_executor(job: Job, address: str) -> Iterator[Executor]:
+    """Give an executor whose tasks the workers of a cluster decode, each in the process that it is in.
 
     Parameters
     ----------
     job : Job
         What to decode and how; its store must be there.
-    todo : sequence of (range, frozenset)
-        The chains: frames of which each is decoded with the one before, and which of them are to be stored.
     address : str
         Of the scheduler.
-    tell : callable
-        Told of every stored and every bad frame, not in order.
 
     Raises
     ------
     ClusterError
         There is no cluster, or workers die over the same frames again and again.
     """
-    with _client(address) as (distributed, client), client.as_current():
-        n_workers = max(1, len(client.ncores()))
-        size = -(-len(todo) // (_TASKS_A_WORKER * n_workers))
-        tasks = [todo[first : first + size] for first in range(0, len(todo), size)]
-        run = secrets.token_hex(8)
-        futures = client.map(_decode_task, tasks, job=job, run=run, pure=False)
-        pending, alone_s = set(futures), 0
+    run = secrets.token_hex(8)
+    with _client(address) as (distributed, client):
+        executor = _ClusterExecutor(client, job, run)
         try:
-            while pending:
-                try:
-                    finished, pending = distributed.wait(list(pending), _LOOK_S, "FIRST_COMPLETED")
-                except TimeoutError:
-                    alone_s = 0 if client.ncores() else alone_s + _LOOK_S
-                    if alone_s >= _ALONE_S:
-                        raise ClusterError("no worker is left: start one, and run again to go on") from None
-                    continue
-                for future in finished:
-                    for report in future.result():
-                        tell(report)
+            yield executor
         except CancelledError:
             raise ClusterError("the scheduler is gone: start it again, and run again to go on") from None
         except BaseException as error:
-            client.cancel(futures, force=True)
+            executor.cancel()
             with suppress(Exception):  # they may be gone
                 client.run(_stop, run, on_error="ignore")
             if isinstance(error, distributed.KilledWorker):
@@ -78,6 +59,29 @@ def decode_on_cluster(job: Job, todo: Sequence[Chain], address: str, tell: Calla
                     "workers died over the same frames again and again: look at their logs for memory or device errors"
                 ) from None
             raise
+
+
+class _ClusterExecutor:
+    def __init__(self, client: Any, job: Job, run: str) -> None:
+        self.n_workers = max(1, len(client.ncores()))
+        self._client, self._job, self._run = client, job, run
+        self._pool = client.get_executor(pure=False)
+        self._alone_since_s: float | None = None
+
+    def submit(self, task: list[Chain], report: Report) -> "Future[Sequence[Outcome]]":
+        future: Future[Sequence[Outcome]] = self._pool.submit(_decode_task, task, job=self._job, run=self._run)
+        return future
+
+    def look(self) -> None:
+        if self._client.ncores():
+            self._alone_since_s = None
+        elif self._alone_since_s is None:
+            self._alone_since_s = time.monotonic()
+        elif time.monotonic() - self._alone_since_s >= _ALONE_S:
+            raise ClusterError("no worker is left: start one, and run again to go on")
+
+    def cancel(self) -> None:
+        self._pool.shutdown(wait=False)
 
 
 def _check_address(address: str) -> None:

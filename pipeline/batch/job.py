@@ -15,8 +15,7 @@ from pipeline.decoding.doubts import CODE_SHOWN
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
-from pipeline.footage.frame_times import frame_times
-from pipeline.footage.opening import open_source
+from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
 from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes

@@ -5,9 +5,15 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pipeline.batch.executors import (
+    ProcessExecutor,
+    decode_by,
+    idle_processes,
+    shares,
+    usable_cores,
+    worthwhile_processes,
+)
 from pipeline.batch.job import Job, Learnt, chains
-from pipeline.batch.local_processes import decode_in_processes, shares
-from pipeline.batch.sharing import idle_processes, usable_cores, worthwhile_processes
 from pipeline.batch.worker import Chain, Outcome, Worker
 from pipeline.errors import DamageError, FootageError, OutputError, SettingsError
 from pipeline.files import explain, make_folder
@@ -256,16 +262,18 @@ def _decode_chains(
     if not todo:
         return
     if cluster is not None:
-        from pipeline.batch.cluster import decode_on_cluster  # slow to import, and of the extra `cluster`
+        from pipeline.batch.cluster import cluster_executor  # slow to import, and of the extra `cluster`
 
         telling.step("waiting for the cluster's first frame")
-        decode_on_cluster(job, todo, cluster, note)
+        with cluster_executor(job, cluster) as workers_there:
+            decode_by(workers_there, todo, note)
         return
     count = worthwhile_processes(job, todo) if workers is None else workers
     telling.remark_if(None if workers is None else idle_processes(job, todo, workers))
     if count > 1:
         telling.step("starting processes, which compile their kernels")
-        decode_in_processes(job, todo, count, note)
+        with ProcessExecutor(job, min(count, len(todo))) as processes:
+            decode_by(processes, todo, note)
     else:
         telling.step("compiling kernels")
         Worker(job).decode(todo, note)

@@ -2,15 +2,14 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from pipeline.acquisition import session
 from pipeline.acquisition.capture_folder import CALIBRATION, LOG, SETTINGS, CapturePlan, CaptureProgress
 from pipeline.acquisition.chosen_rig import choose_rig
-from pipeline.acquisition.session import CaptureSummary
-from pipeline.acquisition.stopping import Stopping
+from pipeline.acquisition.session import CaptureSummary, Stopping
 from pipeline.cli.console import Arch, SettingsFile, above_zero, read_settings, remark, say, stderr, steps
 from pipeline.errors import SettingsError
 
@@ -25,7 +24,6 @@ def capture(
     bursts: Annotated[int | None, Parameter(validator=above_zero)] = None,
     endless: bool = False,
     keep_last: Annotated[float | None, Parameter(validator=above_zero)] = None,
-    format: Literal["zarr", "mkv"] = "zarr",
     live: bool = False,
     settings: SettingsFile = None,
     arch: Arch = "auto",
@@ -50,8 +48,6 @@ def capture(
         Let pulses run on without a gap, until Ctrl-C.
     keep_last
         Keep frames in memory until Ctrl-C, and record only the seconds before it that this says.
-    format
-        "zarr" is fast, "mkv" (FFV1) a third smaller.
     live
         Decode the newest frame meanwhile, into live.png, and show how long after its exposure that is done.
     """
@@ -61,7 +57,6 @@ def capture(
         n_bursts=1 if bursts is None and not endless and keep_last is None else bursts,
         endless=endless,
         keep_last_s=keep_last,
-        suffix=f".{format}",
         live=live,
         arch=arch,
     )

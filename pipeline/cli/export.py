@@ -3,15 +3,17 @@
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
 from pipeline.cli.console import SOME_ARE_BAD, bounded, counted, frames, remark, say
+from pipeline.errors import OutputError, SettingsError
 from pipeline.output.folder import store_in
 from pipeline.output.formats.table import FORMATS, Kind
 from pipeline.output.frame_export import export_frames
 from pipeline.output.surface_mesh import MeshOptions
+from pipeline.recording.video_export import export_video
 from tikernels import runtime
 
 
@@ -38,8 +40,16 @@ class MeshChoice:
 _ALL = MeshChoice()
 
 
-def export(input: str, /, *, out: Path, kind: Kind = "ply", force: bool = False, part: MeshChoice = _ALL) -> None:
-    """Write every frame of a result in a format that other programs open.
+def export(
+    input: str,
+    /,
+    *,
+    out: Path | None = None,
+    kind: Kind | Literal["mkv"] = "ply",
+    force: bool = False,
+    part: MeshChoice = _ALL,
+) -> None:
+    """Write every frame of a result in a format that other programs open, or a recording as a video.
 
     Run again, it writes what is missing, or made of a frame that has been decoded anew. Exit code 3: some frames are
     damaged, the rest is written.
@@ -50,17 +60,33 @@ def export(input: str, /, *, out: Path, kind: Kind = "ply", force: bool = False,
     Parameters
     ----------
     input
-        The result.zarr, or the folder that it is in; or an fsspec URL.
+        The result.zarr, or the folder that it is in; or an fsspec URL. With --kind mkv a recording, recording.zarr.
     out
-        The folder for frame_000000.ply and so on.
+        The folder for frame_000000.ply and so on; for a video, left out, the folder that its recording is in.
     kind
         The format: meshes as ply, obj, stl, glb or wrl; the camera's grid of points as pcd; depth as 16-bit png
-        or tiff; all frames in one ROS bag as mcap.
+        or tiff; all frames in one ROS bag as mcap. Of a recording a lossless video (FFV1) as mkv, which decodes to the
+        same.
     force
         Write all again, and replace files of these names that were changed or are not ours.
     """
+    if kind == "mkv":
+        _write_video(Path(input), out, force=force)
+        return
+    if out is None:
+        raise SettingsError("where are the files to go? Name a folder, as --out meshes")
     if not write_frames(store_in(input), out, kind, part.options(), force=force):
         sys.exit(SOME_ARE_BAD)
+
+
+def _write_video(recording: Path, folder: Path | None, *, force: bool) -> None:
+    """Write a recording as a video of its name, and say where it is."""
+    video = (recording.parent if folder is None else folder) / f"{recording.stem}.mkv"
+    if video.exists() and not force:
+        raise OutputError(f"{video} exists: choose another folder, or --force replaces it")
+    with counted("frames") as show:
+        n_frames = export_video(recording, video, show)
+    say(f"{n_frames} frame{'s' if n_frames != 1 else ''} as FFV1 in {video}")
 
 
 def write_frames(store: str, folder: Path, kind: Kind, options: MeshOptions, *, force: bool) -> bool:

@@ -12,7 +12,7 @@ from rich.table import Table
 from hardware.display import Display
 from hardware.projector import open_projector
 from hardware.protocols import Projector
-from pipeline.acquisition.rig_file import read_rig
+from pipeline.acquisition.chosen_rig import read_rig
 from pipeline.calibration.board import Board
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Pattern, choose_pattern
 from pipeline.cli.console import RigFile, above_zero, read_calibration, remark, say, size_of, stderr, stdout

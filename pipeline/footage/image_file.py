@@ -1,5 +1,14 @@
-"""Read a colour image, or say in one line why it is none."""
+"""Read a colour image, or say in one line why it is none.
 
+JPEG is decoded by FFmpeg, which says what is wrong with a picture where other decoders fill it up with grey; HEIC, as
+phones store pictures, by libheif, which the extra `heic` brings; all else by OpenCV.
+
+References
+----------
+ISO/IEC 23008-12 (HEIF), 6.5.10 for how a picture is turned, and 10.2 for the brands.
+"""
+
+import io
 import struct
 import zlib
 from contextlib import suppress
@@ -11,13 +20,23 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
-from pipeline.footage.heic_picture import is_heic, read_heic
-from pipeline.footage.jpeg_decoder import JpegDecoder
-from pipeline.footage.picture_size import picture_size
-from pipeline.footage.picture_tags import read_tags, unfit_colors, upright
-from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, max_pixels
+from pipeline.footage.ffmpeg_frames import caught_messages
+from pipeline.footage.picture_tags import (
+    CMYK,
+    PictureTags,
+    picture_size,
+    read_tags,
+    unfit_colors,
+    upright,
+    with_colors,
+)
+from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels
 from pipeline.models import ImageArray
 
+_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
+_INSTALL = "it is a picture in HEIC: pip install 'colorphase[heic]' to read it, or save it as PNG, TIFF or JPEG"
+# What FFmpeg makes of a JPEG in cyan, magenta, yellow and black.
+_FOUR_COLOURS = ("gbrap", "yuva444p", "cmyk")
 # How each kind of file begins and how a whole one ends; OpenCV decodes the rest of a truncated one as grey.
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8\xff"
@@ -184,3 +203,70 @@ def read_image(path: str | Path) -> ImageArray:
         raise FootageError(f"{path} has {image.shape[2]} channels: save it without transparency")
     upright_image = upright(image[..., ::-1], read_tags(data).orientation)
     return cast(ImageArray, np.ascontiguousarray(upright_image))
+
+
+class JpegDecoder:
+    """Decode pictures one after another."""
+
+    def __init__(self) -> None:
+        self._context: Any = None
+
+    def decode(self, data: bytes) -> Any:
+        """Return FFmpeg's frame of a JPEG file.
+
+        Raises
+        ------
+        FootageError
+            It is damaged, or larger than what is read; the message is for behind its name.
+        """
+        import av  # slow to import, and only needed here
+
+        size_px = picture_size(data)
+        if size_px is None:
+            raise FootageError("it is damaged (it does not say how large it is): copy it again")
+        check_size("it", *size_px)
+        if self._context is None:
+            self._context = av.CodecContext.create("mjpeg", "r")
+            self._context.options = ffmpeg_limits()
+        frames = []
+        with caught_messages() as said, suppress(av.error.FFmpegError):
+            frames = self._context.decode(av.Packet(data))
+        if said or not frames:
+            self._context = None  # what it made of this one may stay in its state
+            raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
+        if frames[0].format.name in _FOUR_COLOURS:
+            raise FootageError(CMYK)
+        return frames[0]
+
+
+def is_heic(data: bytes) -> bool:
+    """Return whether a file that begins like this (12 bytes) is one."""
+    return data[4:8] == b"ftyp" and data[8:12] in _BRANDS
+
+
+def read_heic(data: bytes) -> tuple[npt.NDArray[Any], PictureTags]:
+    """Return a picture's levels, (H, W, 3) RGB, uint8 or uint16 of 16 bits, and what the file says of them.
+
+    It is turned as the camera was held, by the file's own turns; what Exif repeats of these does not count.
+
+    Raises
+    ------
+    FootageError
+        It is damaged, grey or too large, or the extra is not installed.
+    """
+    try:
+        import pillow_heif
+    except ImportError:
+        raise FootageError(_INSTALL) from None
+    try:
+        picture = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
+        check_size("the picture", *picture.size)
+        levels = np.asarray(picture)
+    except (ValueError, RuntimeError, EOFError, SyntaxError) as error:
+        raise FootageError("it is damaged: copy it again") from error
+    if levels.ndim != 3:
+        raise FootageError("it is grey, but the phase is in the colours: give a colour picture")
+    tags = PictureTags(1, "srgb", "a HEIC picture that says nothing else is sRGB")
+    marked = picture.info.get("nclx_profile") or {}
+    tags = with_colors(tags, picture.info.get("icc_profile"), marked.get("transfer_characteristics"))
+    return np.ascontiguousarray(levels[..., :3]), tags

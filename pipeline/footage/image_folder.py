@@ -11,10 +11,8 @@ import cv2
 import numpy as np
 
 from pipeline.errors import FootageError
-from pipeline.footage.ffmpeg_planes import stored_planes
-from pipeline.footage.heic_picture import is_heic, read_heic
-from pipeline.footage.image_file import check_whole, decode_levels, read_bytes
-from pipeline.footage.jpeg_decoder import JpegDecoder
+from pipeline.footage.ffmpeg_frames import stored_planes
+from pipeline.footage.image_file import JpegDecoder, check_whole, decode_levels, is_heic, read_bytes, read_heic
 from pipeline.footage.picture_tags import PictureTags, read_tags, unfit_colors, upright
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
 from pipeline.models import ImageArray

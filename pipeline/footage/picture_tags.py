@@ -1,11 +1,14 @@
-"""What a picture's file says besides its pixels: how the camera was held, and how light is encoded.
+"""What a picture's file says besides its pixels: its size, how the camera was held, and how light is encoded.
+
+Decoders take memory for all of a picture before anything else of it is known, so its head is read here.
 
 References
 ----------
-CIPA DC-008 (Exif 2.32), 4.6.2; ICC.1:2022, 10.6 and 10.18; ISO/IEC 15948 (PNG), 11.3; Adobe, TIFF revision 6.0, 2;
-RFC 9649 (WebP), 2; ITU-T H.273 for the numbers in a PNG's cICP.
+CIPA DC-008 (Exif 2.32), 4.6.2; ICC.1:2022, 10.6 and 10.18; ISO/IEC 15948 (PNG), 11.2.2 and 11.3; ISO/IEC 10918-1
+(JPEG), B.2.2; Adobe, TIFF revision 6.0, 2; RFC 9649 (WebP), 2; ITU-T H.273 for the numbers in a PNG's cICP.
 """
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
@@ -15,18 +18,25 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.footage.picture_size import jpeg_segments
 from tikernels.raw.linearization import TRANSFERS, linear_values
 
 # Tags of Exif and TIFF.
 _ORIENTATION, _EXIF, _COLOR_SPACE, _PROFILE, _COLORS = 274, 34665, 40961, 34675, 262
+_WIDTH, _HEIGHT = 256, 257
+_READ = (_ORIENTATION, _EXIF, _COLOR_SPACE, _PROFILE, _COLORS, _WIDTH, _HEIGHT)
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")  # the last two have offsets of eight bytes
+# Begin of a frame in JPEG, baseline to lossless; C4, C8 and CC are tables and the like.
+_JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
+# Markers without a length: one that stands for itself, and restarts.
+_JPEG_ALONE = {0x01, *range(0xD0, 0xD9)}
+_PNM = re.compile(rb"P[1-6](?:\s|#[^\r\n]*[\r\n])+(\d{1,9})(?:\s|#[^\r\n]*[\r\n])+(\d{1,9})\s")
 _SRGB = 1  # of the colour space
 # Markers of JPEG: applications' data, and where the picture's own begin.
 _APP1, _APP2, _SCAN = 0xE1, 0xE2, 0xDA
 #: What is said of pictures whose colours are not those that the camera saw.
 CMYK = "it is in CMYK, the colours of a printer: save it in RGB"
 _PALETTE = "it is stored with a palette, whose few colours hold no phase: save it with all its colours"
-_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 7: 1}  # of the types of values that are read here
+_TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 7: 1, 16: 8}  # of the types of values that are read here
 # Profiles of displays and cameras have up to some 100 kB.
 _MOST_PROFILE = 2**22
 # A gamma of 2.2 is within 0.009 of sRGB's curve, in linear light; what is further off is another curve.
@@ -47,6 +57,29 @@ class PictureTags:
     """What tells the transfer."""
 
 
+def picture_size(data: bytes) -> tuple[int, int] | None:
+    """Return the width and height that the head of a PNG, JPEG, TIFF, BMP, WebP or PNM file says; None: it is none."""
+    try:
+        if data.startswith(b"\x89PNG\r\n\x1a\n"):
+            return _pair(data, ">II", 16) if data[12:16] == b"IHDR" else None
+        if data.startswith(b"\xff\xd8\xff"):
+            return _jpeg_size(data)
+        if data[:4] in _TIFF:
+            found = sorted(_tiff_values(data))  # the largest one counts, if there are two
+            sizes = {tag: int.from_bytes(value, "little") for tag, value in found if tag in (_WIDTH, _HEIGHT)}
+            return (sizes[_WIDTH], sizes[_HEIGHT]) if len(sizes) == 2 else None
+        if data.startswith(b"BM"):
+            # The head of OS/2 has 12 bytes and shorter numbers; rows from top to bottom have a negative height.
+            width, height = _pair(data, "<HH" if data[14:18] == b"\x0c\0\0\0" else "<ii", 18)
+            return width, abs(height)
+        if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+            return _webp_size(data)
+        numbers = _PNM.match(data[:4096])
+        return None if numbers is None else (int(numbers[1]), int(numbers[2]))
+    except struct.error:  # it ends before
+        return None
+
+
 def read_tags(data: bytes) -> PictureTags:
     """Return what a PNG, JPEG, TIFF or WebP file says of itself; what is damaged or unknown says nothing."""
     tags = PictureTags()
@@ -55,7 +88,7 @@ def read_tags(data: bytes) -> PictureTags:
         parts = _jpeg_parts(data)
     elif data.startswith(b"\x89PNG\r\n\x1a\n"):
         parts = _png_parts(data)
-    elif data[:4] in (b"II*\0", b"MM\0*"):
+    elif data[:4] in _TIFF:
         parts = iter([("tiff", data)])
     elif data.startswith(b"RIFF") and data[8:12] == b"WEBP":
         tags = PictureTags(1, "srgb", "a WebP picture that says nothing else is sRGB")
@@ -96,7 +129,7 @@ def unfit_colors(data: bytes) -> str | None:
             reason = _PALETTE
         elif data.startswith(b"BM") and struct.unpack_from("<H", data, 28)[0] <= 8:
             reason = _PALETTE
-        elif data[:4] in (b"II*\0", b"MM\0*"):
+        elif data[:4] in _TIFF:
             stored = dict(_tiff_values(data)).get(_COLORS, b"")
             reason = {3: _PALETTE, 5: CMYK}.get(int.from_bytes(stored, "little"))
         elif data[:4] == b"RIFF" and data[12:16] == b"VP8X" and data[20] & 2:
@@ -176,28 +209,32 @@ def _icc_curve(curve: bytes) -> npt.NDArray[np.float64]:
 def _tiff_values(data: bytes) -> Iterator[tuple[int, bytes]]:
     """Yield tags of a TIFF file's first directory, and of the Exif directory that it names; numbers little-endian."""
     order = "<" if data[:2] == b"II" else ">"
-    begins = [struct.unpack_from(order + "I", data, 4)[0]]
+    large = data[2:4] in (b"+\0", b"\0+")
+    offset, count, entry_bytes = ("Q", "Q", 20) if large else ("I", "H", 12)
+    offset_bytes = struct.calcsize(offset)
+    begins = [struct.unpack_from(order + offset, data, 8 if large else 4)[0]]
     for begin in begins:
-        (n_entries,) = struct.unpack_from(order + "H", data, begin)
-        for entry in range(begin + 2, begin + 2 + 12 * n_entries, 12):
-            tag, kind, count = struct.unpack_from(order + "HHI", data, entry)
-            if tag not in (_ORIENTATION, _EXIF, _COLOR_SPACE, _PROFILE, _COLORS) or kind not in _TYPE_BYTES:
+        (n_entries,) = struct.unpack_from(order + count, data, begin)
+        begin += struct.calcsize(order + count)
+        for entry in range(begin, min(begin + n_entries * entry_bytes, len(data)), entry_bytes):
+            tag, kind = struct.unpack_from(order + "HH", data, entry)
+            if tag not in _READ or kind not in _TYPE_BYTES:
                 continue
-            size = count * _TYPE_BYTES[kind]
-            at = entry + 8 if size <= 4 else struct.unpack_from(order + "I", data, entry + 8)[0]
-            value = data[at : at + min(size, _MOST_PROFILE)]
+            size = struct.unpack_from(order + offset, data, entry + 4)[0] * _TYPE_BYTES[kind]
+            at = entry + 4 + offset_bytes
+            if size > offset_bytes or tag == _EXIF:
+                (at,) = struct.unpack_from(order + offset, data, at)
             if tag == _EXIF:
                 if len(begins) == 1:
-                    begins.append(struct.unpack_from(order + "I", data, entry + 8)[0])
-            elif tag == _PROFILE:
-                yield tag, value
-            else:
-                yield tag, value if order == "<" else value[::-1]
+                    begins.append(at)
+                continue
+            value = data[at : at + min(size, _MOST_PROFILE)]
+            yield tag, value if order == "<" or tag == _PROFILE else value[::-1]
 
 
 def _jpeg_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
     profile = b""
-    for kind, begin, end in jpeg_segments(data):
+    for kind, begin, end in _jpeg_segments(data):
         content = data[begin:end]
         if kind == _APP1 and content.startswith(b"Exif\0\0"):
             yield "exif", content[6:]
@@ -236,3 +273,49 @@ def _webp_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
         elif kind == b"ICCP":
             yield "profile", data[begin + 8 : begin + 8 + size]
         begin += 8 + size + size % 2
+
+
+def _pair(data: bytes, layout: str, begin: int) -> tuple[int, int]:
+    first, second = struct.unpack_from(layout, data, begin)
+    return first, second
+
+
+def _jpeg_segments(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Yield the second byte of each marker in a JPEG's head, and where its segment's content begins and ends.
+
+    Raises
+    ------
+    struct.error
+        The file ends before.
+    """
+    begin = 2
+    while begin + 4 <= len(data) and data[begin] == 0xFF:
+        kind = data[begin + 1]
+        if kind == 0xFF or kind in _JPEG_ALONE:
+            begin += 1 if kind == 0xFF else 2
+            continue
+        end = begin + 2 + struct.unpack_from(">H", data, begin + 2)[0]
+        yield kind, begin + 4, end
+        begin = end
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
+    for kind, begin, _ in _jpeg_segments(data):
+        if kind in _JPEG_FRAMES:
+            height, width = _pair(data, ">HH", begin + 1)
+            return width, height
+    return None
+
+
+def _webp_size(data: bytes) -> tuple[int, int] | None:
+    kind = data[12:16]
+    if kind == b"VP8X":
+        low = struct.unpack_from("<HBHB", data, 24)
+        return 1 + low[0] + (low[1] << 16), 1 + low[2] + (low[3] << 16)
+    if kind == b"VP8L":
+        bits = struct.unpack_from("<I", data, 21)[0]
+        return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+    if kind == b"VP8 ":
+        width, height = _pair(data, "<HH", 26)
+        return width & 0x3FFF, height & 0x3FFF
+    return None

@@ -1,19 +1,18 @@
 """Frames from a video file, in the planes that its codec stored, by numbers that do not depend on its clock."""
 
-from bisect import bisect_left
-from collections.abc import Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from fractions import Fraction
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pipeline.errors import FootageError
-from pipeline.footage.ffmpeg_messages import caught_messages
-from pipeline.footage.ffmpeg_planes import stored_planes, transfer_of
-from pipeline.footage.recording_clusters import check_cluster
-from pipeline.footage.recording_tags import RecordingTags
+from pipeline.footage.ffmpeg_frames import caught_messages, stored_planes, transfer_of
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first
-from pipeline.footage.video_index import index_frames
+from pipeline.footage.zarr_recording import RecordingTags, rate_of
 from pipeline.limits import check_size, ffmpeg_limits
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -22,6 +21,9 @@ _MOST_DAMAGED = 300
 _MISSING = "it is missing from the file, or cannot be decoded"
 # An AVI file's index names the head of a coded frame, its reader what comes behind.
 _AVI_HEAD_BYTES = 8
+#: Tags by which an exported recording says what its pixels and time stamps do not: how many frames there are a second,
+#: how many bits are used, and which mosaic its grey pixels are.
+RATE_TAG, BITS_TAG, BAYER_TAG = "COLORPHASE_RATE", "COLORPHASE_BITS", "COLORPHASE_BAYER"
 #: In place of a position and a packet, when there are no more.
 _END: tuple[int, Any] = (-1, None)
 
@@ -57,15 +59,10 @@ class VideoFile:
         if path.stat().st_size == 0:
             raise FootageError(f"{path} is empty: copy it again")
         with self._opened() as (container, stream):
-            recording = RecordingTags.read(container.metadata)
-            if recording is not None:
-                self._says = recording.completing(says)
-                self.transfer = recording.transfer
-                self.transfer_because = "the recording says so" if self.transfer else "the recording does not say"
-            self.is_recording = recording is not None
+            self._rate_hz, self._says = _tagged(container.metadata, says)
+            self.is_recording = self._rate_hz is not None
             self._stamp_s = float(stream.time_base or 0)
-            self._rate_hz = None if recording is None else recording.rate_hz
-            self._index = index_frames(container, stream, recording)
+            self._index = _index_frames(container, stream)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
             self._note_missing_end(container, stream)
         self._positions = {mark: position for position, mark in enumerate(self._index.marks)}
@@ -88,10 +85,11 @@ class VideoFile:
     @property
     def times_s(self) -> list[float]:
         """When each frame is to be shown, s since the first; empty where nothing tells."""
-        if self._rate_hz is not None:  # stamps are rounded to ms
-            return [float(number / self._rate_hz) for number in range(len(self))]
         stamps = self.stamps
-        return [(stamp - stamps[0]) * self._stamp_s for stamp in stamps]
+        times = [(stamp - stamps[0]) * self._stamp_s for stamp in stamps]
+        if self._rate_hz is None:
+            return times
+        return [float(round(time * self._rate_hz) / self._rate_hz) for time in times]  # stamps are rounded to ms
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield frames by number; see `Source`."""
@@ -164,7 +162,7 @@ class VideoFile:
         while True:
             with caught_messages() as said:
                 frames: list[Any] = []
-                failure = fault = None
+                failure = None
                 try:
                     position, packet = next(packets, _END)
                 except av.error.FFmpegError:
@@ -177,12 +175,10 @@ class VideoFile:
                         continue
                     else:
                         packet.pts = packet.dts = position  # comes out with the frame
-                        fault = self._fault(packet)
                 try:
-                    frames = context.decode(packet) if fault is None else []
+                    frames = context.decode(packet)
                 except av.error.FFmpegError as error:
                     failure = error.strerror
-            failure = failure or fault
             if at_once and not frames:
                 failure = failure or "nothing can be decoded"
             if packet is not None and (failure or said) and number >= index.numbers[begin]:
@@ -205,17 +201,6 @@ class VideoFile:
                 yield number, frame
             if packet is None or (damaged and index.intra_only):
                 return
-
-    def _fault(self, packet: Any) -> str | None:
-        """Return what is wrong with a recording's packet, which has a checksum of its own; other files have none."""
-        if not self.is_recording:
-            return None
-        try:
-            with open(self._url.removeprefix("file:"), "rb") as file:
-                check_cluster(file, packet.pos, packet.size)
-        except OSError as error:
-            return error.strerror or str(error)
-        return None
 
     def _packets(self, container: Any, stream: Any, begin: int) -> Iterator[tuple[int, Any]]:
         """Yield packets with their positions, from one position on where the file can be entered there."""
@@ -292,3 +277,105 @@ class VideoFile:
         frame_s = float((last - first) * stream.time_base) / (len(self) - 1)
         if rest_s > 3 * frame_s:
             self.notes += (f"it ends {rest_s:.1f} s before it says: it may be cut off",)
+
+
+def _tagged(metadata: Mapping[str, str], says: StoredAs) -> tuple[Fraction | None, StoredAs]:
+    """Return the rate of an exported recording, None of another video; and what the user says, or else its tags.
+
+    Raises
+    ------
+    FootageError
+        The tags are wrong, or some are missing.
+    """
+    tags = {name.upper(): value for name, value in metadata.items()}
+    if RATE_TAG not in tags:
+        return None, says
+    try:
+        if len(bits := tags[BITS_TAG]) > 2:
+            raise ValueError(f"bits {bits[:40]!r} is no number of bits")
+        known = RecordingTags(rate_of(tags[RATE_TAG]), None, tags.get(BAYER_TAG), int(bits))
+    except (KeyError, ValueError) as error:
+        raise FootageError(f"its tags are not those of a recording ({error}): export it again") from None
+    said: dict[str, Any] = {"bayer": known.bayer, "bits": known.bits}
+    return known.rate_hz, replace(says, **{name: value for name, value in said.items() if getattr(says, name) is None})
+
+
+@dataclass(frozen=True)
+class VideoIndex:
+    """Every coded frame of a file: its position is its place in the file, its number that in time."""
+
+    stamps: Sequence[int]  # by position, in the stream's time base; empty where stamps do not tell frames apart
+    marks: Sequence[int]  # by position: what tells which packet is which
+    mark: Literal["pts", "pos"]  # what that is: a packet's time stamp, or where it begins in the file
+    numbers: Sequence[int]  # by position; -1: decoded, because others need it, but not shown
+    keys: Sequence[int]  # positions at which decoding can begin, ascending
+
+    @property
+    def intra_only(self) -> bool:
+        """Whether every frame can be decoded by itself: without stamps only those before it tell which one it is."""
+        return bool(self.stamps) and len(self.keys) == len(self.numbers)
+
+    def position_before(self, number: int) -> int:
+        """Return the position to decode from, so that a frame comes out whole."""
+        if not self.stamps:
+            return 0
+        if self.intra_only and isinstance(self.numbers, range):
+            return number
+        before = (key for key in self.keys if self.numbers[key] <= number)
+        return max(before, key=lambda key: (self.numbers[key], key), default=0)
+
+    def first_needed(self, position: int) -> int:
+        """Return the first position that a frame may have been predicted from."""
+        k = bisect_right(self.keys, position) - 1
+        # What comes before a key frame in time but after it in the file may be predicted from both sides of it.
+        if k > 0 and self.numbers[position] < self.numbers[self.keys[k]]:
+            k -= 1
+        return self.keys[k] if k >= 0 else 0
+
+
+def _index_frames(container: Any, stream: Any) -> VideoIndex:
+    """List the coded frames of an open file, without looking at them where the container tells where they are.
+
+    Raises
+    ------
+    FootageError
+        The file says that it holds more frames than there is room for in it.
+    """
+    n_frames = max(stream.frames, len(stream.index_entries))
+    if n_frames > container.size:
+        raise FootageError(f"its head says that it holds {n_frames} frames, but it is too short: copy it again")
+    entries = list(stream.index_entries)
+    stamps = [entry.timestamp for entry in entries]
+    everything = len(entries) == stream.frames > 0 and len(set(stamps)) == len(stamps)
+    if everything and all(entry.is_keyframe and not entry.is_discard for entry in entries):
+        # AVI counts its packets for time stamps: where one is lost only the place in the file still tells.
+        return VideoIndex(stamps, [entry.pos for entry in entries], "pos", range(len(stamps)), range(len(stamps)))
+    return _index_by_reading(container, stream)
+
+
+def _index_by_reading(container: Any, stream: Any) -> VideoIndex:
+    """Look at every packet: where the container lists no frames, or frames are predicted from later ones."""
+    import av
+
+    stamps: list[Any] = []
+    keys: list[int] = []
+    hidden = set()
+    with caught_messages():
+        try:
+            for packet in container.demux(stream):
+                if packet.size == 0:
+                    continue
+                if packet.is_keyframe:
+                    keys.append(len(stamps))
+                if packet.is_discard:
+                    hidden.add(len(stamps))
+                stamps.append(packet.pts)
+        except av.error.FFmpegError:
+            pass  # frames end where the file cannot be read any further
+    if None in stamps or len(set(stamps)) < len(stamps):
+        return VideoIndex((), (), "pts", range(len(stamps)), keys)
+    numbers = [-1] * len(stamps)
+    shown = (position for position in range(len(stamps)) if position not in hidden)
+    for number, position in enumerate(sorted(shown, key=stamps.__getitem__)):
+        numbers[position] = number
+    return VideoIndex(stamps, stamps, "pts", numbers, keys)

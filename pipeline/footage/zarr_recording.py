@@ -1,19 +1,27 @@
-"""Recordings in a Zarr group, a chunk a frame, as a source of frames; `recording.zarr_writer` writes them."""
+"""Recordings in a Zarr group, a chunk per frame, as a source of frames; `recording.zarr_writer` writes them."""
 
 import math
 import os
+import re
+from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pipeline.errors import DamageError, FootageError
-from pipeline.footage.recording_tags import VERSION, RecordingTags, rate_of
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame
 from pipeline.limits import check_size, read_text
 from pipeline.zarr_chunks import chunk_key, decode_chunk
+from tikernels.errors import ShapeError
+from tikernels.raw.linearization import TRANSFERS
 from tikernels.raw.pixel_format import PixelFormat
 
+#: Of the format of recordings.
+VERSION = "1"
+# Videos count in ms: above this, two frames of an exported recording could share one.
+MOST_FRAMES_A_SECOND = 500
 #: Attribute of the group that says how its frames are stored, and the name of their array.
 ATTRIBUTE = "colorphase_recording"
 FRAMES = "frames"
@@ -22,6 +30,42 @@ _MOST_OVERHEAD = 64
 # A recording that has lost this many of its frames for each that is there is not worth looking for them; of fewer
 # frames than the second number nobody waits for the list of those that are missing.
 _MOST_MISSING, _FEW = 100, 10_000
+
+
+def rate_of(text: str) -> Fraction:
+    """Return frames a second, from how a recording writes them.
+
+    Raises
+    ------
+    ValueError
+        It is no fraction.
+    """
+    # Of 1e999999999 Fraction would make a number of that many digits; cameras' rates have ten.
+    if re.fullmatch(r"[0-9]{1,20}(/0{0,20}[1-9][0-9]{0,20})?", text) is None:
+        raise ValueError(f"rate {text[:40]!r} is no fraction")
+    return Fraction(text)
+
+
+@dataclass(frozen=True)
+class RecordingTags:
+    """What a recording says of itself, but for its frames' size.
+
+    Raises
+    ------
+    ShapeError
+        The rate or the transfer is none that a recording can have.
+    """
+
+    rate_hz: Fraction  # frames a second
+    transfer: str | None
+    bayer: str | None  # None: RGB
+    bits: int
+
+    def __post_init__(self) -> None:
+        if not 0 < self.rate_hz <= MOST_FRAMES_A_SECOND:
+            raise ShapeError(f"rate_hz is {self.rate_hz}: give one above 0 and up to {MOST_FRAMES_A_SECOND}")
+        if self.transfer not in (None, *TRANSFERS):
+            raise ShapeError(f"transfer is {self.transfer!r}: choose {', '.join(TRANSFERS)}")
 
 
 class ZarrRecording:
@@ -79,7 +123,7 @@ class ZarrRecording:
         self.transfer_because = "the recording says so" if tags.transfer else "the recording does not say"
         if len(self) == 0:
             raise FootageError(f"{path} holds no frames")
-        self._rate_hz = tags.rate_hz
+        self.rate_hz = tags.rate_hz
         self.size_px = (width, height)
         self.format = says.applied_to(format)
 
@@ -89,7 +133,7 @@ class ZarrRecording:
     @property
     def times_s(self) -> list[float]:
         """When each frame was taken by the recording's rate, s since the first."""
-        return [float(number / self._rate_hz) for number in range(len(self))]
+        return [float(number / self.rate_hz) for number in range(len(self))]
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield frames by number; see `Source`."""

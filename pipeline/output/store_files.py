@@ -37,7 +37,7 @@ from pipeline.decoding.labels import (
 )
 from pipeline.errors import DamageError, OutputError
 from pipeline.files import LEFTOVER, explain, replace_file, sync
-from pipeline.footage.frame_times import FrameTimes
+from pipeline.footage.opening import FrameTimes
 from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codecs, chunk_key, decode_chunk, with_checksum, without_checksum
 
 #: How the names of files end that we, and zarr, have not finished.

@@ -1,26 +1,33 @@
-"""Write recordings in a Zarr group, a chunk a frame; `footage.zarr_recording` reads them."""
+"""Write recordings in a Zarr group, a chunk per frame, and finish what a killed program left of one.
+
+`footage.zarr_recording` reads them.
+"""
 
 import json
 import os
 import re
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.errors import DamageError
-from pipeline.files import LEFTOVER, replace_file, sync
-from pipeline.footage.recording_tags import VERSION, RecordingTags
-from pipeline.footage.zarr_recording import ATTRIBUTE, FRAMES
+from pipeline.errors import DamageError, FootageError, OutputError
+from pipeline.files import LEFTOVER, explain, replace_file, sync
+from pipeline.footage.zarr_recording import ATTRIBUTE, FRAMES, VERSION, RecordingTags
+from pipeline.locking import locked
 from pipeline.models import ImageArray
 from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codecs, chunk_key, encode_chunk
 from tikernels.raw.pixel_format import PixelFormat
 
+#: What a recording's name has before its ending until it is finished.
+PART = ".part"
 _KEY = re.compile(r"c\.(\d+)[.0]*")
 # The compressor's level: a higher one takes up to half as long again, for chunks that are 2 % smaller.
 _LEVEL = 1
-# Threads at most; each compresses and writes a frame by itself, without the interpreter.
-_MOST_THREADS = 4
+#: How many threads may write frames; each compresses and writes one by itself, without the interpreter.
+MOST_THREADS = min(4, os.cpu_count() or 1)
 
 
 class ZarrWriter:
@@ -40,9 +47,6 @@ class ZarrWriter:
     OSError
         It cannot be written.
     """
-
-    #: How many threads may call `write`.
-    most_threads = min(_MOST_THREADS, os.cpu_count() or 1)
 
     def __init__(self, path: Path, size_px: tuple[int, int], format: PixelFormat, tags: RecordingTags) -> None:
         import zarr  # slow to import, and only needed here
@@ -93,7 +97,52 @@ class ZarrWriter:
         _remove_from(self._folder, self.n_frames)
 
 
-def cut_off(path: Path) -> int:
+def unfinished(folder: Path) -> Iterator[Path]:
+    """Yield the recordings in a folder that have not got their names yet."""
+    yield from sorted(folder.glob(f"*{PART}.zarr"))
+
+
+def finish_recording(part: Path) -> tuple[Path, int]:
+    """Cut off what was not committed, and give a recording its name; one without frames is removed.
+
+    Parameters
+    ----------
+    part : Path
+        What a recorder has left, see `unfinished`.
+
+    Returns
+    -------
+    Path
+        The recording.
+    int
+        How many frames it holds.
+
+    Raises
+    ------
+    FootageError
+        It cannot be read.
+    OutputError
+        It is being written, its name is taken, or the folder cannot be written.
+    """
+    path = part.with_name(part.name.replace(f"{PART}{part.suffix}", part.suffix))
+    with locked(path):
+        if path.exists():
+            raise OutputError(f"cannot finish {part}: {path.name} exists, move it away")
+        try:
+            n_frames = _cut_off(part)
+            if n_frames:
+                os.replace(part, path)
+            else:
+                shutil.rmtree(part)
+            sync(path.parent)
+        except DamageError as error:
+            raise FootageError(f"cannot finish {part}: {error}") from None
+        except OSError as error:
+            raise OutputError(f"cannot finish {part}: {explain(error)}") from error
+    return path, n_frames
+
+
+def _cut_off(path: Path) -> int:
     """Remove what a program that was killed had written and not committed; return how many frames stay.
 
     Raises

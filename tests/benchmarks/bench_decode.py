@@ -32,8 +32,8 @@ import numpy.typing as npt
 from support.recorded_footage import record
 
 from pipeline import Decoder, DecodeSettings
+from pipeline.batch.executors import usable_cores
 from pipeline.batch.job import Job
-from pipeline.batch.local_processes import usable_cores
 from pipeline.batch.run import decode_footage
 from pipeline.footage.source import StoredAs
 from pipeline.simulation import DEFAULT_PERIOD_PX, TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig

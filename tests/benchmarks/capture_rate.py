@@ -1,6 +1,6 @@
 """How many frames a second are kept: an in-memory camera at 640x480, pulses without a gap, every frame checked.
 
-    python tests/benchmarks/capture_rate.py [--seconds 20] [--rate 200] [--format zarr] [--live]
+    python tests/benchmarks/capture_rate.py [--seconds 20] [--rate 200] [--live]
 
 Says how many frames were whole, recorded and thrown away, what it took of the processor, and whether memory grows.
 """
@@ -20,8 +20,7 @@ from hardware.protocols import FrameFormat
 from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
 from pipeline.acquisition.capture_folder import CapturePlan, CaptureProgress
-from pipeline.acquisition.session import capture_bursts
-from pipeline.acquisition.stopping import Stopping
+from pipeline.acquisition.session import Stopping, capture_bursts
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
@@ -42,7 +41,6 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rate", type=float, default=200.0)
-    parser.add_argument("--format", choices=("zarr", "mkv"), default="zarr")
     parser.add_argument("--live", action="store_true")
     parser.add_argument("--out", type=Path, default=None, help="a folder on the disk to be measured")
     options = parser.parse_args()
@@ -84,20 +82,19 @@ def main() -> None:
             settings,
             lambda: (devices.trigger, devices.camera),
             out,
-            CapturePlan(n_bursts, endless=True, suffix=f".{options.format}", live=options.live, arch="cpu"),
+            CapturePlan(n_bursts, endless=True, live=options.live, arch="cpu"),
             calibration=rig if options.live else None,
             decoding=DecodeSettings(),
             stopping=Stopping(),
             tell=tell,
         )
         wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-        paths = [summary.recording] if summary.recording.is_file() else list(summary.recording.rglob("*"))
-        size = sum(path.stat().st_size for path in paths if path.is_file())
+        size = sum(path.stat().st_size for path in summary.recording.rglob("*") if path.is_file())
         logged = [json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()]
         shutil.rmtree(out)
     raw = summary.n_frames * images[0].nbytes
     kept = sum(line["event"] == "frame" for line in logged)
-    print(f"{options.format}, {options.rate:g} pulses/s for {wall:.1f} s{', decoding live' if options.live else ''}")
+    print(f"{options.rate:g} pulses/s for {wall:.1f} s{', decoding live' if options.live else ''}")
     print(f"  exposed {n_exposed}, recorded {summary.n_frames}, logged {kept}, bursts thrown away {summary.n_rejected}")
     if summary.n_rejected:
         print(f"  the last because of: {last[0].note}")

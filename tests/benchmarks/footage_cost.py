@@ -76,7 +76,7 @@ def kinds(image: Any, stripes: str, folder: Path) -> Iterator[tuple[str, Callabl
 
     yield "the arrays themselves", lambda: image
     yield "PNG", lambda: read(picture("a.png"), stripes, 0)
-    yield "FFV1 recording", lambda: recorded("a.mkv", image, PixelFormat("rgb"))
+    yield "a recording", lambda: recorded("a.zarr", image, PixelFormat("rgb"))
     yield "JPEG 4:2:0, quality 95", lambda: read(picture("a.jpg", cv2.IMWRITE_JPEG_QUALITY, 95), stripes, 0)
     yield "MJPEG 4:2:0, q 2", lambda: read(film(folder / "m.avi", image, CENTRE, MJPEG), stripes, 2)
     yield "H.264 4:2:0, crf 10", lambda: read(film(folder / "h.mp4", image, LEFT, H264), stripes, 2)
@@ -96,7 +96,7 @@ def kinds(image: Any, stripes: str, folder: Path) -> Iterator[tuple[str, Callabl
     yield "MJPEG by cv2.VideoCapture", lambda: by_opencv(film(folder / "m.avi", image, CENTRE, MJPEG))
     yield "H.264 by cv2.VideoCapture", lambda: by_opencv(film(folder / "h.mp4", image, LEFT, H264))
     yield "Bayer", lambda: mosaic(None)
-    yield "Bayer, recorded as FFV1", lambda: recorded("b.mkv", reference.mosaic(image, "rggb"), PixelFormat("bayer"))
+    yield "Bayer, recorded", lambda: recorded("b.zarr", reference.mosaic(image, "rggb"), PixelFormat("bayer"))
     yield "Bayer, bilinear (OpenCV)", lambda: mosaic(lambda m: cv2.cvtColor(m, cv2.COLOR_BAYER_RGGB2RGB))
     yield "Bayer, edge-aware (OpenCV)", lambda: mosaic(lambda m: cv2.cvtColor(m, cv2.COLOR_BAYER_RGGB2RGB_EA))
     yield "Bayer, variable gradients (OpenCV)", lambda: mosaic(lambda m: cv2.cvtColor(m, cv2.COLOR_BAYER_RGGB2RGB_VNG))

@@ -2,7 +2,7 @@
 
 Half of them are runs of `colorphase decode` over one footage, which then finishes: the store must have the same keys
 and bytes as that of an undisturbed run, and no frame that was done is written again. The others are captures of a
-simulated rig, in either format; `colorphase verify` finishes what they leave: every frame of the recording must be
+simulated rig; `colorphase verify` finishes what they leave: every frame of the recording must be
 whole and have its line in the log, and the log no line more.
 """
 
@@ -57,10 +57,10 @@ def main() -> None:
 
 def kill_decoding(folder: Path, kills: int, seed: int) -> bool:
     """Kill runs over one footage; say whether the result is that of an undisturbed run."""
-    record(folder / "film.mkv", max(200, 25 * kills))
-    killed = kill_again_and_again(folder / "film.mkv", folder / "killed", kills, seed)
+    record(folder / "film.zarr", max(200, 25 * kills))
+    killed = kill_again_and_again(folder / "film.zarr", folder / "killed", kills, seed)
     for out in ("killed", "whole"):
-        subprocess.run(command("decode", folder / "film.mkv", "--out", folder / out, "--arch", "cpu"), check=True)
+        subprocess.run(command("decode", folder / "film.zarr", "--out", folder / out, "--arch", "cpu"), check=True)
     ours = {name: digest for name, digest in contents(folder / "killed").items() if not name.endswith(".lock")}
     same = ours == contents(folder / "whole")
     print(f"decode, killed {killed} times while it ran: the store is {'the same' if same else 'DIFFERENT'}")
@@ -71,10 +71,10 @@ def kill_captures(folder: Path, kills: int, rng: random.Random) -> bool:
     """Kill captures, each of its own; say whether what is left of them is whole once it is finished."""
     n_frames, n_empty, wrong = 0, 0, []
     for k in range(kills):
-        suffix, out = rng.choice(("zarr", "mkv")), folder / str(k)
+        out = folder / str(k)
         rig = folder / "rig.toml"
         rig.write_text(RIG.format(frames=rng.choice((1, 1, 3, 20))))
-        options = ["capture", "--rig", rig, "--out", out, "--bursts", "100000", "--format", suffix, "--arch", "cpu"]
+        options = ["capture", "--rig", rig, "--out", out, "--bursts", "100000", "--arch", "cpu"]
         options += ["--endless"] * rng.choice((0, 1))
         with subprocess.Popen(
             [sys.executable, "-c", CAPTURE, *map(str, options)],
@@ -89,7 +89,7 @@ def kill_captures(folder: Path, kills: int, rng: random.Random) -> bool:
             process.send_signal(signal.SIGKILL)
         found = _finished(out)
         if isinstance(found, str):
-            wrong.append(f"{k} ({suffix}): {found}")
+            wrong.append(f"{k}: {found}")
         else:
             n_frames += found
             n_empty += not found

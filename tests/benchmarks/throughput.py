@@ -22,8 +22,8 @@ import _tests_path  # noqa: F401 - puts support on the path
 from support.recorded_footage import record
 
 from pipeline import DecodeSettings
+from pipeline.batch.executors import usable_cores
 from pipeline.batch.job import Job
-from pipeline.batch.local_processes import usable_cores
 from pipeline.batch.run import decode_footage
 from pipeline.batch.worker import _WRITERS
 from pipeline.decoding.front_side import RimVotes
@@ -128,7 +128,7 @@ def main() -> None:
     for size in options.sizes:
         width, height = map(int, size.split("x"))
         with tempfile.TemporaryDirectory() as folder:
-            film = Path(folder) / "film.mkv"
+            film = Path(folder) / "film.zarr"
             rig = record(film, options.frames, (width, height))
             fields = chosen_fields(options.fields, in_mm=True)
             says = StoredAs()

@@ -18,7 +18,7 @@ from support.video_files import H264, MJPEG, encode, moving_planes
 
 from hardware import errors as hardware_errors
 from pipeline import errors as pipeline_errors
-from pipeline.acquisition.rig_file import read_rig
+from pipeline.acquisition.chosen_rig import read_rig
 from pipeline.calibration import Calibration
 from pipeline.calibration.color_chart import read_spectra
 from pipeline.errors import DamageError
@@ -28,6 +28,7 @@ from pipeline.footage.source import StoredFrame
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh, write_mesh
 from pipeline.output.stored_result import StoredResult
+from pipeline.recording.video_export import export_video
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulated_rig
 from pipeline.zarr_chunks import with_checksum, without_checksum
@@ -133,7 +134,7 @@ SAMPLES = {
         Sample("picture.bmp", _read_picture),
         Sample("picture.webp", _read_picture),
         Sample("picture.ppm", _read_picture),
-        Sample("recording.mkv", _read_frames, checked=True),
+        Sample("recording.mkv", _read_frames),
         Sample("film.avi", _read_frames),
         Sample("film.mp4", _read_frames),
         Sample("recording.zarr", _read_frames, checked=True),
@@ -192,8 +193,8 @@ def make_samples(folder: Path) -> None:
         if suffix in (".png", ".jpg", ".tif", ".bmp", ".webp", ".ppm"):
             levels = {"deep": image.astype(np.uint16) * 257, "float": image.astype(np.float32) / 255}.get(stem, image)
             (folder / name).write_bytes(cv2.imencode(suffix, levels)[1].tobytes())
-    record(folder / "recording.mkv")
     record(folder / "recording.zarr")
+    export_video(folder / "recording.zarr", folder / "recording.mkv")
     store(folder / "result.zarr", _DISTANCES)
     yuv = moving_planes(6, PixelFormat("yuv", subsampling=(2, 2)))
     encode(folder / "film.avi", yuv, *MJPEG)

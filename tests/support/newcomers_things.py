@@ -13,6 +13,7 @@ from pipeline.acquisition.practice_set import PLANE, POSES, practice_poses
 from pipeline.calibration.board import Board
 from pipeline.output.range_image import write_png
 from pipeline.recording.recorder import Recorder
+from pipeline.recording.video_export import export_video
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -47,9 +48,10 @@ def make_things(folder: Path) -> None:
     cv2.imwrite(str(folder / "wide.tif"), np.ascontiguousarray(images[0][..., ::-1]))
     (folder / "settings.toml").write_text("smoothing_px = 5\n")
     (folder / "rig.toml").write_text(_RIG)
-    with Recorder(folder / "film.mkv", PixelFormat("rgb")) as recorder:
+    with Recorder(folder / "film.zarr", PixelFormat("rgb")) as recorder:
         for image in images:
             recorder.add(np.asarray(image, np.uint8))
+    export_video(folder / "film.zarr", folder / "film.mkv")
     done = colorphase("decode", "film.mkv", "--out", "film", "--calibration", "calibration.json", cwd=folder)
     assert done.returncode == 0, done.stderr
     planes = [_yuv(np.asarray(image, np.uint8)) for image in (*images, *images, *images)]

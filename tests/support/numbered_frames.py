@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import Any
 
-import av
 import numpy as np
 import numpy.typing as npt
 
@@ -43,20 +42,6 @@ def record(
         for frame in frames:
             recorder.add(frame)
     return frames
-
-
-def retagged(path, target, tags, last_ms=None):
-    """Copy a Matroska recording, with other tags and another time of its last frame."""
-    with av.open(str(path)) as source, av.open(str(target), "w") as copy:
-        copy.metadata.update({**source.metadata, **tags})
-        stream = copy.add_stream_from_template(source.streams.video[0])
-        packets = [packet for packet in source.demux(video=0) if packet.size]
-        if last_ms is not None:
-            packets[-1].pts = packets[-1].dts = last_ms
-        for packet in packets:
-            packet.stream = stream
-            copy.mux(packet)
-    return target
 
 
 def rgb(planes, format):

@@ -37,9 +37,9 @@ def record(path: Path, n_frames: int, size_px: tuple[int, int] = (128, 96)) -> C
 
 
 def job_of(folder: Path, store: Path) -> Job:
-    """Return a job that decodes a folder's ``film.mkv``, without a calibration."""
+    """Return a job that decodes a folder's ``film.zarr``, without a calibration."""
     fields = chosen_fields(("mask", "unwrapped_phase", "phase_sigma"), in_mm=False)
-    film = str(folder / "film.mkv")
+    film = str(folder / "film.zarr")
     return Job(film, StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(store), "cpu")
 
 

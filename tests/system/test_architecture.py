@@ -149,6 +149,22 @@ def test_peers_are_no_dependencies():
             assert not imported(path) & {"scipy", "skimage"}, path
 
 
+def test_two_files_start_processes():
+    """One for all, and one that imports none of ours; both leave the working folder out of Python's path."""
+    starting = ("subprocess.", "os.system", "os.popen", "os.spawn", "os.exec", "os.fork")
+    takers = {
+        path.relative_to(ROOT).as_posix()
+        for package in PACKAGES
+        for path in sources(package)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func).startswith(starting)
+    }
+    assert takers == {"pipeline/processes.py", "hardware/display.py"}
+    spawning = {path.name for package in PACKAGES for path in sources(package) if "multiprocessing" in imported(path)}
+    assert spawning == {"processes.py", "live.py"}
+    assert '"-P"' in (ROOT / "hardware" / "display.py").read_text(encoding="utf-8")
+
+
 @pytest.mark.parametrize("module", ["colorphase", *PACKAGES, "pipeline.cli.main"])
 def test_importing_does_nothing_else(module):
     """It prints nothing, starts no device and loads nothing heavy."""

@@ -21,6 +21,7 @@ from pipeline.errors import RenderError
 from pipeline.models import Model, Signed
 from pipeline.output.pictures.color_meaning import Colors
 from pipeline.output.pictures.viewpoint import CameraPath, View, Viewpoint
+from pipeline.processes import start_python
 from tikernels import runtime
 
 Buffer = Literal["depth", "normals"]
@@ -28,8 +29,8 @@ Buffer = Literal["depth", "normals"]
 #: What software renderers, and H.264, can do.
 MOST_SIDE_PX = 8192
 
-# The child sees the modules that we see, and never those of the folder that we happen to be in.
-COMMAND = [sys.executable, "-P", "-m", "pipeline.output.pictures.drawing_child"]
+#: What Python is told to run.
+COMMAND = ("-m", "pipeline.output.pictures.drawing_child")
 #: The file that a child leaves in its folder when all is done.
 DONE = "done"
 _GRAPHICS_CURE = (
@@ -170,7 +171,6 @@ def draw_apart(
     """
     # Off screen needs no X server, and a dead one would be waited for.
     environment = {name: value for name, value in os.environ.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    environment["PYTHONPATH"] = os.pathsep.join(os.path.abspath(entry) for entry in sys.path)
     if threads is not None:
         names = (*runtime.THREAD_VARIABLES, "OPENBLAS_NUM_THREADS")
         # Mesa's renderer counts the threads in addition to the one that calls it.
@@ -206,9 +206,9 @@ def _listen(
     """Run a child to its end, and return its exit code and what it wrote to standard error."""
     with tempfile.TemporaryFile() as errors:
         try:
-            child = subprocess.Popen(command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=errors)
+            child = start_python(command, environment, cwd=folder, stdout=subprocess.PIPE, stderr=errors)
         except OSError as error:
-            raise RenderError(f"cannot start {command[0]} to draw: {error.strerror}") from error
+            raise RenderError(f"cannot start {sys.executable} to draw: {error.strerror}") from error
         lines: queue.Queue[bytes] = queue.Queue()
 
         def read(output: IO[bytes]) -> None:

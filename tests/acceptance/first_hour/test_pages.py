@@ -24,7 +24,7 @@ from support.page_blocks import PageBlocks
 
 from hardware.settings import RigSettings
 from pipeline import Calibration, DecodeSettings
-from pipeline.acquisition.rig_file import read_rig
+from pipeline.acquisition.chosen_rig import read_rig
 
 pytestmark = pytest.mark.timeout(1500)
 

@@ -48,27 +48,20 @@ def test_an_output_folder(tmp_path):
     assert found.damage == ("mesh.ply has been changed since it was written",)
 
 
-@pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
-def test_a_recording(tmp_path, suffix):
-    path = tmp_path / f"a{suffix}"
+def test_a_recording(tmp_path):
+    path = tmp_path / "a.zarr"
     recorded(path, 5)
     (found,) = verify(str(path))
     assert found.whole and found.n_whole == 5
-    if suffix == ".zarr":
-        (path / "frames" / "c.3.0.0.0").unlink()
-    else:
-        content = bytearray(path.read_bytes())
-        content[len(content) // 2] ^= 4
-        path.write_bytes(content)
+    (path / "frames" / "c.3.0.0.0").unlink()
     (found,) = verify(str(path))
     assert found.n_whole == 4 and len(found.faults) == 1
 
 
-@pytest.mark.parametrize("suffix", [".mkv", ".zarr"])
 @pytest.mark.parametrize("n_frames", [0, 4])
-def test_a_capture_that_was_killed(tmp_path, suffix, n_frames):
+def test_a_capture_that_was_killed(tmp_path, n_frames):
     """Its log is a burst ahead, and its last line is cut off."""
-    recorder = Recorder(tmp_path / "now" / f"recording{suffix}", RGB8)
+    recorder = Recorder(tmp_path / "now" / "recording.zarr", RGB8)
     (tmp_path / "now").mkdir()
     log = [{"event": "start"}]
     for number in range(6):
@@ -91,7 +84,7 @@ def test_a_capture_that_was_killed(tmp_path, suffix, n_frames):
     assert finished.notes == (f"its program was killed: {held}",) and finished.n_whole == n_frames
     assert [each.n_whole for each in rest] == ([4] if n_frames else [])
     assert sorted(entry.name for entry in folder.iterdir() if entry.suffix != ".lock") == sorted(
-        ["log.jsonl", *([f"recording{suffix}"] if n_frames else [])]
+        ["log.jsonl", *(["recording.zarr"] if n_frames else [])]
     )
     events = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     assert [event["frame"] for event in events if event["event"] == "frame"] == list(range(n_frames))

@@ -8,9 +8,9 @@ from pipeline.batch.run import decode_footage
 
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory, cpu):
-    """Return a folder with the footage, ``film.mkv``."""
+    """Return a folder with the footage, ``film.zarr``."""
     folder = tmp_path_factory.mktemp("film")
-    record(folder / "film.mkv", N_FRAMES)
+    record(folder / "film.zarr", N_FRAMES)
     return folder
 
 

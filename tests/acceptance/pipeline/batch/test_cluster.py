@@ -78,7 +78,6 @@ def test_something_else_listens(folder, tmp_path):
 
 def test_no_worker_is_left(folder, tmp_path, monkeypatch):
     """A scheduler alone waits for another one; we do not wait for ever."""
-    monkeypatch.setattr("pipeline.batch.cluster._LOOK_S", 0.5)
     monkeypatch.setattr("pipeline.batch.cluster._ALONE_S", 1)
     job = job_of(folder, tmp_path / "result.zarr")
     with local_cluster(1) as cluster:

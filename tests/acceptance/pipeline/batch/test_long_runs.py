@@ -21,7 +21,7 @@ KILLS = 20
 @pytest.mark.usefixtures("kernels_on_disk")
 def test_killed_again_and_again(tmp_path):
     """In the command's own chains and its own process; what is stored is what an undisturbed run stores."""
-    film = tmp_path / "long.mkv"
+    film = tmp_path / "long.zarr"
     record(film, 20 * KILLS)
     options = ("--fields", "mask", "range_image", "phase_sigma")
     fields = chosen_fields(options[1:], in_mm=False)

@@ -1,7 +1,6 @@
 """Films: what they show, how they go on, and what is said of frames that are not there."""
 
 import json
-import sys
 from pathlib import Path
 
 import av
@@ -193,10 +192,10 @@ def test_what_is_refused(tmp_path):
 def test_a_child_that_dies_leaves_nothing(tmp_path, monkeypatch):
     path = store(tmp_path / "r.zarr", [400.0, 401.0])
     program = "import os, signal; os.kill(os.getpid(), 11)"
-    monkeypatch.setattr(drawing_process, "COMMAND", [sys.executable, "-c", program])
+    monkeypatch.setattr(drawing_process, "COMMAND", ["-c", program])
     with pytest.raises(RenderError, match="apt-get install libegl1"):
         render_film(path, tmp_path / "film.mp4")
-    monkeypatch.setattr(drawing_process, "COMMAND", [sys.executable, "-c", "import time; time.sleep(60)"])
+    monkeypatch.setattr(drawing_process, "COMMAND", ["-c", "import time; time.sleep(60)"])
     with pytest.raises(RenderError, match=r"more than 0\.5 s"):
         render_film(path, tmp_path / "film.mp4", timeout_s=0.5)
     assert [p.name for p in tmp_path.iterdir()] == ["r.zarr"]

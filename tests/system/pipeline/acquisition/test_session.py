@@ -10,8 +10,7 @@ from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
 from hardware.errors import BurstError, CameraError, RigError
 from pipeline.acquisition import session
 from pipeline.acquisition.capture_folder import CapturePlan
-from pipeline.acquisition.session import capture_bursts
-from pipeline.acquisition.stopping import Stopping
+from pipeline.acquisition.session import Stopping, capture_bursts
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.footage.opening import open_source
@@ -33,9 +32,9 @@ def log_of(folder):
     return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
 
 
-def check_folder(bench, folder, n_bursts, suffix=".zarr"):
+def check_folder(bench, folder, n_bursts):
     """Every recorded frame is logged with the pulse that made it, burst by burst, and nothing else is there."""
-    source = open_source(folder / f"recording{suffix}")
+    source = open_source(folder / "recording.zarr")
     frames = list(source.frames())
     logged = [line for line in log_of(folder) if line["event"] == "frame"]
     bursts = [line for line in log_of(folder) if line["event"] == "burst"]
@@ -43,23 +42,21 @@ def check_folder(bench, folder, n_bursts, suffix=".zarr"):
     assert [line["frame"] for line in logged] == list(range(len(frames)))
     assert [(line["first_frame"], line["frames"]) for line in bursts] == [(i * FRAMES, FRAMES) for i in range(n_bursts)]
     for frame, line in zip(frames, logged, strict=True):
-        image = frame.planes[0] if suffix == ".zarr" else frame.planes[0][..., 2::-1]
-        assert bench.truth[number_in(image)][1] == line["pulse"]
+        assert bench.truth[number_in(frame.planes[0])][1] == line["pulse"]
     assert not list(folder.glob(".*"))
     return log_of(folder)
 
 
-@pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
-def test_bursts_are_recorded_with_their_pulses(tmp_path, suffix):
+def test_bursts_are_recorded_with_their_pulses(tmp_path):
     bench = Bench(settings(), [Faulty(), Faulty(lost_trigger=one)])
     calibration = simulated_rig((96, 64))
-    summary = captured(bench, tmp_path / "out", CapturePlan(3, suffix=suffix), calibration=calibration)
+    summary = captured(bench, tmp_path / "out", CapturePlan(3), calibration=calibration)
     assert (summary.n_bursts, summary.n_frames, summary.n_rejected, summary.stopped) == (3, 3 * FRAMES, 1, False)
-    log = check_folder(bench, tmp_path / "out", 3, suffix)
+    log = check_folder(bench, tmp_path / "out", 3)
     assert sorted(entry.name for entry in (tmp_path / "out").iterdir()) == [
         "calibration.json",
         "log.jsonl",
-        f"recording{suffix}",
+        "recording.zarr",
     ]
     start, end = log[0], log[-1]
     assert start["calibration_sha256"] == calibration.digest()
@@ -139,8 +136,7 @@ def test_ctrl_c_in_the_last_burst_stops_nothing(tmp_path):
     assert (summary.n_bursts, summary.stopped) == (3, False)
 
 
-@pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
-def test_a_full_disk_keeps_the_whole_bursts(tmp_path, monkeypatch, suffix):
+def test_a_full_disk_keeps_the_whole_bursts(tmp_path, monkeypatch):
     """The disk fills up in the middle of the third burst."""
     bench = Bench(settings())
     add, n_added = Recorder.add, 0
@@ -154,8 +150,8 @@ def test_a_full_disk_keeps_the_whole_bursts(tmp_path, monkeypatch, suffix):
 
     monkeypatch.setattr(Recorder, "add", fills_up)
     with pytest.raises(OutputError, match="the disk is full: free some space"):
-        captured(bench, tmp_path / "out", CapturePlan(5, suffix=suffix))
-    log = check_folder(bench, tmp_path / "out", 2, suffix)
+        captured(bench, tmp_path / "out", CapturePlan(5))
+    log = check_folder(bench, tmp_path / "out", 2)
     assert "the disk is full" in log[-1]["error"]
     assert bench.calls[-2:] == ["trigger.close", "camera.close"]
 
@@ -211,14 +207,13 @@ def test_impossible_timing_leaves_nothing(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("suffix", [".zarr", ".mkv"])
-def test_the_last_seconds_are_kept_where_a_camera_is_unplugged(tmp_path, suffix):
+def test_the_last_seconds_are_kept_where_a_camera_is_unplugged(tmp_path):
     fault = Faulty(unplugged_camera=1)
     bench = Bench(settings(alternating=False), [Faulty(), Faulty(), Faulty(), fault, fault, fault])
     burst_s = FRAMES * bench.settings.timing.period_s
     with pytest.raises(CameraError):
-        captured(bench, tmp_path / "out", CapturePlan(9, keep_last_s=1.5 * burst_s, suffix=suffix))
-    log = check_folder(bench, tmp_path / "out", 2, suffix)
+        captured(bench, tmp_path / "out", CapturePlan(9, keep_last_s=1.5 * burst_s))
+    log = check_folder(bench, tmp_path / "out", 2)
     assert log[-1] == {**log[-1], "event": "end", "frames": 2 * FRAMES, "error": "the cable is out"}
 
 

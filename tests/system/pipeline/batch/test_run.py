@@ -402,8 +402,8 @@ def test_ctrl_c_keeps_what_is_done(job, undisturbed, monkeypatch):
 @pytest.mark.usefixtures("kernels_on_disk")
 def test_ctrl_c_at_the_terminal(tmp_path):
     """Exit code 130, and one line that says how to go on."""
-    record(tmp_path / "film.mkv", 300)
-    arguments = command("decode", tmp_path / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu")
+    record(tmp_path / "film.zarr", 300)
+    arguments = command("decode", tmp_path / "film.zarr", "--out", tmp_path / "out", "--arch", "cpu")
     process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
     with process:
         while len(marked(tmp_path / "out" / "result.zarr")) < 5:

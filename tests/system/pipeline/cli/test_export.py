@@ -1,12 +1,16 @@
 """`colorphase export` as its user meets it; what it does has tests of its own."""
 
+import numpy as np
 import pytest
 from cyclopts import App
 from support.command_line import colorphase
+from support.numbered_frames import record
 
 from pipeline.cli.export import MeshChoice
+from pipeline.footage.opening import open_source
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.surface_mesh import MeshOptions
+from tikernels.raw.pixel_format import PixelFormat
 
 
 def parsed(*words: str) -> MeshOptions:
@@ -75,3 +79,18 @@ def test_mistakes_are_one_line(command, tmp_path, arguments, code, message):
     assert (ended, said) == (code, "")
     assert message in complained and complained.startswith("error: ") and complained.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_becomes_a_video(command, tmp_path):
+    frames = record(tmp_path / "recording.zarr", PixelFormat("bayer", 12, bayer="grbg"), n_frames=3)
+    wanted = ("export", "recording.zarr", "--kind", "mkv")
+    assert command(*wanted) == (0, "3 frames as FFV1 in recording.mkv\n", "")
+    code, said, complained = command(*wanted)
+    assert (code, said) == (1, "") and "recording.mkv exists: choose another folder, or --force" in complained
+    assert command(*wanted, "--force", "--out", "videos")[0] == command(*wanted, "--force")[0] == 0
+    for path in (tmp_path / "recording.mkv", tmp_path / "videos" / "recording.mkv"):
+        for frame, kept in zip(open_source(path).frames(), frames, strict=True):
+            np.testing.assert_array_equal(frame.planes[0], kept)
+    code, said, complained = command("export", "recording.mkv", "--kind", "mkv", "--out", "more")
+    assert (code, said) == (1, "") and "recording.mkv is not a recording of frames" in complained
+    assert "where are the files to go? Name a folder, as --out meshes" in command("export", "recording.zarr")[2]

@@ -7,7 +7,7 @@ import pytest
 
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
 from hardware.settings import RigSettings
-from pipeline.acquisition.rig_file import read_rig
+from pipeline.acquisition.chosen_rig import read_rig
 from pipeline.cli.decode import SettingsOptions
 from pipeline.cli.templates import _UNITS, _model_in, rig_template, settings_template
 from pipeline.errors import SettingsError

@@ -163,7 +163,7 @@ def test_what_is_refused(tmp_path: Path) -> None:
 
 def test_a_missing_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     program = "open('picture.png', 'x'); open('done', 'x')"
-    monkeypatch.setattr(drawing_process, "COMMAND", [sys.executable, "-c", program])
+    monkeypatch.setattr(drawing_process, "COMMAND", ["-c", program])
     with pytest.raises(OutputError, match="create the folder first"):
         render_mesh(dome(), tmp_path / "none" / "picture.png")
 

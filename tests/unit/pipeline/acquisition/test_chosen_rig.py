@@ -1,11 +1,14 @@
-"""A projector that shows nothing is refused; a camera that stands otherwise than at calibration is told."""
+"""The rig that is used: what its file may say, and whether it is ready."""
+
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support.emulators.emulated_pjlink import PJLinkProjector
 
-from hardware.errors import ProjectorError
-from pipeline.acquisition.chosen_rig import choose_rig
+from hardware.errors import ProjectorError, RigError
+from hardware.settings import RigSettings
+from pipeline.acquisition.chosen_rig import choose_rig, read_rig
 from pipeline.calibration import Calibration
 from pipeline.models import CameraState
 
@@ -56,3 +59,81 @@ def test_a_projector_that_shows_nothing_is_refused(rig_file):
             choose_rig(str(rig_file), "cpu", silent)
         device.mute = "30"
         choose_rig(str(rig_file), "cpu", silent)
+
+
+SECTIONS = {
+    "trigger": 'driver = "box"\nport = "/dev/ttyUSB0"',
+    "timing": "period_s = 0.1\nframes = 30",
+    "camera": 'driver = "basler"\nexposure_s = 0.0166667\nsize_px = [640, 480]',
+    "projector": 'colour_cycle_s = 0.0166667\ncontrol = "pjlink"\nport = "socket://10.0.0.6:4352"',
+}
+
+
+def write(folder: Path, top: str = "", **changed: str | None) -> Path:
+    path = folder / "rig.toml"
+    sections = {**SECTIONS, **changed}
+    texts = [top, *(f"[{name}]\n{text}" for name, text in sections.items() if text is not None)]
+    path.write_text("\n".join(texts), encoding="utf-8")
+    return path
+
+
+def test_a_rig(tmp_path):
+    rig = read_rig(write(tmp_path))
+    assert isinstance(rig, RigSettings)
+    assert rig.timing.frames == 30
+    assert rig.camera.size_px == (640, 480)
+    assert rig.projector.control == "pjlink"
+    assert rig.calibration is None
+    assert read_rig(str(write(tmp_path, projector=None))).projector.control is None
+
+
+def test_a_serial_number_may_be_written_as_a_number(tmp_path):
+    rig = read_rig(write(tmp_path, camera='driver = "basler"\nexposure_s = 0.01\nserial = 40012345'))
+    assert rig.camera.serial == "40012345"
+
+
+def test_the_calibration_is_found_beside_it(tmp_path, monkeypatch):
+    (tmp_path / "rigs").mkdir()
+    path = write(tmp_path / "rigs", 'calibration = "measured/calibration.json"')
+    assert read_rig(path).calibration == str(tmp_path / "rigs" / "measured" / "calibration.json")
+    monkeypatch.chdir(tmp_path)
+    assert read_rig("rigs/rig.toml").calibration == str(Path("rigs/measured/calibration.json"))
+    absolute = tmp_path / "calibration.json"
+    write(tmp_path / "rigs", f"calibration = '{absolute}'")
+    assert read_rig(path).calibration == str(absolute)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"trigger": None}, "trigger: is missing"),
+        ({"timing": ""}, "timing.period_s: is missing"),
+        ({"timing": "period_s = 0.1\nperiods = 3"}, "timing.periods: is not a known key"),
+        ({"timing": 'period_s = "fast"'}, "timing.period_s: Input should be a valid number"),
+        ({"timing": "period_s = 0"}, "timing.period_s: Input should be greater than 0"),
+        ({"timing": "period_s = inf"}, "timing.period_s: Input should be a finite number"),
+        ({"camera": 'driver = "leica"\nexposure_s = 0.1'}, "camera.driver: Input should be 'basler'"),
+        ({"projector": 'control = "telnet"'}, "projector.control: Input should be 'pjlink'"),
+        ({"lamp": "on = true"}, "lamp: is not a known key"),
+        ({"trigger": "driver = "}, "is not what it should be"),
+    ],
+)
+def test_one_line_names_the_key(tmp_path, changes, message):
+    path = write(tmp_path, **changes)
+    with pytest.raises(RigError) as fault:
+        read_rig(path)
+    assert message in str(fault.value)
+    assert str(path) in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_there_is_none(tmp_path):
+    with pytest.raises(RigError, match=r"cannot read .*rig\.toml: No such file"):
+        read_rig(tmp_path / "rig.toml")
+
+
+def test_a_password_is_not_in_a_message(tmp_path):
+    path = write(tmp_path, projector='control = "pjlink"\npassword = "secret"\nbaud = "many"')
+    with pytest.raises(RigError, match=r"projector\.baud") as fault:
+        read_rig(path)
+    assert "secret" not in str(fault.value)

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from support.numbered_frames import record
 from pipeline.errors import FootageError
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import BadFrame
+from pipeline.footage.zarr_recording import RecordingTags, rate_of
+from tikernels import ShapeError
 
 
 def test_one_wrong_bit_is_found_in_zarr(tmp_path):
@@ -114,3 +117,15 @@ def test_a_recording_may_be_copied(tmp_path):
     shutil.move(tmp_path / "a.zarr", tmp_path / "renamed folder")
     (frame,) = open_source(tmp_path / "renamed folder").frames(3, 4)
     np.testing.assert_array_equal(frame.planes[0], frames[3])
+
+
+@pytest.mark.parametrize("text", ["1e999999999", "-1", "1/0", "0x10", "", "1/2/3"])
+def test_a_rate_is_a_fraction_of_two_plain_numbers(text):
+    with pytest.raises(ValueError, match="no fraction"):
+        rate_of(text)
+
+
+def test_rates_that_milliseconds_cannot_count():
+    for rate_hz in (0, 501):
+        with pytest.raises(ShapeError, match="give one above 0 and up to 500"):
+            RecordingTags(Fraction(rate_hz), None, None, 8)

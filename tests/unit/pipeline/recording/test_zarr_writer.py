@@ -1,14 +1,17 @@
-"""Chunks behind an array's end, which a commit moves."""
+"""Chunks behind an array's end, which a commit moves; and what a recorder leaves that was killed."""
 
+import shutil
 from fractions import Fraction
 
 import numpy as np
 import pytest
 import zarr
-from support.numbered_frames import RGB8, frame_of
+from support.numbered_frames import RGB8, add, frame_of, held
 
-from pipeline.footage.recording_tags import RecordingTags
-from pipeline.recording.zarr_writer import ZarrWriter
+from pipeline.errors import FootageError, OutputError
+from pipeline.footage.zarr_recording import RecordingTags
+from pipeline.recording.recorder import Recorder
+from pipeline.recording.zarr_writer import ZarrWriter, finish_recording, unfinished
 
 TAGS = RecordingTags(Fraction(30), "srgb", None, 8)
 
@@ -53,3 +56,59 @@ def test_what_the_group_says_of_its_frames(writer, tmp_path):
 def test_a_recording_is_never_overwritten(writer, tmp_path):
     with pytest.raises(FileExistsError):
         ZarrWriter(tmp_path / "a.zarr", (34, 22), RGB8, TAGS)
+
+
+@pytest.fixture
+def left(tmp_path):
+    """Return a recording that was left with five frames committed and two that were not."""
+    (tmp_path / "now").mkdir()
+    recorder = Recorder(tmp_path / "now" / "a.zarr", RGB8)
+    add(recorder, 5)
+    recorder.commit()
+    add(recorder, 2)
+    while recorder._threads.n_added > recorder._threads._n_done:
+        pass
+    folder = shutil.copytree(tmp_path / "now", tmp_path / "left")
+    recorder.close()
+    (part,) = unfinished(folder)
+    return part
+
+
+def test_what_was_committed_gets_its_name(left):
+    path, n_frames = finish_recording(left)
+    assert (path.name, n_frames, held(path)) == ("a.zarr", 5, 5)
+    assert list(unfinished(left.parent)) == []
+    assert [entry.name for entry in left.parent.iterdir()] == [path.name]
+
+
+def test_a_new_recording_does_not_replace_it(left):
+    with pytest.raises(OutputError, match=r"a\.part\.zarr is there, of a program that was killed: colorphase v"):
+        Recorder(left.with_name("a.zarr"), RGB8)
+    left.with_name("a.zarr").write_bytes(b"mine")
+    with pytest.raises(OutputError, match="exists, move it away"):
+        finish_recording(left)
+    assert left.with_name("a.zarr").read_bytes() == b"mine"
+
+
+def test_what_is_damaged_stays(left):
+    (left / "frames" / "zarr.json").write_bytes(b"nonsense")
+    with pytest.raises(FootageError, match="cannot finish"):
+        finish_recording(left)
+    assert left.exists()
+
+
+def test_what_was_only_begun_is_removed(tmp_path):
+    """At every moment of its making."""
+    with Recorder(tmp_path / "a.zarr", RGB8) as recorder:
+        add(recorder, 1)
+    part = tmp_path / "b.part.zarr"
+    for left in ((), ("zarr.json",), ("zarr.json", "frames")):
+        part.mkdir()
+        for name in left:
+            (part / name).mkdir() if name == "frames" else (part / name).write_bytes(b"{}")
+        assert finish_recording(part) == (tmp_path / "b.zarr", 0)
+        assert not part.exists()
+    shutil.copytree(tmp_path / "a.zarr", part)
+    (part / "frames" / "zarr.json").unlink()
+    with pytest.raises(FootageError, match="does not say how many frames it holds"):
+        finish_recording(part)

@@ -1,7 +1,5 @@
 """A child process that dies, hangs or complains, and what is said of it."""
 
-import sys
-
 import pytest
 
 from pipeline.errors import RenderError
@@ -12,7 +10,7 @@ JOB = PictureJob(options=PictureOptions(), mesh="mesh.ply", numbers=(0,))
 
 
 def run(monkeypatch, folder, program, **options):
-    monkeypatch.setattr(drawing_process, "COMMAND", [sys.executable, "-c", program])
+    monkeypatch.setattr(drawing_process, "COMMAND", ["-c", program])
     return draw_apart(JOB, folder, **{"timeout_s": 60.0, **options})
 
 

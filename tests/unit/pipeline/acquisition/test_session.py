@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import pytest
 
-from pipeline.acquisition.stopping import Stopping
+from pipeline.acquisition.session import Stopping
 
 
 def press(number=signal.SIGINT):

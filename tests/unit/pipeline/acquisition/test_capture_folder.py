@@ -7,7 +7,7 @@ import pytest
 
 from hardware.pairing import Fault
 from hardware.rig import Rejected
-from pipeline.acquisition.capture_log import CaptureLog
+from pipeline.acquisition.capture_folder import CaptureLog
 from pipeline.errors import OutputError
 
 

@@ -1,11 +1,11 @@
-"""FFmpeg's pixel formats in our words, and its planes as views."""
+"""FFmpeg's pixel formats in our words, its planes as views, and what it says of damage."""
 
 import av
 import numpy as np
 import pytest
 
 from pipeline.errors import FootageError
-from pipeline.footage.ffmpeg_planes import stored_planes, transfer_of
+from pipeline.footage.ffmpeg_frames import caught_messages, stored_planes, transfer_of
 from pipeline.footage.source import StoredAs
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -80,3 +80,21 @@ def test_a_transfer_is_undone_named_or_unknown(number, expected):
     frame = av.VideoFrame(16, 16, "yuv420p")
     frame.color_trc = number
     assert transfer_of(frame) == expected
+
+
+def test_errors_are_caught_and_the_harmless_ones_left_out(capfd):
+    with caught_messages() as said:
+        av.logging.log(av.logging.ERROR, "ffv1", "  slice CRC mismatch\n")
+        av.logging.log(av.logging.ERROR, "h264", "mmco: unref short failure")
+        av.logging.log(av.logging.ERROR, "h264", "co located POCs unavailable")
+        av.logging.log(av.logging.INFO, "h264", "all is well")
+        assert said == []  # filled at the end
+    assert said == ["slice CRC mismatch"]
+    assert capfd.readouterr().err == ""
+
+
+def test_the_same_message_twice_is_told_twice():
+    with caught_messages() as said:
+        for _ in range(2):
+            av.logging.log(av.logging.ERROR, "ffv1", "slice CRC mismatch")
+    assert said == 2 * ["slice CRC mismatch"]

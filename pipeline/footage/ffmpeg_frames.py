@@ -1,6 +1,9 @@
-"""What the frames of FFmpeg hold: its names of pixel formats, and its numbers for colour, in `PixelFormat`'s words."""
+"""What FFmpeg says: of its frames' pixels and colours, in `PixelFormat`'s words, and of damage while it decodes."""
 
+import logging
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
@@ -12,6 +15,10 @@ from pipeline.footage.source import GREY, StoredAs
 from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import BAYER_PATTERNS, Bayer, Matrix, PixelFormat, Siting
 
+# How messages begin that FFmpeg calls errors, in streams that decode well.
+_HARMLESS = ("mmco:", "co located POCs")
+# Messages that nobody catches are not printed.
+_SILENT = logging.NullHandler()
 # ITU-T H.273: matrix coefficients, and transfer characteristics.
 _MATRICES: dict[int, Matrix] = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
 _UNKNOWN_MATRIX = 2
@@ -32,6 +39,20 @@ _PACKED_RGB = re.compile(r"([0argb]{3,4})(24|48le|64le|)")
 _PLANAR_RGB = re.compile(r"gbrp(\d*)(?:le)?")
 _GREY = re.compile(r"gray(\d*)(?:le)?")
 _BAYER = re.compile(r"bayer_([rgb]{4})(8|16le)")
+
+
+@contextmanager
+def caught_messages() -> Iterator[list[str]]:
+    """Catch the errors that FFmpeg reports in this thread; the list is filled when the block ends."""
+    import av  # slow to import, and only needed here
+
+    logging.getLogger("libav").addHandler(_SILENT)
+    av.logging.set_level(av.logging.ERROR)
+    av.logging.set_skip_repeated(False)
+    caught: list[str] = []
+    with av.logging.Capture() as messages:
+        yield caught
+    caught.extend(text.strip() for _, _, text in messages if not text.startswith(_HARMLESS))
 
 
 @dataclass(frozen=True)

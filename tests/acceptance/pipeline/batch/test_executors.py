@@ -15,15 +15,13 @@ from support.command_line import command
 from support.recorded_footage import N_FRAMES, contents, job_of, record
 
 from pipeline import DecodeSettings
-from pipeline.batch import local_processes
+from pipeline.batch import executors
 from pipeline.batch.job import CHAIN_FRAMES, Job
 from pipeline.batch.run import decode_footage
 from pipeline.errors import ClusterError, FootageError, OutputError
 from pipeline.footage.source import StoredAs
 from pipeline.output.store import chosen_fields
 from tikernels import runtime
-
-pytestmark = pytest.mark.usefixtures("kernels_on_disk")
 
 
 def children():
@@ -32,13 +30,14 @@ def children():
     for folder in Path("/proc").glob("[0-9]*"):
         try:
             parent = int((folder / "stat").read_text().rpartition(")")[2].split()[1])
-            if parent == mine and b"worker_process" in (folder / "cmdline").read_bytes():
+            if parent == mine and b"decode_what_comes" in (folder / "cmdline").read_bytes():
                 found.append(int(folder.name))
         except (OSError, IndexError):
             pass  # it has ended
     return found
 
 
+@pytest.mark.usefixtures("kernels_on_disk")
 @pytest.mark.skipif(not Path("/proc").exists(), reason="processes are found in /proc")
 def test_processes_that_are_killed(folder, here, tmp_path):
     store = tmp_path / "result.zarr"
@@ -66,10 +65,11 @@ def test_processes_that_are_killed(folder, here, tmp_path):
     assert contents(store) == here
 
 
+@pytest.mark.usefixtures("kernels_on_disk")
 @pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
 def test_ctrl_c_at_the_terminal(folder, tmp_path):
     """What is stored is whole, and no process says anything."""
-    arguments = command("decode", folder / "film.mkv", "--out", tmp_path / "out", "--arch", "cpu", "--workers", "2")
+    arguments = command("decode", folder / "film.zarr", "--out", tmp_path / "out", "--arch", "cpu", "--workers", "2")
     process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
     marks = tmp_path / "out" / "result.zarr" / "done"
     with process:
@@ -109,7 +109,8 @@ except KeyboardInterrupt: pass
 """
 
 
-@pytest.mark.parametrize("workers", [1, len(local_processes.usable_cores())])
+@pytest.mark.usefixtures("kernels_on_disk")
+@pytest.mark.parametrize("workers", [1, len(executors.usable_cores())])
 def test_kernels_are_compiled_for_as_many_threads_as_the_processes_have(folder, tmp_path, workers):
     """They take none that were compiled for another number."""
     arguments = [sys.executable, "-c", KERNELS_FOR_THE_PROCESSES, folder, str(workers), tmp_path / "result.zarr"]
@@ -117,10 +118,11 @@ def test_kernels_are_compiled_for_as_many_threads_as_the_processes_have(folder, 
     environment = {name: value for name, value in os.environ.items() if name not in runtime.THREAD_VARIABLES}
     environment["PYTHONPATH"] = os.pathsep.join([tests, *sys.path])
     done = subprocess.run(arguments, env=environment, capture_output=True, text=True, timeout=120)
-    threads = len(local_processes.shares(local_processes.usable_cores(), workers)[0])
+    threads = len(executors.shares(executors.usable_cores(), workers)[0])
     assert done.stdout.splitlines()[-1:] == [f"{threads} True"], done.stderr
 
 
+@pytest.mark.usefixtures("kernels_on_disk")
 def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
     """A damaged frame ends a strict run with its number."""
     film = tmp_path / "film.zarr"
@@ -133,12 +135,14 @@ def test_an_error_in_a_worker_is_one_line(folder, tmp_path):
     assert decode_footage(job).bad[0].number == 66
 
 
+@pytest.mark.usefixtures("kernels_on_disk")
 def test_that_die_again_and_again(folder, tmp_path, monkeypatch):
-    monkeypatch.setattr(local_processes, "_SILENT_S", 0.0)
+    monkeypatch.setattr(executors, "_SILENT_S", 0.0)
     with pytest.raises(ClusterError, match="processes died over the same frames"):
         decode_footage(job_of(folder, tmp_path / "result.zarr"), workers=2)
 
 
+@pytest.mark.usefixtures("kernels_on_disk")
 def test_an_error_of_ours_comes_back_as_it_was(folder, tmp_path):
     """A store that vanishes is told in the words that this process would use; nobody makes it again."""
     job = job_of(folder, tmp_path / "result.zarr")
@@ -152,6 +156,7 @@ def test_an_error_of_ours_comes_back_as_it_was(folder, tmp_path):
     assert not (Path(job.store) / "zarr.json").exists()
 
 
+@pytest.mark.usefixtures("kernels_on_disk")
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="processes cannot be bound to cores here")
 def test_each_process_has_its_share_of_the_cores(folder, tmp_path):
     seen = set()
@@ -160,4 +165,4 @@ def test_each_process_has_its_share_of_the_cores(folder, tmp_path):
         seen.update(tuple(sorted(os.sched_getaffinity(child))) for child in children())
 
     decode_footage(job_of(folder, tmp_path / "result.zarr"), workers=2, tell=look)
-    assert seen == {tuple(share) for share in local_processes.shares(local_processes.usable_cores(), 2)}
+    assert seen == {tuple(share) for share in executors.shares(executors.usable_cores(), 2)}
