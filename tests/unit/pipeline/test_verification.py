@@ -80,7 +80,7 @@ def test_a_capture_that_was_killed(tmp_path, n_frames):
     (folder / "log.jsonl").write_text(text)
     recorder.close()
     finished, *rest = verify(str(folder))
-    held = f"recording{suffix} now holds the 4 frames that were whole" if n_frames else "no frame was whole"
+    held = "recording.zarr now holds the 4 frames that were whole" if n_frames else "no frame was whole"
     assert finished.notes == (f"its program was killed: {held}",) and finished.n_whole == n_frames
     assert [each.n_whole for each in rest] == ([4] if n_frames else [])
     assert sorted(entry.name for entry in folder.iterdir() if entry.suffix != ".lock") == sorted(
