@@ -61,7 +61,7 @@ def share_drawing_process() -> None:
     atexit.register(shutil.rmtree, folder)
     atexit.register(server.kill)
     assert server.stdout is not None and server.stdout.readline() == b"ready\n"
-    drawing_process.COMMAND = [program[0], "-I", *program[1:]]
+    drawing_process.COMMAND = ["-I", *program[1:]]
 
 
 def require_drawing(folder: Path) -> None:
