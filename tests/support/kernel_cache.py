@@ -47,9 +47,8 @@ def fill_kernel_cache() -> None:
     filled = Path(os.environ["TI_OFFLINE_CACHE_FILE_PATH"]) / _FILLED
     if not filled.exists():
         environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
-        subprocess.run(
-            [sys.executable, "-W", "ignore", "-m", "support.kernel_cache"], env=environment, check=True, timeout=600
-        )
+        program = [sys.executable, "-W", "ignore", "-m", "support.kernel_cache"]
+        subprocess.run(program, env=environment, check=True)
         filled.touch()
 
 
