@@ -49,8 +49,8 @@ _MOST_CYCLES = 1e4
 _LEAST_CARRIED_ERROR = 1e-3
 
 _CODE_NOT_SEEN = (
-    "the frame does not show the contrast code: project what colorphase pattern makes, or calibrate the rig with "
-    "--code none"
+    'the frame does not show the contrast code: project what colorphase pattern makes, or set code = "none" '
+    "(--code none)"
 )
 # Below this contrast of the fringe, light beside the projector's is likely why the code cannot be read: without any it
 # is 1; a simulated bust keeps all its orders at .73, and loses a fifth to a third of them at .53.
