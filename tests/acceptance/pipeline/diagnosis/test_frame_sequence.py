@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline import Decoder, DecodeSettings
-from pipeline.diagnosis.frame_sequence import SequenceDiagnosis, diagnose_sequence, rad_per_mm
+from pipeline.diagnosis.frame_sequence import SequenceDiagnosis, diagnose_sequence
 from pipeline.pattern import make_pattern
 from pipeline.simulation import SKIN, SimulationSettings, simulate_frame, simulated_rig
 
@@ -56,11 +56,12 @@ def test_motion_between_fields(share):
     assert found.causes == ("motion between colour fields",)
     assert float(found.size.split()[1]) == pytest.approx(share, rel=0.1)
     assert float(found.size.split()[4]) == pytest.approx(2 * share, rel=0.1)
-    assert f"{share * 0.28 / rad_per_mm(geometry):.1f}"[:2] in found.size
+    assert f"{share * 0.28 / geometry.rad_per_mm(geometry.working_distance_mm()):.1f}"[:2] in found.size
 
 
 def test_a_seventh_of_a_radian_a_millimetre():
-    assert rad_per_mm(simulated_rig().geometry()) == pytest.approx(0.138, abs=0.002)
+    geometry = simulated_rig().geometry()
+    assert geometry.rad_per_mm(geometry.working_distance_mm()) == pytest.approx(0.138, abs=0.002)
 
 
 def test_too_few_frames():
