@@ -136,11 +136,3 @@ def test_a_narrow_range_tells_the_order(cpu, depth_range_mm, absolute):
     known = {"crosstalk_matrix": settings.crosstalk_matrix, "depth_range_mm": depth_range_mm}
     frame = Decoder(DecodeSettings(), rig.model_copy(update=known), arch="cpu").decode(image)
     assert frame.absolute[frame.mask].all() == absolute
-
-
-def test_a_code_that_nobody_has_told_of_is_named(cpu):
-    rig = simulated_rig((320, 240), code="contrast")
-    image = simulate_frame(rig, SimulationSettings(scene="plane")).image
-    decoder = Decoder(arch="cpu")
-    with pytest.warns(match=r'set code = "contrast" \(--code contrast\) to use it'):
-        decoder.decode(image)
