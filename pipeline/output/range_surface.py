@@ -30,6 +30,7 @@ from tikernels.depth.step_cutting import DOWN, FALLING, RIGHT, RISING
 
 Floats = npt.NDArray[np.float32]
 Pixels = npt.NDArray[np.bool_]
+Bits = npt.NDArray[np.uint8]
 
 #: By how many widths of a pixel a surface's depth may change from one to the next: what is turned away by more, 81
 #: degrees, cannot be distinguished from a step. On simulated busts no triangle then joins what lies 5 mm apart.
@@ -42,8 +43,6 @@ _MAX_STEP_RAD = 1.0
 _APART_PX = 4
 # Rows from which a pixel's width is estimated: a median of more changes nothing.
 _ASKED_ROWS = 40
-
-Bits = npt.NDArray[np.uint8]
 
 # Squares of four pixels: as many as the decoder asks a region to have pixels, of which fewer seldom know their order.
 _LEAST_SQUARES = 128

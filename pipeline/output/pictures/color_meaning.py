@@ -17,14 +17,13 @@ from pipeline.output.pictures.viewpoint import CLAY
 from pipeline.robust import robust_sigma
 
 Floats = npt.NDArray[np.float32]
+Points = npt.NDArray[np.floating]
 Distance = Callable[[Floats], Floats]
 
 Colors = Literal["clay", "depth", "sigma", "texture", "modulation", "plane", "sphere"]
 
 #: Colours that are of a length, and so need a calibration.
 IN_MM = ("plane", "sphere")
-
-Points = npt.NDArray[np.floating]
 
 # Fits, each of what lies within three standard deviations of the one before.
 _FITS, _WITHIN = 8, 3.0

@@ -19,6 +19,7 @@ from pipeline.models import Model, Signed, build, read_file
 View = Literal["three-quarter", "front", "left", "right", "top", "bottom", "back"]
 Triple = tuple[Signed, Signed, Signed]
 Points = npt.NDArray[np.floating]
+Floats = npt.NDArray[np.float32]
 
 #: From the object to the eye, and what is up in the picture, camera frame.
 VIEWS: dict[View, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
@@ -36,8 +37,6 @@ FIELD_OF_VIEW_DEG = 24.0
 _MOST_KEYFRAMES = 10_000
 # Sine of the least angle between where the eye looks and what is up.
 _LEAST_SINE = 1e-3
-
-Floats = npt.NDArray[np.float32]
 
 #: RGB of a fully lit surface that has no colour of its own.
 CLAY = np.array([236, 228, 216], np.float32)
