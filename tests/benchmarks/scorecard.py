@@ -13,7 +13,7 @@ valid. Wrong orders are valid pixels whose order is not their surface's commones
 whose order is reported as absolute, and is right. Wrong and not flagged: reported as absolute, and wrong; or not their
 region's commonest, where the region's order is relative. Depth is the depth error that the phase error makes, constant
 included. CPU time, launches of kernels and reads are those of a frame after the first, with one kernel thread.
-Coloured frames are means over noise seeds, with the standard deviation from seed to seed in brackets.
+All but captures are means over noise seeds, with the standard deviation from seed to seed in brackets.
 
 Each core has a process of its own. Frames and results are kept in a folder of the user's cache.
 """
@@ -22,11 +22,13 @@ import argparse
 import contextlib
 import hashlib
 import importlib
+import io
 import json
 import os
 import shutil
 import subprocess
 import sys
+import tarfile
 import tempfile
 import time
 import warnings
@@ -49,7 +51,7 @@ _LEAST_SURFACE_PX = 200
 # The CPU time is the least of so many decodes of one image.
 _TIMED = 3
 # Fields that are compared with another commit's.
-_COMPARED = ("mask", "fringe_order", "region", "unwrapped_phase", "phase_sigma")
+_COMPARED = ("mask", "fringe_order", "region", "absolute", "unwrapped_phase", "phase_sigma")
 # A mechanism pays if some frame loses more than this without it: a share of an RMS, of coverage, and of wrong orders.
 _RMS, _COVERAGE, _ORDERS = 0.03, 0.005, 0.1
 # So it does if sigma gets worse by this factor.
@@ -65,7 +67,7 @@ mechanism of the decoder switched off at a time. A cell lists the largest loss o
 right orders (both in per cent of the lit pixels), and of orders (wrong ones per 100,000 that are added, inside surfaces
 or without a flag) among the frames of a kind, each with its frame. What improves without a mechanism has a minus.
 Milliseconds are CPU time of one thread, the median over all frames; lines are those of the code that only this
-mechanism needs. Coloured frames have {seeds} noise seeds.
+mechanism needs. All frames but captures have {seeds} noise seeds.
 
 A mechanism stays if a frame loses {rms:.0%} of its RMS, {coverage:.1%} of its coverage, or a tenth of its orders (and
 {orders:.0f} per 100,000) without it, by more than two standard deviations of the mean over seeds; and if error over
@@ -347,21 +349,18 @@ def in_children(
 
 @contextlib.contextmanager
 def checked_out(ref: str) -> Iterator[Path]:
-    """Check a commit out into a temporary folder."""
-    with tempfile.TemporaryDirectory() as name:
-        path = Path(name, "code")
-        subprocess.run(["git", "-C", str(ROOT), "worktree", "add", "--quiet", "--detach", str(path), ref], check=True)
-        try:
-            yield path
-        finally:
-            subprocess.run(["git", "-C", str(ROOT), "worktree", "remove", "--force", str(path)], check=True)
+    """Write a commit's files into a temporary folder."""
+    archive = subprocess.run(["git", "-C", str(ROOT), "archive", "--format=tar", ref], check=True, capture_output=True)
+    with tempfile.TemporaryDirectory() as name, tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
+        files.extractall(name, filter="data")
+        yield Path(name)
 
 
 def changes(folder: Path, now: Run, then: Run, fields: tuple[str, str]) -> str:
     """Return by how much figures differ, and how many pixels do; ratios are of now over then."""
     headings = ("RMS", "error / sigma", "coverage, %", "wrong orders / 1e5", "absolute and right, %",
                 "wrong, not flagged / 1e5", "depth RMS", "CPU", "launches", "mask, px", "order, px", "region, px",
-                "phase, rad", "sigma")  # fmt: skip
+                "absolute, px", "phase, rad", "sigma")  # fmt: skip
     lines = ["| frame | " + " | ".join(headings) + " |", "|---" * (len(headings) + 1) + "|"]
     for name in now.by_frame:
 
@@ -375,7 +374,7 @@ def changes(folder: Path, now: Run, then: Run, fields: tuple[str, str]) -> str:
         cells = [ratio("rms"), ratio("pull"), rise("coverage", 100, 2), rise("wrong", 1e5, 0), rise("right", 100, 2),
                  rise("unflagged", 1e5, 0), ratio("depth"), ratio("cpu_ms"), rise("launches", 1, 0)]  # fmt: skip
         with np.load(folder / fields[0] / f"{name}.npz") as a, np.load(folder / fields[1] / f"{name}.npz") as b:
-            cells += [str(np.count_nonzero(a[key] != b[key])) for key in ("mask", "fringe_order", "region")]
+            cells += [str(np.count_nonzero(a[key] != b[key])) for key in ("mask", "fringe_order", "region", "absolute")]
             both = a["mask"] & b["mask"]
             turn = np.angle(np.exp(1j * (a["unwrapped_phase"][both].astype(np.float64) - b["unwrapped_phase"][both])))
             sigma = np.abs(a["phase_sigma"][both] / b["phase_sigma"][both].astype(np.float64) - 1)
@@ -529,7 +528,7 @@ def main() -> None:
     parser.add_argument(
         "--ablate", action="store_true", help="switch off every mechanism in turn; continues after a kill"
     )
-    parser.add_argument("--seeds", type=int, default=8, help="noise seeds per coloured frame")
+    parser.add_argument("--seeds", type=int, default=8, help="noise seeds per frame")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "ablation.md")
     parser.add_argument("--folder", type=Path, help="where frames and results are kept")
     parser.add_argument("--child", choices=("make", "decode"), help=argparse.SUPPRESS)

@@ -82,7 +82,7 @@ class Frame:
 
     name: str
     take: Callable[[int], Taken]  # by seed
-    seeds: int = 1
+    seeds: int = 8  # of captures there is one
     own_truth: bool = False  # whether each seed is another scene, and not only other noise
 
 
@@ -342,11 +342,11 @@ def read_rgb(path: Path) -> npt.NDArray[Any]:
 def _simulated(
     name: str, scene: str, gamma: float, color: tuple[float, ...], code: str | None, known: str, **more: Any
 ) -> Frame:
-    return Frame(name, partial(simulated, scene, gamma, color, code, known, more), 1 if color == WHITE else 8)
+    return Frame(name, partial(simulated, scene, gamma, color, code, known, more))
 
 
 def _rendered(name: str, scene: str, pattern: str, known: str) -> Frame:
-    return Frame(name, partial(rendered, scene, pattern, known), 1 if scene.startswith("grey") else 8)
+    return Frame(name, partial(rendered, scene, pattern, known))
 
 
 _BLURRED = {"projector_blur_px": (1.0,) * 3, "camera_blur_px": (0.7,) * 3}
@@ -381,33 +381,31 @@ def frames() -> dict[str, Frame]:
         _rendered("r-board", "board", "plain", "matrix"),
         _rendered("r-corner", "corner", "plain", "nothing"),
         _rendered("r-dark-beside-bright", "dark_beside_bright", "plain", "matrix"),
-        Frame("pile-small-coded", partial(pile, {"objects": 10, "cycles": (5, 8), "gamma": 2.0}), 8, own_truth=True),
-        Frame("pile-painted-coded", partial(pile, {"objects": 4, "cycles": (10, 20), **_PAINTED}), 8, own_truth=True),
+        Frame("pile-small-coded", partial(pile, {"objects": 10, "cycles": (5, 8), "gamma": 2.0}), own_truth=True),
+        Frame("pile-painted-coded", partial(pile, {"objects": 4, "cycles": (10, 20), **_PAINTED}), own_truth=True),
         Frame(
             "touching-coded",
             partial(pile, {"objects": 5, "cycles": (6, 14), **_PAINTED, "touching": True}),
-            8,
             own_truth=True,
         ),
         Frame(
             "touching",
             partial(pile, {"objects": 5, "cycles": (6, 14), **_PAINTED, "touching": True, "code": None}),
-            8,
             own_truth=True,
         ),
-        Frame("film", partial(film, "objects", "plain", 6), 4, own_truth=True),
-        Frame("film-in-turns", in_turns, 8),
-        Frame("film-coded-once", partial(film, "bust", "coded once", 6), 4, own_truth=True),
+        Frame("film", partial(film, "objects", "plain", 6), own_truth=True),
+        Frame("film-in-turns", in_turns),
+        Frame("film-coded-once", partial(film, "bust", "coded once", 6), own_truth=True),
     ]
     if CAPTURES.is_dir():
         found += [
-            Frame("capture-plane-0.75", partial(captured_plane, "plane_gp075_rgb", 8)),
-            Frame("capture-plane-1.25", partial(captured_plane, "plane_gp125_rgb", 8)),
-            Frame("capture-object-x", partial(captured_object, "x", 4)),
-            Frame("capture-object-y", partial(captured_object, "y", 4)),
-            Frame("capture-parcel", partial(captured_parcel, "plain")),
-            Frame("capture-parcel-coded", partial(captured_parcel, "coded")),
-            Frame("capture-ball-coded", captured_ball),
+            Frame("capture-plane-0.75", partial(captured_plane, "plane_gp075_rgb", 8), 1),
+            Frame("capture-plane-1.25", partial(captured_plane, "plane_gp125_rgb", 8), 1),
+            Frame("capture-object-x", partial(captured_object, "x", 4), 1),
+            Frame("capture-object-y", partial(captured_object, "y", 4), 1),
+            Frame("capture-parcel", partial(captured_parcel, "plain"), 1),
+            Frame("capture-parcel-coded", partial(captured_parcel, "coded"), 1),
+            Frame("capture-ball-coded", captured_ball, 1),
         ]
     return {frame.name: frame for frame in found}
 
