@@ -12,7 +12,8 @@ constant over the RMS of `phase_sigma`, 4 px inside the surfaces. Coverage is th
 valid. Wrong orders are valid pixels whose order is not their surface's commonest. Absolute and right: judged pixels
 whose order is reported as absolute, and is right. Wrong and not flagged: reported as absolute, and wrong; or not their
 region's commonest, where the region's order is relative. Depth is the depth error that the phase error makes, constant
-included. CPU time, launches of kernels and reads are those of a frame after the first, with one kernel thread.
+included. CPU time, launches of kernels and reads (buffers that the host looks at) are those of a frame after the first,
+with one kernel thread.
 All but captures are means over noise seeds, with the standard deviation from seed to seed in brackets.
 
 Each core has a process of its own. Frames and results are kept in a folder of the user's cache.

@@ -52,6 +52,7 @@ RENDERED = {
     "board": ("plain",),
     "corner": ("plain",),
     "dark_beside_bright": ("plain",),
+    "deep_out_of_focus": ("plain",),
 }
 
 
@@ -381,6 +382,7 @@ def frames() -> dict[str, Frame]:
         _rendered("r-board", "board", "plain", "matrix"),
         _rendered("r-corner", "corner", "plain", "nothing"),
         _rendered("r-dark-beside-bright", "dark_beside_bright", "plain", "matrix"),
+        _rendered("r-deep-out-of-focus", "deep_out_of_focus", "plain", "matrix"),
         Frame("pile-small-coded", partial(pile, {"objects": 10, "cycles": (5, 8), "gamma": 2.0}), own_truth=True),
         Frame("pile-painted-coded", partial(pile, {"objects": 4, "cycles": (10, 20), **_PAINTED}), own_truth=True),
         Frame(

@@ -325,7 +325,7 @@ _ALL = (
         "channel_model:ChannelModel._fit_template channel_model:sum_template_kernel"),
     Mechanism("empty windows", "nodes whose window is cut off take those around", "objects-skin-2",
         {"channel_model:_EMPTY": gives(1000000.0)}, "channel_model:settle_nodes_kernel"),
-    Mechanism("sharpness", "how sharp the fringe is from place to place", "r-corner",
+    Mechanism("sharpness", "how sharp the fringe is from place to place", "r-deep-out-of-focus",
         {"fringe_sharpness:FringeSharpness.refine": gives(False)}, "fringe_sharpness"),
     Mechanism("model fit", "the phase that fits the channels' model best, not the arctangent", "bust-skin-1.8",
         {"phase_fit:_MAX_STEP": gives(1e-09)}, "phase_fit:fitted_step phase_fit:estimator_of"),
