@@ -49,6 +49,13 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         fill_kernel_cache()
 
 
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Compile them before the first test whose processes need them, so that no test's limit of time includes it."""
+    if any("kernels_on_disk" in getattr(item, "fixturenames", ()) for item in session.items):
+        if not session.config.getoption("collectonly"):
+            fill_kernel_cache()
+
+
 def pytest_sessionfinish() -> None:
     """Write the kernels that this process has compiled, for the next run."""
     runtime.stop()
@@ -96,8 +103,7 @@ def cpu() -> str:
 
 @pytest.fixture(scope="session")
 def kernels_on_disk() -> None:
-    """Compile the kernels that decode, for processes that a test starts."""
-    fill_kernel_cache()
+    """Have the kernels that decode on disk, for processes that a test starts; the session compiles them."""
 
 
 @pytest.fixture(params=["cpu", "vulkan"])
