@@ -10,6 +10,7 @@ import functools
 import threading
 import weakref
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any, TypeVar, cast, overload
 
 import numpy as np
@@ -37,11 +38,11 @@ def kernel(function: Function) -> Function: ...
 
 
 @overload
-def kernel(*, whole_vectors: bool) -> Callable[[Function], Function]: ...
+def kernel(*, whole_vectors: bool = False, flow_analysis: bool = True) -> Callable[[Function], Function]: ...
 
 
 def kernel(
-    function: Function | None = None, *, whole_vectors: bool = False
+    function: Function | None = None, *, whole_vectors: bool = False, flow_analysis: bool = True
 ) -> Function | Callable[[Function], Function]:
     """Compile a function as a kernel when it is called for the first time, and launch it quickly from then on.
 
@@ -51,13 +52,17 @@ def kernel(
         In the kernel language.
     whole_vectors : bool
         Whether the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
+    flow_analysis : bool
+        Whether Taichi follows stores to loads before LLVM does it again. That takes 45 % of compiling, and the kernel
+        runs no faster; without, floating-point results change in their last bits, and some kernels cannot be compiled
+        (LLVM ends the process). So the kernels go without that take long to compile and leave the phase as it is.
     """
     if function is None:
-        return lambda later: _kernel(later, whole_vectors=whole_vectors)
-    return _kernel(function, whole_vectors=whole_vectors)
+        return lambda later: _kernel(later, _Compiling(whole_vectors, flow_analysis))
+    return _kernel(function, _Compiling(whole_vectors, flow_analysis))
 
 
-def _kernel(function: Function, *, whole_vectors: bool) -> Function:
+def _kernel(function: Function, compiling: "_Compiling") -> Function:
     """Do what `kernel` says."""
     compiled: Any = ti.kernel(function)
 
@@ -66,7 +71,7 @@ def _kernel(function: Function, *, whole_vectors: bool) -> Function:
         if traffic.on_device:
             arguments = tuple(_on_device(argument) for argument in arguments)
         traffic.count_call(arguments)
-        with _vectors_kept(whole_vectors):
+        with compiling.configured():
             return compiled(*arguments)
 
     if not TESTED:  # Quadrants keeps its contexts itself
@@ -102,7 +107,7 @@ def _kernel(function: Function, *, whole_vectors: bool) -> Function:
             if program.config().arch in (ti.x64, ti.arm64):
                 # A GPU's launch writes addresses of the device into the context, which is of no further use then.
                 compiled_for = primal.compiled_kernels[primal.ensure_compiled(*arguments)]
-                with _vectors_kept(whole_vectors):
+                with compiling.configured():
                     code = program.compile_kernel(program.config(), program.get_device_caps(), compiled_for)
                 kept[key] = (program, code, compiled_for.make_launch_context(), {})
             return None
@@ -129,18 +134,28 @@ def _kernel(function: Function, *, whole_vectors: bool) -> Function:
     return cast(Function, launch)
 
 
-@contextlib.contextmanager
-def _vectors_kept(kept: bool) -> Iterator[None]:
-    """Let the CPU's compiler keep vectors, instead of taking them apart into numbers first."""
-    if not kept or traffic.on_device:
-        yield
-        return
-    config = ti.lang.impl.current_cfg()
-    config.real_matrix_scalarize = False
-    try:
-        yield
-    finally:
-        config.real_matrix_scalarize = True
+@dataclass(frozen=True)
+class _Compiling:
+    """How a kernel is compiled; see `kernel`."""
+
+    whole_vectors: bool
+    flow_analysis: bool
+
+    @contextlib.contextmanager
+    def configured(self) -> Iterator[None]:
+        """Configure the compiler so in the body."""
+        config = ti.lang.impl.current_cfg()
+        chosen = {"real_matrix_scalarize": not self.whole_vectors or traffic.on_device}
+        if TESTED:
+            chosen["cfg_optimization"] = self.flow_analysis
+        before = {name: getattr(config, name) for name in chosen}
+        for name, value in chosen.items():
+            setattr(config, name, value)
+        try:
+            yield
+        finally:
+            for name, value in before.items():
+                setattr(config, name, value)
 
 
 def constant(array: npt.NDArray[Number]) -> npt.NDArray[Number]:

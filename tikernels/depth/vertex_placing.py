@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import checks, runtime
-from tikernels._taichi import F32Array2, F32Array3, I32Array1, U8Array2, f32, i32, ti, vec3, vec4
+from tikernels._taichi import F32Array2, F32Array3, I32Array1, U8Array2, f32, ti, vec3, vec4
 from tikernels.arrays import F32, Mask
 from tikernels.launching import kernel
 from tikernels.strips import SPREAD
@@ -22,32 +22,10 @@ Floats = npt.NDArray[np.float32]
 # Rays that a cubic is fitted to: its twenty coefficients are then known better than float32 keeps them.
 _SAMPLES = 4000
 _DEGREE = 3
+_cubics = ti.types.matrix(4, _DEGREE + 1, ti.f32)
 
 
-@ti.func
-def cubic_of_row(cubic: F32Array3, axis: i32, v: f32, changes: i32) -> vec4:
-    """Return the coefficients, by powers of the column, of the cubic in a row; or of its change from row to row."""
-    result = vec4(0.0)
-    powers = ti.select(changes == 0, vec4(1.0, v, v * v, v * v * v), vec4(0.0, 1.0, 2.0 * v, 3.0 * v * v))
-    for column in ti.static(range(_DEGREE + 1)):
-        for row in ti.static(range(_DEGREE + 1)):
-            result[column] += cubic[row, column, axis] * powers[row]
-    return result
-
-
-@ti.func
-def cubic_at(coefficients: vec4, u: f32) -> f32:
-    """Return a row's cubic at a column."""
-    return coefficients.x + u * (coefficients.y + u * (coefficients.z + u * coefficients.w))
-
-
-@ti.func
-def slope_at(coefficients: vec4, u: f32) -> f32:
-    """Return the derivative of a row's cubic at a column."""
-    return coefficients.y + u * (2.0 * coefficients.z + 3.0 * u * coefficients.w)
-
-
-@kernel
+@kernel(flow_analysis=False)
 def place_vertices_kernel(
     depth: F32Array2,  # (H, W) mm
     slope: F32Array3,  # (H, W, 2) mm a px, down and to the right
@@ -66,24 +44,26 @@ def place_vertices_kernel(
         if t % SPREAD == 0:
             y, number = t // SPREAD, first[t // SPREAD]
             v = y / size
-            ray_x, ray_y = cubic_of_row(cubic, 0, v, 0), cubic_of_row(cubic, 1, v, 0)
-            down_x, down_y = cubic_of_row(cubic, 0, v, 1), cubic_of_row(cubic, 1, v, 1)
+            # The cubics of this row, by powers of the column: x, y, and how both change from row to row.
+            powers, changes, cubics = vec4(1.0, v, v * v, v * v * v), vec4(0.0, 1.0, 2.0 * v, 3.0 * v * v), _cubics(0.0)
+            for n, column, row in ti.ndrange(4, _DEGREE + 1, _DEGREE + 1):
+                cubics[n, column] += cubic[row, column, n % 2] * ti.select(n < 2, powers[row], changes[row])
             for x in range(width):
                 if kept[y, x] != 0:
                     dy, dx = shift[y, x, 0], shift[y, x, 1]
                     u, z = (x + dx) / size, depth[y, x] + dy * slope[y, x, 0] + dx * slope[y, x, 1]
+                    values, slopes = vec4(0.0), vec4(0.0)
+                    for n in range(4):
+                        values[n] = cubics[n, 0] + u * (cubics[n, 1] + u * (cubics[n, 2] + u * cubics[n, 3]))
+                        slopes[n] = cubics[n, 1] + u * (2.0 * cubics[n, 2] + 3.0 * u * cubics[n, 3])
                     beside = dy / size
-                    ray = vec3(
-                        cubic_at(ray_x, u) + beside * cubic_at(down_x, u),
-                        cubic_at(ray_y, u) + beside * cubic_at(down_y, u),
-                        1.0,
-                    )
+                    ray = vec3(values[0] + beside * values[2], values[1] + beside * values[3], 1.0)
                     if measured[y, x] != 0 and dy == 0.0 and dx == 0.0:
                         away = 1.0 / points[y, x, 2]
                         ray = vec3(points[y, x, 0] * away, points[y, x, 1] * away, 1.0)
                     per_pixel = z / size
-                    along = slope[y, x, 1] * ray + per_pixel * vec3(slope_at(ray_x, u), slope_at(ray_y, u), 0.0)
-                    down = slope[y, x, 0] * ray + per_pixel * vec3(cubic_at(down_x, u), cubic_at(down_y, u), 0.0)
+                    along = slope[y, x, 1] * ray + per_pixel * vec3(slopes[0], slopes[1], 0.0)
+                    down = slope[y, x, 0] * ray + per_pixel * vec3(values[2], values[3], 0.0)
                     normal = down.cross(along).normalized()
                     for k in ti.static(range(3)):
                         out_vertices[number, k] = z * ray[k]
