@@ -5,7 +5,7 @@ python tests/benchmarks/bench_decode.py [--arch auto] [--only frames hostile sta
 frames   one frame, NumPy in and NumPy out: plain, and with calibration, code and the frame before; plain ones beside
          the same chain out of OpenCV, NumPy and scikit-image (`peer.py`)
 hostile  frames that no surface makes, beside a plane of the same size
-start    from a fresh process to its first frame, with kernels on the disk and without
+start    fresh processes: version, first frame, a picture with all its files, footage; kernels on the disk and not
 footage  a recording of three fields to Zarr
 
 Bodies take turns, and the best time of each counts: other programs take the cores. CPU times are of all threads.
@@ -36,6 +36,7 @@ from pipeline.batch.executors import usable_cores
 from pipeline.batch.job import Job
 from pipeline.batch.run import decode_footage
 from pipeline.footage.source import StoredAs
+from pipeline.output.range_image import write_png
 from pipeline.simulation import DEFAULT_PERIOD_PX, TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
 from tikernels.traffic import traffic
@@ -46,15 +47,14 @@ _ROUNDS, _PERIOD_PX, _FOOTAGE_FRAMES = 12, 12, 768
 # Fringes of this part of the usual period: 4.6 px.
 _FINE, _FINE_NAME = 0.38, "fringes of 4.6 px"
 _FIRST_FRAME = """
-import time, sys
-begin = time.perf_counter()
+import sys
 import numpy as np
 from pipeline import Decoder, DecodeSettings
 from pipeline.simulation import TYPICAL_CROSSTALK
 settings = DecodeSettings(crosstalk_matrix=np.array(TYPICAL_CROSSTALK))
 Decoder(settings, arch=sys.argv[1]).decode(np.load(sys.argv[2])).mask
-print(time.perf_counter() - begin)
 """
+_COMMAND = "from pipeline.cli.start import main; main()"
 
 
 @dataclass(frozen=True)
@@ -180,21 +180,43 @@ def hostile(arch: str) -> None:
 
 
 def start(arch: str) -> None:
-    """Measure fresh processes up to their first frame."""
-    with tempfile.TemporaryDirectory() as folder:
-        image = Path(folder) / "image.npy"
-        np.save(image, tiled(640, 480))
-        cache = {"TI_OFFLINE_CACHE_FILE_PATH": f"{folder}/kernels", "QD_OFFLINE_CACHE_FILE_PATH": f"{folder}/kernels"}
-        program = [sys.executable, "-c", _FIRST_FRAME, arch, str(image)]
-        paths = {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
-        found = []
-        for _ in range(4):
-            run = subprocess.run(
-                program, env={**os.environ, **cache, **paths}, capture_output=True, text=True, check=True
-            )
-            found.append(float(run.stdout.split()[-1]))
-    cold, warm = found[0], min(found[1:])
-    print(f"\nFirst frame of a process, 640x480: {cold:.1f} s without kernels on the disk, {warm:.1f} s with.")
+    """Measure fresh processes, by the CPU time of all their threads: the first of each has no kernels on the disk."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        np.save(folder / "image.npy", tiled(640, 480))
+        write_png(folder / "frame.png", tiled(640, 480))
+        record(folder / "film.zarr", 1, (640, 480))
+        decode = (_COMMAND, "decode", "--force", "--arch", arch, "--out")
+        # A worker's kernels have one thread.
+        bodies = {
+            "`colorphase --version`": ((_COMMAND, "--version"), {}),
+            "first frame": ((_FIRST_FRAME, arch, folder / "image.npy"), {}),
+            "`colorphase decode picture.png`": ((*decode, folder / "picture", folder / "frame.png"), {}),
+            "footage of one frame, one kernel thread": (
+                (*decode, folder / "film", folder / "film.zarr", "--workers", "1"),
+                {"TI_CPU_MAX_NUM_THREADS": "1", "QD_CPU_MAX_NUM_THREADS": "1"},
+            ),
+        }
+        found: dict[str, list[float]] = {what: [] for what in bodies}
+        for _ in range(5):
+            for number, (what, ((program, *words), environment)) in enumerate(bodies.items()):
+                shutil.rmtree(folder / "film", ignore_errors=True)
+                cache = {
+                    f"{language}_OFFLINE_CACHE_FILE_PATH": f"{folder}/kernels{number}" for language in ("TI", "QD")
+                }
+                paths = {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
+                before = os.times()
+                subprocess.run(
+                    [sys.executable, "-c", program, *map(str, words)],
+                    env={**os.environ, **cache, **paths, **environment},
+                    stdout=subprocess.DEVNULL,
+                    check=True,
+                )
+                after = os.times()
+                found[what].append(sum(after[2:4]) - sum(before[2:4]))
+    print("\n| fresh process, 640x480 | CPU s, without kernels on the disk | with, the least |\n|---|---|---|")
+    for what, times in found.items():
+        print(f"| {what} | {times[0]:.2f} | {min(times[1:]):.2f} |")
 
 
 def footage(arch: str) -> None:
