@@ -7,7 +7,7 @@ import math
 import os
 import sys
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
 
@@ -17,7 +17,6 @@ import numpy.typing as npt
 from tikernels._taichi import DEVICE_TYPES, language, ti
 from tikernels.arrays import Array, DeviceArray, E
 from tikernels.compiled_kernels import list_locked
-from tikernels.core_binding import bound_to_cores
 from tikernels.errors import DeviceNotReady
 from tikernels.lanes import VECTOR_BYTES
 from tikernels.launching import forget
@@ -277,6 +276,38 @@ def _start(arch: str, cpu_threads: int | None) -> str | None:
     if running != getattr(ti, arch):
         return f"{arch}: the environment variable TI_ARCH asks for {running}"
     return None
+
+
+@contextlib.contextmanager
+def bound_to_cores() -> Iterator[None]:
+    """Bind the threads that starting the CPU creates in the body, if there is one for every core of the process.
+
+    A kernel takes a fraction of a millisecond, each thread its share of it. A scheduler that wakes several of them on
+    one core and spreads them a few milliseconds later comes too late: on a virtual machine of two cores the kernels of
+    a frame took 23 ms with their threads bound, and 30 to 34 without. With fewer threads than cores, which cores to
+    leave to others is not known here, and they stay unbound; so they do where the operating system offers no binding.
+    """
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = _threads()
+    yield
+    cores = sorted(os.sched_getaffinity(0))
+    count = ti.lang.impl.current_cfg().cpu_max_num_threads
+    # The compiler's threads are created before the kernels'.
+    created = sorted(_threads() - before)[-count:]
+    if not 1 < count == len(cores) == len(created):
+        return
+    for thread, core in zip(created, cores, strict=True):
+        try:
+            os.sched_setaffinity(thread, {core})
+        except OSError:  # a core that has been taken away since, or a thread that has ended
+            return
+
+
+def _threads() -> set[int]:
+    """Return the numbers of this process's threads."""
+    return {int(name) for name in os.listdir("/proc/self/task")}
 
 
 def _built_with(arch: str) -> bool:

@@ -12,8 +12,8 @@ from pipeline.errors import CalibrationError, FootageError
 from pipeline.settings import DecodeSettings
 from tikernels import checks, runtime
 from tikernels.arrays import LevelsImage
+from tikernels.checks import on_host
 from tikernels.errors import ShapeError
-from tikernels.foreign_arrays import on_host
 from tikernels.phase.frame_statistics import count_out_of_range
 from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, linearize

@@ -6,7 +6,7 @@ import pytest
 from pipeline import Decoder, DecodeSettings
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import ShapeError, runtime
-from tikernels.foreign_arrays import on_host
+from tikernels.checks import on_host
 
 
 class Tensor:
