@@ -53,8 +53,8 @@ def kernel(
     whole_vectors : bool
         Whether the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
     flow_analysis : bool
-        Whether Taichi follows stores to loads before LLVM does it again. That takes 45 % of compiling, and the kernel
-        runs no faster; without, floating-point results change in their last bits, and some kernels cannot be compiled
+        Whether Taichi follows stores to loads for the CPU, before LLVM does it again. That takes 45 % of compiling, and
+        the kernel runs no faster; without, floating-point results change in their last bits, and some kernels cannot be compiled
         (LLVM ends the process). So the kernels go without that take long to compile and leave the phase as it is.
     """
     if function is None:
@@ -147,7 +147,7 @@ class _Compiling:
         config = ti.lang.impl.current_cfg()
         chosen = {"real_matrix_scalarize": not self.whole_vectors or traffic.on_device}
         if TESTED:
-            chosen["cfg_optimization"] = self.flow_analysis
+            chosen["cfg_optimization"] = self.flow_analysis or traffic.on_device
         before = {name: getattr(config, name) for name in chosen}
         for name, value in chosen.items():
             setattr(config, name, value)
