@@ -21,7 +21,7 @@ NEEDED = ["pytest", "pytest-timeout", "pytest-xdist"]
 
 def run(*command, **options):
     """Return what a command prints, and fail with it."""
-    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=600, **options)
+    done = subprocess.run(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=1800, **options)
     assert done.returncode == 0, done.stdout[-3000:]
     return done.stdout
 
@@ -39,7 +39,7 @@ def programs(tmp_path_factory):
     python = folder / ("Scripts" if os.name == "nt" else "bin") / "python"
     install = [uv, "pip", "install", "--quiet", "--python", python]
     lowest = subprocess.run(
-        [*install, "--resolution", "lowest-direct", ROOT], capture_output=True, text=True, timeout=600
+        [*install, "--resolution", "lowest-direct", ROOT], capture_output=True, text=True, timeout=1800
     )
     if "error sending request" in lowest.stderr or "dns error" in lowest.stderr:
         skip_but_fail_in_ci("no package index is reached")
@@ -48,7 +48,7 @@ def programs(tmp_path_factory):
     return python.parent
 
 
-@pytest.mark.timeout(1800)
+@pytest.mark.timeout(5400)
 def test_a_frame_is_measured_and_drawn(programs, tmp_path):
     """Nothing warns; the picture is that of the mesh, or a note says that a graphics library is missing."""
     out = tmp_path / "demo"
@@ -61,6 +61,6 @@ def test_a_frame_is_measured_and_drawn(programs, tmp_path):
     assert (tmp_path / "again" / "mesh.ply").stat().st_size > 1_000_000
 
 
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(1800)
 def test_tests_of_files_and_lenses_pass(programs):
     run(programs / "python", "-m", "pytest", "-q", "-p", "no:cacheprovider", *TESTS, cwd=ROOT)
