@@ -54,8 +54,8 @@ def kernel(
         Whether the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
     flow_analysis : bool
         Whether Taichi follows stores to loads for the CPU, before LLVM does it again. That takes 45 % of compiling, and
-        the kernel runs no faster; without, floating-point results change in their last bits, and some kernels cannot be compiled
-        (LLVM ends the process). So the kernels go without that take long to compile and leave the phase as it is.
+        the kernel runs no faster. Without it floating-point results change in their last bits, and some kernels cannot
+        be compiled (LLVM ends the process). So those go without that take long to compile and leave the phase as it is.
     """
     if function is None:
         return lambda later: _kernel(later, _Compiling(whole_vectors, flow_analysis))
