@@ -62,7 +62,7 @@ def test_the_code_hardly_leaks_into_the_mean_of_a_channel():
 
 def test_more_cycles_than_the_code_tells_apart():
     assert make_pattern((1, CYCLES * 4), Pattern(period_px=4, code="contrast")).shape == (CYCLES * 4, 1, 3)
-    with pytest.raises(SettingsError, match=r"tells 136 cycles apart.*take a period of 8 px or more"):
+    with pytest.raises(SettingsError, match=r"distinguishes 136 cycles.*take a period of 8 px or more"):
         make_pattern((4, 8 * CYCLES), Pattern(period_px=4, code="contrast"))
 
 

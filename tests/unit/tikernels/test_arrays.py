@@ -26,7 +26,11 @@ def host_functions(path: Path) -> list[Function]:
     tree = ast.parse(path.read_text(encoding="utf-8"))
     inside = [node for outer in tree.body for node in (outer.body if isinstance(outer, ast.ClassDef) else [outer])]
     found = [node for node in inside if isinstance(node, Function)]
-    return [node for node in found if not {ast.unparse(d) for d in node.decorator_list} & {"kernel", "ti.func"}]
+    return [
+        node
+        for node in found
+        if not {ast.unparse(d).partition("(")[0] for d in node.decorator_list} & {"kernel", "ti.func"}
+    ]
 
 
 HOST_FUNCTIONS = [(path, function) for path in SOURCES for function in host_functions(path)]

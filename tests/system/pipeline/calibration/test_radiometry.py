@@ -95,7 +95,7 @@ def test_a_transfer_that_no_standard_names():
         (lambda c: c.update({n: (1.08 * c[n]).astype(np.uint8) for n in c if "grey" in n}), "colour mode"),
         (
             lambda c: c.update(captured(noise=0.0, bits=16, matrix=0.33 + 0.005 * np.eye(3))),
-            "tells the projector's colours apart",
+            "hardly distinguishes the projector's colours",
         ),
         (lambda c: c.update({n: np.minimum(20 * c[n].astype(np.uint16), 4095) for n in c}), "end at 4095"),
     ],

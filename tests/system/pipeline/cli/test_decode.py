@@ -71,7 +71,7 @@ def test_a_part_of_the_surface_becomes_the_mesh(folder, command):
         (("frame.png", *box), "can be left out of a mesh in mm only: give a calibration"),
         (("frame.png", *rig, "--crop", "5", "0", "0", "1", "9", "9"), "crop"),
         (("frame.png", *rig, "--triangles", "0"), "must be 1 or more"),
-        (("still", *rig, *box), "--crop, --no-background and --triangles are for meshes: add --export, or leave them"),
+        (("still", *rig, *box), "--crop, --no-background and --triangles are for meshes: add --export, or omit them"),
         (("still", "--export", "pcd"), "is in mm: give a --calibration that holds the geometry"),
     ]:
         refused = command("decode", *arguments, "--out", "refused", cwd=folder)
