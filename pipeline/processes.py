@@ -16,11 +16,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
+from threading import Thread
 from typing import IO, Any, cast
 
 _SAFE_PATH = "PYTHONSAFEPATH"
 # Time that a child takes to end.
 _END_S = 20.0
+# Between two looks at whether its parent is there.
+_LOOK_S = 0.02
 
 
 @contextmanager
@@ -169,12 +172,15 @@ class Child:
 def serve(work: Callable[[Callable[[], Any], Callable[[Any], None]], None]) -> None:
     """Work for the process that has started this one, as a `Child`; end without a word when that is gone.
 
+    At once, even amid its work: the next run over the same files may begin.
+
     Parameters
     ----------
     work : callable
         Takes what returns the next message, and what says one. What it raises is sent.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the other end decides when to end
+    Thread(target=_end_with, args=(os.getppid(),), name="parent", daemon=True).start()
     said = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # whatever else is printed must not come between
 
@@ -190,3 +196,10 @@ def serve(work: Callable[[Callable[[], Any], Callable[[Any], None]], None]) -> N
         os._exit(1)  # what is left to flush would complain
     except Exception as error:
         say(_Failure(error, traceback.format_exc()))
+
+
+def _end_with(parent: int) -> None:
+    """End this process once its parent is gone; Windows keeps the number, and the next word breaks the pipe there."""
+    while os.getppid() == parent:
+        time.sleep(_LOOK_S)
+    os._exit(1)

@@ -52,6 +52,7 @@ def make_things(folder: Path) -> None:
         for image in images:
             recorder.add(np.asarray(image, np.uint8))
     export_video(folder / "film.zarr", folder / "film.mkv")
+    shutil.copytree(folder / "film.zarr", folder / "face" / "recording.zarr")
     done = colorphase("decode", "film.mkv", "--out", "film", "--calibration", "calibration.json", cwd=folder)
     assert done.returncode == 0, done.stderr
     planes = [_yuv(np.asarray(image, np.uint8)) for image in (*images, *images, *images)]

@@ -5,6 +5,8 @@ import signal
 import subprocess
 import sys
 import threading
+import time
+from pathlib import Path
 
 import pytest
 
@@ -102,3 +104,36 @@ def test_nobody_listens_any_more(capfd):
         child.send("hello")
         assert child._process.wait(60) == 1
     assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="Windows keeps the number of a parent that is gone")
+def test_a_child_ends_with_its_parent_also_amid_its_work(tmp_path):
+    """A killed program's workers write nothing any more, when the next run begins."""
+    busy = "from pipeline.processes import serve; import time; serve(lambda receive, say: (say('up'), time.sleep(600)))"
+    parent = f"""
+from pipeline.processes import Child
+child = Child({busy!r})
+child.receive()
+print(child.pid, flush=True)
+child.receive()
+"""
+    with start_python(["-c", parent], stdout=subprocess.PIPE) as process:
+        child = int(process.stdout.readline())
+        process.kill()
+    end = time.monotonic() + 60
+    while is_alive(child):
+        assert time.monotonic() < end, "the child goes on"
+        time.sleep(0.01)
+
+
+def is_alive(pid: int) -> bool:
+    """Return whether a process runs; one that has ended and that nobody has waited for does not."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    stat = Path(f"/proc/{pid}/stat")
+    try:
+        return stat.read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:  # it has just gone, or the system has no such file
+        return not Path("/proc/self/stat").exists()
