@@ -38,6 +38,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
+from threading import Lock
 from typing import Any
 from zlib import crc32
 
@@ -114,8 +115,8 @@ def make(folder: Path, name: str, seed: int) -> dict[str, Any]:
     return {}
 
 
-def decode(folder: Path, name: str, seed: int, fields: str | None) -> Figures:
-    """Decode a frame and return its figures; keep its fields under a name."""
+def decode(folder: Path, name: str, seed: int, fields: str | None, rounds: int) -> Figures:
+    """Decode a frame, again so many times to measure what that costs, and return its figures; keep its fields."""
     from pipeline import Calibration, Decoder, DecodeSettings
     from tikernels import runtime
     from tikernels.traffic import traffic
@@ -147,7 +148,7 @@ def decode(folder: Path, name: str, seed: int, fields: str | None) -> Figures:
         path.parent.mkdir(exist_ok=True)
         np.savez(path, **{key: getattr(frame, key) for key in _COMPARED})
     spent = []
-    for _ in range(_TIMED if seed < 2 else 0):
+    for _ in range(rounds if seed < 2 else 0):
         traffic.clear()
         reads[0], runtime.to_host = 0, counted
         start = time.process_time()
@@ -242,8 +243,8 @@ def child(folder: Path, role: str, without: str | None) -> None:
 
         MECHANISMS[without].switch_off()
     for line in sys.stdin:
-        name, seed, fields = json.loads(line)
-        figures = make(folder, name, seed) if role == "make" else decode(folder, name, seed, fields)
+        name, seed, fields, rounds = json.loads(line)
+        figures = make(folder, name, seed) if role == "make" else decode(folder, name, seed, fields, rounds)
         print(json.dumps(figures), file=answers, flush=True)
 
 
@@ -291,27 +292,41 @@ def measured(
     code: Path = ROOT,
     without: str | None = None,
     fields: str | None = None,
+    rounds: int = _TIMED,
+    processes: int = 0,
 ) -> Run:
-    """Decode frames in a process per core, and return their figures."""
+    """Decode frames in some processes, or one per core, and return their figures."""
     from scorecard_frames import frames
 
     everything = frames()
     wanted = [(name, seed) for name in names for seed in range(min(seeds, everything[name].seeds))]
     missing = [task for task in wanted if not (folder / f"{task[0]}.{task[1]}.npz").exists()]
     if missing:
-        in_children(folder, "make", missing, ROOT, None, None)
-    answers = in_children(folder, "decode", wanted, code, without, fields)
+        in_children(folder, "make", missing)
+    answers = in_children(folder, "decode", wanted, code, without, fields, rounds, processes)
     run = Run()
     for (name, _), figures in zip(wanted, answers, strict=True):
         run.by_frame.setdefault(name, []).append(figures)
     return run
 
 
+def usable_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def in_children(
-    folder: Path, role: str, tasks: list[tuple[str, int]], code: Path, without: str | None, fields: str | None
+    folder: Path,
+    role: str,
+    tasks: list[tuple[str, int]],
+    code: Path = ROOT,
+    without: str | None = None,
+    fields: str | None = None,
+    rounds: int = 0,
+    processes: int = 0,
 ) -> list[Figures]:
-    """Do tasks in one process per core."""
-    count = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, len(tasks))
+    """Do tasks in some processes, or one per core."""
+    count = min(processes or usable_cores(), len(tasks))
     threads = dict.fromkeys(("TI_CPU_MAX_NUM_THREADS", "QD_CPU_MAX_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
     command = [sys.executable, str(Path(__file__).resolve()), "--child", role, "--folder", str(folder)]
     command += ["--without", without] if without else []
@@ -328,7 +343,7 @@ def in_children(
         process = idle.get()
         assert process.stdin is not None and process.stdout is not None
         try:
-            process.stdin.write(json.dumps([*task, fields if task[1] == 0 else None]) + "\n")
+            process.stdin.write(json.dumps([*task, fields if task[1] == 0 else None, rounds]) + "\n")
             process.stdin.flush()
             line = process.stdout.readline()
         except BrokenPipeError:
@@ -393,19 +408,29 @@ def ablate(folder: Path, names: list[str], seeds: int, page: Path) -> None:
 
     kept = folder / f"ablation-{product_digest()}-{seeds}.json"
     results: dict[str, Any] = json.loads(kept.read_text(encoding="utf-8")) if kept.exists() else {}
-    for mechanism in ("", *MECHANISMS):
-        done = results.setdefault(mechanism, {})
+    measured(folder, names, seeds, rounds=0)  # makes frames that are not there, and compiles
+    saving = Lock()
+
+    def switched_off(mechanism: str) -> None:
+        done = results.get(mechanism, {})
         left = [name for name in names if name not in done]
-        if left:
-            print(f"{time.strftime('%H:%M:%S')} without {mechanism or 'nothing'}: {len(left)} frames", flush=True)
-            try:
-                done |= measured(folder, left, seeds, without=mechanism or None).by_frame
-            except SystemExit as failure:  # of one mechanism, and the others go on
-                print(failure, flush=True)
-                continue
+        if not left:
+            return
+        start = time.monotonic()
+        try:
+            found = measured(folder, left, seeds, without=mechanism or None, rounds=1, processes=1).by_frame
+        except SystemExit as failure:  # of one mechanism, and the others go on
+            print(f"without {mechanism}: {failure}", flush=True)
+            return
+        with saving:
+            results[mechanism] = done | found
             part = kept.with_suffix(".part")
             part.write_text(json.dumps(results), encoding="utf-8")
             part.replace(kept)
+            print(f"without {mechanism or 'nothing'}: {time.monotonic() - start:.0f} s", flush=True)
+
+    with ThreadPoolExecutor(usable_cores()) as pool:
+        list(pool.map(switched_off, ("", *MECHANISMS)))
     runs = {
         name: Run({frame: done[frame] for frame in names}) for name, done in results.items() if set(names) <= set(done)
     }
