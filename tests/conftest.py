@@ -34,7 +34,9 @@ ON_VULKAN = {"test_accuracy_on_every_scene"}
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add the option that tests every kernel on Vulkan."""
-    parser.addoption("--every-arch", action="store_true", help="run all tests of kernels on Vulkan, too")
+    parser.addoption(
+        "--every-arch", action="store_true", help="run all tests of kernels on Vulkan, and on CUDA or Metal if present"
+    )
 
 
 def pytest_configure() -> None:
@@ -61,10 +63,19 @@ def pytest_sessionfinish() -> None:
     runtime.stop()
 
 
-def on_vulkan(item: pytest.Item) -> bool:
-    """Return whether a test runs on Vulkan."""
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run tests of kernels on the CPU, on Vulkan, and on what else there is here."""
+    if "arch" in metafunc.fixturenames:
+        others = {"cuda", "metal"} if metafunc.config.getoption("every_arch") else set()
+        archs = ["cpu", "vulkan", *sorted(others.intersection(tikernels.supported_archs()))]
+        metafunc.parametrize("arch", archs, indirect=True)
+
+
+def on_gpu(item: pytest.Item) -> str:
+    """Return the arch that a test runs on if it is not the CPU, or nothing."""
     callspec = getattr(item, "callspec", None)
-    return callspec is not None and callspec.params.get("arch") == "vulkan"
+    arch = callspec.params.get("arch", "cpu") if callspec is not None else "cpu"
+    return "" if arch == "cpu" else str(arch)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -78,14 +89,14 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         file, _, test = item.nodeid.partition("[")[0].partition("::")
         room = file.rpartition("/")[0]
         first = room not in seen and (room.startswith("tests/unit/tikernels") or test in ON_VULKAN)
-        if not on_vulkan(item) or config.getoption("every_arch") or first:
+        if not on_gpu(item) or config.getoption("every_arch") or first:
             chosen.append(item)
         else:
             omitted.append(item)
-        if on_vulkan(item) and first:
+        if on_gpu(item) and first:
             seen.add(room)
     config.hook.pytest_deselected(items=omitted)
-    items[:] = sorted(chosen, key=on_vulkan)
+    items[:] = sorted(chosen, key=on_gpu)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -106,7 +117,7 @@ def kernels_on_disk() -> None:
     """Have the kernels that decode on disk, for processes that a test starts; the session compiles them."""
 
 
-@pytest.fixture(params=["cpu", "vulkan"])
+@pytest.fixture
 def arch(request: pytest.FixtureRequest) -> str:
     """Start a backend. CI installs a software Vulkan, so there a missing one is a failure and never skipped."""
     name = str(request.param)

@@ -33,6 +33,23 @@ lock = threading.RLock()
 
 _started: str | None = None
 _failed: str | None = None  # the arch that was named and could not be started
+_cuda: "_CudaContext | None" = None
+
+
+class _CudaContext:
+    """The CUDA context of the thread that starts the device. Taichi allocates in that of the thread that asks."""
+
+    def __init__(self) -> None:
+        self._driver = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
+        self._context = ctypes.c_void_p()
+        self._driver.cuCtxGetCurrent(ctypes.byref(self._context))
+        self._threads = threading.local()
+
+    def enter(self) -> None:
+        """Make it the calling thread's."""
+        if not hasattr(self._threads, "inside"):
+            self._driver.cuCtxSetCurrent(self._context)
+            self._threads.inside = True
 
 
 @dataclass(frozen=True)
@@ -65,7 +82,7 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
     DeviceNotReady
         The machine lacks the arch.
     """
-    global _started, _failed
+    global _started, _failed, _cuda
     if arch == "auto":
         if _started is not None:
             return _started
@@ -82,6 +99,7 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
         reason = _start(candidate, cpu_threads)
         if reason is None:
             _started, _failed = candidate, None
+            _cuda = _CudaContext() if candidate == "cuda" else None
             traffic.on_device = candidate != "cpu"
             traffic.clear()
             return candidate
@@ -118,6 +136,8 @@ def started() -> str:
         if _failed is not None:
             raise DeviceNotReady(f"{_failed} could not be started: call tikernels.init with another arch, or with auto")
         return init("auto")
+    if _cuda is not None:
+        _cuda.enter()
     return _started
 
 
