@@ -20,6 +20,12 @@ def module_paths(root: Path) -> dict[str, Path]:
     return found
 
 
+@cache
+def tree(path: Path) -> ast.Module:
+    """Return what a file is parsed to."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def statements(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
     """Yield the imports of a file that are carried out, inside functions too."""
     for node in ast.iter_child_nodes(tree):
@@ -31,10 +37,15 @@ def statements(tree: ast.AST) -> Iterator[ast.Import | ast.ImportFrom]:
             yield from statements(node)
 
 
+@cache
+def _imports(path: Path) -> tuple[ast.Import | ast.ImportFrom, ...]:
+    return tuple(statements(tree(path)))
+
+
 def imported_modules(name: str, path: Path, modules: Mapping[str, Path]) -> set[str]:
     """Return which of our modules a module imports."""
     found = set()
-    for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in _imports(path):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         else:

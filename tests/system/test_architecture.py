@@ -4,10 +4,11 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
-from support.import_graph import circles, imported_modules, module_paths, room_of
+from support.import_graph import circles, imported_modules, module_paths, room_of, tree
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGES = ("tikernels", "pipeline", "hardware")
@@ -47,15 +48,26 @@ LATE = (
 )
 
 
+@cache
+def nodes(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(tree(path)))
+
+
+@cache
 def sources(package: str) -> list[Path]:
     found = sorted((ROOT / package).rglob("*.py"))
     assert found, f"{package} has no sources"
     return found
 
 
-def imports(path: Path) -> Iterator[str]:
-    """Yield the full name of every module that a file imports, inside functions too."""
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+@cache
+def imports(path: Path) -> tuple[str, ...]:
+    """Return the full name of every module that a file imports, inside functions too."""
+    return tuple(named_in(path))
+
+
+def named_in(path: Path) -> Iterator[str]:
+    for node in nodes(path):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -120,7 +132,7 @@ def test_only_host_functions_launch_kernels():
     """They check their arguments, which kernels do not."""
     for package in ("pipeline", "hardware"):
         for path in sources(package):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for node in nodes(path):
                 if isinstance(node, ast.ImportFrom):
                     assert not [name.name for name in node.names if name.name.endswith("_kernel")], path
 
@@ -135,7 +147,7 @@ def levels_below(node: ast.AST) -> int:
 def test_kernels_are_held_in_the_head():
     """None is longer than 80 lines or nested deeper than five levels."""
     for path in sources("tikernels"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in nodes(path):
             decorators = {ast.unparse(name) for name in getattr(node, "decorator_list", [])}
             if isinstance(node, ast.FunctionDef) and decorators & {"kernel", "ti.func"}:
                 assert (node.end_lineno or 0) - node.lineno < 80, (path, node.name)
@@ -156,7 +168,7 @@ def test_two_files_start_processes():
         path.relative_to(ROOT).as_posix()
         for package in PACKAGES
         for path in sources(package)
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        for node in nodes(path)
         if isinstance(node, ast.Call) and ast.unparse(node.func).startswith(starting)
     }
     assert takers == {"pipeline/processes.py", "hardware/display.py"}
