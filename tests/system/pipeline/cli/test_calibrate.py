@@ -168,7 +168,7 @@ def test_a_folder_that_is_there_is_refused(command, tmp_path):
 
 def test_check_and_fix(folder, command):
     """A flat plane is fine; a calibration without its crosstalk is named and mended; nothing is overwritten."""
-    truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
+    truth = simulate_frame(simulated_rig((400, 300), period_px=1.6 * 768 / 44), SimulationSettings(scene="plane"))
     write_png(folder / "plane.png", truth.image)
     truth.rig.model_copy(update={"crosstalk_matrix": np.eye(3)}).write(folder / "old.json")
     arguments = ("calibrate", "check", "plane.png", "--calibration", "old.json", "--arch", "cpu")
@@ -191,7 +191,7 @@ def test_check_and_fix(folder, command):
     (folder / "empty").mkdir()
     for what, rig, options, message in (
         ("plane.png", "swapped.json", (), "camera and projector are swapped"),
-        ("plane.png", "calibration.json", (), "plane.png is 640x480 px but the calibration is for a camera of 320x240"),
+        ("plane.png", "calibration.json", (), "plane.png is 400x300 px but the calibration is for a camera of 320x240"),
         ("plane.png", "old.json", ("--radius-mm", "40"), "add --shape ball"),
         ("many", "old.json", ("--shape", "plane"), "take one picture"),
         ("empty", "old.json", (), "holds no pictures"),

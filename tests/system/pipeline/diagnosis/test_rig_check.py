@@ -25,7 +25,7 @@ pytestmark = [pytest.mark.usefixtures("cpu"), pytest.mark.filterwarnings("ignore
 
 def test_a_fixed_calibration():
     """Response and crosstalk that a calibration does not hold are put into it from the frame that shows them."""
-    truth = simulate_frame(simulated_rig(), SimulationSettings(scene="plane"))
+    truth = simulate_frame(simulated_rig((400, 300), period_px=1.6 * 768 / 44), SimulationSettings(scene="plane"))
     old = truth.rig.model_copy(update={"crosstalk_matrix": np.eye(3)})
     frame = Decoder(DecodeSettings(equalize=False), old, arch="cpu").decode(truth.image)
     found = diagnose(truth.image, 255, frame.unwrapped_phase, frame.mask)
@@ -105,7 +105,7 @@ def test_frames_in_a_row(plane, tmp_path):
 
 def test_a_picture_is_read_as_decoding_reads_it(tmp_path, cpu):
     """A JPEG in sRGB with one colour for four pixels: nothing but what the file does not hold is wrong with it."""
-    geometry = simulated_rig()
+    geometry = simulated_rig((400, 300), period_px=1.6 * 768 / 44)
     truth = simulate_frame(geometry, SimulationSettings(scene="plane", transfer="srgb"))
     rig = geometry.model_copy(update={"crosstalk_matrix": SimulationSettings().crosstalk_matrix})
     path = tmp_path / "plane.jpg"

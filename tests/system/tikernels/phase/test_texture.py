@@ -30,7 +30,7 @@ def decoded(settings, *, code=None, calibrated=True, size=SIZE):
 @pytest.mark.parametrize("gamma", [1.0, 2.0])
 def test_reflectance_times_shading_without_a_stripe(cpu, code, gamma):
     """Correlation over the lit pixels, and what is left of the fringe, harmonics 1 to 3, below the frame's own."""
-    frame, result, under_white = decoded(SimulationSettings(gamma=gamma), code=code, size=(640, 480))
+    frame, result, under_white = decoded(SimulationSettings(gamma=gamma), code=code, size=(480, 360))
     texture, lit = linear_light(result.texture), result.mask & frame.mask
     for channel in range(3):
         assert np.corrcoef(texture[lit][:, channel], under_white[lit][:, channel])[0, 1] > 0.97
