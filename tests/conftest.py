@@ -64,8 +64,9 @@ def pytest_sessionfinish() -> None:
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Run tests of kernels on the CPU, on Vulkan, and on what else there is here."""
-    if "arch" in metafunc.fixturenames:
+    """Run tests of kernels on the CPU, on Vulkan, and on what else there is here, unless they choose themselves."""
+    chosen = (mark.args[0] for mark in metafunc.definition.iter_markers("parametrize"))
+    if "arch" in metafunc.fixturenames and "arch" not in chosen:
         others = {"cuda", "metal"} if metafunc.config.getoption("every_arch") else set()
         archs = ["cpu", "vulkan", *sorted(others.intersection(tikernels.supported_archs()))]
         metafunc.parametrize("arch", archs, indirect=True)
