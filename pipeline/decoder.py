@@ -3,12 +3,10 @@
 import warnings
 from contextlib import nullcontext
 from dataclasses import replace
-from functools import cache
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
-from threadpoolctl import ThreadpoolController
 
 from pipeline.calibration import Calibration
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
@@ -23,6 +21,7 @@ from pipeline.decoding.surface_search import FoundSurfaces, NoModelFits, OnlyCol
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
 from pipeline.errors import CalibrationError, DecodeWarning
+from pipeline.linear_algebra import one_thread
 from pipeline.orders.order_finder import OrderFinder, SeenPhase
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
@@ -43,15 +42,6 @@ from tikernels.unwrapping.rim_pixels import leave_out_strangers
 # While it is not clear which side is in front, this many frames are asked, and then one of as many: asking takes up to
 # a fourth of the time that decoding does.
 _ASKED = 16
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    """Return the BLAS libraries of NumPy and OpenCV; to find them takes as long as 200 calls of their limits.
-
-    A second thread spins while it waits: equations of a hundred unknowns then take up to a thousand times as long.
-    """
-    return ThreadpoolController().select(user_api="blas")
 
 
 class Decoder:
@@ -159,7 +149,7 @@ class Decoder:
         DeviceNotReady
             Another arch has been started since this decoder was made.
         """
-        with runtime.lock, _blas().limit(limits=1):
+        with runtime.lock, one_thread():
             runtime.require(self.arch)
             frame = self._reader.read(image)  # linear light, colours aligned, stripes along the rows
             memory = None if previous is None else previous.memory.checked(frame.shape, self._setup.stripes)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from pipeline.calibration.board_poses import BoardPose
 from pipeline.calibration.model import Pattern
+from pipeline.linear_algebra import one_thread
 from pipeline.models import FloatArray
 
 # Standard deviations of k1, k2, p1, p2, k3 before anything was measured. Those of projectors and machine lenses stay
@@ -69,7 +70,8 @@ class BundleAdjustment:
     def refine(self) -> None:
         """Fit three times, from the second on without corners far from the last fit, weighted by the noise it left."""
         for _ in range(3):
-            self._descend()
+            with one_thread():
+                self._descend()
             residuals = [self._residuals(k)[0] for k in range(len(self.poses))]
             inliers = [r[used] for r, used in zip(residuals, self.used, strict=True)]
             everything = np.concatenate(inliers)  # (N, 2 devices, 2)

@@ -19,8 +19,8 @@ FLOORS = {
         "runtime checks strips transposing raw phase depth unwrapping order_evidence scene"
     ),
     "pipeline": (
-        "errors showing limits models settings robust files locking processes zarr_chunks footage recording "
-        "calibration pattern decoding orders decoder simulation planning output diagnosis batch acquisition "
+        "errors showing limits linear_algebra models settings robust files locking processes zarr_chunks footage "
+        "recording calibration pattern decoding orders decoder simulation planning output diagnosis batch acquisition "
         "verification cli"
     ),
     "hardware": (
