@@ -18,4 +18,5 @@ def _libraries() -> ThreadpoolController:
 
 def one_thread() -> AbstractContextManager[object]:
     """Give the BLAS libraries of NumPy and OpenCV one thread in the body."""
-    return _libraries().limit(limits=1)
+    limited: AbstractContextManager[object] = _libraries().limit(limits=1)
+    return limited
