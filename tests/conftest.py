@@ -102,13 +102,18 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Give each process whole files, whose tests share frames and kernels, and one of them all that is Vulkan's."""
+    """Give each process whole files, whose tests share frames and kernels, and one of them what little is Vulkan's.
+
+    Acceptance tests are long, and share little; so are all those of Vulkan together.
+    """
     from xdist.scheduler import LoadScopeScheduling
 
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file, _, test = nodeid.partition("::")
-            return "vulkan" if "vulkan" in test.partition("[")[2] else file
+            if "vulkan" in test.partition("[")[2]:
+                return nodeid if config.getoption("every_arch") else "vulkan"
+            return nodeid if file.startswith("tests/acceptance") else file
 
     return ByFile(config, log)
 

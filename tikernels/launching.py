@@ -38,11 +38,11 @@ def kernel(function: Function) -> Function: ...
 
 
 @overload
-def kernel(*, whole_vectors: bool = False, flow_analysis: bool = True) -> Callable[[Function], Function]: ...
+def kernel(*, whole_vectors: bool = False, flow_analysis: bool = False) -> Callable[[Function], Function]: ...
 
 
 def kernel(
-    function: Function | None = None, *, whole_vectors: bool = False, flow_analysis: bool = True
+    function: Function | None = None, *, whole_vectors: bool = False, flow_analysis: bool = False
 ) -> Function | Callable[[Function], Function]:
     """Compile a function as a kernel when it is called for the first time, and launch it quickly from then on.
 
@@ -54,8 +54,7 @@ def kernel(
         Whether the CPU loads and stores the vectors of arrays of such as a whole; see `lanes.py`.
     flow_analysis : bool
         Whether Taichi follows stores to loads for the CPU, before LLVM does it again. That takes 45 % of compiling, and
-        the kernel runs no faster. Without it floating-point results change in their last bits, and some kernels cannot
-        be compiled (LLVM ends the process). So those go without that take long to compile and leave the phase as it is.
+        the kernel runs no faster; but without it LLVM cannot compile every kernel.
     """
     if function is None:
         return lambda later: _kernel(later, _Compiling(whole_vectors, flow_analysis))

@@ -185,7 +185,7 @@ def add_row(
             sums[_RIGHT_SIDE + n, lane] += part
 
 
-@kernel(flow_analysis=False)
+@kernel
 def fit_windows_kernel(
     depth: F32Array2,  # (H, W)
     precision: F32Array2,  # (H, W) 1 / sigma^2; 0 where a pixel does not count

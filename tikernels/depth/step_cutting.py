@@ -153,7 +153,7 @@ def goes_on(
     return found
 
 
-@kernel(flow_analysis=False)
+@kernel
 def link_pixels_kernel(
     depth: F32Array2,  # (H, W) mm or rad
     sigma: F32Array2,  # (H, W) the same
@@ -205,7 +205,7 @@ def settled(depth: F32Array2, sigma: F32Array2, width: F32Array2, region: I32Arr
     return links
 
 
-@kernel(flow_analysis=False)
+@kernel
 def link_slopes_kernel(
     depth: F32Array2,  # (H, W) mm or rad
     sigma: F32Array2,  # (H, W) the same

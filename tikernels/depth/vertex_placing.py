@@ -25,7 +25,7 @@ _DEGREE = 3
 _cubics = ti.types.matrix(4, _DEGREE + 1, ti.f32)
 
 
-@kernel(flow_analysis=False)
+@kernel
 def place_vertices_kernel(
     depth: F32Array2,  # (H, W) mm
     slope: F32Array3,  # (H, W, 2) mm a px, down and to the right

@@ -210,7 +210,8 @@ def _collect_samples_kernel(mixed: bool) -> Any:
     return collect_samples_kernel
 
 
-@kernel
+# Without flow analysis its sums are rounded otherwise, which shows in sigma.
+@kernel(flow_analysis=True)
 def predict_blocks_kernel(
     samples: F32Array3,  # (H, Wb, 3)
     inverse_matrix: F32Array2,  # (3, 3) undoes the crosstalk

@@ -151,7 +151,8 @@ def _light_by_white_kernel(mixed: bool, spacing_px: int) -> Any:
     """Return the kernel from the image to light under white, for nodes that are `spacing_px` px apart."""
     lanes, lanes_of_colors = ti.types.vector(STRIP, ti.f32), ti.types.matrix(3, STRIP, ti.f32)
 
-    @kernel
+    # LLVM ends the process without flow analysis ("Invalid cast").
+    @kernel(flow_analysis=True)
     def light_by_white_kernel(
         image: AnyArray3,  # (H, W, 3) levels
         phase: F32Array2,  # (H, W) rad

@@ -130,7 +130,8 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
             lit = 1 - shadowed(p, direction, pose)
         return lit, slope * (falloff / distance) ** 2
 
-    @kernel
+    # Without flow analysis frames of a seed would differ in single levels.
+    @kernel(flow_analysis=True)
     def render_scene_kernel(
         rays: F32Array4,  # (views, H, W, 2) unit-depth rays, lens distortion taken out
         light: F32Array3,  # (Hp, Wp, 3) linear projector light, 0..1

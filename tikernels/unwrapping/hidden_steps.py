@@ -52,7 +52,7 @@ def seam_around(seams: I32Array2, columns: i32, cell: i32) -> i32:
     return total
 
 
-@kernel(flow_analysis=False)
+@kernel
 def mark_hidden_steps_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     rates: F32Array2,  # see `frame_rates`

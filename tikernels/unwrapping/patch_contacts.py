@@ -148,7 +148,7 @@ def note_side(
             start, votes = k + 1, 0
 
 
-@kernel(flow_analysis=False)
+@kernel
 def note_borders_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)

@@ -197,7 +197,7 @@ def grow_run(
     return stop
 
 
-@kernel(flow_analysis=False)
+@kernel
 def grow_patches_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE outside the mask
     quality: F32Array2,  # (H, W)

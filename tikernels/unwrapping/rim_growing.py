@@ -164,7 +164,7 @@ def widen(brightness: F32Array2, variance: F32Array2, region: I32Array2, cell: i
                 variance[y, x] = leak * leak - variance[y, x]
 
 
-@kernel(flow_analysis=False)
+@kernel
 def grow_rims_kernel(
     phase: F32Array2,  # (H, W) rad; NO_PHASE where there is none
     precision: F32Array2,  # (H, W) 1 / rad^2

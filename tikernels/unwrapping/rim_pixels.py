@@ -300,7 +300,7 @@ def mark_rim(brightness: F32Array2, phase: F32Array2, region: I32Array2, mask: U
     return marks
 
 
-@kernel(flow_analysis=False)
+@kernel
 def leave_out_strangers_kernel(
     brightness: F32Array2,  # (H, W) up to a factor
     modulation: F32Array2,  # (H, W) levels
@@ -318,7 +318,7 @@ def leave_out_strangers_kernel(
             take_off(region, unwrapped, mask, cell)
 
 
-@kernel(flow_analysis=False)
+@kernel
 def trim_rims_kernel(
     brightness: F32Array2,  # (H, W) up to a factor
     phase: F32Array2,  # (H, W) rad; NO_PHASE where there is none

@@ -173,7 +173,7 @@ def border_at(
     return far, px, steps, shift
 
 
-@kernel(flow_analysis=False)
+@kernel
 def measure_borders_kernel(
     phase: F32Array2,  # (H, W) rad
     quality: F32Array2,  # (H, W)
