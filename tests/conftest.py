@@ -12,6 +12,9 @@ from support.kernel_cache import fill_kernel_cache, kernel_settings
 # Before NumPy is imported: its BLAS splits even small matrices over threads that wait for each other, which takes many
 # times as long as one thread does, most of all on a busy machine. Processes that tests start inherit all this.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# Software Vulkan compiles kernels in half the time for narrower vectors and without optimising; each runs but a few times.
+os.environ.setdefault("LP_NATIVE_VECTOR_WIDTH", "128")
+os.environ.setdefault("GALLIVM_PERF", "nopt")
 # Without bytecode each process compiles the project's Python anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 os.environ.update({name: os.environ.get(name, value) for name, value in kernel_settings().items()})
@@ -94,8 +97,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
             chosen.append(item)
         else:
             omitted.append(item)
-        if on_gpu(item) and first:
-            seen.add(room)
+        if on_gpu(item):
+            item.add_marker(pytest.mark.timeout(1500))  # software Vulkan compiles a frame's kernels for minutes
+            if first:
+                seen.add(room)
     config.hook.pytest_deselected(items=omitted)
     items[:] = sorted(chosen, key=on_gpu)
 
