@@ -12,7 +12,7 @@ from support.kernel_cache import fill_kernel_cache, kernel_settings
 # Before NumPy is imported: its BLAS splits even small matrices over threads that wait for each other, which takes many
 # times as long as one thread does, most of all on a busy machine. Processes that tests start inherit all this.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-# Software Vulkan compiles kernels in half the time for narrower vectors and without optimising; each runs but a few times.
+# Software Vulkan compiles kernels in half the time for narrower vectors and without optimising; each runs a few times.
 os.environ.setdefault("LP_NATIVE_VECTOR_WIDTH", "128")
 os.environ.setdefault("GALLIVM_PERF", "nopt")
 # Without bytecode each process compiles the project's Python anew.
