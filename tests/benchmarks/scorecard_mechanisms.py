@@ -258,12 +258,6 @@ def mean_weights(count: f32, squares: f32, fourths: f32):
 
 
 @ti.func
-def bright_as_usual(quality: f32, mean_quality: f32) -> i32:
-    """Give every pixel an ordinary one's weight."""
-    return 4
-
-
-@ti.func
 def never_beside(
     phase: ti.template(), rates: ti.template(), labels: ti.template(), final: ti.template(), y: i32, x: i32
 ) -> i32:
@@ -314,7 +308,9 @@ _ALL = (
         {"surface_finding:SurfaceFinder.find": with_arguments(before=None)},
         "surface_search:SurfaceSearch.follow", promise="films of coloured things take less time"),
     Mechanism("edge variance", "sigma where two surfaces meet", "r-objects",
-        {"frame:edge_variance": gives(None)}, "surface_edges"),
+        {"frame:edge_variance": gives(None)}, "surface_edges",
+        promise="sigma within 4 px of edges, where the table does not look: of a painted board's pixels between two "
+        "colours 0.3 % are off by more than six sigma, and 2.3 % without it"),
     # One channel's model.
     Mechanism("second balance", "gains again once the phase is known", "bust-skin-1.8",
         {"color_balance:find_gains_kernel": first_pass_only}, "color_balance:predict_blocks_kernel"),
@@ -333,7 +329,7 @@ _ALL = (
         {"light_path:_CONTRAST_DOUBT": gives({None: 0.0, "contrast": 0.0})}, ""),
     Mechanism("misfit's weight", "pixels that the model does not fit count less", "r-objects",
         {"phase_fit:MAX_MISFIT": gives(1000000000.0), "model_variance:MAX_MISFIT": gives(1000000000.0)},
-        "model_variance:divided_by"),
+        "model_variance:divided_by", promise="hot pixels and sparkling highlights, which none of its frames has"),
     Mechanism("camera blur", "the phase is corrected where the brightness changes", "bust-skin-2-blurred",
         {"decoder:undo_camera_blur": raw_phase}, "camera_blur"),
     Mechanism("camera blur's misfit", "sigma of that correction", "r-face",
@@ -341,9 +337,11 @@ _ALL = (
     Mechanism("field motion", "motion between the colours is undone", "film-in-turns",
         {"decoder:Decoder._hold_still": still}, "field_motion decoder:Decoder._hold_still"),
     Mechanism("field motion's second turn", "motion is undone twice", "film-in-turns",
-        {"decoder:MOTION_TURNS": gives(1)}, ""),
+        {"decoder:MOTION_TURNS": gives(1)}, "",
+        promise="faster motion than the film's, as in its unit test: 0.4 rad per frame"),
     Mechanism("field motion's misfit", "sigma where motion was undone", "film-in-turns",
-        {"decoder:doubt_motion": nothing}, "field_motion:doubt_motion"),
+        {"decoder:doubt_motion": nothing}, "field_motion:doubt_motion",
+        promise="surfaces that speed up or turn; the film's move evenly"),
     # Smoothing.
     Mechanism("smoothing along", "along the stripes", "bust-skin-1.8",
         {"smoothing:_smooth_rows_kernel": without_pairs}, ""),
@@ -364,7 +362,9 @@ _ALL = (
     Mechanism("row scatter", "sigma is scaled to what rows differ by", "bust-skin-1.8",
         {"uncertainty:_scatter": gives(1.0)}, "uncertainty:_scatter uncertainty:compare_rows"),
     Mechanism("empty share", "sigma where the balance's window is empty", "objects-skin-2",
-        {"uncertainty:_empty_share": zeros_like_mask}, "uncertainty:_empty_share wide_blur"),
+        {"uncertainty:_empty_share": zeros_like_mask}, "uncertainty:_empty_share wide_blur",
+        promise="sigma at rims, where the table does not look: 94 % of rendered objects' errors lie within two sigma, "
+        "and 90 % without it"),
     # Unwrapping.
     Mechanism("parting", "regions that step along most of a border are parted", "touching",
         {"unwrapper:regions_that_step": nobody}, "region_parting patch_slopes"),
@@ -376,8 +376,6 @@ _ALL = (
     Mechanism("step pixels", "the last pixel before a step is left out", "objects-skin-2",
         {"region_writing:beside_step": ti_function(never_beside)},
         "region_writing:beside_step region_writing:beyond_step"),
-    Mechanism("votes' brightness", "bright pixels' votes weigh more", "touching",
-        {"continuity:brightness_weight": ti_function(bright_as_usual)}, "continuity:brightness_weight"),
     Mechanism("strangers", "pixels cut off from their surface by another's light are left out", "objects-skin-2",
         {"rim_pixels:leave_out_strangers_kernel": nothing},
         "rim_pixels:mark_strangers rim_pixels:is_cut_off rim_pixels:follow_ray rim_pixels:stopped_pixels"),

@@ -65,7 +65,7 @@ def vote_orders_kernel(
     labels: I32Array2,  # (H, W) patch and order in it
     cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
     draft_bits: i32,
-    patches: I32Array2,  # (12, capacity) see `Patch`; offsets are read
+    patches: I32Array2,  # (11, capacity) see `Patch`; offsets are read
     before: F32Array2,  # (H, W) rad, unwrapped phase of the frame before; NaN outside its mask
     region_before: I32Array2,  # (H, W)
     change: F32Array2,  # (regions + 1, 3) rad by which the phase of each region before is expected to change, and its

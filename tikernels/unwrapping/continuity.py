@@ -52,12 +52,6 @@ def surely_across(departs: f32, quality: f32, quality2: f32) -> u1:
 
 
 @ti.func
-def brightness_weight(quality: f32, mean_quality: f32) -> i32:
-    """One to sixteen, four for an ordinary pixel."""
-    return ti.min(ti.max(ti.cast(4.0 * quality / mean_quality, ti.i32), 1), 16)
-
-
-@ti.func
 def vote_weight(departs: f32, quality: f32, quality2: f32, mean_quality: f32) -> i32:
     """Weight of one pixel's vote, 1 to 64: the phase goes on, and so does the brightness, which is not low.
 

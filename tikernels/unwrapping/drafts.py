@@ -23,8 +23,8 @@ class Drafts:
         Draft of a patch and order inside it.
     cell_table : (3, cells + 1) int32
         See `Cell`: how many patches and contacts each cell has, more than there are places for if it is crowded.
-    patches : (3, cells << bits) int32
-        See `Patch`: pixels, weight and first pixel.
+    patches : (2, cells << bits) int32
+        See `Patch`: pixels and first pixel.
     contacts : (5, 4 cells << bits) int32
         See `Contact`, between drafts of patches.
     """

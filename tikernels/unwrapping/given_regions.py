@@ -14,7 +14,6 @@ import numpy.typing as npt
 from tikernels import runtime
 from tikernels.arrays import F32
 from tikernels.errors import ShapeError
-from tikernels.phase.phase_change import MEAN_QUALITY
 from tikernels.phase.wrapped_phase import LEAST_NO_PHASE, LEAST_STEP_PHASE
 from tikernels.unwrapping.drafts import Drafts
 from tikernels.unwrapping.tables import (
@@ -126,11 +125,8 @@ class GivenRegions:
         patches = _cut(order, region)
         contacts = _touching(region, patches)
         _make_room(drafts, patches, contacts)
-        mean_quality = float(runtime.to_host(rates)[-1, MEAN_QUALITY])
-        relative = np.nan_to_num(seen.ravel()[patches.first] / mean_quality)
-        brightness_weight = np.clip(4 * relative, 1, 16).astype(np.int64)
         between = np.where(marked > LEAST_STEP_PHASE, BETWEEN, NOTHING)
-        _write(drafts, order, patches, brightness_weight, contacts, between)
+        _write(drafts, order, patches, contacts, between)
 
 
 def _checked(
@@ -230,7 +226,6 @@ def _write(
     drafts: Drafts,
     order: Integers,
     patches: _Patches,
-    brightness_weight: Integers,
     contacts: _Contacts,
     between: npt.NDArray[np.integer],
 ) -> None:
@@ -249,7 +244,6 @@ def _write(
     labels[inside] = (draft[own] << ORDER_BITS) + ORDER_ZERO + order[inside] - patches.zero[own]
     table = np.zeros(drafts.patches.shape, np.int32)
     table[Patch.PIXELS, draft] = patches.pixels
-    table[Patch.WEIGHT, draft] = patches.pixels * brightness_weight
     table[Patch.FIRST, draft] = patches.first
     noted = np.zeros(drafts.contacts.shape, np.int32)
     start, end = contacts.ends

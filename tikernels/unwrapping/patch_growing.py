@@ -9,7 +9,6 @@ from tikernels._taichi import F32Array2, I32Array2, Static, f32, i32, ivec2, ive
 from tikernels.launching import kernel
 from tikernels.phase.wrapped_phase import LEAST_STEP_PHASE, has_phase
 from tikernels.unwrapping.continuity import (
-    brightness_weight,
     cycles_and_departure,
     frame_rates,
     surely_across,
@@ -72,8 +71,6 @@ def continue_row(
     if sure == 1:
         patch = labels[0] >> ORDER_BITS
         add_alone(out_patches[Patch.PIXELS, patch], CELL_WIDTH)
-        weight = CELL_WIDTH * brightness_weight(here_quality[CELL_WIDTH // 2], usual[2])
-        add_alone(out_patches[Patch.WEIGHT, patch], weight)
         for k in range(CELL_WIDTH):
             out_labels[y, left + k] = labels[k]
     return sure
@@ -180,12 +177,9 @@ def grow_run(
         chosen = (patch << ORDER_BITS) + ORDER_ZERO
         patch_count += 1
         out_patches[Patch.PIXELS, patch] = 0
-        out_patches[Patch.WEIGHT, patch] = 0
         out_patches[Patch.FIRST, patch] = y * phase.shape[1] + start
     patch = chosen >> ORDER_BITS
     add_alone(out_patches[Patch.PIXELS, patch], stop - start)
-    weight = (stop - start) * brightness_weight(quality[y, (start + stop) >> 1], usual[2])
-    add_alone(out_patches[Patch.WEIGHT, patch], weight)
     if chosen != written:
         for x in range(start, stop):
             add_alone(out_labels[y, x], chosen - written)
@@ -204,7 +198,7 @@ def grow_patches_kernel(
     rates: F32Array2,  # see `frame_rates`
     draft_bits: i32,  # a cell has places for 2^bits patches and four times as many contacts
     out_labels: I32Array2,  # (H, W) patch and order inside it; NOTHING, or BETWEEN two surfaces
-    out_patches: I32Array2,  # (3, cells << bits) see `Patch`
+    out_patches: I32Array2,  # (2, cells << bits) see `Patch`
     out_contacts: I32Array2,  # (5, 4 cells << bits) see `Contact`
     out_cells: I32Array2,  # (3, cells + 1) see `Cell`
 ):

@@ -40,10 +40,10 @@ def collect_patches_kernel(
     serial: Static,  # whether one thread does it
     cell_total: i32,
     draft_bits: i32,
-    draft_patches: I32Array2,  # (3, cells << bits)
+    draft_patches: I32Array2,  # (2, cells << bits)
     draft_contacts: I32Array2,  # (5, 4 cells << bits)
     cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
-    out_patches: I32Array2,  # (12, capacity) see `Patch`; each a region of its own
+    out_patches: I32Array2,  # (11, capacity) see `Patch`; each a region of its own
     out_contacts: I32Array2,  # (5, capacity) see `Contact`
 ):
     """Copy the drafts of patches and contacts to the places that their numbers name."""
@@ -51,7 +51,7 @@ def collect_patches_kernel(
     for cell in range(cell_total):
         for k in range(cells[Cell.PATCHES, cell + 1] - cells[Cell.PATCHES, cell]):
             draft, patch = (cell << draft_bits) + k, cells[Cell.PATCHES, cell] + k
-            for row in ti.static((Patch.PIXELS, Patch.WEIGHT, Patch.FIRST)):
+            for row in ti.static((Patch.PIXELS, Patch.FIRST)):
                 out_patches[row, patch] = draft_patches[row, draft]
             out_patches[Patch.PARENT, patch] = patch
             out_patches[Patch.PARENT_SHIFT, patch] = 0

@@ -65,7 +65,7 @@ class Patches:
         How many patches there are.
     drafts : Drafts
         Labels, and contacts as they were noted; numbered.
-    table : (12, capacity) int32
+    table : (11, capacity) int32
         See `Patch`; roots and offsets are settled.
     region_table : (4, capacity) int32
         See `Region`; written.
@@ -267,7 +267,7 @@ class Patches:
         return RegionTable(roots, pixels)
 
     def _columns(self) -> npt.NDArray[np.int32]:
-        """Return the table's columns, (12, P): on the CPU a look at them, on a GPU a copy."""
+        """Return the table's columns, (11, P): on the CPU a look at them, on a GPU a copy."""
         if self._read is None:
             self._read = first_columns(self.table, self.count)  # synchronises
         return self._read

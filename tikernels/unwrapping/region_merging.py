@@ -137,7 +137,7 @@ def join_regions(patches: I32Array2, contacts: I32Array2, e: i32, counters: I32A
 def merge_patches_kernel(
     serial: Static,  # whether one thread does it
     contact_count: i32,
-    patches: I32Array2,  # (12, capacity) see `Patch`: parents of roots are written, the rest is scratch
+    patches: I32Array2,  # (11, capacity) see `Patch`: parents of roots are written, the rest is scratch
     contacts: I32Array2,  # (5, capacity) see `Contact`; the votes of spent contacts become 0
     table: I32Array2,  # (3, power of two) see `Match`; scratch
     counters: I32Array1,  # (4,) see `Counter`
@@ -187,7 +187,7 @@ def merge_patches_kernel(
 def settle_patches_kernel(
     serial: Static,  # whether one thread does it
     count: i32,
-    patches: I32Array2,  # (12, capacity) see `Patch`: root and offset are written
+    patches: I32Array2,  # (11, capacity) see `Patch`: root and offset are written
 ):
     """Follow every patch to the root of its region."""
     ti.loop_config(serialize=serial)

@@ -6,8 +6,8 @@ from tikernels.launching import kernel
 from tikernels.phase.phase_vector import PI
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, MOST, ORDER_MASK, ORDER_ZERO, Patch, Region
 
-# A reliable patch fills half a cell and is at least three quarters as bright as usual (four is the usual brightness).
-_RELIABLE_PX, _RELIABLE_BRIGHTNESS = CELL_WIDTH * CELL_HEIGHT // 2, 3
+# A reliable patch fills half a cell.
+_RELIABLE_PX = CELL_WIDTH * CELL_HEIGHT // 2
 # Reliable patches come before all others, for images up to some 30,000 px a side.
 _RELIABLE_SCORE = 2**29
 # What is lacking is summed in 64ths of a cycle: sums of integers are the same in any order.
@@ -28,7 +28,7 @@ def choose_starts_kernel(
     serial: Static,  # whether one thread does it
     count: i32,
     labels: I32Array2,  # (H, W)
-    patches: I32Array2,  # (12, capacity) see `Patch`
+    patches: I32Array2,  # (11, capacity) see `Patch`
     out_regions: I32Array2,  # (4, capacity) see `Region`
 ):
     """Choose the patch nearest to the image's centre as the start of each region, a reliable one if there is any."""
@@ -46,7 +46,7 @@ def choose_starts_kernel(
         # All in integers: a start must not depend on rounding.
         score = _RELIABLE_SCORE - dy * dy - dx * dx
         pixels = patches[Patch.PIXELS, i]
-        if pixels >= _RELIABLE_PX and patches[Patch.WEIGHT, i] >= _RELIABLE_BRIGHTNESS * pixels:
+        if pixels >= _RELIABLE_PX:
             score += _RELIABLE_SCORE
         patches[Patch.SUPPORT, i] = score
         ti.atomic_add(out_regions[Region.PIXELS, patches[Patch.ROOT, i]], pixels)
@@ -72,7 +72,7 @@ def place_regions_kernel(
     depth: f32,  # mm
     projector: F32Array1,  # see `load_projector`
     axis: i32,  # 0: the phase changes with the projector's column, 1: with its row
-    patches: I32Array2,  # (12, capacity) see `Patch`; scratch is written
+    patches: I32Array2,  # (11, capacity) see `Patch`; scratch is written
     regions: I32Array2,  # (4, capacity) see `Region`; the order is written
 ):
     """Give every region the orders that bring the first pixels of its patches nearest to a depth, on average."""

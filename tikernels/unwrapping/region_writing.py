@@ -68,7 +68,7 @@ def finish_patches_kernel(
     columns: i32,  # cells a row
     cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered; steps are marked
     draft_bits: i32,
-    patches: I32Array2,  # (12, capacity) see `Patch`
+    patches: I32Array2,  # (11, capacity) see `Patch`
     draft_contacts: I32Array2,  # (5, 4 cells << bits) see `Contact`
     regions: I32Array2,  # (4, capacity) see `Region`
     numbers: I32Array1,  # number of the region of each root; 0: too small

@@ -181,7 +181,7 @@ def measure_borders_kernel(
     labels: I32Array2,  # (H, W) patch and order in it
     cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
     draft_bits: i32,
-    patches: I32Array2,  # (12, capacity) see `Patch`
+    patches: I32Array2,  # (11, capacity) see `Patch`
     limits: F32Array2,  # (4, cells) rad: up to which a surface goes on and from which it steps, along and across
     out_notes: I32Array2,  # (5, _PLACES cells), by place: see `_Note`
     out_counts: I32Array1,  # (cells,) how many pairs
@@ -262,7 +262,7 @@ def measure_borders(
         See `Cell`; numbered.
     draft_bits : int
         A cell has places for 2^bits patches.
-    patches : (12, capacity) int32
+    patches : (11, capacity) int32
         See `Patch`.
     """
     rows, columns = cells_of(int(phase.shape[0]), int(phase.shape[1]))

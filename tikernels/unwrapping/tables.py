@@ -36,20 +36,19 @@ MOST = 2**31 - 1
 
 
 class Patch(IntEnum):
-    """Rows of the table of patches; drafts have the first three."""
+    """Rows of the table of patches; drafts have the first two."""
 
     PIXELS = 0  # how many it has
-    WEIGHT = 1  # their number, each times its brightness, 1 to 16, with 4 for an ordinary one
-    FIRST = 2  # its first pixel, row * width + column
-    ROOT = 3  # the patch that stands for its region
-    OFFSET = 4  # whole cycles to add to its orders to make them the region's
-    PARENT = 5  # in a round of joining: the region that this root is joined to,
-    PARENT_SHIFT = 6  # and the shift from there to here
-    HEAD = 7  # the root that this patch has been joined to, directly or through others,
-    HEAD_SHIFT = 8  # and the shift from there to here
-    SUPPORT = 9  # scratch: votes of the best contact; a start's score
-    KEY = 10  # scratch: name of the best contact
-    CHOICE = 11  # scratch: the best contact
+    FIRST = 1  # its first pixel, row * width + column
+    ROOT = 2  # the patch that stands for its region
+    OFFSET = 3  # whole cycles to add to its orders to make them the region's
+    PARENT = 4  # in a round of joining: the region that this root is joined to,
+    PARENT_SHIFT = 5  # and the shift from there to here
+    HEAD = 6  # the root that this patch has been joined to, directly or through others,
+    HEAD_SHIFT = 7  # and the shift from there to here
+    SUPPORT = 8  # scratch: votes of the best contact; a start's score
+    KEY = 9  # scratch: name of the best contact
+    CHOICE = 10  # scratch: the best contact
 
 
 class Contact(IntEnum):

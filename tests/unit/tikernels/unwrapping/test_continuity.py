@@ -6,7 +6,6 @@ import pytest
 from tikernels._taichi import F32Array1, F32Array2, I32Array2, ti
 from tikernels.phase.smoothing import MAX_DEPARTURE
 from tikernels.unwrapping.continuity import (
-    brightness_weight,
     cycles_and_departure,
     surely_across,
     surely_along,
@@ -21,7 +20,7 @@ def judge_kernel(
     rate: ti.f32,
     mean_quality: ti.f32,
     out_departs: F32Array1,
-    out_words: I32Array2,  # (5, N) cycles, sure along, sure across, weight, brightness
+    out_words: I32Array2,  # (4, N) cycles, sure along, sure across, weight
 ):
     for i in range(difference.shape[0]):
         cycles, departs = cycles_and_departure(difference[i], rate)
@@ -30,12 +29,11 @@ def judge_kernel(
         out_words[1, i] = ti.cast(surely_along(departs, quality[0, i], quality[1, i]), ti.i32)
         out_words[2, i] = ti.cast(surely_across(departs, quality[0, i], quality[1, i]), ti.i32)
         out_words[3, i] = vote_weight(departs, quality[0, i], quality[1, i], mean_quality)
-        out_words[4, i] = brightness_weight(quality[0, i], mean_quality)
 
 
 def judged(difference, quality, rate=0.0, mean_quality=1.0):
     count = len(difference)
-    departs, words = np.zeros(count, np.float32), np.zeros((5, count), np.int32)
+    departs, words = np.zeros(count, np.float32), np.zeros((4, count), np.int32)
     arrays = (np.asarray(difference, np.float32), np.asarray(quality, np.float32))
     judge_kernel(*arrays, rate, mean_quality, departs, words)
     return departs, words
@@ -71,4 +69,3 @@ def test_votes_weigh_by_the_equation(arch):
     expected = 1 + 63 * going_on**2 * (low / high) ** 2 * np.minimum(4 * low / 1.3, 1)
     # Float32 may fall to the other side of an integer.
     assert (np.abs(words[3] - (expected - 0.5)) < 0.501).all()
-    np.testing.assert_array_equal(words[4], np.clip(np.floor(4 * quality[0] / 1.3 + 1e-6), 1, 16))

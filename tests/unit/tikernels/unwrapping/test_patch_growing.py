@@ -44,7 +44,6 @@ def test_on_a_plane_every_cell_is_one_patch(arch, shape):
         np.testing.assert_array_equal(order[inside], cycles[inside] - cycles.ravel()[first])
         assert patches[Patch.FIRST, number << 4] == first
         assert patches[Patch.PIXELS, number << 4] == inside.sum()
-        assert patches[Patch.WEIGHT, number << 4] == 4 * inside.sum()
     np.testing.assert_array_equal(cells[:, :-1], [[1], [0], [0]] * np.ones(cell.max() + 1, int))
 
 

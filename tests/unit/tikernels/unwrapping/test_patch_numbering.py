@@ -16,7 +16,7 @@ def drafted(seed: int):
     cells = np.zeros((3, CELLS + 1), np.int32)
     cells[Cell.PATCHES, :-1] = rng.integers(0, 9, CELLS)
     cells[Cell.CONTACTS, :-1] = np.where(cells[Cell.PATCHES, :-1] > 0, rng.integers(0, 33, CELLS), 0)
-    patches = np.arange(3 * (CELLS << BITS), dtype=np.int32).reshape(3, -1)
+    patches = np.arange(2 * (CELLS << BITS), dtype=np.int32).reshape(2, -1)
     contacts = np.arange(5 * (CELLS << (BITS + 2)), dtype=np.int32).reshape(5, -1)
     full = np.flatnonzero(cells[Cell.PATCHES, :-1])
     for row in (Contact.FROM, Contact.TO):
@@ -38,7 +38,7 @@ def test_as_numpy(arch, seed, serial, at_once):
     assert counters[Counter.PATCHES] == counts[Cell.PATCHES].sum()
     assert counters[Counter.CONTACTS] == counts[Cell.CONTACTS].sum()
     assert counters[Counter.CROWDED] == max(counts[Cell.PATCHES].max(), -(-counts[Cell.CONTACTS].max() // 4))
-    table, collected = (np.full((rows, many), -1, np.int32) for rows, many in ((12, CELLS << BITS), (5, CELLS << 5)))
+    table, collected = (np.full((rows, many), -1, np.int32) for rows, many in ((11, CELLS << BITS), (5, CELLS << 5)))
     tables = [runtime.to_device(array) for array in (patches, contacts, cells, table, collected)]
     collect_patches_kernel(serial, CELLS, BITS, *tables)
     table, collected = (runtime.to_host(array) for array in tables[-2:])
