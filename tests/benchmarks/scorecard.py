@@ -68,8 +68,8 @@ _PAGE = """\
 mechanism of the decoder switched off at a time. A cell lists the largest loss of RMS, of coverage or of absolute and
 right orders (both in per cent of the lit pixels), and of orders (wrong ones per 100,000 that are added, inside surfaces
 or without a flag) among the frames of a kind, each with its frame. What improves without a mechanism has a minus.
-Milliseconds are CPU time of one thread, the median over all frames; lines are those of the code that only this
-mechanism needs. All frames but captures have {seeds} noise seeds.
+Lines are those of the code that only this mechanism needs; what it costs in time `--without` says. All frames but
+captures have {seeds} noise seeds.
 
 A mechanism stays if a frame loses {rms:.0%} of its RMS, {coverage:.1%} of its coverage, or a tenth of its orders (and
 {orders:.0f} per 100,000) without it, by more than two standard deviations of the mean over seeds; and if error over
@@ -418,7 +418,7 @@ def ablate(folder: Path, names: list[str], seeds: int, page: Path) -> None:
             return
         start = time.monotonic()
         try:
-            found = measured(folder, left, seeds, without=mechanism or None, rounds=1, processes=1).by_frame
+            found = measured(folder, left, seeds, without=mechanism or None, rounds=0, processes=1).by_frame
         except SystemExit as failure:  # of one mechanism, and the others go on
             print(f"without {mechanism}: {failure}", flush=True)
             return
@@ -447,11 +447,11 @@ def ablation_page(runs: dict[str, Run], seeds: int) -> str:
              "rendered": lambda n: n.startswith("r-"), "piles": lambda n: n.startswith(("pile", "touching")),
              "films": lambda n: n.startswith("film"), "captures": lambda n: n.startswith("capture")}  # fmt: skip
     head = _PAGE.format(seeds=seeds, rms=_RMS, coverage=_COVERAGE, orders=_FEW_ORDERS, sigma=_SIGMA)
-    columns = f"| mechanism | {' | '.join(kinds)} | ms | lines | verdict |"
-    lines = [head, columns, "|---" * (len(kinds) + 4) + "|"]
+    columns = f"| mechanism | {' | '.join(kinds)} | lines | verdict |"
+    lines = [head, columns, "|---" * (len(kinds) + 3) + "|"]
     for name, mechanism in MECHANISMS.items():
         if name not in runs:
-            lines.append(f"| {name}: {mechanism.meaning} |" + " - |" * (len(kinds) + 2) + " not measured |")
+            lines.append(f"| {name}: {mechanism.meaning} |" + " - |" * (len(kinds) + 1) + " not measured |")
             continue
         run, cells, buys = runs[name], [], False
         for belongs in kinds.values():
@@ -459,12 +459,9 @@ def ablation_page(runs: dict[str, Run], seeds: int) -> str:
             cell, pays = worth(base, run, frames)
             cells.append(cell)
             buys |= pays
-        cost = np.median([base.mean(frame, "cpu_ms") - run.mean(frame, "cpu_ms") for frame in base.by_frame])
         verdict = _verdict(base, run, mechanism) if not buys else "stays"
         lines.append(
-            f"| **{name}**: {mechanism.meaning} | "
-            + " | ".join(cells)
-            + f" | {cost:.1f} | {mechanism.lines()} | {verdict} |"
+            f"| **{name}**: {mechanism.meaning} | " + " | ".join(cells) + f" | {mechanism.lines()} | {verdict} |"
         )
     return "\n".join(lines) + "\n"
 

@@ -48,6 +48,8 @@ OWN_ERROR = 0.03
 # Where part of the window that the model is fitted to is empty, as near an edge, it follows the other side's shading:
 # an error in rad, whatever the noise, that grows with the root of that part.
 _EDGE_ERROR = 0.025
+# The standard deviation of a phase of which nothing is known but the cycle, rad: no more can be unsure.
+_UNKNOWN = np.pi / np.sqrt(3)
 # Rows differ by less than the noise where it was overrated, but not by less than half of it.
 _LEAST_SCATTER = 0.5
 # About 30,000 pixels tell how far rows scatter, to less than a per cent.
@@ -117,7 +119,7 @@ def _phase_sigma_kernel(wide: bool) -> Any:
             for k in range(lanes.count):
                 noise = scatter * scatter * smoothed_noise(sure[k], sigma[k], 1.0)
                 total = ti.sqrt(noise + wrong[k] + _EDGE_ERROR * _EDGE_ERROR * missing[k])
-                sigma[k] = ti.select(holds[k] != 0, total, ti.math.nan)
+                sigma[k] = ti.select(holds[k] != 0, ti.min(total, _UNKNOWN), ti.math.nan)
             store_lanes(out, y, place, width, sigma, wide)
 
     return phase_sigma_kernel
@@ -148,7 +150,8 @@ def phase_sigma(
     Returns
     -------
     (H, W) float32
-        rad; NaN off the mask. A buffer of the device if none is given.
+        rad, at most pi / sqrt(3), as of a phase of which nothing is known; NaN off the mask. A buffer of the device if
+        none is given.
 
     Raises
     ------
