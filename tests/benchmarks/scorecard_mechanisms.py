@@ -309,7 +309,7 @@ _ALL = (
         "surface_search:SurfaceSearch.follow", promise="films of coloured things take less time"),
     Mechanism("edge variance", "sigma where two surfaces meet", "r-objects",
         {"frame:edge_variance": gives(None)}, "surface_edges",
-        promise="sigma within 4 px of edges, where the table does not look: of a painted board's pixels between two "
+        promise="sigma within 4 px of edges, which the table leaves out: of a painted board's pixels between two "
         "colours 0.3 % are off by more than six sigma, and 2.3 % without it"),
     # One channel's model.
     Mechanism("second balance", "gains again once the phase is known", "bust-skin-1.8",
@@ -363,7 +363,7 @@ _ALL = (
         {"uncertainty:_scatter": gives(1.0)}, "uncertainty:_scatter uncertainty:compare_rows"),
     Mechanism("empty share", "sigma where the balance's window is empty", "objects-skin-2",
         {"uncertainty:_empty_share": zeros_like_mask}, "uncertainty:_empty_share wide_blur",
-        promise="sigma at rims, where the table does not look: 94 % of rendered objects' errors lie within two sigma, "
+        promise="sigma at rims, which the table leaves out: 94 % of rendered objects' errors lie within two sigma, "
         "and 90 % without it"),
     # Unwrapping.
     Mechanism("parting", "regions that step along most of a border are parted", "touching",
@@ -408,7 +408,7 @@ _ALL = (
     Mechanism("order range", "the projector's picture and the depth range limit the orders", "pile-small-coded",
         {"order_finder:OrderFinder._order_range": gives(None)},
         "order_finder:OrderFinder._order_range posterior:PartRange",
-        promise="a depth range tells the orders of plain patterns, which none of its frames has"),
+        promise="a depth range determines the orders of plain patterns; none of the frames has one"),
     Mechanism("adoption", "pixels at steps go to the one absolute surface that they continue", "objects-skin-2-coded",
         {"order_finder:adopt_pixels": nothing}, "pixel_adoption"),
     Mechanism("code's correction", "the phase is corrected by each cycle's modulation", "bust-skin-2-coded",

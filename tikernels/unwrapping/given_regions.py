@@ -104,7 +104,7 @@ class GivenRegions:
     def __init__(self, unwrapper: UserUnwrapper) -> None:
         self._unwrapper = unwrapper
 
-    def grow(self, phase: F32, quality: F32, rates: F32, drafts: Drafts) -> None:
+    def grow(self, phase: F32, quality: F32, drafts: Drafts) -> None:
         """Call the user's unwrapper, and cut its regions into patches.
 
         Parameters
@@ -113,8 +113,6 @@ class GivenRegions:
             rad in [-pi, pi]; NO_PHASE outside the mask, STEP_PHASE between two surfaces.
         quality : (H, W) float32
             Larger is better; the modulation.
-        rates : (N, 5) float32
-            What `measure_rates` found.
         drafts : Drafts
             Where patches and contacts are written.
         """

@@ -129,7 +129,7 @@ class RegionUnwrapper:
                 grow_patches_kernel(*growing, drafts.patches, drafts.contacts, drafts.cell_table)
                 note_borders_kernel(*growing, drafts.contacts, drafts.cell_table)
             else:
-                self._given.grow(phase, quality, rates, drafts)
+                self._given.grow(phase, quality, drafts)
             at_once = rounds_at_once()
             for first in range(0, drafts.cells, at_once):
                 stop = min(first + at_once, drafts.cells)

@@ -78,8 +78,8 @@ def test_larger_is_farther_on_either_side_of_the_projector(cpu, scene, stripes, 
     assert frame.front_is_clear and nearness(frame, truth) > 0
     sides = ("above", "below") if stripes == "horizontal" else ("left", "right")
     for side, right in zip(sides, (not opposite, opposite), strict=True):
-        told = Decoder(DecodeSettings.of(**settings, projector_side=side), arch="cpu").decode(truth.image)
-        assert told.front_is_clear and (nearness(told, truth) > 0) == right
+        stated = Decoder(DecodeSettings.of(**settings, projector_side=side), arch="cpu").decode(truth.image)
+        assert stated.front_is_clear and (nearness(stated, truth) > 0) == right
 
 
 def test_the_side_stays_as_the_first_clear_frame_shows_it(cpu):
