@@ -1,9 +1,13 @@
 """Runs that are killed again and again, and long ones."""
 
 import os
+import signal
+import subprocess
+import time
 from pathlib import Path
 
 import pytest
+from support.command_line import command
 from support.recorded_footage import contents, kill_again_and_again, record
 
 from pipeline import DecodeSettings
@@ -52,3 +56,22 @@ def test_memory_stays_flat(tmp_path):
         Job(str(film), StoredAs(), DecodeSettings(), None, None, 1, 0, fields, str(tmp_path / "r"), "cpu"), tell=note
     )
     assert sizes[150] - sizes[50] < 20
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
+@pytest.mark.usefixtures("kernels_on_disk")
+def test_ctrl_c_at_the_terminal(tmp_path):
+    """Exit code 130, and one line that says how to go on."""
+    record(tmp_path / "film.zarr", 300)
+    arguments = command("decode", tmp_path / "film.zarr", "--out", tmp_path / "out", "--arch", "cpu")
+    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    with process:
+        while len(list((tmp_path / "out" / "result.zarr" / "done").glob("c.*"))) < 5:
+            assert process.poll() is None
+            time.sleep(0.005)
+        os.killpg(process.pid, signal.SIGINT)
+        _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "stopped: " in said and "of 300 frames are done; the same command goes on from there" in said
+    assert "Traceback" not in said
+    assert not list((tmp_path / "out").rglob("*.part*"))

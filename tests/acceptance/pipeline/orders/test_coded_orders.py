@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+import reference
 from support.uncertain_frames import judged_regions, uncertain_frame
 
-from pipeline import Decoder
+from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.output.report import measure_against_truth
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 
@@ -36,3 +37,23 @@ def test_the_error_probability_is_what_it_says():
     assert expected / 2 < observed < 2 * expected
     assert regions[regions[:, 0] < 1e-3, 1].sum() == 0
     assert (regions[:, 0] < 1e-3).sum() > 20
+
+
+def test_motion_during_the_exposure_is_flagged():
+    """Head and shoulders move by 20 mm: they are flagged, not placed with the wall; what is wrong is their rim."""
+    rig = simulated_rig(code="contrast")
+    frames = [
+        simulate_frame(rig, SimulationSettings(object_motion_mm=(0.7 * s, s, 0.0), exposure=1.0, noise_levels=0.0))
+        for s in np.linspace(-10, 10, 7)
+    ]
+    mean = np.mean([frame.image for frame in frames], axis=0)
+    image = np.clip(mean + np.random.default_rng(0).normal(0, 1.5, mean.shape), 0, 255).astype(np.uint8)
+    calibration = rig.model_copy(update={"crosstalk_matrix": np.array(TYPICAL_CROSSTALK)})
+    with pytest.warns(DecodeWarning, match="of the code"):
+        frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
+    truth = frames[3]
+    lit = reference.eroded(truth.mask, 4) & (truth.image.mean(axis=2) > 20)
+    known = lit & frame.absolute
+    right = np.abs(np.nan_to_num(frame.unwrapped_phase) - truth.phase) < np.pi
+    assert (known & right).sum() / lit.sum() > 0.6
+    assert (known & ~right).sum() / lit.sum() < 0.04

@@ -5,9 +5,6 @@ import json
 import os
 import re
 import shutil
-import signal
-import subprocess
-import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +12,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import zarr
-from support.command_line import command
 from support.missing import import_but_fail_in_ci
 from support.recorded_footage import contents, record
 
@@ -396,25 +392,6 @@ def test_ctrl_c_keeps_what_is_done(job, undisturbed, monkeypatch):
     assert not list(Path(job.store).rglob("*.part*"))
     decode_footage(job)
     assert contents(Path(job.store)) == undisturbed
-
-
-@pytest.mark.skipif(os.name != "posix", reason="a terminal's Ctrl-C is a signal to a group of processes")
-@pytest.mark.usefixtures("kernels_on_disk")
-def test_ctrl_c_at_the_terminal(tmp_path):
-    """Exit code 130, and one line that says how to go on."""
-    record(tmp_path / "film.zarr", 300)
-    arguments = command("decode", tmp_path / "film.zarr", "--out", tmp_path / "out", "--arch", "cpu")
-    process = subprocess.Popen(arguments, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    with process:
-        while len(marked(tmp_path / "out" / "result.zarr")) < 5:
-            assert process.poll() is None
-            time.sleep(0.005)
-        os.killpg(process.pid, signal.SIGINT)
-        _, said = process.communicate(timeout=120)
-    assert process.returncode == 130
-    assert "stopped: " in said and "of 300 frames are done; the same command goes on from there" in said
-    assert "Traceback" not in said
-    assert not list((tmp_path / "out").rglob("*.part*"))
 
 
 def test_a_full_disk(job, undisturbed, monkeypatch):

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from support.command_line import colorphase
 
 from pipeline.acquisition import simulated_capture
 from pipeline.acquisition.capture_folder import CaptureProgress
@@ -29,14 +28,15 @@ def small(monkeypatch):
     monkeypatch.setattr(simulated_capture, "_POSES", 2)
 
 
-@pytest.mark.usefixtures("kernels_on_disk")
-def test_bursts_of_a_simulated_rig_are_recorded_and_can_be_decoded(tmp_path):
+def test_bursts_of_a_simulated_rig_are_recorded_and_the_next_command_is_said(command, small, tmp_path):
     (tmp_path / "rig.toml").write_text(SIMULATED, encoding="utf-8")
-    done = colorphase("capture", "--rig", "rig.toml", "--out", "face", "--bursts", 2, "--arch", "cpu", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    recorded, command = done.stdout.splitlines()
+    ended, said, complained = command("capture", "--rig", "rig.toml", "--out", "face", "--bursts", "2", "--arch", "cpu")
+    assert ended == 0, complained
+    recorded, next_command = said.splitlines()
     assert recorded == "recorded 6 frames of 2 bursts in face/recording.zarr; each frame's pulse is in face/log.jsonl"
-    assert command == ("colorphase decode face/recording.zarr --out face/decoded --calibration face/calibration.json")
+    assert next_command == (
+        "colorphase decode face/recording.zarr --out face/decoded --calibration face/calibration.json"
+    )
     events = [json.loads(line) for line in (tmp_path / "face" / "log.jsonl").read_text().splitlines()]
     assert [event["pulse"] for event in events if event["event"] == "frame"] == [0, 1, 2, 0, 1, 2]
 

@@ -127,22 +127,6 @@ def test_a_sequence_that_is_not_the_codes(wrong, calibrated):
     assert frame.order_error_probability[frame.mask].min() > 0.01
 
 
-def test_motion_during_the_exposure_is_flagged():
-    """Head and shoulders move by 20 mm: they are flagged, not placed with the wall; what is wrong is their rim."""
-    _, calibration = simulated("bust", size=FULL)
-    frames = [
-        simulated("bust", size=FULL, object_motion_mm=(0.7 * s, s, 0.0), exposure=1.0, noise_levels=0.0)[0]
-        for s in np.linspace(-10, 10, 7)
-    ]
-    mean = np.mean([frame.image for frame in frames], axis=0)
-    image = np.clip(mean + np.random.default_rng(0).normal(0, 1.5, mean.shape), 0, 255).astype(np.uint8)
-    with pytest.warns(DecodeWarning, match="of the code"):
-        frame = Decoder(DecodeSettings(), calibration, arch="cpu").decode(image)
-    right, wrong = shares(frame, frames[3])
-    assert right > 0.6
-    assert wrong < 0.04
-
-
 SHOWN = r'shows a contrast code, which is used: set code = "none" \(--code none\) to decode it as plain'
 
 

@@ -1,7 +1,7 @@
 """Captures that several modules of calibration are tested with."""
 
 import pytest
-from support.posed_boards import CHARUCO, captured
+from support.posed_boards import CHARUCO, CHESSBOARD, captured
 
 from pipeline.calibration.simulated_board import BoardCaptures
 
@@ -10,3 +10,9 @@ from pipeline.calibration.simulated_board import BoardCaptures
 def of_charuco() -> BoardCaptures:
     """Return the captures of one pose of the board with markers."""
     return captured(CHARUCO)
+
+
+@pytest.fixture(scope="session")
+def of_chessboard() -> BoardCaptures:
+    """Return the captures of one pose of the board without."""
+    return captured(CHESSBOARD)

@@ -31,9 +31,9 @@ def test_corners_at_the_very_rim_tell_no_blur():
     assert np.isnan(edge_blur_px(np.zeros((40, 40)), np.array([[1.0, 1.0]]), 20.0))
 
 
-def test_a_board_that_moves_between_its_pictures():
+def test_a_board_that_moves_between_its_pictures(of_chessboard):
     """By half a millimetre, which is 0.6 px, from the fine columns on: found to a tenth of a pixel, and when."""
-    before, after = captured(CHESSBOARD), captured(CHESSBOARD, place=(0.4, 0.25, 900.0))
+    before, after = of_chessboard, captured(CHESSBOARD, place=(0.4, 0.25, 900.0))
     shift_px = np.linalg.norm([0.4, 0.25]) * 1232 / 900
     still = measure_pose("still", before, CHESSBOARD, PROJECTOR_PX).evidence
     moved = measure_pose("moved", MovedCaptures(before, after, SEQUENCE.names[10]), CHESSBOARD, PROJECTOR_PX).evidence
@@ -48,9 +48,9 @@ def test_what_was_not_looked_at_has_not_moved():
 
 
 @pytest.mark.parametrize("board", [CHESSBOARD, CHARUCO], ids=["chessboard", "charuco"])
-def test_corners_of_one_pose(board, of_charuco):
+def test_corners_of_one_pose(board, of_charuco, of_chessboard):
     """In camera and projector to 0.15 px; a chessboard may be numbered from either end."""
-    captures = of_charuco if board is CHARUCO else captured(board)
+    captures = of_charuco if board is CHARUCO else of_chessboard
     pose = measure_pose("pose", captures, board, PROJECTOR_PX)
     geometry = rig().geometry()
     truth = captures.corners_camera
