@@ -232,7 +232,7 @@ class Decoder:
         rays = self._setup.rays
         image, motion = self._hold_still(frame, levels, work, memory)
         # The phase of every pixel: balance, response, each channel's wave, and a fit to all three.
-        counts, correction, cycle = self._measure_cycle(image, crosstalk, levels, work, memory)
+        correction, cycle = self._measure_cycle(image, crosstalk, levels, work)
         # Surfaces take the model of a first look where nobody else knows a cycle of the light.
         first_look = path.surfaces is not None and not path.light_known
         if first_look:
@@ -241,7 +241,7 @@ class Decoder:
         found = looked if isinstance(looked, FoundSurfaces) else None
         if found is not None:
             crosstalk, cycle = found.crosstalk, found.template
-            counts, correction, _ = self._measure_cycle(image, crosstalk, levels, work, memory)
+            correction, _ = self._measure_cycle(image, crosstalk, levels, work)
         if found is not None or not first_look:
             model.fit(crosstalk, correction, cycle, path.contrast_doubt, fixed=found is not None)
         fit = FittedPhase(work.fitted_phase, phases.modulation, phases.precision, phases.misfit, work.brightness)
@@ -288,7 +288,6 @@ class Decoder:
             surface,
             light=self._kept_light(frame, image, levels, work, crosstalk),
             n_measured=int(regions.pixels.sum()),
-            phase_counts=counts,
             surfaces=None if isinstance(looked, NoModelFits) else looked,
             at_rest=self.settings.field_times is None or motion is not None,
             orders=orders,
@@ -364,14 +363,12 @@ class Decoder:
         return float(np.nanmedian(shift)) if np.isfinite(shift).any() else None
 
     def _measure_cycle(
-        self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels, work: Workspace, memory: FrameMemory | None
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Balance the channels, and return how often phases are seen, what equalises them, and the light's cycle."""
+        self, image: LevelsImage, crosstalk: Crosstalk, levels: FrameLevels, work: Workspace
+    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
+        """Balance the channels, and return what equalises their phases, and the light's cycle."""
         work.gains.measure(image, crosstalk, levels)
         work.model.recover(crosstalk, levels)
-        faded = 0.0 if memory is None else memory.faded_phase_counts
-        counts = np.asarray(count_phases(image, work.gains, crosstalk, levels) + faded, np.float64)
-        return (counts, *self._path.cycle(counts, work.period_px))
+        return self._path.cycle(count_phases(image, work.gains, crosstalk, levels).astype(np.float64), work.period_px)
 
     def _hold_still(
         self, frame: LinearFrame, levels: FrameLevels, work: Workspace, memory: FrameMemory | None
@@ -385,7 +382,7 @@ class Decoder:
         if times is None or memory is None:
             return image, motion
         for _ in range(MOTION_TURNS):
-            _, correction, cycle = self._measure_cycle(image, path.crosstalk, levels, work, memory)
+            correction, cycle = self._measure_cycle(image, path.crosstalk, levels, work)
             model.fit(path.crosstalk, correction, cycle, path.contrast_doubt)
             fit = fit_phase(image, model, path.crosstalk, levels, correction, path.contrast_doubt)
             lag = 0.0

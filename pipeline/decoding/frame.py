@@ -47,8 +47,6 @@ Floats = npt.NDArray[np.float32]
 
 # A frame's constant is never known better, rad: what balance and ambient light leave of it on clean frames.
 _LEAST_CONSTANT = 0.0006
-# What the phases of the frames before still count when the response is equalised, from frame to frame.
-_FADING = 0.9
 _CYCLE = np.float32(2 * np.pi)
 
 
@@ -86,15 +84,9 @@ class FrameMemory:
     """All that travels from a frame to the next one of a video."""
 
     stripes: str
-    phase_counts: npt.NDArray[np.float64] | None  # (tiles, bins) bare phases seen, earlier ones faded; None: no fringe
     surface: SurfaceBuffers
     orders: RegionOrders
     surfaces: FoundSurfaces | OnlyColor | None  # what surfaces make of the crosstalk; None: nothing
-
-    @property
-    def faded_phase_counts(self) -> npt.NDArray[np.float64] | float:
-        """What the phases of the frames up to here count when the next one's response is equalised."""
-        return 0.0 if self.phase_counts is None else _FADING * self.phase_counts
 
     def checked(self, shape: tuple[int, int], stripes: str) -> "FrameMemory":
         """Return this memory, for a frame whose image has a shape with its stripes along the rows.
@@ -133,7 +125,6 @@ class Measured:
     light_doubts: tuple[str, ...] = ()  # and of the light
     n_measured: int = 0  # pixels that belong to regions
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
-    phase_counts: npt.NDArray[np.float64] | None = None  # (tiles, bins) bare phases, earlier frames' faded
     surfaces: FoundSurfaces | OnlyColor | None = None
     range_sign: int = 1  # without a calibration: -1 where the phase grows towards the camera
     front_is_clear: bool = False  # whether that is more than a guess
@@ -331,7 +322,7 @@ class DecodedFrame:
         """What the next frame of a video may know of this one."""
         measured = self._measured
         surfaces = measured.surfaces if measured.at_rest else None  # motion bends what a frame says of them
-        return FrameMemory(self._setup.stripes, measured.phase_counts, measured.surface, measured.orders, surfaces)
+        return FrameMemory(self._setup.stripes, measured.surface, measured.orders, surfaces)
 
     def plot(self, field: str = "range_image", ax: "Axes | None" = None) -> "FigureBase":
         """Draw a field with its scale, in its unit, from its 1st to its 99th percentile.
