@@ -16,7 +16,6 @@ import numpy.typing as npt
 
 from pipeline.models import FloatArray
 from pipeline.orders.contrast_cycles import Steps
-from pipeline.orders.frame_context import PartLevel
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
 from pipeline.pattern import CYCLES, contrast_levels
 from pipeline.robust import robust_sigma
@@ -36,8 +35,6 @@ _FREEDOM = 4.0
 _MEDIAN_SCATTER, _SCATTER_PRIOR = 1.2533, 8.0
 # Numbers that are worked on together: they stay in a core's cache.
 _MOST_AT_ONCE = 2**18
-# Standard deviation of a cycle's level, what its columns have in common included.
-_LEVEL_SIGMA = 0.01
 
 
 @dataclass(frozen=True)
@@ -47,7 +44,6 @@ class PartSteps:
     lower_orders: Integers  # (n,) the lower cycle's order
     middle: FloatArray  # (n,) median rise
     noise: FloatArray  # (n,) its variance, by the columns' scatter
-    level: FloatArray  # (n,) median of the logarithm of both cycles' contrast
 
 
 def seen_steps(steps: Steps, roots: npt.NDArray[np.int32], parts: Integers) -> list[PartSteps]:
@@ -66,16 +62,15 @@ def seen_steps(steps: Steps, roots: npt.NDArray[np.int32], parts: Integers) -> l
     part = np.searchsorted(parts, roots[steps.low[within]])
     large = parts[np.minimum(part, len(parts) - 1)] == roots[steps.low[within]] if len(parts) else np.zeros(0, np.bool_)
     within, part = within[large], part[large]
-    order, rise, level = steps.order[within], steps.rise[within], steps.level[within]
+    order, rise = steps.order[within], steps.rise[within]
     sort = np.lexsort((rise, order, part))
-    level = level[np.lexsort((level, order, part))]
     part, order, rise = part[sort], order[sort], rise[sort]
     fresh = np.ones(len(part), np.bool_)
     fresh[1:] = (np.diff(part) != 0) | (np.diff(order) != 0)
     starts = np.flatnonzero(fresh)
     counts = np.diff(np.append(starts, len(part)))
     lower, upper = starts + (counts - 1) // 2, starts + counts // 2
-    middle, level = 0.5 * (rise[lower] + rise[upper]), 0.5 * (level[lower] + level[upper])
+    middle = 0.5 * (rise[lower] + rise[upper])
     group = np.repeat(np.arange(len(starts)), counts)
     # The scatter of columns about their median, which depends on each where there are few.
     deviation = np.abs(rise - middle[group]) * np.sqrt(counts / np.maximum(counts - 1, 1))[group]
@@ -89,7 +84,7 @@ def seen_steps(steps: Steps, roots: npt.NDArray[np.int32], parts: Integers) -> l
         known = len(shown) / (len(shown) + _SCATTER_PRIOR)
         variance = known * _scatter(shown) ** 2 + (1 - known) * usual**2
         noise = _MEDIAN_SCATTER**2 * variance / counts[first:last]
-        found.append(PartSteps(order[starts[first:last]], middle[first:last], noise, level[first:last]))
+        found.append(PartSteps(order[starts[first:last]], middle[first:last], noise))
     return found
 
 
@@ -147,22 +142,6 @@ def _alike_likelihoods(parts: list[PartSteps]) -> list[FloatArray]:
     fit = np.stack(fits, axis=1).reshape(len(parts), len(_SPREADS), len(STRENGTHS), -1).swapaxes(1, 2)
     likelihoods = -0.5 * (_FREEDOM + 1) * fit.astype(np.float64) - 0.5 * constant[:, None, :, None]
     return [likelihood[..., :offsets] for likelihood, offsets in zip(likelihoods, n_offsets, strict=True)]
-
-
-def part_level(part: PartSteps) -> PartLevel | None:
-    """Return how high a part's contrast is, and how high the code's is at each of the offsets that it may have."""
-    if len(part.lower_orders) == 0:
-        return None
-    weights = 1 / (part.noise + _LEVEL_SIGMA**2)
-    total = float(weights.sum())
-    places = part.lower_orders + _offsets(part)[:, None]
-    code = 0.5 * (_levels()[:, places] + _levels()[:, places + 1]) @ weights / total
-    return PartLevel(float(part.level @ weights) / total, code, 1 / total)
-
-
-def _offsets(part: PartSteps) -> Integers:
-    """Return the offsets that a part may have: all of it lies in the code."""
-    return np.arange(-part.lower_orders[0], CYCLES - 1 - part.lower_orders[-1])
 
 
 @cache

@@ -2,8 +2,8 @@
 
 From cycle to cycle the logarithm of the contrast steps as the code says; a factor that changes slowly cancels in the
 steps (`contrast_cycles`). Regions that the code contradicts are cut (`region_cutting`). Every part gets a posterior
-over its offsets by its steps (`code_posterior`), by the level of its contrast and by where the rest of the frame is
-(`frame_context`). Patches that lie on the wrong side of a border move to the other one (`border_settling`).
+over its offsets by its steps (`code_posterior`) and by where the rest of the frame is (`nearness`). Patches that lie on
+the wrong side of a border move to the other one (`border_settling`).
 `docs/coded_pattern.md` has the derivation.
 """
 
@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.orders.border_settling import settle_borders
-from pipeline.orders.code_posterior import code_posteriors, log_likelihoods, part_level, seen_steps
+from pipeline.orders.code_posterior import code_posteriors, log_likelihoods, seen_steps
 from pipeline.orders.contrast_cycles import Steps, read_cycles
-from pipeline.orders.frame_context import level_evidence, log_nearness, nearness
+from pipeline.orders.nearness import log_nearness, nearness
 from pipeline.orders.posterior import (
     MAX_ABSOLUTE_ERROR,
     NOTHING_KNOWN,
@@ -114,14 +114,10 @@ def _placed(
     sure = [k for k, found in enumerate(posteriors) if found.error(found.best) < MAX_ABSOLUTE_ERROR]
     if readable and sure:
         # What these tell of the others.
-        levels = [part_level(part) for part in seen]
-        where = {k: posteriors[k].best - posteriors[k].first for k in sure}
         lacking = nearness(graph, roots, width, {int(parts[k]): posteriors[k].best for k in sure})
-        for k, more in enumerate(level_evidence(levels, where, pixels[parts])):
-            first, likelihood = likelihoods[k]
-            likelihood += np.asarray(more)[..., None, :] if np.ndim(more) else 0.0
-            if origin[k] in (-1, parts[k]):
-                likelihood += log_nearness(lacking[parts[k]], first + np.arange(likelihood.shape[-1]))
+        for part, of_region, (first, likelihood) in zip(parts, origin, likelihoods, strict=True):
+            if of_region in (-1, part):
+                likelihood += log_nearness(lacking[part], first + np.arange(likelihood.shape[-1]))
         posteriors, readable = code_posteriors(likelihoods, luck)
     of_main = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
     for k, part in enumerate(parts):

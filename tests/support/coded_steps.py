@@ -43,5 +43,4 @@ def shown(rows, columns, lacks, factor=0.0, noise=0.004, seed=0):
     by_column = np.arange(len(y)).reshape(rows, columns)
     low, high = by_column[:-1].T.ravel(), by_column[1:].T.ravel()
     place = (np.arange(rows - 1) + rows * np.arange(columns)[:, None]).ravel()
-    mean = 0.5 * (contrast[low] + contrast[high])
-    return cycles, Steps(low, high, y[low], contrast[high] - contrast[low], mean, place, rising=True)
+    return cycles, Steps(low, high, y[low], contrast[high] - contrast[low], place, rising=True)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from support.coded_steps import shown
 
-from pipeline.orders.code_posterior import STRENGTHS, code_posteriors, log_likelihoods, part_level, seen_steps
-from pipeline.pattern import contrast_levels
+from pipeline.orders.code_posterior import code_posteriors, log_likelihoods, seen_steps
 
 PART = np.array([0])
 
@@ -36,17 +35,8 @@ def test_chance_that_looks_like_the_code_is_doubted():
     assert errors[1] > 10 * errors[0]
 
 
-def test_how_high_the_contrast_is():
-    """The level is the code's at the true offset, times the surface's factor."""
-    level = part_level(seen(8, 30, factor=-0.2))
-    assert level.code.shape == (len(STRENGTHS), len(contrast_levels()) - 7)
-    np.testing.assert_allclose(level.factor(30)[STRENGTHS == 1], -0.2, atol=0.005)
-    assert level.variance < 0.01**2
-
-
 def test_a_part_without_steps():
     nothing = seen(1, 0)
-    assert part_level(nothing) is None
     (posterior,), _ = code_posteriors(log_likelihoods([nothing]), np.zeros(1))
     assert posterior.error(0) == 1
 
