@@ -5,6 +5,7 @@ import signal
 import sys
 import warnings
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from support.kernel_cache import fill_kernel_cache, kernel_settings
@@ -70,9 +71,14 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run tests of kernels on the CPU, on Vulkan, and on what else there is here, unless they choose themselves."""
     chosen = (mark.args[0] for mark in metafunc.definition.iter_markers("parametrize"))
     if "arch" in metafunc.fixturenames and "arch" not in chosen:
-        others = {"cuda", "metal"} if metafunc.config.getoption("every_arch") else set()
-        archs = ["cpu", "vulkan", *sorted(others.intersection(tikernels.supported_archs()))]
-        metafunc.parametrize("arch", archs, indirect=True)
+        metafunc.parametrize("arch", tested_archs(metafunc.config.getoption("every_arch")), indirect=True)
+
+
+@cache
+def tested_archs(every: bool) -> list[str]:
+    """Return what tests of kernels run on; what there is here takes long to tell."""
+    others = {"cuda", "metal"}.intersection(tikernels.supported_archs()) if every else ()
+    return ["cpu", "vulkan", *sorted(others)]
 
 
 def on_gpu(item: pytest.Item) -> str:
