@@ -125,8 +125,12 @@ def simavr_build(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def simavr_board(simavr_build: Path, tmp_path: Path) -> Iterator[Callable[..., Board]]:
-    """Return what starts a board. Each of them must end, and those that still run with both outputs low."""
+def simavr_board(simavr_build: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Board]]:
+    """Return what starts a board. Each of them must end, and those that still run with both outputs low.
+
+    On a busy machine an emulated board's clock is slow, and its bursts last longer.
+    """
+    monkeypatch.setattr("hardware.trigger.box.OVERDUE_S", 120.0)
     boards: list[Board] = []
 
     def start(speed: float = 2.0) -> Board:

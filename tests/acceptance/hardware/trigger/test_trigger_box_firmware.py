@@ -32,7 +32,7 @@ def train(
 SHORT = train(500, 40, (0, 60), (100, 80))
 
 
-def finish(box: TriggerBox, timeout_s: float = 20.0) -> TriggerStatus:
+def finish(box: TriggerBox, timeout_s: float = 150.0) -> TriggerStatus:
     """Wait for the end of the burst."""
     deadline_s = time.monotonic() + timeout_s
     while (status := box.status()).running:
@@ -42,7 +42,7 @@ def finish(box: TriggerBox, timeout_s: float = 20.0) -> TriggerStatus:
 
 def wait_for_pulses(box: TriggerBox, pulses: int) -> TriggerStatus:
     """Wait until this many pulses have begun."""
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + 150
     while (status := box.status()).pulses < pulses:
         assert time.monotonic() < deadline_s, status
     return status
