@@ -5,6 +5,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
 
+import pytest
 import scorecard
 from scorecard_frames import frames
 from scorecard_mechanisms import MECHANISMS, located
@@ -24,6 +25,7 @@ def test_the_table_names_what_is_there():
         )
 
 
+@pytest.mark.timeout(5400)  # half a hundred processes, each with kernels of its own
 def test_each_mechanism_changes_its_frame(tmp_path):
     """Without it at least one pixel of mask, order, region, phase or sigma is another one."""
     names = sorted({mechanism.shows for mechanism in MECHANISMS.values() if mechanism.shows})
