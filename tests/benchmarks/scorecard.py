@@ -5,6 +5,7 @@
     python tests/benchmarks/scorecard.py --against main         compare with another commit, pixel by pixel
     python tests/benchmarks/scorecard.py --without sharpness    with one mechanism of the decoder switched off
     python tests/benchmarks/scorecard.py --ablate               each mechanism in turn; writes docs/ablation.md
+    python tests/benchmarks/scorecard.py --rigs 0-19            another table: scenes before rigs drawn at random
 
 A pixel is judged that is lit, brighter than 20 of 255, and 4 px inside the lit area. RMS and constant are those of its
 phase error (rad, modulo 2 pi, one constant removed). Error over sigma is the RMS of the error minus its surface's
@@ -542,6 +543,16 @@ def frames_folder(given: Path | None) -> Path:
     return folder
 
 
+def rigs_table(numbers: str, scenes: list[str], folder: Path) -> str:
+    """Return the table of rigs drawn at random, "N-M", and some or all of their scenes."""
+    from drawn_figures import study
+    from drawn_scenes import SCENES
+
+    first, _, last = numbers.partition("-")
+    made_by = digest(Path(__file__).with_name("rendered"), ROOT / "pipeline", ROOT / "tikernels")
+    return study(list(range(int(first), int(last or first) + 1)), scenes or list(SCENES), folder / f"rigs-{made_by}")
+
+
 def main() -> None:
     """Print the table, a comparison, or write the ablation."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -551,6 +562,7 @@ def main() -> None:
     parser.add_argument(
         "--ablate", action="store_true", help="switch off every mechanism in turn; continues after a kill"
     )
+    parser.add_argument("--rigs", metavar="N-M", help="measure drawn rigs of these numbers; takes minutes for each")
     parser.add_argument("--seeds", type=int, default=8, help="noise seeds per frame")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "ablation.md")
     parser.add_argument("--folder", type=Path, help="where frames and results are kept")
@@ -562,6 +574,9 @@ def main() -> None:
     from scorecard_frames import frames
     from scorecard_mechanisms import MECHANISMS
 
+    if options.rigs:
+        print(rigs_table(options.rigs, options.frame, frames_folder(options.folder)))
+        return
     if options.without not in (None, *MECHANISMS):
         parser.exit(2, "\n".join(f"{name}: {mechanism.meaning}" for name, mechanism in MECHANISMS.items()) + "\n")
     unknown = set(options.frame) - set(frames())

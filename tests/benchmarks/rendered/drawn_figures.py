@@ -1,0 +1,273 @@
+"""Decode frames of drawn rigs, judge them against what is true, and put the figures of all rigs into one table.
+
+Each rig is calibrated by its own ramps (`colorphase calibrate radiometry`); its geometry is the true one. A pixel is
+lit if the true amplitude of its fringe, the mean of the channels, is 8 of 255 levels or more. Phases are judged there,
+4 px inside the lit area and inside surfaces that hold 2000 such pixels. "Clean" frames have 16 bits and no noise.
+"""
+
+import json
+import os
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from drawn_frames import Photographer
+from drawn_rigs import draw_rig
+from drawn_scenes import SCENES, Scene, draw_scene
+from ray_caster import NOTHING, Truth, true_at_centers
+
+from pipeline import Calibration, DecodedFrame, Decoder, DecodeSettings
+from pipeline.batch.job import with_transfer_of
+from pipeline.errors import DecodeWarning
+from pipeline.footage.opening import open_source
+from tikernels import runtime
+from tikernels.raw.development import develop
+from tikernels.raw.pixel_format import PixelFormat
+
+_LIT_LEVELS, _RIM_PX, _LEAST_PX = 8.0, 4, 2000
+Mask = npt.NDArray[np.bool_]
+
+
+def deeper(mask: Mask, px: float) -> Mask:
+    """Return where a mask is further than a number of pixels from where it is not; the image's edge does not count."""
+    return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) > px
+
+
+class Taken:
+    """All frames of one scene before one rig."""
+
+    def __init__(self, photographer: Photographer, scene: Scene, seed: int) -> None:
+        self.photographer, self.scene, self.seed = photographer, scene, seed
+        names = ("shift 0", "shift 1", "shift 2", "coded", "compensated coded")
+        lines = [photographer.codes(name) for name in names]
+        lines.append(np.ones_like(lines[0]))
+        *shifts, coded, compensated, white = photographer.lines(scene, lines)
+        self.light = {"plain": shifts[0], "coded": coded, "compensated coded": compensated}
+        self.exposure = photographer.exposure(white)
+        wave = sum(light * np.exp(-2j * np.pi * k / 3) for k, light in enumerate(shifts))
+        amplitude = np.abs(wave).mean(axis=2) * (2 / 3 * 255 * self.exposure)
+        self.truth: Truth = true_at_centers(photographer.geometry, scene.packed())
+        self.lit = (amplitude >= _LIT_LEVELS) & self.truth.lit & (shifts[0].max(axis=2) * self.exposure < 1)
+        self.phase = 2 * np.pi / photographer.geometry.pattern.period_px * np.nan_to_num(self.truth.place)
+
+    def calibration(self, pattern: str) -> Calibration:
+        """Return the rig's, with what is known of the pattern."""
+        known = self.photographer.calibration
+        update = {"code": "contrast" if "coded" in pattern else None, "compensated": "compensated" in pattern}
+        return known.model_copy(update={"capture": None, "pattern": known.pattern.model_copy(update=update)})
+
+    def decode(self, pattern: str, noise: bool = True, known: bool = True) -> DecodedFrame:
+        """Return a frame of a pattern, decoded."""
+        rig = self.photographer.rig
+        levels = self.photographer.levels(self.light[pattern], self.exposure, self.seed if noise else None)
+        calibration: Calibration | None = self.calibration(pattern) if known else None
+        settings = DecodeSettings(
+            stripes=rig.calibration.pattern.stripes,
+            **({} if known else {"code": "none" if pattern == "plain" else "contrast"}),
+        )
+        if noise and rig.delivery in ("jpeg", "mjpeg"):
+            image, settings = self._by_file(levels, settings, calibration)
+        elif noise and rig.delivery == "bayer":
+            image = develop((levels,), PixelFormat("bayer", rig.bits, bayer="rggb"))
+        else:
+            image = levels
+            if noise and rig.bits not in (8, 16):
+                settings = settings.model_copy(update={"white_level": 2.0**rig.bits - 1})
+        decoder = Decoder(settings, calibration, arch="cpu")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DecodeWarning)
+            return decoder.decode(image)
+
+    def _by_file(
+        self, mosaic: npt.NDArray[Any], settings: DecodeSettings, calibration: Calibration | None
+    ) -> tuple[Any, DecodeSettings]:
+        """Return a frame as a JPEG of the camera's holds it."""
+        color = cv2.cvtColor(mosaic, cv2.COLOR_BayerRGGB2RGB_EA).astype(np.float64) / 255
+        encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
+        halved = self.photographer.rig.delivery == "mjpeg"
+        sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420 if halved else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
+        options = [cv2.IMWRITE_JPEG_QUALITY, 88 if halved else 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "frame.jpg"
+            cv2.imwrite(str(path), np.rint(encoded * 255).astype(np.uint8)[..., ::-1], options)
+            source = open_source(path)
+            settings, _ = with_transfer_of(source, settings, calibration)
+            (stored,) = source.frames()
+            return develop(stored.planes, stored.format), settings
+
+
+def phase_error(frame: DecodedFrame, taken: Taken) -> npt.NDArray[np.float64]:
+    """Return (H, W) rad, modulo 2 pi; nonsense outside the mask."""
+    return np.angle(np.exp(1j * (np.where(frame.mask, frame.wrapped_phase, 0.0) - taken.phase)))
+
+
+def judge(taken: Taken) -> dict[str, Any]:
+    """Return all figures of a scene."""
+    truth, scene, lit = taken.truth, taken.scene, taken.lit
+    begin = time.process_time()
+    frames = {"clean": taken.decode("plain", noise=False), "noisy": taken.decode("plain")}
+    frames["nothing"] = taken.decode("plain", known=False)
+    inner_lit = deeper(lit, _RIM_PX)
+    result: dict[str, Any] = {"surfaces": {}, "lit": int(lit.sum())}
+    for name in ("noisy", "nothing"):
+        result[f"covered {name}"] = float((frames[name].mask & lit).sum() / max(lit.sum(), 1))
+    errors = {name: phase_error(frame, taken) for name, frame in frames.items()}
+    everywhere = np.zeros(lit.shape, np.bool_)
+    for number, name in enumerate(scene.names):
+        whole = lit & (truth.paint == number) & (truth.body != NOTHING)
+        inside = inner_lit & deeper((truth.paint == number) & (truth.body != NOTHING), _RIM_PX)
+        everywhere |= inside
+        if inside.sum() < _LEAST_PX:
+            continue
+        row: dict[str, float] = {
+            "px": int(inside.sum()),
+            "covered": float((frames["noisy"].mask & whole).sum() / whole.sum()),
+            "covered nothing": float((frames["nothing"].mask & whole).sum() / whole.sum()),
+        }
+        for kind, error in errors.items():
+            valid = inside & frames[kind].mask
+            if valid.sum() < 200:
+                continue
+            constant = float(np.angle(np.exp(1j * error[valid]).mean()))
+            centred = np.angle(np.exp(1j * (error[valid] - constant)))
+            row[f"rms {kind}"], row[f"constant {kind}"] = float(np.sqrt((centred**2).mean())), constant
+            if kind == "noisy":
+                sigma = frames[kind].phase_sigma[valid]
+                row["pull"] = float(np.sqrt((centred**2).mean() / (sigma**2).mean()))
+        result["surfaces"][name] = row
+    both = everywhere & frames["noisy"].mask & frames["nothing"].mask
+    if both.any():
+        result["calibrated over nothing"] = float(
+            np.sqrt((errors["noisy"][both] ** 2).mean() / (errors["nothing"][both] ** 2).mean())
+        )
+    for pattern in ("coded", "compensated coded"):
+        result[pattern] = judge_orders(taken.decode(pattern), taken, lit)
+    result["CPU s"] = time.process_time() - begin
+    return result
+
+
+def judge_orders(frame: DecodedFrame, taken: Taken, lit: Mask) -> dict[str, float]:
+    """Return what is absolute and right, wrong and not flagged, and how far depths are off."""
+    known = frame.mask & frame.absolute
+    off = np.rint((np.nan_to_num(frame.unwrapped_phase) - taken.phase) / (2 * np.pi)) != 0
+    wrong = known & off & (taken.truth.body != NOTHING)
+    count, _, sizes, _ = cv2.connectedComponentsWithStats(wrong.astype(np.uint8))
+    depth = (frame.points[..., 2] - taken.truth.depth_mm)[frame.mask & (taken.truth.body != NOTHING)]
+    depth = np.abs(depth[np.isfinite(depth)])
+    return {
+        "covered": float((frame.mask & lit).sum() / max(lit.sum(), 1)),
+        "right": float((known & ~off & lit).sum() / max(lit.sum(), 1)),
+        "wrong": float(wrong.sum() / max(known.sum(), 1)),
+        "wrong regions": int((sizes[1:, cv2.CC_STAT_AREA] >= 20).sum()) if count > 1 else 0,
+        "depth rms": float(np.sqrt((depth**2).mean())) if len(depth) else np.nan,
+        "depth 99.9": float(np.quantile(depth, 0.999)) if len(depth) else np.nan,
+    }
+
+
+def measured(seed: int, names: list[str], folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the figures of a rig, scene by scene, kept in a folder."""
+    photographer: Photographer | None = None
+    for name in names:
+        kept = folder / f"{seed}-{name.replace(' ', '_')}.json"
+        if not kept.exists():
+            if photographer is None:
+                photographer = Photographer(draw_rig(seed))
+            kept.write_text(json.dumps(judge(Taken(photographer, draw_scene(name, photographer.rig, seed), seed + 1))))
+        yield name, json.loads(kept.read_text())
+
+
+_OPAQUE = tuple(name for name in SCENES if name != "scattering face")
+_SATURATED = ("dark face", "objects", "parcel", "balls", "bars")
+_UNIFORM = ("hand", "objects", "balls", "bars")
+
+
+def rows_of(found: dict[str, dict[str, Any]]) -> dict[str, float]:
+    """Return the worst of each figure over a rig's scenes."""
+
+    def surfaces(scenes: tuple[str, ...], key: str) -> list[float]:
+        rows = [row for name in scenes if name in found for row in found[name]["surfaces"].values()]
+        return [abs(row[key]) for row in rows if key in row] or [np.nan]
+
+    opaque = [found[name] for name in _OPAQUE if name in found]
+    pulls = surfaces(tuple(found), "pull")
+    coded = [scene[pattern] for scene in opaque for pattern in ("coded", "compensated coded")]
+    result = {
+        "covered: saturated, dark, dim surfaces": min(surfaces(_SATURATED, "covered")),
+        "absolute and right": min(row["right"] for row in coded),
+        "wrong and not flagged": max(row["wrong"] for row in coded),
+        "such regions per 1,000 frames": 1000 * float(np.mean([row["wrong regions"] for row in coded])),
+        "plane: RMS": max(surfaces(("plane",), "rms clean")),
+        "plane: constant": max(surfaces(("plane",), "constant clean")),
+        "uniform surfaces: RMS": max(surfaces(_UNIFORM, "rms clean")),
+        "uniform surfaces: constant": max(surfaces(_UNIFORM, "constant clean")),
+        "painted faces: RMS": max(surfaces(("light face", "dark face"), "rms clean")),
+        "fine checks: RMS": max(surfaces(("fine checks",), "rms clean")),
+        "checks: RMS": max(surfaces(("checks",), "rms clean")),
+        "error over sigma: least": min(pulls),
+        "error over sigma: most": max(pulls),
+        "calibrated over nothing known": max(scene.get("calibrated over nothing", np.nan) for scene in found.values()),
+        "depth: RMS, mm": max(scene["coded"]["depth rms"] for scene in opaque),
+        "depth: 99.9 %, mm": max(scene["coded"]["depth 99.9"] for scene in opaque),
+    }
+    if "scattering face" in found:
+        skin = found["scattering face"]
+        result["scattering skin: RMS"] = abs(skin["surfaces"]["skin"]["rms clean"])
+        result["scattering skin: bias"] = abs(skin["surfaces"]["skin"]["constant clean"])
+        result["scattering skin: coded coverage"] = skin["coded"]["covered"]
+    return result
+
+
+def table(rigs: list[dict[str, float]]) -> str:
+    """Return the median and the worst of each figure over the rigs, as Markdown."""
+    lines = ["| worst scene of each rig | median rig | worst rig |", "|---|---|---|"]
+    for name in rigs[0]:
+        values = [rig[name] for rig in rigs if np.isfinite(rig.get(name, np.nan))]
+        if not values:  # of scenes that were not asked for
+            continue
+        good_is_high = name.startswith(("covered", "absolute", "error over sigma: least")) or name.endswith("coverage")
+        worst = min(values) if good_is_high else max(values)
+        lines.append(f"| {name} | {np.median(values):.4g} | {worst:.4g} |")
+    return "\n".join(lines)
+
+
+def line(name: str, found: dict[str, Any]) -> str:
+    """Return what a scene came to, for somebody who waits."""
+    worst = {
+        key: max((abs(row[key]) for row in found["surfaces"].values() if key in row), default=np.nan)
+        for key in ("rms clean", "constant clean", "rms noisy", "pull")
+    }
+    coded, undone = found["coded"], found["compensated coded"]
+    return (
+        f"{name:16} covered {found['covered noisy']:.3f}, nothing known {found['covered nothing']:.3f}; "
+        f"clean {worst['rms clean']:.4f} {worst['constant clean']:.4f}; noisy {worst['rms noisy']:.4f}, "
+        f"over sigma {worst['pull']:.2f}; calibrated over nothing {found.get('calibrated over nothing', np.nan):.2f}; "
+        f"right {coded['right']:.3f} {undone['right']:.3f}, wrong {coded['wrong']:.5f} {undone['wrong']:.5f}; "
+        f"{coded['depth rms']:.2f} mm"
+    )
+
+
+def _figures_of(seed: int, names: list[str], folder: Path) -> dict[str, float]:
+    """Return the worst figures of a rig, in a process of its own."""
+    os.environ["TI_CPU_MAX_NUM_THREADS"] = "1"
+    runtime.init("cpu")
+    found = {}
+    for name, figures in measured(seed, names, folder):
+        found[name] = figures
+        print(f"{seed:3} {line(name, figures)}", flush=True)
+    return rows_of(found)
+
+
+def study(seeds: list[int], names: list[str], folder: Path) -> str:
+    """Measure rigs, one on each core, and return the table; what was measured before is kept in the folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
+        return table(list(pool.map(partial(_figures_of, names=names, folder=folder), seeds)))

@@ -1,0 +1,173 @@
+"""Frames of a drawn rig: its patterns' light, what its camera stores of it, and its calibration by its own ramps."""
+
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from drawn_rigs import DrawnRig
+from drawn_scenes import Scene, draw_scene
+from ray_caster import (
+    F32,
+    F64,
+    NOTHING,
+    Bodies,
+    cosine_directions,
+    gather,
+    photograph,
+    pixel_rays,
+    projector_numbers,
+    rays_of,
+    true_at_centers,
+)
+
+from pipeline.calibration import Calibration
+from pipeline.calibration.radiometry import measure_radiometry, radiometry_codes, radiometry_sequence
+from pipeline.pattern import make_pattern
+
+# Steps a projector pixel in the tables of light, dark pixels around the picture, and px of blur from level to level.
+_STEPS, _MARGIN, _LEVEL_PX, _LEVELS = 16, 12, 0.5, 12
+# Px from place to place where the light of one bounce more is gathered, and from how many directions.
+_SPACING, _DIRECTIONS = 6, 400
+# The brightest half per cent under full white reaches this part of full scale, the pedestal apart.
+_BRIGHTEST = 0.86
+
+
+class Photographer:
+    """Photographs scenes before a rig."""
+
+    def __init__(self, rig: DrawnRig) -> None:
+        self.rig = rig
+        self.geometry = rig.calibration.geometry()
+        self._rays = rays_of(self.geometry)
+        self._offsets = pixel_rays(rig.camera_blur_px)
+        self._projector = projector_numbers(self.geometry)
+        self.calibration = self._calibrated()
+
+    # --- light -----------------------------------------------------------------------------------------------------
+
+    def codes(self, pattern: str) -> F64:
+        """Return the line of codes, (N, 3) 0..1 in steps of 1/255: "plain", "coded", "compensated coded", "shift K"."""
+        known = self.geometry.pattern
+        response = self.calibration.response if "compensated" in pattern else None
+        if "coded" in pattern:
+            known = known.model_copy(update={"code": "contrast"})
+        axis = self.geometry.phase_axis
+        size = (4, self.geometry.projector.size_px[1]) if axis else (self.geometry.projector.size_px[0], 4)
+        if pattern.startswith("shift"):  # the plain pattern, moved by thirds of a cycle
+            phase = 2 * np.pi * (np.arange(size[axis]) / known.period_px + int(pattern[-1]) / 3)
+            line = 0.5 + 0.5 * np.cos(phase[:, None] + np.array([-2, 0, 2]) * np.pi / 3)
+        else:
+            picture = make_pattern(size, known, response)
+            line = picture[:, 0] if axis else picture[0]
+        return np.rint(line.astype(np.float64) * 255) / 255
+
+    def _field(self, color: tuple[float, float, float]) -> F64:
+        return np.tile(np.array(color), (self.geometry.projector.size_px[self.geometry.phase_axis], 1))
+
+    def _table(self, codes: F64) -> F64:
+        """Return the light of each primary along the phase, (3, levels of blur, steps)."""
+        rig = self.rig
+        light = rig.black + (1 - rig.black) * codes ** np.array(rig.gammas)
+        fine = np.repeat(np.pad(light, ((_MARGIN, _MARGIN), (0, 0))), _STEPS, axis=0)
+        blurs = np.hypot(rig.projector_blur_px, _LEVEL_PX * np.arange(_LEVELS))
+        tables = [cv2.GaussianBlur(fine, (1, 0), sigmaX=1e-3, sigmaY=blur * _STEPS) for blur in blurs]
+        return np.ascontiguousarray(np.stack(tables).transpose(2, 0, 1))
+
+    def lines(self, scene: Scene, lines: list[F64]) -> F32:
+        """Return the linear light (K, H, W, 3) of frames under these lines of codes."""
+        rig, packed = self.rig, scene.packed()
+        width, height = self.geometry.camera.size_px
+        film = np.zeros((len(lines), height, width, 3), np.float32)
+        light = np.concatenate([self._table(line) for line in lines])
+        spread = np.zeros((len(scene.paints), 3))
+        for paint, mm in scene.scatter_mm.items():
+            spread[paint] = mm
+        photograph(
+            self._rays, self._offsets, np.array(rig.camera_magnified), packed.kinds, packed.numbers, packed.reliefs,
+            packed.maps, self._projector, np.array(rig.projector_magnified), light,
+            np.array([_STEPS, _MARGIN, _LEVEL_PX, scene.focus_mm, scene.defocus_px]),
+            np.stack([rig.matrix(paint) for paint in scene.paints]), rig.matrix(1.0),
+            np.stack([rig.ambient_on(paint) for paint in scene.paints]), spread, self.geometry.phase_axis, film,
+        )  # fmt: skip
+        if scene.bounces:
+            film += self._bounced(scene, packed, light, len(lines))
+        return film
+
+    def _bounced(self, scene: Scene, packed: Bodies, light: F64, patterns: int) -> F32:
+        """Return the light (K, H, W, 3) of one bounce more, interpolated on each body by itself."""
+        width, height = self.geometry.camera.size_px
+        grid = np.zeros((patterns, -(-height // _SPACING) + 1, -(-width // _SPACING) + 1, 3), np.float32)
+        pairs = [self.rig.matrix(one * other) for one in scene.paints for other in scene.paints]
+        gather(
+            self._rays, cosine_directions(_DIRECTIONS), packed.kinds, packed.numbers, packed.reliefs, packed.maps,
+            self._projector, light, np.array([_STEPS, _MARGIN], np.float64),
+            np.ascontiguousarray(np.stack(pairs)[..., None]), self.geometry.phase_axis, _SPACING, grid,
+        )  # fmt: skip
+        body = true_at_centers(self.geometry, packed).body
+        x, y = np.meshgrid(*(np.arange(n, dtype=np.float32) / _SPACING for n in (width, height)))
+        rows, columns = (
+            np.minimum(np.arange(n) * _SPACING, most - 1)
+            for n, most in zip(grid.shape[1:3], (height, width), strict=True)
+        )
+        of_grid, result = body[rows[:, None], columns], np.zeros((patterns, height, width, 3), np.float32)
+        for number in np.unique(body[body != NOTHING]):
+            on = (of_grid == number).astype(np.float32)
+            share = np.maximum(cv2.remap(on, x, y, cv2.INTER_LINEAR), 1e-3)[..., None]
+            here = body == number
+            for p in range(patterns):
+                result[p][here] = (cv2.remap(grid[p] * on[..., None], x, y, cv2.INTER_LINEAR) / share)[here]
+        return result
+
+    # --- the camera ------------------------------------------------------------------------------------------------
+
+    def exposure(self, white: F32) -> float:
+        """Return by what light is multiplied, as one who looks at a white picture would choose it."""
+        return _BRIGHTEST / float(np.quantile(white.max(axis=2), 0.995))
+
+    def levels(self, light: F32, exposure: float, seed: int | None) -> npt.NDArray[Any]:
+        """Return what the sensor says, (H, W, 3), or (H, W) of a mosaic; without a seed 16 bits and no noise."""
+        rig = self.rig
+        signal = exposure * light.astype(np.float64)
+        bits = 16 if seed is None else rig.bits
+        if seed is not None:
+            if rig.delivery != "rgb":
+                signal = mosaicked(signal)
+            rng = np.random.default_rng(seed)
+            electrons = rng.poisson(np.clip(rig.full_well * signal, 0, None)) + rng.normal(
+                0, rig.read_noise, signal.shape
+            )
+            signal = electrons / rig.full_well
+        levels = np.clip(rig.pedestal + (1 - rig.pedestal) * signal, 0, 1)
+        return np.rint(levels * (2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
+
+    def _calibrated(self) -> Calibration:
+        """Show the fields of `colorphase calibrate radiometry` to a white plane, and measure them."""
+        plane = draw_scene("plane", self.rig, 0)
+        fields = [self._field(color) for color in ((0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1))]
+        black, *primaries, white = self.lines(plane, fields)
+        exposure, captures = self.exposure(white), {}
+        gammas = np.array(self.rig.gammas)
+        names = radiometry_sequence(self.geometry.projector.size_px).names
+        for number, name in enumerate(names):
+            light = black.astype(np.float64)
+            for part, code in zip(primaries, np.asarray(radiometry_codes(name)) ** gammas, strict=True):
+                light = light + (part - black) * code
+            captures[name] = self._delivered(self.levels(light, exposure, 1000 + number))
+        found = measure_radiometry(captures, transfer="linear", white_level=2**self.rig.bits - 1)
+        return found.add_to(self.rig.calibration)
+
+    def _delivered(self, levels: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        """Return a picture (H, W, 3) of what the sensor says."""
+        if levels.ndim == 3:
+            return levels
+        code = cv2.COLOR_BayerRGGB2RGB
+        return cv2.cvtColor(levels, code)
+
+
+def mosaicked(signal: F64) -> F64:
+    """Return the values of a sensor with red in the corner, (H, W)."""
+    picked = np.empty(signal.shape[:2])
+    for row, column, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        picked[row::2, column::2] = signal[row::2, column::2, channel]
+    return picked
