@@ -282,7 +282,7 @@ _ALL = (
     Mechanism("equalisation's tiles", "how far tiles differ weighs the distribution", "bust-skin-1.8",
         {"equalization:_scatter": no_variance}, "equalization:_scatter"),
     Mechanism("known response", "a calibration's response as a prior", "bust-skin-2-all",
-        {"light_path:LightPath.__init__": then(setting(_priors=[]))}, "projector_response"),
+        {"light_path:LightPath.__init__": then(setting(_priors=[], _responses=[]))}, "projector_response"),
     Mechanism("response's blur", "the fringe is blurred after a known response", "r-objects",
         {"projector_response:ResponsePrior.fit": no_blur}, "projector_response:ResponsePrior.fit"),
     Mechanism("telling pixels", "dim pixels do not count for the frame's light", "r-dark-beside-bright",
