@@ -16,6 +16,8 @@ from pipeline.pattern import CYCLES
 
 F64 = npt.NDArray[np.float64]
 
+# The most that a channel may see of another primary, relative to its own.
+_MOST_OTHER = 0.7
 #: How a camera hands over its frames.
 DELIVERIES = ("rgb", "rgb", "rgb", "bayer", "jpeg", "mjpeg")
 
@@ -61,7 +63,13 @@ class DrawnRig:
 def draw_rig(seed: int) -> DrawnRig:
     """Return a rig; every seed gives another one."""
     rng = np.random.default_rng([45, seed])
-    kind, primaries = _draw_primaries(rng)
+    while True:
+        kind, primaries = _draw_primaries(rng)
+        filters = _draw_filters(rng)
+        matrix = filters @ primaries.T
+        # A camera that sees another primary better than a channel's own is none that anybody would take.
+        if (matrix <= _MOST_OTHER * matrix.diagonal()[:, None]).sum() == 6:
+            break
     calibration, distance = _draw_geometry(rng)
     gamma = rng.uniform(1.7, 2.5)
     lateral = lambda: tuple(1 + rng.uniform(0, 2.5e-4) * np.array([1.0, 0.0, -1.0]) * rng.choice([-1, 1]))  # noqa: E731
@@ -70,7 +78,7 @@ def draw_rig(seed: int) -> DrawnRig:
         name=f"{seed}: {kind}",
         calibration=calibration,
         primaries=primaries,
-        filters=_draw_filters(rng),
+        filters=filters,
         gammas=tuple(gamma + rng.uniform(-0.1, 0.1, 3)),
         black=rng.uniform(0.0005, 0.008),
         projector_blur_px=rng.uniform(0.4, 0.9),
