@@ -86,7 +86,7 @@ class Photographer:
         photograph(
             self._rays, self._offsets, np.array(rig.camera_magnified), packed.kinds, packed.numbers, packed.reliefs,
             packed.maps, self._projector, np.array(rig.projector_magnified), light,
-            np.array([_STEPS, _MARGIN, _LEVEL_PX, scene.focus_mm, scene.defocus_px]),
+            np.array([_STEPS, _MARGIN, _LEVEL_PX]),
             np.stack([rig.matrix(paint) for paint in scene.paints]), rig.matrix(1.0),
             np.stack([rig.ambient_on(paint) for paint in scene.paints]), spread, self.geometry.phase_axis, film,
         )  # fmt: skip
@@ -161,8 +161,7 @@ class Photographer:
         """Return a picture (H, W, 3) of what the sensor says."""
         if levels.ndim == 3:
             return levels
-        code = cv2.COLOR_BayerRGGB2RGB
-        return cv2.cvtColor(levels, code)
+        return cv2.cvtColor(levels, cv2.COLOR_BayerRGGB2RGB)
 
 
 def mosaicked(signal: F64) -> F64:

@@ -72,7 +72,6 @@ def draw_rig(seed: int) -> DrawnRig:
             break
     calibration, distance = _draw_geometry(rng)
     gamma = rng.uniform(1.7, 2.5)
-    lateral = lambda: tuple(1 + rng.uniform(0, 2.5e-4) * np.array([1.0, 0.0, -1.0]) * rng.choice([-1, 1]))  # noqa: E731
     delivery = str(rng.choice(DELIVERIES))
     return DrawnRig(
         name=f"{seed}: {kind}",
@@ -83,8 +82,8 @@ def draw_rig(seed: int) -> DrawnRig:
         black=rng.uniform(0.0005, 0.008),
         projector_blur_px=rng.uniform(0.4, 0.9),
         camera_blur_px=rng.uniform(0.35, 0.8),
-        projector_magnified=lateral(),
-        camera_magnified=lateral() if rng.random() < 0.5 else (1.0, 1.0, 1.0),
+        projector_magnified=_draw_lateral_color(rng),
+        camera_magnified=_draw_lateral_color(rng) if rng.random() < 0.5 else (1.0, 1.0, 1.0),
         ambient=rng.uniform(0.0, 0.08),
         ambient_color=_draw_room(rng),
         bits=8 if "jpeg" in delivery else int(rng.choice([8, 8, 10, 12])),
@@ -94,6 +93,12 @@ def draw_rig(seed: int) -> DrawnRig:
         delivery=delivery,
         distance_mm=distance,
     )
+
+
+def _draw_lateral_color(rng: np.random.Generator) -> tuple[float, float, float]:
+    """Return by how much a lens magnifies red, green and blue."""
+    red = rng.uniform(0, 2.5e-4) * rng.choice([-1, 1])
+    return 1 + red, 1.0, 1 - red
 
 
 def _unit_area(spectra: list[F64]) -> F64:

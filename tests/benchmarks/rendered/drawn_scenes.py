@@ -23,8 +23,6 @@ class Scene:
     paints: list[F64]  # (wavelengths,) reflectances
     names: list[str]  # of the paints
     scatter_mm: dict[int, tuple[float, float, float]] = field(default_factory=dict)  # by paint, of the primaries
-    focus_mm: float = 0.0  # 0: everywhere
-    defocus_px: float = 0.0
     bounces: bool = False  # whether surfaces light each other enough to matter
 
     def packed(self) -> Bodies:

@@ -29,18 +29,14 @@ _RAYS = 32
 _STRIDE, _HALVES = 2.0, 9
 _FAR = 1e9
 
-if not hasattr(ti, "f64"):
-    raise ImportError("the kernel language has no double precision")
 vec3 = ti.types.vector(3, ti.f64)
-vec2 = ti.types.vector(2, ti.f64)
-mat3 = ti.types.matrix(3, 3, ti.f64)
 F64Array1, F64Array2, F64Array3, F64Array4 = (ti.types.ndarray(dtype=ti.f64, ndim=n) for n in range(1, 5))
 F32Array4 = ti.types.ndarray(dtype=ti.f32, ndim=4)
 U8Array3 = ti.types.ndarray(dtype=ti.u8, ndim=3)
 I32Array2 = ti.types.ndarray(dtype=ti.i32, ndim=2)
 
 # Numbers of a body, in a row of `Bodies.numbers`: turn from the world (9), origin (3), sizes (3), grid cells a mm.
-_TURN, _ORIGIN, _SIZES, _CELLS, _GLOSS, _SHININESS, _N = 0, 9, 12, 15, 16, 17, 18
+_TURN, _ORIGIN, _SIZES, _CELLS, _GLOSS, _SHININESS = 0, 9, 12, 15, 16, 17
 
 
 @dataclass(frozen=True)
@@ -291,7 +287,7 @@ def photograph(
     projector: F64Array1,  # see `_projector_numbers`
     shifted: F64Array1,  # (3,) magnification of the projector's primaries
     light: F64Array3,  # (K * 3, levels, steps)
-    table: F64Array1,  # steps a px, margin px, px of blur a level, distance in focus (0: everywhere), defocus px
+    table: F64Array1,  # steps a px, margin px, px of blur a level
     matrices: F64Array3,  # (P, 3, 3) of each paint
     clear: F64Array2,  # (3, 3) of a mirror
     ambient: F64Array2,  # (P, 3)
@@ -301,7 +297,6 @@ def photograph(
 ):
     """Take all patterns at once."""
     patterns, height, width = film.shape[0], film.shape[1], film.shape[2]
-    ti.loop_config(block_dim=64)
     for y, x in ti.ndrange(height, width):
         together = magnified[0] == magnified[1] and magnified[1] == magnified[2]
         across_x, across_y = (
@@ -330,15 +325,11 @@ def photograph(
                     place = far * ray
                     paint = paint_at(kinds, numbers, maps, k, place)
                     diffuse, glossy, at = irradiance(kinds, numbers, reliefs, projector, place, normal, -ray, k)
-                    defocus = ti.f64(0.0)
-                    if table[3] > 0:
-                        defocus = table[4] * ti.abs(1 - table[3] / at.z)
                     steps, levels = vec3(0.0), vec3(0.0)
                     for j in ti.static(range(3)):
                         along = projector[14 + axis] + (at[axis] - projector[14 + axis]) * shifted[j]
                         steps[j] = (along + 0.5 + table[1]) * table[0] - 0.5
-                        spread = scatter[paint, j] * projector[12 + axis] / at.z
-                        levels[j] = ti.sqrt(defocus * defocus + spread * spread) / table[2]
+                        levels[j] = scatter[paint, j] * projector[12 + axis] / at.z / table[2]
                     for p in range(patterns):
                         arrives = vec3(0.0)
                         if diffuse > 0:
