@@ -8,6 +8,7 @@ import numpy.typing as npt
 
 from hardware.errors import CameraError, TriggerError
 from hardware.protocols import Camera, CameraFrame, FrameFormat, Trigger, TriggerStatus
+from hardware.pulse_run import Run
 from hardware.rig import Burst, Rejected, Rig
 from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
@@ -73,7 +74,7 @@ class Bench:
         self._pictures = 0  # that reached the projector in this period
         self.truth: list[tuple[int, int | None, bool]] = []  # of every exposure: run, pulse, whether the picture is new
         self._fault = Faulty()
-        self._fired: list[Faulty] = []
+        self._fired: list[Faulty] = []  # since the rig began this start
         self._boot = 1
         self._held: CameraFrame | None = None
 
@@ -104,12 +105,15 @@ class Bench:
         bench = self
 
         class Repeating(kind):
+            def _fire(self, **endless: bool) -> Run:
+                bench._fired.clear()
+                return super()._fire(**endless)
+
             def _check_start(self, *seen: Any, **ended: bool) -> None:
-                fired = bench._fired[-2:]
                 try:
                     super()._check_start(*seen, **ended)
                 except Exception:
-                    bench.plan[:0] = fired
+                    bench.plan[:0] = bench._fired
                     raise
 
         return Repeating

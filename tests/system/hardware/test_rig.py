@@ -24,9 +24,9 @@ def test_the_order_of_calls():
         for _ in islice(rig.bursts(), 1):
             pass
     calls = [call for i, call in enumerate(bench.calls) if i == 0 or bench.calls[i - 1] != call]
-    assert calls == [
-        "trigger.configure",
-        "camera.arm",
+    assert calls[:2] == ["trigger.configure", "camera.arm"]
+    started = len(calls) - calls[::-1].index("camera.arm")  # a start in doubt, on a busy machine, is repeated
+    assert calls[started:] == [
         "trigger.arm",
         "trigger.status",
         "trigger.fire",
