@@ -549,8 +549,12 @@ def rigs_table(numbers: str, scenes: list[str], folder: Path) -> str:
     from drawn_scenes import SCENES
 
     first, _, last = numbers.partition("-")
-    made_by = digest(Path(__file__).with_name("rendered"), ROOT / "pipeline", ROOT / "tikernels")
-    return study(list(range(int(first), int(last or first) + 1)), scenes or list(SCENES), folder / f"rigs-{made_by}")
+    drawn = Path(__file__).with_name("rendered")
+    names = ("drawn_rigs", "drawn_scenes", "drawn_frames", "ray_caster", "spectra")
+    makers = [drawn / f"{name}.py" for name in names]
+    frames = folder / f"rigs-{digest(*makers, ROOT / 'pipeline' / 'calibration', ROOT / 'pipeline' / 'pattern.py')}"
+    figures = frames / digest(drawn, ROOT / "pipeline", ROOT / "tikernels")
+    return study(list(range(int(first), int(last or first) + 1)), scenes or list(SCENES), frames, figures)
 
 
 def main() -> None:

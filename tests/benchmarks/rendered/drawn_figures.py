@@ -20,10 +20,10 @@ from typing import Any
 import cv2
 import numpy as np
 import numpy.typing as npt
-from drawn_frames import Photographer
-from drawn_rigs import draw_rig
-from drawn_scenes import SCENES, Scene, draw_scene
-from ray_caster import NOTHING, Truth, true_at_centers
+from drawn_frames import Taken, kept, sensed
+from drawn_rigs import DrawnRig
+from drawn_scenes import SCENES
+from ray_caster import NOTHING
 
 from pipeline import Calibration, DecodedFrame, Decoder, DecodeSettings
 from pipeline.batch.job import with_transfer_of
@@ -33,7 +33,7 @@ from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
 
-_LIT_LEVELS, _RIM_PX, _LEAST_PX = 8.0, 4, 2000
+_RIM_PX, _LEAST_PX = 4, 2000
 Mask = npt.NDArray[np.bool_]
 
 
@@ -42,67 +42,52 @@ def deeper(mask: Mask, px: float) -> Mask:
     return cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5) > px
 
 
-class Taken:
-    """All frames of one scene before one rig."""
+def calibration_for(taken: Taken, pattern: str) -> Calibration:
+    """Return the rig's, with what is known of the pattern."""
+    known = taken.measured
+    update = {"code": "contrast" if "coded" in pattern else None, "compensated": "compensated" in pattern}
+    return known.model_copy(update={"capture": None, "pattern": known.pattern.model_copy(update=update)})
 
-    def __init__(self, photographer: Photographer, scene: Scene, seed: int) -> None:
-        self.photographer, self.scene, self.seed = photographer, scene, seed
-        names = ("shift 0", "shift 1", "shift 2", "coded", "compensated coded")
-        lines = [photographer.codes(name) for name in names]
-        lines.append(np.ones_like(lines[0]))
-        *shifts, coded, compensated, white = photographer.lines(scene, lines)
-        self.light = {"plain": shifts[0], "coded": coded, "compensated coded": compensated}
-        self.exposure = photographer.exposure(white)
-        wave = sum(light * np.exp(-2j * np.pi * k / 3) for k, light in enumerate(shifts))
-        amplitude = np.abs(wave).mean(axis=2) * (2 / 3 * 255 * self.exposure)
-        self.truth: Truth = true_at_centers(photographer.geometry, scene.packed())
-        self.lit = (amplitude >= _LIT_LEVELS) & self.truth.lit & (shifts[0].max(axis=2) * self.exposure < 1)
-        self.phase = 2 * np.pi / photographer.geometry.pattern.period_px * np.nan_to_num(self.truth.place)
 
-    def calibration(self, pattern: str) -> Calibration:
-        """Return the rig's, with what is known of the pattern."""
-        known = self.photographer.calibration
-        update = {"code": "contrast" if "coded" in pattern else None, "compensated": "compensated" in pattern}
-        return known.model_copy(update={"capture": None, "pattern": known.pattern.model_copy(update=update)})
+def decode(taken: Taken, pattern: str, noise: bool = True, known: bool = True) -> DecodedFrame:
+    """Return a frame of a pattern, decoded."""
+    rig = taken.rig
+    levels = sensed(rig, taken.light[pattern], taken.exposure, taken.seed if noise else None)
+    calibration: Calibration | None = calibration_for(taken, pattern) if known else None
+    settings = DecodeSettings(
+        stripes=rig.calibration.pattern.stripes,
+        **({} if known else {"code": "none" if pattern == "plain" else "contrast"}),
+    )
+    if noise and rig.delivery in ("jpeg", "mjpeg"):
+        image, settings = _by_file(rig, levels, settings, calibration)
+    elif noise and rig.delivery == "bayer":
+        image = develop((levels,), PixelFormat("bayer", rig.bits, bayer="rggb"))
+    else:
+        image = levels
+        if noise and rig.bits not in (8, 16):
+            settings = settings.model_copy(update={"white_level": 2.0**rig.bits - 1})
+    decoder = Decoder(settings, calibration, arch="cpu")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DecodeWarning)
+        return decoder.decode(image)
 
-    def decode(self, pattern: str, noise: bool = True, known: bool = True) -> DecodedFrame:
-        """Return a frame of a pattern, decoded."""
-        rig = self.photographer.rig
-        levels = self.photographer.levels(self.light[pattern], self.exposure, self.seed if noise else None)
-        calibration: Calibration | None = self.calibration(pattern) if known else None
-        settings = DecodeSettings(
-            stripes=rig.calibration.pattern.stripes,
-            **({} if known else {"code": "none" if pattern == "plain" else "contrast"}),
-        )
-        if noise and rig.delivery in ("jpeg", "mjpeg"):
-            image, settings = self._by_file(levels, settings, calibration)
-        elif noise and rig.delivery == "bayer":
-            image = develop((levels,), PixelFormat("bayer", rig.bits, bayer="rggb"))
-        else:
-            image = levels
-            if noise and rig.bits not in (8, 16):
-                settings = settings.model_copy(update={"white_level": 2.0**rig.bits - 1})
-        decoder = Decoder(settings, calibration, arch="cpu")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DecodeWarning)
-            return decoder.decode(image)
 
-    def _by_file(
-        self, mosaic: npt.NDArray[Any], settings: DecodeSettings, calibration: Calibration | None
-    ) -> tuple[Any, DecodeSettings]:
-        """Return a frame as a JPEG of the camera's holds it."""
-        color = cv2.cvtColor(mosaic, cv2.COLOR_BayerRGGB2RGB_EA).astype(np.float64) / 255
-        encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
-        halved = self.photographer.rig.delivery == "mjpeg"
-        sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420 if halved else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
-        options = [cv2.IMWRITE_JPEG_QUALITY, 88 if halved else 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
-        with tempfile.TemporaryDirectory() as folder:
-            path = Path(folder) / "frame.jpg"
-            cv2.imwrite(str(path), np.rint(encoded * 255).astype(np.uint8)[..., ::-1], options)
-            source = open_source(path)
-            settings, _ = with_transfer_of(source, settings, calibration)
-            (stored,) = source.frames()
-            return develop(stored.planes, stored.format), settings
+def _by_file(
+    rig: DrawnRig, mosaic: npt.NDArray[Any], settings: DecodeSettings, calibration: Calibration | None
+) -> tuple[Any, DecodeSettings]:
+    """Return a frame as a JPEG of the camera's holds it."""
+    color = cv2.cvtColor(mosaic, cv2.COLOR_BayerRGGB2RGB_EA).astype(np.float64) / 255
+    encoded = np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055)
+    halved = rig.delivery == "mjpeg"
+    sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420 if halved else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
+    options = [cv2.IMWRITE_JPEG_QUALITY, 88 if halved else 95, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "frame.jpg"
+        cv2.imwrite(str(path), np.rint(encoded * 255).astype(np.uint8)[..., ::-1], options)
+        source = open_source(path)
+        settings, _ = with_transfer_of(source, settings, calibration)
+        (stored,) = source.frames()
+        return develop(stored.planes, stored.format), settings
 
 
 def phase_error(frame: DecodedFrame, taken: Taken) -> npt.NDArray[np.float64]:
@@ -114,8 +99,8 @@ def judge(taken: Taken) -> dict[str, Any]:
     """Return all figures of a scene."""
     truth, scene, lit = taken.truth, taken.scene, taken.lit
     begin = time.process_time()
-    frames = {"clean": taken.decode("plain", noise=False), "noisy": taken.decode("plain")}
-    frames["nothing"] = taken.decode("plain", known=False)
+    frames = {"clean": decode(taken, "plain", noise=False), "noisy": decode(taken, "plain")}
+    frames["nothing"] = decode(taken, "plain", known=False)
     inner_lit = deeper(lit, _RIM_PX)
     result: dict[str, Any] = {"surfaces": {}, "lit": int(lit.sum())}
     for name in ("noisy", "nothing"):
@@ -150,7 +135,7 @@ def judge(taken: Taken) -> dict[str, Any]:
             np.sqrt((errors["noisy"][both] ** 2).mean() / (errors["nothing"][both] ** 2).mean())
         )
     for pattern in ("coded", "compensated coded"):
-        result[pattern] = judge_orders(taken.decode(pattern), taken, lit)
+        result[pattern] = judge_orders(decode(taken, pattern), taken, lit)
     result["CPU s"] = time.process_time() - begin
     return result
 
@@ -173,16 +158,13 @@ def judge_orders(frame: DecodedFrame, taken: Taken, lit: Mask) -> dict[str, floa
     }
 
 
-def measured(seed: int, names: list[str], folder: Path) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Yield the figures of a rig, scene by scene, kept in a folder."""
-    photographer: Photographer | None = None
+def measured(seed: int, names: list[str], frames: Path, figures: Path) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield the figures of a rig, scene by scene; frames and figures are kept in folders."""
     for name in names:
-        kept = folder / f"{seed}-{name.replace(' ', '_')}.json"
-        if not kept.exists():
-            if photographer is None:
-                photographer = Photographer(draw_rig(seed))
-            kept.write_text(json.dumps(judge(Taken(photographer, draw_scene(name, photographer.rig, seed), seed + 1))))
-        yield name, json.loads(kept.read_text())
+        path = figures / f"{seed}-{name.replace(' ', '_')}.json"
+        if not path.exists():
+            path.write_text(json.dumps(judge(kept(seed, name, frames))))
+        yield name, json.loads(path.read_text())
 
 
 _OPAQUE = tuple(name for name in SCENES if name != "scattering face")
@@ -255,19 +237,20 @@ def line(name: str, found: dict[str, Any]) -> str:
     )
 
 
-def _figures_of(seed: int, names: list[str], folder: Path) -> dict[str, float]:
+def _figures_of(seed: int, names: list[str], frames: Path, figures: Path) -> dict[str, float]:
     """Return the worst figures of a rig, in a process of its own."""
     os.environ["TI_CPU_MAX_NUM_THREADS"] = "1"
     runtime.init("cpu")
     found = {}
-    for name, figures in measured(seed, names, folder):
-        found[name] = figures
-        print(f"{seed:3} {line(name, figures)}", flush=True)
+    for name, row in measured(seed, names, frames, figures):
+        found[name] = row
+        print(f"{seed:3} {line(name, row)}", flush=True)
     return rows_of(found)
 
 
-def study(seeds: list[int], names: list[str], folder: Path) -> str:
-    """Measure rigs, one on each core, and return the table; what was measured before is kept in the folder."""
-    folder.mkdir(parents=True, exist_ok=True)
+def study(seeds: list[int], names: list[str], frames: Path, figures: Path) -> str:
+    """Measure rigs, one on each core, and return the table; what was measured before is kept in the folders."""
+    for folder in (frames, figures):
+        folder.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(os.cpu_count(), get_context("spawn")) as pool:
-        return table(list(pool.map(partial(_figures_of, names=names, folder=folder), seeds)))
+        return table(list(pool.map(partial(_figures_of, names=names, frames=frames, figures=figures), seeds)))

@@ -1,17 +1,22 @@
 """Frames of a drawn rig: its patterns' light, what its camera stores of it, and its calibration by its own ramps."""
 
+import pickle
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from drawn_rigs import DrawnRig
+from drawn_rigs import DrawnRig, draw_rig
 from drawn_scenes import Scene, draw_scene
 from ray_caster import (
     F32,
     F64,
     NOTHING,
     Bodies,
+    Truth,
     cosine_directions,
     gather,
     photograph,
@@ -31,6 +36,7 @@ _STEPS, _MARGIN, _LEVEL_PX, _LEVELS = 16, 12, 0.5, 12
 _SPACING, _DIRECTIONS = 6, 400
 # The brightest half per cent under full white reaches this part of full scale, the pedestal apart.
 _BRIGHTEST = 0.86
+_LIT_LEVELS = 8.0  # of 255, amplitude
 
 
 class Photographer:
@@ -125,22 +131,6 @@ class Photographer:
         """Return by what light is multiplied, as one who looks at a white picture would choose it."""
         return _BRIGHTEST / float(np.quantile(white.max(axis=2), 0.995))
 
-    def levels(self, light: F32, exposure: float, seed: int | None) -> npt.NDArray[Any]:
-        """Return what the sensor says, (H, W, 3), or (H, W) of a mosaic; without a seed 16 bits and no noise."""
-        rig = self.rig
-        signal = exposure * light.astype(np.float64)
-        bits = 16 if seed is None else rig.bits
-        if seed is not None:
-            if rig.delivery != "rgb":
-                signal = mosaicked(signal)
-            rng = np.random.default_rng(seed)
-            electrons = rng.poisson(np.clip(rig.full_well * signal, 0, None)) + rng.normal(
-                0, rig.read_noise, signal.shape
-            )
-            signal = electrons / rig.full_well
-        levels = np.clip(rig.pedestal + (1 - rig.pedestal) * signal, 0, 1)
-        return np.rint(levels * (2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
-
     def _calibrated(self) -> Calibration:
         """Show the fields of `colorphase calibrate radiometry` to a white plane, and measure them."""
         plane = draw_scene("plane", self.rig, 0)
@@ -153,7 +143,7 @@ class Photographer:
             light = black.astype(np.float64)
             for part, code in zip(primaries, np.asarray(radiometry_codes(name)) ** gammas, strict=True):
                 light = light + (part - black) * code
-            captures[name] = self._delivered(self.levels(light, exposure, 1000 + number))
+            captures[name] = self._delivered(sensed(self.rig, light, exposure, 1000 + number))
         found = measure_radiometry(captures, transfer="linear", white_level=2**self.rig.bits - 1)
         return found.add_to(self.rig.calibration)
 
@@ -170,3 +160,76 @@ def mosaicked(signal: F64) -> F64:
     for row, column, channel in ((0, 0, 0), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
         picked[row::2, column::2] = signal[row::2, column::2, channel]
     return picked
+
+
+def sensed(rig: DrawnRig, light: F32 | F64, exposure: float, seed: int | None) -> npt.NDArray[Any]:
+    """Return what the sensor says, (H, W, 3), or (H, W) of a mosaic; without a seed 16 bits and no noise."""
+    signal = exposure * light.astype(np.float64)
+    bits = 16 if seed is None else rig.bits
+    if seed is not None:
+        if rig.delivery != "rgb":
+            signal = mosaicked(signal)
+        rng = np.random.default_rng(seed)
+        electrons = rng.poisson(np.clip(rig.full_well * signal, 0, None)) + rng.normal(0, rig.read_noise, signal.shape)
+        signal = electrons / rig.full_well
+    levels = np.clip(rig.pedestal + (1 - rig.pedestal) * signal, 0, 1)
+    return np.rint(levels * (2**bits - 1)).astype(np.uint8 if bits == 8 else np.uint16)
+
+
+@dataclass
+class Taken:
+    """All frames of one scene before one rig."""
+
+    rig: DrawnRig
+    measured: Calibration  # by the rig's own ramps
+    scene: Scene
+    seed: int  # of the noise
+    light: dict[str, F32]  # (H, W, 3) by pattern
+    exposure: float
+    amplitude: F32  # (H, W) levels of 255, the mean of the channels
+    truth: Truth
+
+    @property
+    def lit(self) -> npt.NDArray[np.bool_]:
+        """Where the fringe is strong enough to be measured, and nothing is clipped."""
+        clipped = self.light["plain"].max(axis=2) * self.exposure >= 1
+        return (self.amplitude >= _LIT_LEVELS) & self.truth.lit & ~clipped
+
+    @property
+    def phase(self) -> F64:
+        """True phase, rad; 0 where there is nothing."""
+        return 2 * np.pi / self.measured.pattern.period_px * np.nan_to_num(self.truth.place)
+
+
+def take(photographer: Photographer, name: str, seed: int) -> Taken:
+    """Return a scene before a rig."""
+    scene = draw_scene(name, photographer.rig, seed)
+    patterns = ("plain", "coded", "compensated coded")
+    lines = [photographer.codes(name) for name in ("shift 1", "shift 2", *patterns)]
+    *shifts, coded, compensated, white = photographer.lines(scene, [*lines, np.ones_like(lines[0])])
+    exposure = photographer.exposure(white)
+    wave = sum(light * np.exp(-2j * np.pi * k / 3) for k, light in enumerate(shifts, 1))
+    return Taken(
+        photographer.rig,
+        photographer.calibration,
+        scene,
+        seed + 1,
+        dict(zip(patterns, (shifts[-1], coded, compensated), strict=True)),
+        exposure,
+        (np.abs(wave).mean(axis=2) * (2 / 3 * 255 * exposure)).astype(np.float32),
+        true_at_centers(photographer.geometry, scene.packed()),
+    )
+
+
+@lru_cache(1)
+def photographer_of(seed: int) -> Photographer:
+    """Return a rig with its calibration, which takes time: for one scene after the other."""
+    return Photographer(draw_rig(seed))
+
+
+def kept(seed: int, name: str, folder: Path) -> Taken:
+    """Return a scene before a rig, as a folder keeps it, or rendered and kept there."""
+    path = folder / f"{seed}-{name.replace(' ', '_')}.pickle"
+    if not path.exists():
+        path.write_bytes(pickle.dumps(take(photographer_of(seed), name, seed)))
+    return pickle.loads(path.read_bytes())

@@ -63,8 +63,9 @@ class DrawnRig:
 def draw_rig(seed: int) -> DrawnRig:
     """Return a rig; every seed gives another one."""
     rng = np.random.default_rng([45, seed])
+    kind = str(rng.choice(["LED", "lamp", "phosphor", "laser"]))
     while True:
-        kind, primaries = _draw_primaries(rng)
+        primaries = _draw_primaries(kind, rng)
         filters = _draw_filters(rng)
         matrix = filters @ primaries.T
         # A camera that sees another primary better than a channel's own is none that anybody would take.
@@ -105,15 +106,14 @@ def _unit_area(spectra: list[F64]) -> F64:
     return np.stack([spectrum / spectrum.sum() for spectrum in spectra])
 
 
-def _draw_primaries(rng: np.random.Generator) -> tuple[str, F64]:
+def _draw_primaries(kind: str, rng: np.random.Generator) -> F64:
     """Return LEDs, a lamp or a white LED behind dichroic filters, or lasers; the colours as bright as each other."""
-    kind = str(rng.choice(["LED", "lamp", "phosphor", "laser"]))
     if kind == "LED":
         bells = [bell(rng.uniform(615, 640), rng.uniform(8, 14)), bell(rng.uniform(517, 545), rng.uniform(14, 28)),
                  bell(rng.uniform(448, 468), rng.uniform(8, 14))]  # fmt: skip
-        return kind, _unit_area(bells)
+        return _unit_area(bells)
     if kind == "laser":
-        return kind, _unit_area([bell(rng.uniform(636, 642), 1.5), bell(rng.uniform(520, 532), 1.5),
+        return _unit_area([bell(rng.uniform(636, 642), 1.5), bell(rng.uniform(520, 532), 1.5),
                                  bell(rng.uniform(448, 465), 1.5)])  # fmt: skip
     if kind == "lamp":
         lines = ((405, 4, 1.6), (436, 5, 3.0), (546, 5, 3.2), (578, 6, 3.0))
@@ -126,7 +126,7 @@ def _draw_primaries(rng: np.random.Generator) -> tuple[str, F64]:
     red, green = rng.uniform(585, 597), rng.uniform(497, 508)
     filters = (edge(red, steep), edge(green - overlap / 2, steep) * edge(red - 18 + overlap, -steep),
                edge(420, 4) * edge(green - 4 + overlap / 2, -steep))  # fmt: skip
-    return kind, _unit_area([source * passed + 0.002 * source for passed in filters])
+    return _unit_area([source * passed + 0.002 * source for passed in filters])
 
 
 def _draw_filters(rng: np.random.Generator) -> F64:
