@@ -42,6 +42,9 @@ _SWING_CYCLES = 0.65
 # How far the fringe's change is averaged for its contrast, in nodes, and the most that blur may take or leave, as a
 # logarithm.
 _CONTRAST_NODES, _MOST_LOST = 0.7, 0.2
+# Ambient light is not quite even over a surface, which makes the contrast of pixels differ by this fraction; and a
+# code's, in straight lines from cycle to cycle, by that one from its mean around, at the corners.
+_UNEVEN, _CORNERS = 0.01, 0.05
 # No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
 _LEAST_NOISE, _DARK = 2e-4, 0.02
 
@@ -151,9 +154,9 @@ class FirstLook:
         lost = np.where(known, 0.5 * VARIANCE_PX * (slopes - usual), 0)
         return np.asarray(np.exp(-np.clip(lost, -_MOST_LOST, _MOST_LOST)), np.float32)
 
-    def fringe(self, contrast_doubt: float) -> Fringe:
-        """Return how the fringe of each place differs from the template, given what is doubted of its contrast."""
-        return Fringe(contrast_doubt, self.contrast, self.spacing_px)
+    def fringe(self, code_doubt: float) -> Fringe:
+        """Return how the fringe of each place differs from the template, given what a code makes of its contrast."""
+        return Fringe(_CORNERS if code_doubt > 0 else _UNEVEN, code_doubt, self.contrast, self.spacing_px)
 
     @cached_property
     def contrast_around(self) -> FloatArray:

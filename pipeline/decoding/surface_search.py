@@ -57,9 +57,8 @@ _COLOR_CYCLES = 1.0
 _EDGE_PX = 13
 # A matrix makes of a pixel's light what is there but for this fraction.
 _MODEL_ERROR = 0.01
-# Ambient light is at most this share of a surface's. It is not quite even over one, which makes the contrast of pixels
-# differ by this fraction.
-_MOST_AMBIENT, _UNEVEN = 0.5, 0.01
+# Ambient light is at most this share of a surface's.
+_MOST_AMBIENT = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,12 +285,11 @@ class SurfaceSearch:
         look, known = self._look, self._known
         crosstalk = known.crosstalk(fitted.matrices, self._labels, fitted.ambient)
         model = (crosstalk, look.levels, look.correction, known.template(fitted.light))
-        fringe = look.fringe(max(known.contrast_doubt, _UNEVEN))
-        misfits = surface_misfits(look.device_image, *model, fringe, step)
+        fringe, period_px = look.fringe(known.contrast_doubt), look.gains.period_px
+        misfits = surface_misfits(look.device_image, *model, fringe, period_px, step)
         fits = (fitted.misfit < _UNFIT) | self._spared
         known_so_far = (self._labels[::step, ::step], fits, self._first)
-        coded = known.contrast_doubt > 0
-        new = relabel(misfits, *known_so_far, look.gains.period_px, step, coded=coded, afresh=afresh)
+        new = relabel(misfits, *known_so_far, period_px, step, afresh=afresh)
         if step == 1:
             return new
         shape = self._labels.shape

@@ -1,7 +1,7 @@
 """Which surface each pixel shows: the one whose matrix leaves the least over.
 
 A pixel's three channels have two unknowns, brightness and phase; the misfit that is left under each surface's matrix
-(`phase_fit.misfit_of`) tells the surfaces apart, sharper than any mean colour, which the fringe goes through. At some
+(`phase_fit.residual_of`) tells the surfaces apart, sharper than any mean colour, which the fringe goes through. At some
 phases two surfaces look alike: misfits are averaged over a few pixels, which keeps edges sharp, and over a good part of
 a cycle.
 """
@@ -20,7 +20,7 @@ from tikernels.phase.channel_template import blurred, cycle_and_slope, load_harm
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import equalized
 from tikernels.phase.frame_statistics import FrameLevels
-from tikernels.phase.phase_fit import misfit_of
+from tikernels.phase.phase_fit import residual_of
 from tikernels.phase.phase_vector import arctangent, color_at, matrix_of
 from tikernels.phase.surfaces import NO_SURFACE, shows_surface, surface_ambient, surface_matrix
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -37,11 +37,12 @@ _MOST, _MOST_AROUND = 16.0, 4.0
 # Pixels that a thread looks at together, as the vector units of a CPU do.
 _PIXELS_AT_ONCE = 16
 _lanes = ti.types.vector(_PIXELS_AT_ONCE, ti.f32)
+# A code's contrast is told by what is around, a Gaussian in cycles; residuals count in full up to this.
+_CODE_CYCLES, _TRUSTED = 0.25, 3.0
+_SAYS_NOTHING = 1e3
 # Gaussians that misfits are averaged over: px along the stripes and across them; cycles, and how much that one counts.
 _NEAR_PX = (2.0, 1.6)
 _AROUND_CYCLES, _AROUND = 0.4, 0.5
-# The same of a coded pattern, whose cycles differ in contrast, so that a pixel tells less.
-_CODED_CYCLES, _CODED = 0.6, 2.0
 # A whole neighbourhood, in cycles; and how far wide averages are computed on a coarser grid, px.
 _NEIGHBOURHOOD_CYCLES = 0.85
 _GRID_PX = 4
@@ -61,6 +62,8 @@ class Fringe(NamedTuple):
 
     contrast_doubt: float
     """Standard deviation of a pixel's contrast, as a fraction."""
+    code_doubt: float
+    """Standard deviation of a cycle's contrast by the pattern's code, as a fraction; 0: there is no code."""
     contrast: npt.NDArray[np.float32]
     """(Hg, Wg) around every node of a grid: by what blur multiplies the first harmonic."""
     spacing_px: int
@@ -95,7 +98,8 @@ def surface_misfits_kernel(
     contrast: F32Array2,  # (Hg, Wg) beside the template's, around every node; see `Fringe`
     spacing_px: i32,  # between nodes
     step: i32,  # px between the pixels that are looked at
-    out: F32Array3,  # (N, ceil(H / step), ceil(W / step)) squares of standard deviations; -1: says nothing
+    out: F32Array3,  # (N, ceil(H / step), ceil(W / step)) standard deviations; _SAYS_NOTHING
+    by_contrast: F32Array3,  # likewise: how that changes with the contrast, per 1
 ):
     height, width = out.shape[1], out.shape[2]
     strips = strip_count(width, _PIXELS_AT_ONCE)
@@ -106,7 +110,7 @@ def surface_misfits_kernel(
         rest = surface_ambient(ambient, surface)
         count = ti.min(_PIXELS_AT_ONCE, width - first)
         red, green, blue, shown = _lanes(0.0), _lanes(0.0), _lanes(0.0), _lanes(0.0)
-        phase, result = _lanes(0.0), _lanes(0.0)
+        phase, result, changes = _lanes(0.0), _lanes(0.0), _lanes(0.0)
         for k in range(count):
             seen = color_at(image, y * step, (first + k) * step)
             red[k], green[k], blue[k] = seen.x, seen.y, seen.z
@@ -127,10 +131,12 @@ def surface_misfits_kernel(
             cycle, slope = cycle_and_slope(blurred(harmonics, contrast[i, j]), phase[k])
             model, change = weight * (matrix @ cycle), weight * (matrix @ slope)
             swing = weight * (matrix @ (cycle - 1.0))
-            left = misfit_of(weight * (seen - rest), model, change, swing, contrast_doubt)
-            result[k] = ti.select(shown[k] > 0.5, ti.min(left, _MOST), -1.0)
+            left, slope_of = residual_of(weight * (seen - rest), model, change, swing, contrast_doubt)
+            result[k] = ti.select(shown[k] > 0.5, left, _SAYS_NOTHING)
+            changes[k] = slope_of
         for k in range(count):
             out[surface, y, first + k] = result[k]
+            by_contrast[surface, y, first + k] = changes[k]
 
 
 def surface_misfits(
@@ -140,6 +146,7 @@ def surface_misfits(
     correction: F32,
     template: F32,
     fringe: Fringe,
+    period_px: float,
     step: int = 1,
 ) -> _Misfits:
     """Return what each surface's matrix leaves over of every pixel.
@@ -158,6 +165,8 @@ def surface_misfits(
         One cycle of a neutral surface's channels.
     fringe : Fringe
         How pixels' fringes differ from the template.
+    period_px : float
+        Camera px a cycle.
     step : int
         px between the pixels that are looked at, both ways.
 
@@ -175,7 +184,7 @@ def surface_misfits(
     correction = checks.read_array("correction", correction, (None,), np.float32)
     surfaces = crosstalk.surfaces
     size = (-(-int(image.shape[0]) // step), -(-int(image.shape[1]) // step))
-    out = np.empty((len(surfaces.mixing), *size), np.float32)
+    out, by_contrast = (np.empty((len(surfaces.mixing), *size), np.float32) for _ in range(2))
     surface_misfits_kernel(
         image,
         surfaces.labels,
@@ -193,9 +202,29 @@ def surface_misfits(
         fringe.spacing_px,
         step,
         out,
+        by_contrast,
     )
     runtime.synchronize()
-    return out
+    said = out[0] != _SAYS_NOTHING
+    if fringe.code_doubt > 0:
+        _take_off_code(out, by_contrast, said, fringe.code_doubt, period_px, step)
+    return np.where(said, np.minimum(out**2, _MOST), np.float32(-1))
+
+
+def _take_off_code(
+    residuals: _Misfits, by_contrast: _Misfits, said: _Mask, doubt: float, period_px: float, step: int
+) -> None:
+    """Take off the residuals what the contrast explains that a code gives to each cycle.
+
+    It is one number for all pixels around. A matrix with more crosstalk looks like a cycle with less contrast: if the
+    contrast of every pixel were doubted by itself, many pixels would be evidence of a surface there.
+    """
+    sigma = _CODE_CYCLES * period_px
+    known_by = 1 / (doubt**2 * 4 * np.pi * (sigma / step) ** 2)  # a pixel, of those that the average is made of
+    for left, change in zip(residuals, by_contrast, strict=True):
+        counted = np.where(said, change / np.maximum(1, np.abs(left) / _TRUSTED), np.float32(0))
+        slope, square = (_wide(counted * values, sigma, step) for values in (left, change))
+        left -= np.where(said, _enlarged(slope / (square + known_by), said.shape) * change, np.float32(0))
 
 
 def relabel(
@@ -206,7 +235,6 @@ def relabel(
     period_px: float,
     step: int = 1,
     *,
-    coded: bool = False,
     afresh: bool = False,
 ) -> Relabelled:
     """Give every pixel to the surface that fits it best, and drop surfaces that none needs.
@@ -225,13 +253,11 @@ def relabel(
         Camera px a cycle.
     step : int
         px between the pixels, both ways.
-    coded : bool
-        Whether a code changes the contrast from cycle to cycle.
     afresh : bool
         Whether only NO_SURFACE is known of what pixels showed before.
     """
     said = misfits[0] >= 0
-    averages = _averaged(misfits, said, period_px, step, coded)
+    averages = _averaged(misfits, said, period_px, step)
     if afresh:
         before = np.where(before == NO_SURFACE, NO_SURFACE, averages.argmin(axis=0)).astype(np.uint8)
     kept = list(range(len(misfits)))
@@ -260,17 +286,16 @@ def relabel(
     return Relabelled(labels, kept, unexplained)
 
 
-def _averaged(misfits: _Misfits, said: _Mask, period_px: float, step: int, coded: bool) -> _Misfits:
+def _averaged(misfits: _Misfits, said: _Mask, period_px: float, step: int) -> _Misfits:
     """Average every surface's misfits over a few pixels, and over a part of a cycle."""
-    cycles, counts = (_CODED_CYCLES, _CODED) if coded else (_AROUND_CYCLES, _AROUND)
     weight = said.astype(np.float32)
     near_share = np.maximum(_near(weight, step), 1e-6)
-    wide_share = np.maximum(_wide(weight, cycles * period_px, step), 1e-6)
+    wide_share = np.maximum(_wide(weight, _AROUND_CYCLES * period_px, step), 1e-6)
     result = np.empty_like(misfits)
     for surface, misfit in enumerate(misfits):
         counted = np.where(said, misfit, np.float32(0))
-        around = _enlarged(_wide(counted, cycles * period_px, step) / wide_share, said.shape)
-        result[surface] = (_near(counted, step) / near_share + counts * around) / (1 + counts)
+        around = _enlarged(_wide(counted, _AROUND_CYCLES * period_px, step) / wide_share, said.shape)
+        result[surface] = (_near(counted, step) / near_share + _AROUND * around) / (1 + _AROUND)
     return result
 
 

@@ -27,8 +27,8 @@ def surfaces_of(labels: np.ndarray) -> Crosstalk:
     return Crosstalk.of(neutral, surfaces=Surfaces.of(matrices @ np.linalg.inv(neutral), labels, ambient))
 
 
-def even(contrast: float = 1.0) -> Fringe:
-    return Fringe(0.0, np.full((8, 10), contrast, np.float32), 32)
+def even(contrast: float = 1.0, code_doubt: float = 0.0) -> Fringe:
+    return Fringe(0.0, code_doubt, np.full((8, 10), contrast, np.float32), 32)
 
 
 EVEN = even()
@@ -38,7 +38,7 @@ def misfits_of(image: np.ndarray, labels: np.ndarray, step: int = 1, fringe: Fri
     crosstalk = surfaces_of(labels)
     correction = response_table(_SPECTRUM)
     template = known_template(crosstalk.matrix, _SPECTRUM)
-    return surface_misfits(image, crosstalk, LEVELS, correction, template, fringe, step)
+    return surface_misfits(image, crosstalk, LEVELS, correction, template, fringe, PERIOD_PX, step)
 
 
 def test_the_right_surface_leaves_noise_over(arch):
@@ -61,6 +61,18 @@ def test_a_finer_fringe_has_less_contrast(arch):
     as_if_even, as_it_is = (misfits_of(blurred, labels, fringe=even(contrast))[0].mean() for contrast in (1.0, 0.92))
     assert as_it_is < 0.7
     assert as_if_even > 2 * as_it_is
+
+
+def test_a_cycle_of_less_contrast_is_no_other_surface(arch):
+    """A code takes 15 % of every second cycle's contrast; other paints are as far off as without a code."""
+    image, phase, _ = board(["white"], noise=0.5)
+    fades = np.abs(phase / (2 * np.pi) % 2 - 1)[..., None]
+    swing = 240 * (light(phase) - light(_PHASES).mean()) @ surface_matrix(PAINTS["white"]).T
+    coded, labels = (image - 0.15 * fades * swing).astype(np.float32), np.zeros(phase.shape, np.uint8)
+    unknown, known = (misfits_of(coded, labels, fringe=even(code_doubt=doubt)) for doubt in (0.0, 0.13))
+    assert unknown[0].mean() > 5
+    assert known[0].mean() < 1.5
+    assert (known[1:].mean(axis=(1, 2)) > 0.8 * misfits_of(image, labels)[1:].mean(axis=(1, 2))).all()
 
 
 def test_every_second_pixel(arch):
