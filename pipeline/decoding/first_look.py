@@ -42,8 +42,8 @@ _SWING_CYCLES = 0.65
 # How far the fringe's change is averaged for its contrast, in nodes, and the most that blur may take or leave, as a
 # logarithm.
 _CONTRAST_NODES, _MOST_LOST = 0.7, 0.2
-# Ambient light is not quite even over a surface, which makes the contrast of pixels differ by this fraction; and a
-# code's, in straight lines from cycle to cycle, by that one from its mean around, at the corners.
+# Standard deviation of a pixel's contrast, as a fraction: ambient light is not quite even over a surface; and a code's
+# contrast, which goes in straight lines from cycle to cycle, is off its mean around where the lines meet.
 _UNEVEN, _CORNERS = 0.01, 0.05
 # No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
 _LEAST_NOISE, _DARK = 2e-4, 0.02

@@ -302,6 +302,8 @@ _ALL = (
         promise="saves the search on frames of one colour"),
     Mechanism("surfaces' contrast", "blur takes more of the fringe where it is finer", "r-objects",
         {"first_look:FirstLook.contrast": flat_contrast}, "first_look:FirstLook.contrast"),
+    Mechanism("cycles' contrast", "the code changes contrasts cycle by cycle, which are no surfaces", "r-objects-coded",
+        {"surface_labels:_take_off_code": gives(None)}, "surface_labels:_take_off_code"),
     Mechanism("surfaces' ambient light", "what of a surface's light does not follow the fringe", "r-objects",
         {"first_look:FirstLook.ambient": lambda original: property(lambda self: 0.0)}, "first_look:FirstLook.ambient"),
     Mechanism("surfaces before", "surfaces of the frame before are kept", "",

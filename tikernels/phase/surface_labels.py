@@ -37,8 +37,10 @@ _MOST, _MOST_AROUND = 16.0, 4.0
 # Pixels that a thread looks at together, as the vector units of a CPU do.
 _PIXELS_AT_ONCE = 16
 _lanes = ti.types.vector(_PIXELS_AT_ONCE, ti.f32)
-# A code's contrast is told by what is around, a Gaussian in cycles; residuals count in full up to this.
+# A code's contrast is told by what is around, a Gaussian in cycles; residuals count in full up to this many standard
+# deviations.
 _CODE_CYCLES, _TRUSTED = 0.25, 3.0
+# The residual of a pixel that is clipped, or shows no surface.
 _SAYS_NOTHING = 1e3
 # Gaussians that misfits are averaged over: px along the stripes and across them; cycles, and how much that one counts.
 _NEAR_PX = (2.0, 1.6)
@@ -214,17 +216,18 @@ def surface_misfits(
 def _take_off_code(
     residuals: _Misfits, by_contrast: _Misfits, said: _Mask, doubt: float, period_px: float, step: int
 ) -> None:
-    """Take off the residuals what the contrast explains that a code gives to each cycle.
+    """Subtract from the residuals, (N, H, W) standard deviations, what a cycle's own contrast explains.
 
-    It is one number for all pixels around. A matrix with more crosstalk looks like a cycle with less contrast: if the
-    contrast of every pixel were doubted by itself, many pixels would be evidence of a surface there.
+    By a code each cycle has one contrast. A matrix with more crosstalk looks like a cycle with less contrast: if every
+    pixel's contrast were doubted by itself, many pixels of a cycle would be evidence of another surface.
     """
     sigma = _CODE_CYCLES * period_px
-    known_by = 1 / (doubt**2 * 4 * np.pi * (sigma / step) ** 2)  # a pixel, of those that the average is made of
+    pixels = 4 * np.pi * (sigma / step) ** 2  # that the average is made of
+    prior = 1 / (doubt**2 * pixels)
     for left, change in zip(residuals, by_contrast, strict=True):
         counted = np.where(said, change / np.maximum(1, np.abs(left) / _TRUSTED), np.float32(0))
         slope, square = (_wide(counted * values, sigma, step) for values in (left, change))
-        left -= np.where(said, _enlarged(slope / (square + known_by), said.shape) * change, np.float32(0))
+        left -= np.where(said, _enlarged(slope / (square + prior), said.shape) * change, np.float32(0))
 
 
 def relabel(
