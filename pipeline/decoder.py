@@ -158,7 +158,7 @@ class Decoder:
             else:
                 buffers = out.buffers_for(frame.shape, self._setup)
             statistics = measure_frame(frame.image, frame.white)
-            levels = frame_levels(self.settings, statistics, frame.white, self._path.crosstalk)
+            levels = frame_levels(self.settings, statistics, frame.white)
             period_px = self.settings.camera_period_px or statistics.period_px
             looks_for_code = self._path.code_unknown
             with nullcontext() if out is None else out.emptied_on_error():

@@ -55,6 +55,8 @@ _PHASE_OF_LIGHT = 2.0
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
 _EDGE_PX = 13
+# Pixels along the stripes that tell a surface's light together: noise of each would bend what is fitted.
+_TOGETHER_PX = 5
 # A matrix makes of a pixel's light what is there but for this fraction.
 _MODEL_ERROR = 0.01
 # Ambient light is at most this share of a surface's.
@@ -273,12 +275,24 @@ class SurfaceSearch:
             if len(places) > _MOST_SAMPLES:
                 places = self._random.permutation(places)[:_MOST_SAMPLES]
             ambient = np.zeros(3) if self._ambient is None else self._ambient[surface]
-            light, around = seen.reshape(-1, 3)[places], look.around.ravel()[places]
+            light, count = self._averaged(surface, rows[places // labels.shape[1], 0], columns.ravel()[places])
+            around = look.around.ravel()[places]
             contrast = look.contrast_around.ravel()[places]
             own_weights, doubt = weights / color, known.contrast_doubt
             numbers.append(surface)
-            samples.append(look.surface_samples(light, around, own_weights, ambient, doubt, contrast))
+            told = look.surface_samples(light, around, own_weights, ambient, doubt, contrast)
+            samples.append(replace(told, variance=told.variance / count[:, None]))
         return numbers, samples
+
+    def _averaged(
+        self, surface: int, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the light of some of a surface's pixels, averaged along the stripes, (N, 3), and over how many."""
+        near = columns[:, None] + np.arange(-(_TOGETHER_PX // 2), _TOGETHER_PX // 2 + 1)
+        near = np.clip(near, 0, self._labels.shape[1] - 1)
+        own = (self._labels[rows[:, None], near] == surface)[..., None]
+        count = own.sum(axis=1).astype(np.float64)
+        return (self._look.image[rows[:, None], near] * own).sum(axis=1) / count, count[:, 0]
 
     def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False) -> Relabelled:
         """Give every pixel to the surface that explains it best, looking at one of `step` both ways."""

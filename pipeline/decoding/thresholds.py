@@ -3,13 +3,14 @@
 import numpy as np
 
 from pipeline.settings import DecodeSettings
-from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics
+from tikernels.phase.smoothing import left_of_variance
 
-# The fringe must stand out of the noise by five standard deviations, where chance makes one pixel in 300,000 valid, and
-# reach this fraction of the frame's brightness, below which ambient light and stray light decide.
-_MODULATION_SIGMAS = 5.0
-_MODULATION_FRACTION = 0.03
+# A pixel is kept for what its phase is worth: a standard deviation of at most the first after smoothing, and of the
+# second before it, rad, beyond which neighbours' phases are no longer told apart from those a cycle off.
+_MOST_SIGMA, _MOST_SIGMA_OF_ONE = 0.2, 0.75
+# The fringe must reach this fraction of the frame's brightness, below which ambient light and stray light decide.
+_MODULATION_FRACTION = 0.01
 # What all pixels have in common those tell that have this share of the fringe of the brightest.
 _TELLING = 0.15
 _INTENSITY_SIGMAS = 3.0
@@ -18,9 +19,7 @@ _INTENSITY_FRACTION = 0.02
 _LEAST_NOISE = 1e-5
 
 
-def frame_levels(
-    settings: DecodeSettings, statistics: FrameStatistics, white: float, crosstalk: Crosstalk
-) -> FrameLevels:
+def frame_levels(settings: DecodeSettings, statistics: FrameStatistics, white: float) -> FrameLevels:
     """Return noise and thresholds of a frame.
 
     Parameters
@@ -31,16 +30,25 @@ def frame_levels(
         The frame's, as fractions of full scale.
     white : float
         Full scale, levels.
-    crosstalk : Crosstalk
-        Undoing it makes noise larger.
     """
     brightness = statistics.brightness * white
     read, gain = settings.noise or (statistics.noise[0] * white, statistics.noise[1] * white)
     read = max(read, _LEAST_NOISE * white)
     noise = float(np.sqrt(read**2 + gain * brightness / 2))
-    intensity, modulation = settings.min_intensity, settings.min_modulation
+    intensity, modulation, precision = settings.min_intensity, settings.min_modulation, 0.0
     if intensity is None:
         intensity = max(_INTENSITY_SIGMAS * noise, _INTENSITY_FRACTION * brightness)
     if modulation is None:
-        modulation = max(_MODULATION_SIGMAS * crosstalk.noise_amplification * noise, _MODULATION_FRACTION * brightness)
-    return FrameLevels(white, read, gain, noise, intensity, modulation, _TELLING * statistics.modulation * white)
+        modulation = _MODULATION_FRACTION * brightness
+        left = left_of_variance(settings.smoothing_px // 2)
+        precision = max(left / _MOST_SIGMA**2, 1 / _MOST_SIGMA_OF_ONE**2)
+    return FrameLevels(
+        white=white,
+        read_noise=read,
+        noise_gain=gain,
+        noise=noise,
+        intensity=intensity,
+        modulation=modulation,
+        precision=precision,
+        least_telling=_TELLING * statistics.modulation * white,
+    )

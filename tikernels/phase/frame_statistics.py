@@ -61,6 +61,7 @@ class FrameLevels:
     noise: float  # standard deviation of a channel at half of the brightest
     intensity: float  # least mean of the channels of a pixel that counts
     modulation: float  # least modulation of a pixel that counts
+    precision: float = 0.0  # least precision of its phase, 1 / rad^2
     least_telling: float = 0.0  # of one that tells what all have in common, where that is more
 
     @property

@@ -257,6 +257,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
         sharpness: F32Array2,  # (Hg, Wg) see `fringe_sharpness.py`
         min_intensity: f32,  # levels
         min_modulation: f32,  # levels
+        min_precision: f32,  # 1 / rad^2
         clipped: f32,  # levels
         read_noise: f32,  # standard deviation of a dark channel, levels
         noise_gain: f32,  # by how much the variance grows with the light, levels
@@ -303,6 +304,7 @@ def _fit_phase_kernel(mixed: bool, spacing_px: int) -> Any:
                 precision[k] = precise / ti.max(1.0, left[k] / MAX_MISFIT)
                 bright[k] = shown * (model - swing).sum() / 3.0
                 valid = is_lit(seen, min_intensity, clipped) & (modulation[k] > min_modulation)
+                valid &= precision[k] > min_precision
                 if ti.static(mixed):
                     valid &= shows_surface(labels, y, ti.max(start + k, 0))
                 fitted = start_phase[k] + ti.math.clamp(step, -_MAX_STEP, _MAX_STEP)
@@ -456,6 +458,7 @@ def fit_phase(
         model.sharpness.values,
         levels.intensity,
         levels.modulation,
+        levels.precision,
         levels.clipped,
         levels.read_noise,
         levels.noise_gain,

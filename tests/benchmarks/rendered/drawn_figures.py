@@ -61,7 +61,7 @@ def decode(taken: Taken, pattern: str, noise: bool = True, known: bool = True) -
     if noise and rig.delivery in ("jpeg", "mjpeg"):
         image, settings = _by_file(rig, levels, settings, calibration)
     elif noise and rig.delivery == "bayer":
-        image = develop((levels,), PixelFormat("bayer", rig.bits, bayer="rggb"))
+        image = develop((levels,), PixelFormat("bayer", rig.bits, bayer="rggb"), stripes=settings.stripes)
     else:
         image = levels
         if noise and rig.bits not in (8, 16):
@@ -87,7 +87,7 @@ def _by_file(
         source = open_source(path)
         settings, _ = with_transfer_of(source, settings, calibration)
         (stored,) = source.frames()
-        return develop(stored.planes, stored.format), settings
+        return develop(stored.planes, stored.format, stripes=settings.stripes), settings
 
 
 def phase_error(frame: DecodedFrame, taken: Taken) -> npt.NDArray[np.float64]:

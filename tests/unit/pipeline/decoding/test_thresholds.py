@@ -5,14 +5,12 @@ import pytest
 
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.settings import DecodeSettings
-from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameStatistics
+from tikernels.phase.smoothing import left_of_variance
 
-NONE = Crosstalk.of(np.eye(3))
 
-
-def levels(statistics, crosstalk=NONE, **options):
-    return frame_levels(DecodeSettings(**options), statistics, 255.0, crosstalk)
+def levels(statistics, **options):
+    return frame_levels(DecodeSettings(**options), statistics, 255.0)
 
 
 def seen(noise, brightness=0.5):
@@ -21,22 +19,24 @@ def seen(noise, brightness=0.5):
     )
 
 
-def test_a_noisy_frame_needs_a_stronger_fringe():
+def test_a_pixel_counts_by_what_its_phase_is_worth_after_smoothing():
+    smoothed, bare = levels(seen(0.02)), levels(seen(0.02), smoothing_px=0)
+    # 0.2 rad, of which seven pixels both ways leave a quarter; before smoothing, never more than 0.75.
+    assert smoothed.precision == pytest.approx(max(left_of_variance(3) / 0.2**2, 1 / 0.75**2))
+    assert bare.precision == pytest.approx(1 / 0.2**2)
+    assert levels(seen(0.02), smoothing_px=15).precision == pytest.approx(1 / 0.75**2)
+
+
+def test_whatever_the_noise_ambient_light_decides_below_a_hundredth_of_the_brightness():
     quiet, noisy = levels(seen(0.001)), levels(seen(0.02))
-    # Three hundredths of the brightness where there is hardly any noise, five standard deviations where there is.
-    assert quiet.modulation == pytest.approx(0.03 * 0.5 * 255)
-    assert noisy.modulation == pytest.approx(5 * NONE.noise_amplification * 0.02 * 255)
+    assert quiet.modulation == noisy.modulation == pytest.approx(0.01 * 0.5 * 255)
     assert noisy.intensity > quiet.intensity
-
-
-def test_undoing_crosstalk_makes_noise_larger():
-    mixed = Crosstalk.of(np.array([[0.8, 0.2, 0], [0.2, 0.6, 0.2], [0, 0.2, 0.8]]))
-    assert levels(seen(0.02), mixed).modulation > 1.2 * levels(seen(0.02)).modulation
 
 
 def test_what_is_given_wins():
     given = levels(seen(0.02), noise=(3.0, 0.1), min_intensity=7.0, min_modulation=8.0)
     assert (given.read_noise, given.noise_gain, given.intensity, given.modulation) == (3.0, 0.1, 7.0, 8.0)
+    assert given.precision == 0
     # At half of the brightest the variance is the read noise's and the photons'.
     assert given.noise == pytest.approx(np.sqrt(9 + 0.1 * 0.5 * 255 / 2))
 
