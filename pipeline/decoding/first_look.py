@@ -37,8 +37,8 @@ _FILLED = 0.3
 _AMBIENT_SAMPLES = 3000
 # Ambient light is at most this share of the frame's; brightness that varies less, as a fraction, does not tell it.
 _MOST_AMBIENT, _LEAST_VARIATION = 0.6, 0.03
-# A fringe swings by twice its modulation over this part of a cycle.
-_SWING_CYCLES = 0.65
+# A fringe swings by twice its modulation over this part of a cycle, and by more than some ten pixels' noise does.
+_SWING_CYCLES, _SWING_SIGMAS = 0.65, 5.0
 # How far the fringe's change is averaged for its contrast, in nodes, and the most that blur may take or leave, as a
 # logarithm.
 _CONTRAST_NODES, _MOST_LOST = 0.7, 0.2
@@ -187,7 +187,8 @@ class FirstLook:
         red, green, blue = cv2.split(cv2.morphologyEx(self.image, cv2.MORPH_GRADIENT, part))
         swing = cv2.max(cv2.max(red, green), blue)
         light = sum(channel.astype(np.float32) for channel in cv2.split(self.image))
-        return np.asarray((light < 3 * self.levels.intensity) | (swing < 2 * self.levels.modulation))
+        least = max(2 * self.levels.modulation, _SWING_SIGMAS * self.levels.noise)
+        return np.asarray((light < 3 * self.levels.intensity) | (swing < least))
 
     def sample_places(self) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
         """Return the rows and columns of the samples that gains are measured from; see `color_balance.py`."""
