@@ -9,12 +9,11 @@ from tikernels.phase.smoothing import left_of_variance
 # A pixel is kept for what its phase is worth: a standard deviation of at most the first after smoothing, and of the
 # second before it, rad, beyond which neighbours' phases are no longer told apart from those a cycle off.
 _MOST_SIGMA, _MOST_SIGMA_OF_ONE = 0.2, 0.75
-# The fringe must reach this fraction of the frame's brightness, below which ambient light and stray light decide.
-_MODULATION_FRACTION = 0.01
 # What all pixels have in common those tell that have this share of the fringe of the brightest.
 _TELLING = 0.15
+# Light and fringe must reach this fraction of the frame's brightness, below which ambient and stray light decide.
+_LEAST_FRACTION = 0.02
 _INTENSITY_SIGMAS = 3.0
-_INTENSITY_FRACTION = 0.02
 # Noise below this share of full scale is not to be relied on.
 _LEAST_NOISE = 1e-5
 
@@ -37,9 +36,9 @@ def frame_levels(settings: DecodeSettings, statistics: FrameStatistics, white: f
     noise = float(np.sqrt(read**2 + gain * brightness / 2))
     intensity, modulation, precision = settings.min_intensity, settings.min_modulation, 0.0
     if intensity is None:
-        intensity = max(_INTENSITY_SIGMAS * noise, _INTENSITY_FRACTION * brightness)
+        intensity = max(_INTENSITY_SIGMAS * noise, _LEAST_FRACTION * brightness)
     if modulation is None:
-        modulation = _MODULATION_FRACTION * brightness
+        modulation = _LEAST_FRACTION * brightness
         left = left_of_variance(settings.smoothing_px // 2)
         precision = max(left / _MOST_SIGMA**2, 1 / _MOST_SIGMA_OF_ONE**2)
     return FrameLevels(
