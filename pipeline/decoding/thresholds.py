@@ -12,7 +12,7 @@ _MOST_SIGMA, _MOST_SIGMA_OF_ONE = 0.2, 0.75
 # What all pixels have in common those tell that have this share of the fringe of the brightest.
 _TELLING = 0.15
 # Light and fringe must reach this fraction of the frame's brightness, below which ambient and stray light decide.
-_LEAST_FRACTION = 0.02
+_LEAST_FRACTION = 0.03
 _INTENSITY_SIGMAS = 3.0
 # Noise below this share of full scale is not to be relied on.
 _LEAST_NOISE = 1e-5

@@ -27,9 +27,9 @@ def test_a_pixel_counts_by_what_its_phase_is_worth_after_smoothing():
     assert levels(seen(0.02), smoothing_px=15).precision == pytest.approx(1 / 0.75**2)
 
 
-def test_whatever_the_noise_ambient_light_decides_below_a_fiftieth_of_the_brightness():
+def test_whatever_the_noise_ambient_light_decides_below_three_hundredths_of_the_brightness():
     quiet, noisy = levels(seen(0.001)), levels(seen(0.02))
-    assert quiet.modulation == noisy.modulation == pytest.approx(0.02 * 0.5 * 255)
+    assert quiet.modulation == noisy.modulation == pytest.approx(0.03 * 0.5 * 255)
     assert noisy.intensity > quiet.intensity
 
 
