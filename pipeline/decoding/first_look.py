@@ -37,7 +37,8 @@ _FILLED = 0.3
 _AMBIENT_SAMPLES = 3000
 # Ambient light is at most this share of the frame's; brightness that varies less, as a fraction, does not tell it.
 _MOST_AMBIENT, _LEAST_VARIATION = 0.6, 0.03
-# A fringe swings by twice its modulation over this part of a cycle, and by more than some ten pixels' noise does.
+# A fringe swings by twice its modulation over this part of a cycle, in pixels some ten, whose noise alone swings by
+# less than this many standard deviations.
 _SWING_CYCLES, _SWING_SIGMAS = 0.65, 5.0
 # How far the fringe's change is averaged for its contrast, in nodes, and the most that blur may take or leave, as a
 # logarithm.

@@ -55,8 +55,8 @@ _PHASE_OF_LIGHT = 2.0
 _COLOR_CYCLES = 1.0
 # The width of an edge between two colours, px.
 _EDGE_PX = 13
-# Pixels along the stripes that tell a surface's light together: noise of each would bend what is fitted.
-_TOGETHER_PX = 5
+# Samples are means over this many pixels along the stripes: the noise of single pixels biases the fitted matrices.
+_SAMPLE_PX = 5
 # A matrix makes of a pixel's light what is there but for this fraction.
 _MODEL_ERROR = 0.01
 # Ambient light is at most this share of a surface's.
@@ -261,8 +261,7 @@ class SurfaceSearch:
         look, known = self._look, self._known
         rows, columns = look.sample_places()
         labels, inside = self._labels[rows, columns], ~_near_edges(self._labels, _MARGIN_PX)[rows, columns]
-        seen = look.image[rows, columns].astype(np.float64)
-        clear = seen.max(axis=-1) < look.levels.clipped
+        clear = look.image[rows, columns].max(axis=-1) < look.levels.clipped
         weights = phase_weights(np.asarray(np.linalg.inv(known.matrix), np.float64), known.lag)
         numbers, samples = [], []
         for surface, color in enumerate(self._colors):
@@ -280,19 +279,23 @@ class SurfaceSearch:
             contrast = look.contrast_around.ravel()[places]
             own_weights, doubt = weights / color, known.contrast_doubt
             numbers.append(surface)
-            told = look.surface_samples(light, around, own_weights, ambient, doubt, contrast)
-            samples.append(replace(told, variance=told.variance / count[:, None]))
+            means = look.surface_samples(light, around, own_weights, ambient, doubt, contrast)
+            samples.append(replace(means, variance=means.variance / count[:, None]))
         return numbers, samples
 
     def _averaged(
         self, surface: int, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the light of some of a surface's pixels, averaged along the stripes, (N, 3), and over how many."""
-        near = columns[:, None] + np.arange(-(_TOGETHER_PX // 2), _TOGETHER_PX // 2 + 1)
+        """Return the mean light around some of a surface's pixels, (N, 3) levels, and of how many pixels it is, (N,).
+
+        The pixels are neighbours along the stripes, of the same surface, and not clipped.
+        """
+        near = columns[:, None] + np.arange(-(_SAMPLE_PX // 2), _SAMPLE_PX // 2 + 1)
         near = np.clip(near, 0, self._labels.shape[1] - 1)
-        own = (self._labels[rows[:, None], near] == surface)[..., None]
-        count = own.sum(axis=1).astype(np.float64)
-        return (self._look.image[rows[:, None], near] * own).sum(axis=1) / count, count[:, 0]
+        light = self._look.image[rows[:, None], near].astype(np.float64)
+        own = (self._labels[rows[:, None], near] == surface) & (light.max(axis=-1) < self._look.levels.clipped)
+        count = own.sum(axis=1)
+        return np.einsum("nkc,nk->nc", light, own) / count[:, None], count.astype(np.float64)
 
     def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False) -> Relabelled:
         """Give every pixel to the surface that explains it best, looking at one of `step` both ways."""

@@ -6,8 +6,8 @@ from pipeline.settings import DecodeSettings
 from tikernels.phase.frame_statistics import FrameLevels, FrameStatistics
 from tikernels.phase.smoothing import left_of_variance
 
-# A pixel is kept for what its phase is worth: a standard deviation of at most the first after smoothing, and of the
-# second before it, rad, beyond which neighbours' phases are no longer told apart from those a cycle off.
+# The largest standard deviation, rad, that is expected of a valid pixel's phase: after smoothing, and before it, where
+# more noise makes neighbours differ by half a cycle.
 _MOST_SIGMA, _MOST_SIGMA_OF_ONE = 0.2, 0.75
 # What all pixels have in common those tell that have this share of the fringe of the brightest.
 _TELLING = 0.15

@@ -287,11 +287,11 @@ _ALL = (
         {"projector_response:ResponsePrior.fit": no_blur}, "projector_response:ResponsePrior.fit"),
     Mechanism("telling pixels", "dim pixels do not count for the frame's light", "r-dark-beside-bright",
         {"thresholds:_TELLING": gives(0.0)}, ""),
-    Mechanism("pixels' worth", "a pixel is kept for its expected sigma after smoothing", "r-dark-beside-bright",
+    Mechanism("limit of sigma", "a pixel is valid if its expected sigma is small", "r-dark-beside-bright",
         {"thresholds:_MOST_SIGMA": gives(1e6), "thresholds:_MOST_SIGMA_OF_ONE": gives(1e6)}, ""),
     # Surfaces.
-    Mechanism("pixels told together", "pixels along the stripes tell a surface's light together", "r-objects",
-        {"surface_search:_TOGETHER_PX": gives(1)}, "surface_search:SurfaceSearch._averaged"),
+    Mechanism("averaged samples", "matrices are fitted to means over pixels along the stripes", "r-objects",
+        {"surface_search:_SAMPLE_PX": gives(1)}, "surface_search:SurfaceSearch._averaged"),
     Mechanism("surfaces", "surfaces of different colours, each with a matrix", "r-objects",
         {"light_path:LightPath._use": then(setting(surfaces=None))},
         "surface_search surface_finding first_look surface_labels surface_matrix surface_colors "

@@ -86,8 +86,6 @@ class Crosstalk:
     """(3, 3): what a, b cos(phi) and b sin(phi) make of the channels; see `channel_waves`."""
     inverse_waves: npt.NDArray[np.float32]
     """(3, 3): undoes it."""
-    noise_amplification: float
-    """Standard deviation of b cos(phi) and of b sin(phi), for a camera channel's of one, on the first surface."""
     lag: npt.NDArray[np.float64] | None
     """(3,) rad, how far the fringe of R, G, B lags behind its place; None: nowhere."""
     surfaces: Surfaces
@@ -121,14 +119,12 @@ class Crosstalk:
         inverse = invert_crosstalk(matrix, normalize_rows=True)
         weights, waves = phase_weights(inverse, lag), channel_waves(lag)
         surfaces = Surfaces.of(np.eye(3)) if surfaces is None else surfaces
-        seen_weights = phase_weights(inverse @ surfaces.unmixing[0])
         return cls(
             constant(np.linalg.inv(inverse).astype(np.float32)),
             constant(inverse.astype(np.float32)),
             constant(weights.astype(np.float32)),
             constant(waves.astype(np.float32)),
             constant(np.linalg.inv(waves).astype(np.float32)),
-            float(np.sqrt((seen_weights[:2] ** 2).sum() / 2)),
             lag,
             surfaces,
         )

@@ -77,11 +77,3 @@ def test_what_decoding_needs_of_a_matrix():
     light = 0.4 + 0.25 * np.cos(phase + reference.CHANNEL_PHASES[:, None])
     vector = crosstalk.weights @ (crosstalk.matrix @ light)
     np.testing.assert_allclose(vector, [0.25 * np.cos(phase), 0.25 * np.sin(phase), np.full(31, 0.4)], atol=1e-6)
-
-
-def test_the_noise_amplification_is_that_of_the_phase_vector():
-    """Of a million noisy channels, to a per cent; without crosstalk sqrt(2/3)."""
-    assert Crosstalk.of(np.eye(3)).noise_amplification == pytest.approx(np.sqrt(2 / 3))
-    crosstalk = Crosstalk.of(MATRIX)
-    vector = crosstalk.weights @ np.random.default_rng(3).standard_normal((3, 10**6))
-    assert np.sqrt((vector[:2] ** 2).mean()) == pytest.approx(crosstalk.noise_amplification, rel=0.01)
