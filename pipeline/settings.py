@@ -76,8 +76,8 @@ class DecodeSettings(Model):
     min_intensity: _Level | None = None
     """Darkest mean of the three channels that counts; None: chosen from the frame."""
     min_modulation: _Level | None = None
-    """Smallest amplitude of the fringe that counts; None: 3 % of the frame's brightness, and a pixel's phase must have a
-    standard deviation, computed from its light and the noise, of at most 0.2 rad after smoothing."""
+    """Smallest amplitude of the fringe that counts; None: 3 % of the frame's brightness, and the phase must have a
+    standard deviation, computed from light and noise, of at most 0.2 rad after smoothing."""
 
     @model_validator(mode="after")
     def _check(self) -> "DecodeSettings":
