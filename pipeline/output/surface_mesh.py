@@ -73,7 +73,7 @@ class MeshCounts:
     smoothed: int
     """Vertices that were moved to the surface through their neighbours."""
     filled: int
-    """Vertices in holes, where nothing was measured."""
+    """Vertices in holes, where nothing was measured, other than those of ``rim``."""
     rim: int
     """Vertices that have moved to the line in which a surface ends."""
     cropped: int

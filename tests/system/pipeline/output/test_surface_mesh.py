@@ -135,7 +135,10 @@ def test_a_frame_takes_its_standard_deviations_along(calibrated):
     assert ("sigma_mm" in mesh.properties) == calibrated and "sigma_rad" in mesh.properties
     assert 0.97 * frame.mask.sum() < len(mesh.vertices) < 1.01 * frame.mask.sum()
     assert counts.vertices == len(mesh.vertices) and counts.triangles == len(mesh.faces)
-    assert counts.vertices - counts.filled + counts.specks + counts.teeth == frame.mask.sum()
+    # A filled pixel that moves to the rim counts there; without smoothing none moves.
+    unmoved = counted_mesh(frame, MeshOptions(smoothed=False))[1]
+    assert unmoved.vertices == counts.vertices and unmoved.rim == 0
+    assert unmoved.vertices - unmoved.filled + unmoved.specks + unmoved.teeth == frame.mask.sum()
     assert set(asdict(counts)) >= {"smoothed", "filled", "cropped", "background"}
     if not calibrated:
         for options in (MeshOptions(without_background=True), MeshOptions(crop_mm=(0, 0, 0, 1, 1, 1))):
