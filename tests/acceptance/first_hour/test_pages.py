@@ -58,8 +58,8 @@ NOT_RUN = {
 }
 #: What has been run to make the files that pages read, and takes a minute: the folder that it made is copied.
 MADE = {"colorphase calibrate simulate --out practice": "practice"}
-#: What goes on until it is stopped: the seconds after which Ctrl-C comes.
-ENDLESS = {"colorphase capture --rig rig.toml --out cloth --endless --live": 25.0}
+#: What goes on until Ctrl-C comes, once there is a file by which it has begun.
+ENDLESS = {"colorphase capture --rig rig.toml --out cloth --endless --live": "cloth/recording.part.zarr/frames/c.*"}
 #: Exit codes that say something of the footage at hand.
 ALLOWED = {"colorphase inspect": {0, 3}}
 #: What a page's Python takes for given.
@@ -123,10 +123,16 @@ class Reader:
         options = {"cwd": self._folder, "env": self._environment, "stdin": subprocess.DEVNULL, "text": True}
         piped = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "start_new_session": True}
         with subprocess.Popen(["bash", "-c", line], **options, **piped) as process:
+            if line in ENDLESS:
+                deadline = time.monotonic() + COMMAND_S
+                while not any(self._folder.glob(ENDLESS[line])) and process.poll() is None:
+                    assert time.monotonic() < deadline, f"{line}: has not begun"
+                    time.sleep(0.2)
+                os.killpg(process.pid, signal.SIGINT)
             try:
-                said, _ = process.communicate(timeout=ENDLESS.get(line, COMMAND_S))
+                said, _ = process.communicate(timeout=COMMAND_S)
             except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGINT if line in ENDLESS else signal.SIGKILL)
+                os.killpg(process.pid, signal.SIGKILL)
                 said, _ = process.communicate(timeout=COMMAND_S)
         code = process.returncode
         allowed = next((codes for begin, codes in ALLOWED.items() if line.startswith(begin)), {0})
