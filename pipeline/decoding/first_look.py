@@ -46,6 +46,8 @@ _CONTRAST_NODES, _MOST_LOST = 0.7, 0.2
 # Standard deviation of a pixel's contrast, as a fraction: ambient light is not quite even over a surface; and a code's
 # contrast, which goes in straight lines from cycle to cycle, is off its mean around where the lines meet.
 _UNEVEN, _CORNERS = 0.01, 0.05
+# What blur takes beside the usual is known to this fraction: lenses differ.
+_LOST_DOUBT = 0.6
 # No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
 _LEAST_NOISE, _DARK = 2e-4, 0.02
 
@@ -157,7 +159,12 @@ class FirstLook:
 
     def fringe(self, code_doubt: float) -> Fringe:
         """Return how the fringe of each place differs from the template, given what a code makes of its contrast."""
-        return Fringe(_CORNERS if code_doubt > 0 else _UNEVEN, code_doubt, self.contrast, self.spacing_px)
+        doubt = self._contrast_doubt(_CORNERS if code_doubt > 0 else _UNEVEN)
+        return Fringe(doubt, code_doubt, self.contrast, self.spacing_px)
+
+    def _contrast_doubt(self, even: float) -> npt.NDArray[np.float32]:
+        """Return the standard deviation of a pixel's contrast around every node, given that where blur is the usual."""
+        return np.asarray(np.hypot(even, _LOST_DOUBT * np.log(self.contrast)), np.float32)
 
     @cached_property
     def contrast_around(self) -> FloatArray:

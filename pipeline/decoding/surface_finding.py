@@ -20,8 +20,10 @@ _NEUTRAL = 0.05
 # By how much of its row an entry of a surface's matrix may be off: calibrated, and told by the frame; and what leaks at
 # the least through real filters, where the frame has told the crosstalk with the smallest leaks that fit.
 _LEAK, _UNKNOWN_LEAK, _USUAL_LEAK = 0.004, 0.01, 0.03
-# So may a harmonic of the light: where the response is known, but for contrast and blur, and where it is not.
+# So may a harmonic of the light: where the response is known, but for contrast and blur, and where it is not; and the
+# contrast, besides blur. A contrast that is off by 0.08 took a third of the ambient light with it.
 _KNOWN_HARMONIC, _SEEN_HARMONIC = 0.0005, 0.02
+_KNOWN_CONTRAST, _SEEN_CONTRAST = 0.02, 0.2
 # Samples that tell whether a frame's only colour acts after the crosstalk. It does if that leaves less over by this
 # factor than anything else does, and a median that noise may have, whose own is 0.67.
 _TELLING_SAMPLES, _LEAST_SAMPLES, _BY_FAR, _NOISE = 400, 60, 0.85, 1.0
@@ -57,7 +59,7 @@ class SurfaceFinder:
         template: npt.NDArray[np.float32],
         *,
         template_known: bool,
-        before: FoundSurfaces | OnlyColor | None = None,
+        before: FoundSurfaces | OnlyColor | NoModelFits | None = None,
     ) -> FoundSurfaces | OnlyColor | NoModelFits | None:
         """Return the surfaces of a frame; None if all are neutral, or act as the balance alone undoes.
 
@@ -121,6 +123,7 @@ class SurfaceFinder:
             light,
             crosstalk.lag,
             leak=_UNKNOWN_LEAK if self._white is None else _LEAK,
+            contrast=_KNOWN_CONTRAST if template_known else _SEEN_CONTRAST,
             harmonic=_KNOWN_HARMONIC if template_known else _SEEN_HARMONIC,
             contrast_doubt=self._contrast_doubt,
             bands=self._bands,

@@ -21,9 +21,9 @@ from tikernels.phase.surface_labels import LEAST_PX, Relabelled, relabel, surfac
 from tikernels.phase.surface_matrix import (
     BROAD,
     FittedMatrices,
+    ForetoldMatrices,
     SurfaceSamples,
     fit_matrices,
-    predict_matrices,
 )
 from tikernels.phase.surfaces import NO_SURFACE, Surfaces
 
@@ -43,9 +43,11 @@ _STEP_PX = 2
 _SETTLED = 0.005
 # Pixels that no surface explains are looked at anew in the next frame if they are more by this factor.
 _MORE = 1.5
-# A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it;
-# and if the largest does not, no surfaces have been found.
+# A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it.
 _UNFIT = 0.02
+# If the largest is off by more than this, no surfaces have been found. Demosaicking and JPEG make up to 0.03 of it, on
+# which the balance alone would be off by three times as much; a calibration of another rig makes 0.06 and more.
+_CONTRADICTED = 0.04
 # Surfaces that are off by more than this, on more than this share of what is lit, are told of: on spots and highlights
 # `phase_sigma` is larger, but a fluorescent paint has another constant.
 _ODD, _ODD_SHARE = 0.025, 0.02
@@ -76,7 +78,9 @@ class KnownLight:
     lag: FloatArray | None
     """(3,) rad; see `channel_delays`."""
     leak: float
-    """By how much of its row an entry of a surface's matrix may be off, besides a fraction of itself."""
+    """By how much of its row an entry of a surface's matrix may be off, besides what its colour makes of it."""
+    contrast: float
+    """How far the light's contrast may be off, besides blur, as a fraction."""
     harmonic: float
     """How far a harmonic of the light may be off, besides contrast and blur, as a fraction of the first."""
     contrast_doubt: float
@@ -167,7 +171,8 @@ class SurfaceSearch:
         # Which surfaces need not fit: those that the frame began with, and those that have not been fitted yet.
         self._first = self._spared = np.ones(len(colors), bool)
         # Places where no new surface is looked for: pixels of an edge see two of them, and no matrix explains that;
-        # and those that have had one of their own in vain.
+        # and those that have had one of their own in vain. What the frame began with are mixtures at times: where one
+        # of these was dropped there may be another.
         self._tried = _near_edges(labels, _EDGE_PX)
         self._random = np.random.default_rng(0)
 
@@ -201,10 +206,10 @@ class SurfaceSearch:
         return self._found(fitted, new.unexplained)
 
     def _found(self, fitted: FittedMatrices, unexplained: _Mask) -> FoundSurfaces | NoModelFits:
-        """Return the surfaces, unless the largest does not fit, as with a calibration that is not this rig's."""
+        """Return the surfaces, unless the largest is far from fitting, as with a calibration that is not this rig's."""
         sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
         shares, largest = sizes / max(sizes.sum(), 1), sizes.argmax()
-        if fitted.misfit[largest] > _UNFIT:
+        if fitted.misfit[largest] > _CONTRADICTED:
             return NoModelFits(float(fitted.misfit[largest]), float(shares[largest]))
         strange = (fitted.misfit > _ODD) & (sizes > 0)
         odd = NoModelFits(float(fitted.misfit[strange].max(initial=0)), float(shares[strange].sum()))
@@ -240,11 +245,12 @@ class SurfaceSearch:
         results = [
             fit_matrices(
                 samples,
-                predict_matrices(colors, white, bands),
+                ForetoldMatrices.of(colors, white, bands),
                 expected,
                 self._ambient,
                 known.light if tell_light else self._light,
                 known.leak,
+                known.contrast,
                 known.harmonic,
                 fit_light=tell_light,
             )
@@ -274,28 +280,43 @@ class SurfaceSearch:
             if len(places) > _MOST_SAMPLES:
                 places = self._random.permutation(places)[:_MOST_SAMPLES]
             ambient = np.zeros(3) if self._ambient is None else self._ambient[surface]
-            light, count = self._averaged(surface, rows[places // labels.shape[1], 0], columns.ravel()[places])
-            around = look.around.ravel()[places]
-            contrast = look.contrast_around.ravel()[places]
             own_weights, doubt = weights / color, known.contrast_doubt
+            light, count, left = self._averaged(
+                surface, rows[places // labels.shape[1], 0], columns.ravel()[places], own_weights, ambient
+            )
+            around = look.around.ravel()[places]
+            contrast = left * look.contrast_around.ravel()[places]
             numbers.append(surface)
             means = look.surface_samples(light, around, own_weights, ambient, doubt, contrast)
             samples.append(replace(means, variance=means.variance / count[:, None]))
         return numbers, samples
 
     def _averaged(
-        self, surface: int, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the mean light around some of a surface's pixels, (N, 3) levels, and of how many pixels it is, (N,).
+        self,
+        surface: int,
+        rows: npt.NDArray[np.intp],
+        columns: npt.NDArray[np.intp],
+        weights: FloatArray,
+        ambient: FloatArray,
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the mean light around some of a surface's pixels, and what that leaves of the fringe's contrast.
 
-        The pixels are neighbours along the stripes, of the same surface, and not clipped.
+        The pixels are neighbours along the stripes, of the same surface, and not clipped. Returned are the light,
+        (N, 3) levels, of how many pixels it is, (N,), and by what the mean multiplies the first harmonic, (N,): where
+        a surface turns away, stripes run across the image's rows.
         """
-        near = columns[:, None] + np.arange(-(_SAMPLE_PX // 2), _SAMPLE_PX // 2 + 1)
+        reach = _SAMPLE_PX - 1
+        near = columns[:, None] + np.arange(-reach, reach + 1)
         near = np.clip(near, 0, self._labels.shape[1] - 1)
         light = self._look.image[rows[:, None], near].astype(np.float64)
         own = (self._labels[rows[:, None], near] == surface) & (light.max(axis=-1) < self._look.levels.clipped)
+        vector = ((light - ambient) @ weights[:2].T) @ np.array([1, 1j])
+        slope = np.angle((vector[:, 1:] * vector[:, :-1].conj() * (own[:, 1:] & own[:, :-1])).sum(axis=1))
+        half = slice(reach - _SAMPLE_PX // 2, reach + _SAMPLE_PX // 2 + 1)
+        light, own = light[:, half], own[:, half]
         count = own.sum(axis=1)
-        return np.einsum("nkc,nk->nc", light, own) / count[:, None], count.astype(np.float64)
+        left = np.exp(-(slope**2) * (count**2 - 1) / 24)
+        return np.einsum("nkc,nk->nc", light, own) / count[:, None], count.astype(np.float64), left
 
     def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False) -> Relabelled:
         """Give every pixel to the surface that explains it best, looking at one of `step` both ways."""
@@ -315,7 +336,8 @@ class SurfaceSearch:
 
     def _keep(self, new: Relabelled, fitted: FittedMatrices) -> FittedMatrices:
         """Go on with what has proved to be a surface, and return that."""
-        self._tried = self._tried | ~np.isin(self._labels, [*new.kept, NO_SURFACE])
+        in_vain = [k for k in np.flatnonzero(~self._first) if k not in new.kept]
+        self._tried = self._tried | np.isin(self._labels, in_vain)
         kept = fitted.only(new.kept)
         self._labels, self._light, self._ambient = new.labels, kept.light, kept.ambient
         self._colors = kept.matrices.sum(axis=2)

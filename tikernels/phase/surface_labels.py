@@ -62,12 +62,12 @@ _OPENING_PX, _OPENING_CYCLES = 7, 1.5
 class Fringe(NamedTuple):
     """How the fringe of each place differs from the template."""
 
-    contrast_doubt: float
-    """Standard deviation of a pixel's contrast, as a fraction."""
+    contrast_doubt: npt.NDArray[np.float32]
+    """(Hg, Wg) standard deviation of a pixel's contrast, as a fraction, around every node of a grid."""
     code_doubt: float
     """Standard deviation of a cycle's contrast by the pattern's code, as a fraction; 0: there is no code."""
     contrast: npt.NDArray[np.float32]
-    """(Hg, Wg) around every node of a grid: by what blur multiplies the first harmonic."""
+    """(Hg, Wg) likewise: by what blur multiplies the first harmonic."""
     spacing_px: int
     """px between the grid's nodes."""
 
@@ -96,7 +96,7 @@ def surface_misfits_kernel(
     clipped: f32,  # levels
     read_noise: f32,  # levels
     noise_gain: f32,  # levels
-    contrast_doubt: f32,  # as a fraction
+    contrast_doubt: F32Array2,  # (Hg, Wg) as a fraction
     contrast: F32Array2,  # (Hg, Wg) beside the template's, around every node; see `Fringe`
     spacing_px: i32,  # between nodes
     step: i32,  # px between the pixels that are looked at
@@ -133,7 +133,7 @@ def surface_misfits_kernel(
             cycle, slope = cycle_and_slope(blurred(harmonics, contrast[i, j]), phase[k])
             model, change = weight * (matrix @ cycle), weight * (matrix @ slope)
             swing = weight * (matrix @ (cycle - 1.0))
-            left, slope_of = residual_of(weight * (seen - rest), model, change, swing, contrast_doubt)
+            left, slope_of = residual_of(weight * (seen - rest), model, change, swing, contrast_doubt[i, j])
             result[k] = ti.select(shown[k] > 0.5, left, _SAYS_NOTHING)
             changes[k] = slope_of
         for k in range(count):

@@ -7,8 +7,10 @@ the reflectance there:
 
 rho_k the reflectance at three primaries, its logarithm linear between them. With the primaries alone (L_ijk = 1 for
 j = k) that is M diag(rho), with the filters alone diag(rho) M; real ones lie between. rho follows from the surface's
-mean colour, three numbers from three, and K is a prior for what its pixels say. Given K, each pixel has two unknowns,
-brightness and phase, and one number is left over,
+mean colour, three numbers from three, and K is a prior for what its pixels say: what the rig's primaries and filters
+make of it is the same on all surfaces, which therefore tell it together, and the rest is larger the more rho varies.
+Lasers have M diag(rho) to a thousandth; of lamps and filters that overlap, up to a third of log rho is the filters'.
+Given K, each pixel has two unknowns, brightness and phase, and one number is left over,
 
     z = c n,    n across K p and K p',
 
@@ -50,12 +52,16 @@ def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
 
 # Newton's steps that find the reflectances, how far one goes at the most, and by how much they keep together.
 _NEWTON, _NEWTON_STEP, _NEWTON_ENOUGH, _TOGETHER = 12, 0.7, 1e-4, 3e-4
-# An entry of K may be this fraction off its prediction: a standard deviation.
-_FRACTION = 0.2
-# So may the ambient light: this fraction of what is expected, and this of the surface's light.
+# Standard deviations. Of the filters' share in an entry's log reflectance, on all surfaces alike; of what else turns
+# that, as a fraction of how much it varies over the primaries; and of a channel's brightness, which a surface of few
+# cycles does not show evenly, as a fraction.
+_SHARE, _SPREAD, _ROW = 0.12, 0.14, 0.1
+# Of the ambient light: this fraction of what is expected, and this of the surface's light.
 _AMBIENT_FRACTION, _AMBIENT_SHARE = 0.3, 0.004
-# The common light: its contrast is known to this fraction, and the logarithm of its blur to that.
-_CONTRAST, _BLUR = 0.2, 0.05
+# Of the logarithm of the common light's blur.
+_BLUR = 0.05
+# A channel shows at least this fraction of the brightest one's light, beside ambient light.
+_DIMMEST = 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
 # Residuals count in full up to this many of their median sizes.
@@ -98,6 +104,32 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
             break
     entries = white * np.exp(np.einsum("ijk,nk->nij", share, log_rho))
     return np.asarray(3 * entries / entries.sum(axis=(1, 2), keepdims=True))
+
+
+@dataclass(frozen=True, eq=False)
+class ForetoldMatrices:
+    """What surfaces' colours make of the crosstalk, and how that may be otherwise."""
+
+    matrices: _Array
+    """(n, 3, 3), the sum of each 3; see `predict_matrices`."""
+    by_share: _Array
+    """(n, 3, 3, 6) how each entry changes, as a fraction, with the filters' share in one beside the diagonal."""
+    spread: _Array
+    """(n,) how much the logarithm of the reflectance varies over the primaries."""
+
+    @classmethod
+    def of(cls, colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.ArrayLike) -> "ForetoldMatrices":
+        """Foretell the matrices of surfaces of these colours; the parameters are those of `predict_matrices`."""
+        matrices, share = predict_matrices(colors, matrix, weights), np.asarray(weights, np.float64)
+        log_rho = np.log(np.diagonal(matrices, axis1=1, axis2=2) / np.maximum(np.diag(np.asarray(matrix)), 1e-9))
+        row, column = np.nonzero(~np.eye(3, dtype=bool))
+        by_share = np.zeros((*matrices.shape, len(row)))
+        by_share[:, row, column, np.arange(len(row))] = log_rho[:, row] - log_rho[:, column]
+        # The colour stays what it is: the reflectances give way.
+        parts = matrices / matrices.sum(axis=2, keepdims=True)
+        more = np.einsum("nij,nije->nie", parts, by_share)
+        change = np.linalg.solve(np.einsum("nij,ijk->nik", parts, share) + _TOGETHER * np.eye(3), more)
+        return cls(matrices, by_share - np.einsum("ijk,nke->nije", share, change), np.ptp(log_rho, axis=1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,11 +203,12 @@ def waves(light: _Complexes, phase: _Array, contrast: _Array | None = None) -> t
 
 def fit_matrices(
     samples: list[SurfaceSamples],
-    predicted: _Array,
+    foretold: ForetoldMatrices,
     expected_ambient: _Array,
     ambient: _Array,
     light: _Complexes,
     leak: float,
+    contrast: float,
     harmonic: float,
     *,
     fit_light: bool,
@@ -186,24 +219,26 @@ def fit_matrices(
     ----------
     samples : list of SurfaceSamples
         By surface.
-    predicted : (n, 3, 3)
-        See `predict_matrices`.
+    foretold : ForetoldMatrices
+        By the colours that these surfaces have beside the ambient light that the fit begins with.
     expected_ambient, ambient : (n, 3)
         Ambient light that each surface is expected to send back, and where the fit begins, levels.
     light : (3, harmonics) complex128
         Of the projector's light over its mean, from the first on, as far as it is known.
     leak : float
-        By how much of its row an entry may be off its prediction, besides a fraction of itself: standard deviation.
+        By how much of its row an entry may be off its prediction on white: standard deviation.
+    contrast : float
+        So may the light's contrast, as a fraction, besides blur.
     harmonic : float
         How far a single harmonic of the light may be off, besides contrast and blur, as a fraction of the first:
         standard deviation.
     fit_light : bool
         Whether the surfaces tell the light, too; else it is as given.
     """
-    count, harmonics = len(samples), light.shape[1]
-    prior = _prior(samples, predicted, expected_ambient, light, leak, harmonic)
-    if not fit_light:
-        prior[_COLUMNS * count :, _COLUMNS * count :] = 1e12 * np.eye(harmonics)
+    count, harmonics, predicted = len(samples), light.shape[1], foretold.matrices
+    expected, prior = _prior_of_surfaces(samples, foretold, expected_ambient, ambient, leak)
+    known_light = _prior_of_light(light, contrast, harmonic) if fit_light else 1e12 * np.eye(harmonics)
+    expected, prior = np.append(expected, np.zeros(harmonics)), _beside(prior, known_light)
     start = np.concatenate([np.zeros((count, 9)), ambient - expected_ambient], axis=1).ravel()
     state = np.concatenate([start, np.zeros(harmonics)])
     phases = [s.phase.copy() for s in samples]
@@ -222,9 +257,9 @@ def fit_matrices(
             place = _places(k, count, harmonics)
             gram[np.ix_(place, place)] += row.gram
             right[place] += row.right
-        cost += float(state @ prior @ state)
+        cost += float((state - expected) @ prior @ (state - expected))
         if turn < _ROUNDS:
-            step = np.linalg.solve(gram + prior, right - prior @ state)
+            step = np.linalg.solve(gram + prior, right - prior @ (state - expected))
             state = state + step
             entries = state[: _COLUMNS * count].reshape(count, _COLUMNS)
             entries[:, :9] = np.clip(entries[:, :9], _LEAST, _MOST)
@@ -332,31 +367,53 @@ def _across(
     return _Across(phase, brightness, m, d, normal, _dot(seen, normal))
 
 
-def _prior(
-    samples: list[SurfaceSamples],
-    predicted: _Array,
-    expected_ambient: _Array,
-    light: _Complexes,
-    leak: float,
-    harmonic: float,
-) -> _Array:
-    """Return one over the covariance of what is fitted, before any pixel is asked."""
-    count, harmonics = len(samples), light.shape[1]
-    size = _COLUMNS * count + harmonics
-    prior = np.zeros((size, size))
+def _prior_of_surfaces(
+    samples: list[SurfaceSamples], foretold: ForetoldMatrices, expected_ambient: _Array, ambient: _Array, leak: float
+) -> tuple[_Array, _Array]:
+    """Return what is expected of all surfaces before any pixel is asked, and one over its covariance.
+
+    Whatever more of a channel's light is ambient, is less of its row of K.
+    """
+    size, common = _COLUMNS * len(samples), foretold.by_share.shape[-1]
+    # What is fitted, by independent causes: the shares; of every surface its entries, its rows, their contrast, and its
+    # ambient light.
+    causes = np.zeros((size, common + size + 6 * len(samples)))
+    sigma, expected = [np.full(common, _SHARE)], np.zeros((len(samples), _COLUMNS))
     for k, surface in enumerate(samples):
-        rows = predicted[k].sum(axis=1, keepdims=True)
-        entries = _FRACTION**2 + (leak * rows / np.maximum(predicted[k], 1e-9)) ** 2
-        level = surface.light.mean()
-        ambient = (_AMBIENT_FRACTION * expected_ambient[k] + _AMBIENT_SHARE * level) ** 2
-        place = np.arange(_COLUMNS * k, _COLUMNS * (k + 1))
-        prior[place, place] = 1 / np.concatenate([entries.ravel(), ambient])
-    n = np.arange(1, harmonics + 1)
-    size_of = np.abs(light).mean(axis=0)
+        predicted, level = foretold.matrices[k], surface.light.mean(axis=0)
+        seen = np.maximum(level - ambient[k], _DIMMEST * level.max())
+        own = causes[_COLUMNS * k : _COLUMNS * (k + 1)]
+        entries, rows, lost, beside = np.split(own[:, common + 18 * k : common + 18 * (k + 1)], [9, 12, 15], axis=1)
+        own[:9, :common] = foretold.by_share[k].reshape(9, common)
+        entries[:9] = np.eye(9)
+        rows[:9] = np.repeat(np.eye(3), 3, axis=0)
+        # Less contrast looks like more crosstalk: the three primaries together have next to none.
+        even = predicted.sum(axis=1, keepdims=True) / (3 * np.maximum(predicted, 1e-9))
+        lost[:9] = (even - 1).reshape(9, 1) * rows[:9]
+        beside[:9], beside[9:] = -rows[:9] / seen, np.eye(3)
+        expected[k, :9] = np.repeat((ambient[k] - expected_ambient[k]) / seen, 3)
+        leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, 1e-9)
+        sigma += [
+            np.hypot(_SPREAD * foretold.spread[k], leaks).ravel(),
+            np.full(3, _ROW),
+            np.full(3, surface.contrast_doubt),
+            _AMBIENT_FRACTION * expected_ambient[k] + _AMBIENT_SHARE * level.mean(),
+        ]
+    scaled = causes * np.concatenate(sigma)
+    return expected.ravel(), np.linalg.inv(scaled @ scaled.T)
+
+
+def _prior_of_light(light: _Complexes, contrast: float, harmonic: float) -> _Array:
+    """Return one over the covariance of the harmonics, as fractions."""
+    n, size_of = np.arange(1, light.shape[1] + 1), np.abs(light).mean(axis=0)
     single = harmonic * size_of[0] / np.maximum(size_of, 1e-4)
-    covariance = _CONTRAST**2 + _BLUR**2 * np.outer(n**2, n**2) + np.diag(single**2)
-    prior[_COLUMNS * count :, _COLUMNS * count :] = np.linalg.inv(covariance)
-    return prior
+    return np.asarray(np.linalg.inv(contrast**2 + _BLUR**2 * np.outer(n**2, n**2) + np.diag(single**2)))
+
+
+def _beside(first: _Array, second: _Array) -> _Array:
+    """Return the matrix that has two others on its diagonal."""
+    nothing = np.zeros((len(first), len(second)))
+    return np.block([[first, nothing], [nothing.T, second]])
 
 
 class _Equations:

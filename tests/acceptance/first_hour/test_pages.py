@@ -123,21 +123,24 @@ class Reader:
         options = {"cwd": self._folder, "env": self._environment, "stdin": subprocess.DEVNULL, "text": True}
         piped = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "start_new_session": True}
         with subprocess.Popen(["bash", "-c", line], **options, **piped) as process:
-            if line in ENDLESS:
-                deadline = time.monotonic() + COMMAND_S
-                while not any(self._folder.glob(ENDLESS[line])) and process.poll() is None:
-                    assert time.monotonic() < deadline, f"{line}: has not begun"
-                    time.sleep(0.2)
-                os.killpg(process.pid, signal.SIGINT)
             try:
+                if line in ENDLESS:
+                    self._wait_for(ENDLESS[line], process)
+                    os.killpg(process.pid, signal.SIGINT)
                 said, _ = process.communicate(timeout=COMMAND_S)
-            except subprocess.TimeoutExpired:
-                os.killpg(process.pid, signal.SIGKILL)
-                said, _ = process.communicate(timeout=COMMAND_S)
+            finally:
+                if process.poll() is None:
+                    os.killpg(process.pid, signal.SIGKILL)
         code = process.returncode
         allowed = next((codes for begin, codes in ALLOWED.items() if line.startswith(begin)), {0})
         assert code in allowed, f"{line}\n{said[-_SHOWN:]}"
         assert "Traceback" not in said, f"{line}\n{said[-_SHOWN:]}"
+
+    def _wait_for(self, file: str, process: subprocess.Popen) -> None:
+        deadline = time.monotonic() + COMMAND_S
+        while not any(self._folder.glob(file)) and process.poll() is None:
+            assert time.monotonic() < deadline, f"no {file}"
+            time.sleep(0.2)
 
     def _bring(self, line: str) -> None:
         words = shlex.split(line)

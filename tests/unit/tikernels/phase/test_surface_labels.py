@@ -28,7 +28,8 @@ def surfaces_of(labels: np.ndarray) -> Crosstalk:
 
 
 def even(contrast: float = 1.0, code_doubt: float = 0.0) -> Fringe:
-    return Fringe(0.0, code_doubt, np.full((8, 10), contrast, np.float32), 32)
+    contrasts = np.full((8, 10), contrast, np.float32)
+    return Fringe(0 * contrasts, code_doubt, contrasts, 32)
 
 
 EVEN = even()

@@ -8,6 +8,7 @@ from tikernels.phase.surface_matrix import (
     BETWEEN,
     BROAD,
     NARROW,
+    ForetoldMatrices,
     SurfaceSamples,
     band_weights,
     fit_matrices,
@@ -16,6 +17,7 @@ from tikernels.phase.surface_matrix import (
     waves,
 )
 
+DOUBTS = (0.004, 0.2, 0.0005)  # leak, contrast, harmonic
 COLORED = ("orange", "blue", "skin")
 HARMONICS = np.fft.fft(light(np.linspace(0, 2 * np.pi, 64, endpoint=False)), axis=0)[1:5].T / 64
 LIGHT = 2 * HARMONICS / light(np.linspace(0, 2 * np.pi, 64, endpoint=False)).mean(axis=0)[:, None]
@@ -25,11 +27,13 @@ def normalized(matrix: np.ndarray) -> np.ndarray:
     return 3 * matrix / matrix.sum()
 
 
-def pixels(paint: str, *, noise: float = 0.5, count: int = 1200, off: float = 0.05) -> SurfaceSamples:
+def pixels(
+    paint: str, *, noise: float = 0.5, count: int = 1200, off: float = 0.05, broad: float = 0.25
+) -> SurfaceSamples:
     """Return pixels of a paint in ambient light of 6 levels, their phases a little off."""
     rng = np.random.default_rng(7)
     phase, brightness = rng.uniform(-np.pi, np.pi, count), rng.uniform(60, 140, count)
-    clean = brightness[:, None] * (waves(LIGHT, phase)[0] @ normalized(surface_matrix(PAINTS[paint])).T) + 6
+    clean = brightness[:, None] * (waves(LIGHT, phase)[0] @ normalized(surface_matrix(PAINTS[paint], broad)).T) + 6
     seen = clean + noise * rng.standard_normal(clean.shape)
     variance = np.full(clean.shape, noise**2)
     return SurfaceSamples(seen, variance, phase + off * rng.standard_normal(count), np.full(count, 100.0), 0.0)
@@ -79,10 +83,10 @@ def test_blur_takes_more_of_higher_harmonics():
 def fitted(paints: tuple[str, ...], light_off: float = 1.0, **more):
     samples = [pixels(paint) for paint in paints]
     colors = np.stack([s.light.mean(axis=0) - 6 for s in samples])
-    predicted = predict_matrices(colors, MATRIX, BETWEEN)
+    foretold = ForetoldMatrices.of(colors, MATRIX, BETWEEN)
     ambient = np.full((len(paints), 3), 5.0)
     known = LIGHT * light_off
-    return fit_matrices(samples, predicted, ambient, ambient, known, 0.004, 0.0005, **({"fit_light": True} | more))
+    return fit_matrices(samples, foretold, ambient, ambient, known, *DOUBTS, **({"fit_light": True} | more))
 
 
 def test_pixels_tell_the_matrix_better_than_the_colour_does():
@@ -129,11 +133,39 @@ def test_what_acts_otherwise_costs_more():
     ambient = np.full((3, 3), 6.0)
     costs = [
         fit_matrices(
-            samples, predict_matrices(colors, MATRIX, bands), ambient, ambient, LIGHT, 0.004, 0.0005, fit_light=True
+            samples, ForetoldMatrices.of(colors, MATRIX, bands), ambient, ambient, LIGHT, *DOUBTS, fit_light=True
         ).cost
         for bands in (BETWEEN, BROAD)
     ]
     assert costs[0] < 0.5 * costs[1]
+
+
+def test_what_the_rig_makes_of_colours_is_told_by_all_together():
+    """Lasers obey M diag(rho): a surface of which few pixels are seen learns it from the others."""
+    small = pixels("blue", noise=2.0, count=80, broad=0.0)
+    expected = normalized(surface_matrix(PAINTS["blue"], 0.0))
+
+    def off(others: tuple[str, ...]) -> float:
+        samples = [small, *(pixels(paint, broad=0.0) for paint in others)]
+        colors = np.array([expected.sum(axis=1), *(s.light.mean(axis=0) - 6 for s in samples[1:])])
+        ambient = np.full((len(samples), 3), 6.0)
+        foretold = ForetoldMatrices.of(colors, MATRIX, BETWEEN)
+        result = fit_matrices(samples, foretold, ambient, ambient, LIGHT, *DOUBTS, fit_light=True)
+        return float(np.abs(result.matrices[0] - expected).max())
+
+    assert off(("orange", "skin")) < 0.85 * off(())
+
+
+def test_how_colours_foretell_with_other_shares():
+    """The fraction by which entries change with the filters' share in one of them, and how uneven the paint is."""
+    matrices = np.stack([normalized(surface_matrix(PAINTS[paint])) for paint in COLORED])
+    foretold = ForetoldMatrices.of(matrices.sum(axis=2), MATRIX, BETWEEN)
+    more = BETWEEN + 0.002 * (BROAD - NARROW)
+    expected = predict_matrices(matrices.sum(axis=2), MATRIX, more) / foretold.matrices - 1
+    np.testing.assert_allclose(0.002 * foretold.by_share.sum(axis=-1), expected, atol=3e-5)
+    white = ForetoldMatrices.of([MATRIX.sum(axis=1)], MATRIX, BETWEEN)
+    assert white.spread == pytest.approx(0, abs=1e-3) and (foretold.spread > 0.3).all()
+    assert np.abs(white.by_share).max() < 1e-3
 
 
 def test_a_part_of_the_surfaces():
