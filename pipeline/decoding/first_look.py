@@ -46,7 +46,7 @@ _CONTRAST_NODES, _MOST_LOST = 0.7, 0.2
 # Standard deviation of a pixel's contrast, as a fraction: ambient light is not quite even over a surface; and a code's
 # contrast, which goes in straight lines from cycle to cycle, is off its mean around where the lines meet.
 _UNEVEN, _CORNERS = 0.01, 0.05
-# What blur takes beside the usual is known to this fraction: lenses differ.
+# Standard deviation of the logarithm of the contrast lost to blur, as a fraction of it, since lenses differ.
 _LOST_DOUBT = 0.6
 # No camera is better than this fraction of its light, or of that of a fiftieth of full scale.
 _LEAST_NOISE, _DARK = 2e-4, 0.02

@@ -1,6 +1,6 @@
 """Search a frame for its surfaces, turn by turn.
 
-Each surface's matrix is foretold from its colour and fitted to its pixels, every pixel goes to the surface that
+Each surface's matrix is predicted from its colour and fitted to its pixels, every pixel goes to the surface that
 explains it best, surfaces that none needs are dropped, and places that none explains become new ones.
 """
 
@@ -21,7 +21,7 @@ from tikernels.phase.surface_labels import LEAST_PX, Relabelled, relabel, surfac
 from tikernels.phase.surface_matrix import (
     BROAD,
     FittedMatrices,
-    ForetoldMatrices,
+    PredictedMatrices,
     SurfaceSamples,
     fit_matrices,
 )
@@ -45,8 +45,8 @@ _SETTLED = 0.005
 _MORE = 1.5
 # A surface whose pixels are off its model by more than this fraction does not fit them, unless the frame began with it.
 _UNFIT = 0.02
-# If the largest is off by more than this, no surfaces have been found. Demosaicking and JPEG make up to 0.03 of it, on
-# which the balance alone would be off by three times as much; a calibration of another rig makes 0.06 and more.
+# If the largest surface is off by more than this, the search has failed. Demosaicking and JPEG make up to 0.03, where
+# phases without surfaces are off up to four times as much; a calibration of another rig makes 0.06 and more.
 _CONTRADICTED = 0.04
 # Surfaces that are off by more than this, on more than this share of what is lit, are told of: on spots and highlights
 # `phase_sigma` is larger, but a fluorescent paint has another constant.
@@ -78,9 +78,9 @@ class KnownLight:
     lag: FloatArray | None
     """(3,) rad; see `channel_delays`."""
     leak: float
-    """By how much of its row an entry of a surface's matrix may be off, besides what its colour makes of it."""
+    """Standard deviation of a matrix entry on white, as a fraction of its row."""
     contrast: float
-    """How far the light's contrast may be off, besides blur, as a fraction."""
+    """Standard deviation of the light's contrast beside what blur takes, as a fraction."""
     harmonic: float
     """How far a harmonic of the light may be off, besides contrast and blur, as a fraction of the first."""
     contrast_doubt: float
@@ -147,6 +147,14 @@ class NoModelFits(NamedTuple):
         return _PHASE_OF_LIGHT * self.misfit
 
 
+class _Means(NamedTuple):
+    """Mean light around N pixels."""
+
+    light: FloatArray  # (N, 3) levels
+    pixels: FloatArray  # (N,) how many
+    contrast: FloatArray  # (N,) by which the mean multiplies the fringe's first harmonic
+
+
 class SurfaceSearch:
     """The surfaces of a frame as they are known so far.
 
@@ -171,8 +179,8 @@ class SurfaceSearch:
         # Which surfaces need not fit: those that the frame began with, and those that have not been fitted yet.
         self._first = self._spared = np.ones(len(colors), bool)
         # Places where no new surface is looked for: pixels of an edge see two of them, and no matrix explains that;
-        # and those that have had one of their own in vain. What the frame began with are mixtures at times: where one
-        # of these was dropped there may be another.
+        # and those where a new surface has been dropped. A first surface that is dropped may be a mixture of others, so
+        # its place stays open.
         self._tried = _near_edges(labels, _EDGE_PX)
         self._random = np.random.default_rng(0)
 
@@ -245,7 +253,7 @@ class SurfaceSearch:
         results = [
             fit_matrices(
                 samples,
-                ForetoldMatrices.of(colors, white, bands),
+                PredictedMatrices.of(colors, white, bands),
                 expected,
                 self._ambient,
                 known.light if tell_light else self._light,
@@ -281,14 +289,13 @@ class SurfaceSearch:
                 places = self._random.permutation(places)[:_MOST_SAMPLES]
             ambient = np.zeros(3) if self._ambient is None else self._ambient[surface]
             own_weights, doubt = weights / color, known.contrast_doubt
-            light, count, left = self._averaged(
-                surface, rows[places // labels.shape[1], 0], columns.ravel()[places], own_weights, ambient
-            )
+            where = (rows[places // labels.shape[1], 0], columns.ravel()[places])
+            means = self._averaged(surface, *where, own_weights, ambient)
             around = look.around.ravel()[places]
-            contrast = left * look.contrast_around.ravel()[places]
+            contrast = means.contrast * look.contrast_around.ravel()[places]
             numbers.append(surface)
-            means = look.surface_samples(light, around, own_weights, ambient, doubt, contrast)
-            samples.append(replace(means, variance=means.variance / count[:, None]))
+            own_samples = look.surface_samples(means.light, around, own_weights, ambient, doubt, contrast)
+            samples.append(replace(own_samples, variance=own_samples.variance / means.pixels[:, None]))
         return numbers, samples
 
     def _averaged(
@@ -298,12 +305,11 @@ class SurfaceSearch:
         columns: npt.NDArray[np.intp],
         weights: FloatArray,
         ambient: FloatArray,
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the mean light around some of a surface's pixels, and what that leaves of the fringe's contrast.
+    ) -> "_Means":
+        """Return the means around some of a surface's pixels, over neighbours along the image's rows.
 
-        The pixels are neighbours along the stripes, of the same surface, and not clipped. Returned are the light,
-        (N, 3) levels, of how many pixels it is, (N,), and by what the mean multiplies the first harmonic, (N,): where
-        a surface turns away, stripes run across the image's rows.
+        Only pixels of the same surface that are not clipped count. Where stripes are tilted against the rows, the mean
+        lowers the fringe's contrast.
         """
         reach = _SAMPLE_PX - 1
         near = columns[:, None] + np.arange(-reach, reach + 1)
@@ -315,8 +321,9 @@ class SurfaceSearch:
         half = slice(reach - _SAMPLE_PX // 2, reach + _SAMPLE_PX // 2 + 1)
         light, own = light[:, half], own[:, half]
         count = own.sum(axis=1)
-        left = np.exp(-(slope**2) * (count**2 - 1) / 24)
-        return np.einsum("nkc,nk->nc", light, own) / count[:, None], count.astype(np.float64), left
+        # A phase that is linear over n pixels has the variance slope^2 (n^2 - 1) / 12.
+        contrast = np.exp(-(slope**2) * (count**2 - 1) / 24)
+        return _Means(np.einsum("nkc,nk->nc", light, own) / count[:, None], count.astype(np.float64), contrast)
 
     def _relabel(self, fitted: FittedMatrices, step: int, *, afresh: bool = False) -> Relabelled:
         """Give every pixel to the surface that explains it best, looking at one of `step` both ways."""

@@ -1,4 +1,4 @@
-"""What a surface's colour makes of the crosstalk: a matrix, foretold from the colour and fitted to its pixels.
+"""What a surface's colour makes of the crosstalk: a matrix, predicted from the colour and fitted to its pixels.
 
 Of M, the crosstalk on white, entry ij belongs to the wavelengths where filter i and primary j meet, and is weighed by
 the reflectance there:
@@ -7,9 +7,9 @@ the reflectance there:
 
 rho_k the reflectance at three primaries, its logarithm linear between them. With the primaries alone (L_ijk = 1 for
 j = k) that is M diag(rho), with the filters alone diag(rho) M; real ones lie between. rho follows from the surface's
-mean colour, three numbers from three, and K is a prior for what its pixels say: what the rig's primaries and filters
-make of it is the same on all surfaces, which therefore tell it together, and the rest is larger the more rho varies.
-Lasers have M diag(rho) to a thousandth; of lamps and filters that overlap, up to a third of log rho is the filters'.
+mean colour, three numbers from three, and K is a prior for what its pixels say. The weights L are those of the rig, the
+same on all surfaces, which are therefore fitted together; what else is wrong with K grows with the range of log rho.
+Behind lasers K = M diag(rho) to 0.1 %; behind lamps and filters that overlap, up to a third of log rho is the filters'.
 Given K, each pixel has two unknowns, brightness and phase, and one number is left over,
 
     z = c n,    n across K p and K p',
@@ -52,15 +52,14 @@ def band_weights(wavelengths_nm: npt.ArrayLike) -> _Array:
 
 # Newton's steps that find the reflectances, how far one goes at the most, and by how much they keep together.
 _NEWTON, _NEWTON_STEP, _NEWTON_ENOUGH, _TOGETHER = 12, 0.7, 1e-4, 3e-4
-# Standard deviations. Of the filters' share in an entry's log reflectance, on all surfaces alike; of what else turns
-# that, as a fraction of how much it varies over the primaries; and of a channel's brightness, which a surface of few
-# cycles does not show evenly, as a fraction.
+# Standard deviations: of the filters' share in L, the same on all surfaces; of an entry's logarithm, as a fraction of
+# the range of log rho; of the logarithm of a row's sum, since a surface of few cycles does not show its colour evenly.
 _SHARE, _SPREAD, _ROW = 0.12, 0.14, 0.1
 # Of the ambient light: this fraction of what is expected, and this of the surface's light.
 _AMBIENT_FRACTION, _AMBIENT_SHARE = 0.3, 0.004
 # Of the logarithm of the common light's blur.
 _BLUR = 0.05
-# A channel shows at least this fraction of the brightest one's light, beside ambient light.
+# Without ambient light a channel has at least this fraction of the brightest one's light.
 _DIMMEST = 0.05
 # A surface tells z to this fraction of its light, and the brightness' harmonics to that one.
 _MISFIT, _BRIGHTNESS = 0.002, 0.006
@@ -107,19 +106,19 @@ def predict_matrices(colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.
 
 
 @dataclass(frozen=True, eq=False)
-class ForetoldMatrices:
-    """What surfaces' colours make of the crosstalk, and how that may be otherwise."""
+class PredictedMatrices:
+    """The matrices of surfaces by their colours, and what their errors depend on."""
 
     matrices: _Array
     """(n, 3, 3), the sum of each 3; see `predict_matrices`."""
     by_share: _Array
-    """(n, 3, 3, 6) how each entry changes, as a fraction, with the filters' share in one beside the diagonal."""
+    """(n, 3, 3, 6) derivative of each entry's logarithm by the filters' share in L of each entry off the diagonal."""
     spread: _Array
-    """(n,) how much the logarithm of the reflectance varies over the primaries."""
+    """(n,) largest less smallest log reflectance at the primaries."""
 
     @classmethod
-    def of(cls, colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.ArrayLike) -> "ForetoldMatrices":
-        """Foretell the matrices of surfaces of these colours; the parameters are those of `predict_matrices`."""
+    def of(cls, colors: npt.ArrayLike, matrix: npt.ArrayLike, weights: npt.ArrayLike) -> "PredictedMatrices":
+        """Predict the matrices of surfaces of these colours; the parameters are those of `predict_matrices`."""
         matrices, share = predict_matrices(colors, matrix, weights), np.asarray(weights, np.float64)
         log_rho = np.log(np.diagonal(matrices, axis1=1, axis2=2) / np.maximum(np.diag(np.asarray(matrix)), 1e-9))
         row, column = np.nonzero(~np.eye(3, dtype=bool))
@@ -163,7 +162,7 @@ class FittedMatrices:
     constant_sigma: _Array
     """(n,) standard deviation of the constant that the matrix gives the surface's phase, rad."""
     mismatch: _Array
-    """(n,) by how much the channels' fundamentals differ from those foretold, as a fraction; what all three have in
+    """(n,) by how much the channels' fundamentals differ from those predicted, as a fraction; what all three have in
     common is left out."""
     cost: float
     """What speaks against all of it, in squares of standard deviations."""
@@ -203,7 +202,7 @@ def waves(light: _Complexes, phase: _Array, contrast: _Array | None = None) -> t
 
 def fit_matrices(
     samples: list[SurfaceSamples],
-    foretold: ForetoldMatrices,
+    prediction: PredictedMatrices,
     expected_ambient: _Array,
     ambient: _Array,
     light: _Complexes,
@@ -219,24 +218,24 @@ def fit_matrices(
     ----------
     samples : list of SurfaceSamples
         By surface.
-    foretold : ForetoldMatrices
+    prediction : PredictedMatrices
         By the colours that these surfaces have beside the ambient light that the fit begins with.
     expected_ambient, ambient : (n, 3)
         Ambient light that each surface is expected to send back, and where the fit begins, levels.
     light : (3, harmonics) complex128
         Of the projector's light over its mean, from the first on, as far as it is known.
     leak : float
-        By how much of its row an entry may be off its prediction on white: standard deviation.
+        Standard deviation of an entry on white, as a fraction of its row.
     contrast : float
-        So may the light's contrast, as a fraction, besides blur.
+        Standard deviation of the light's contrast beside what blur takes, as a fraction.
     harmonic : float
         How far a single harmonic of the light may be off, besides contrast and blur, as a fraction of the first:
         standard deviation.
     fit_light : bool
         Whether the surfaces tell the light, too; else it is as given.
     """
-    count, harmonics, predicted = len(samples), light.shape[1], foretold.matrices
-    expected, prior = _prior_of_surfaces(samples, foretold, expected_ambient, ambient, leak)
+    count, harmonics, predicted = len(samples), light.shape[1], prediction.matrices
+    expected, prior = _prior_of_surfaces(samples, prediction, expected_ambient, ambient, leak)
     known_light = _prior_of_light(light, contrast, harmonic) if fit_light else 1e12 * np.eye(harmonics)
     expected, prior = np.append(expected, np.zeros(harmonics)), _beside(prior, known_light)
     start = np.concatenate([np.zeros((count, 9)), ambient - expected_ambient], axis=1).ravel()
@@ -277,7 +276,7 @@ def fit_matrices(
 
 
 def _mismatch(matrices: _Array, predicted: _Array, fundamental: _Complexes) -> _Array:
-    """Return how far the channels' fundamentals are from those foretold, apart from what all three share."""
+    """Return how far the channels' fundamentals are from those predicted, apart from what all three share."""
     waves_of = [parts @ fundamental / parts.sum(axis=2) for parts in (matrices, predicted)]
     ratio = waves_of[0] / waves_of[1]
     deviation = np.abs(ratio / ratio.mean(axis=1, keepdims=True) - 1)
@@ -368,23 +367,22 @@ def _across(
 
 
 def _prior_of_surfaces(
-    samples: list[SurfaceSamples], foretold: ForetoldMatrices, expected_ambient: _Array, ambient: _Array, leak: float
+    samples: list[SurfaceSamples], prediction: PredictedMatrices, expected_ambient: _Array, ambient: _Array, leak: float
 ) -> tuple[_Array, _Array]:
-    """Return what is expected of all surfaces before any pixel is asked, and one over its covariance.
+    """Return the mean, (12 n,), and the inverse covariance, (12 n, 12 n), of what is fitted before pixels are seen.
 
-    Whatever more of a channel's light is ambient, is less of its row of K.
+    A channel with more ambient light has as much less in its row of K: the mean light is known.
     """
-    size, common = _COLUMNS * len(samples), foretold.by_share.shape[-1]
-    # What is fitted, by independent causes: the shares; of every surface its entries, its rows, their contrast, and its
-    # ambient light.
+    size, common = _COLUMNS * len(samples), prediction.by_share.shape[-1]
+    # Independent errors: the filters' shares; of every surface its entries, rows, contrasts and ambient light.
     causes = np.zeros((size, common + size + 6 * len(samples)))
     sigma, expected = [np.full(common, _SHARE)], np.zeros((len(samples), _COLUMNS))
     for k, surface in enumerate(samples):
-        predicted, level = foretold.matrices[k], surface.light.mean(axis=0)
+        predicted, level = prediction.matrices[k], surface.light.mean(axis=0)
         seen = np.maximum(level - ambient[k], _DIMMEST * level.max())
         own = causes[_COLUMNS * k : _COLUMNS * (k + 1)]
         entries, rows, lost, beside = np.split(own[:, common + 18 * k : common + 18 * (k + 1)], [9, 12, 15], axis=1)
-        own[:9, :common] = foretold.by_share[k].reshape(9, common)
+        own[:9, :common] = prediction.by_share[k].reshape(9, common)
         entries[:9] = np.eye(9)
         rows[:9] = np.repeat(np.eye(3), 3, axis=0)
         # Less contrast looks like more crosstalk: the three primaries together have next to none.
@@ -394,7 +392,7 @@ def _prior_of_surfaces(
         expected[k, :9] = np.repeat((ambient[k] - expected_ambient[k]) / seen, 3)
         leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, 1e-9)
         sigma += [
-            np.hypot(_SPREAD * foretold.spread[k], leaks).ravel(),
+            np.hypot(_SPREAD * prediction.spread[k], leaks).ravel(),
             np.full(3, _ROW),
             np.full(3, surface.contrast_doubt),
             _AMBIENT_FRACTION * expected_ambient[k] + _AMBIENT_SHARE * level.mean(),

@@ -1,4 +1,4 @@
-"""A surface's own matrix: foretold from its colour, and fitted to its pixels."""
+"""A surface's own matrix: predicted from its colour, and fitted to its pixels."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from tikernels.phase.surface_matrix import (
     BETWEEN,
     BROAD,
     NARROW,
-    ForetoldMatrices,
+    PredictedMatrices,
     SurfaceSamples,
     band_weights,
     fit_matrices,
@@ -40,7 +40,7 @@ def pixels(
 
 
 @pytest.mark.parametrize(("bands", "broad"), [(BROAD, 1.0), (NARROW, 0.0), (BETWEEN, 0.15)])
-def test_a_colour_foretells_its_matrix(bands, broad):
+def test_a_colour_predicts_its_matrix(bands, broad):
     """Three reflectances from three numbers, exactly where the weights are those of the paint."""
     matrices = np.stack([normalized(surface_matrix(PAINTS[paint], broad)) for paint in COLORED])
     np.testing.assert_allclose(predict_matrices(matrices.sum(axis=2), MATRIX, bands), matrices, rtol=0.02, atol=2e-3)
@@ -83,10 +83,10 @@ def test_blur_takes_more_of_higher_harmonics():
 def fitted(paints: tuple[str, ...], light_off: float = 1.0, **more):
     samples = [pixels(paint) for paint in paints]
     colors = np.stack([s.light.mean(axis=0) - 6 for s in samples])
-    foretold = ForetoldMatrices.of(colors, MATRIX, BETWEEN)
+    prediction = PredictedMatrices.of(colors, MATRIX, BETWEEN)
     ambient = np.full((len(paints), 3), 5.0)
     known = LIGHT * light_off
-    return fit_matrices(samples, foretold, ambient, ambient, known, *DOUBTS, **({"fit_light": True} | more))
+    return fit_matrices(samples, prediction, ambient, ambient, known, *DOUBTS, **({"fit_light": True} | more))
 
 
 def test_pixels_tell_the_matrix_better_than_the_colour_does():
@@ -133,14 +133,14 @@ def test_what_acts_otherwise_costs_more():
     ambient = np.full((3, 3), 6.0)
     costs = [
         fit_matrices(
-            samples, ForetoldMatrices.of(colors, MATRIX, bands), ambient, ambient, LIGHT, *DOUBTS, fit_light=True
+            samples, PredictedMatrices.of(colors, MATRIX, bands), ambient, ambient, LIGHT, *DOUBTS, fit_light=True
         ).cost
         for bands in (BETWEEN, BROAD)
     ]
     assert costs[0] < 0.5 * costs[1]
 
 
-def test_what_the_rig_makes_of_colours_is_told_by_all_together():
+def test_surfaces_are_fitted_together():
     """Lasers obey M diag(rho): a surface of which few pixels are seen learns it from the others."""
     small = pixels("blue", noise=2.0, count=80, broad=0.0)
     expected = normalized(surface_matrix(PAINTS["blue"], 0.0))
@@ -149,22 +149,22 @@ def test_what_the_rig_makes_of_colours_is_told_by_all_together():
         samples = [small, *(pixels(paint, broad=0.0) for paint in others)]
         colors = np.array([expected.sum(axis=1), *(s.light.mean(axis=0) - 6 for s in samples[1:])])
         ambient = np.full((len(samples), 3), 6.0)
-        foretold = ForetoldMatrices.of(colors, MATRIX, BETWEEN)
-        result = fit_matrices(samples, foretold, ambient, ambient, LIGHT, *DOUBTS, fit_light=True)
+        prediction = PredictedMatrices.of(colors, MATRIX, BETWEEN)
+        result = fit_matrices(samples, prediction, ambient, ambient, LIGHT, *DOUBTS, fit_light=True)
         return float(np.abs(result.matrices[0] - expected).max())
 
     assert off(("orange", "skin")) < 0.85 * off(())
 
 
-def test_how_colours_foretell_with_other_shares():
-    """The fraction by which entries change with the filters' share in one of them, and how uneven the paint is."""
+def test_how_predictions_change_with_the_filters_shares():
+    """The derivative of each entry's logarithm by the shares, and the range of log reflectance."""
     matrices = np.stack([normalized(surface_matrix(PAINTS[paint])) for paint in COLORED])
-    foretold = ForetoldMatrices.of(matrices.sum(axis=2), MATRIX, BETWEEN)
+    prediction = PredictedMatrices.of(matrices.sum(axis=2), MATRIX, BETWEEN)
     more = BETWEEN + 0.002 * (BROAD - NARROW)
-    expected = predict_matrices(matrices.sum(axis=2), MATRIX, more) / foretold.matrices - 1
-    np.testing.assert_allclose(0.002 * foretold.by_share.sum(axis=-1), expected, atol=3e-5)
-    white = ForetoldMatrices.of([MATRIX.sum(axis=1)], MATRIX, BETWEEN)
-    assert white.spread == pytest.approx(0, abs=1e-3) and (foretold.spread > 0.3).all()
+    expected = predict_matrices(matrices.sum(axis=2), MATRIX, more) / prediction.matrices - 1
+    np.testing.assert_allclose(0.002 * prediction.by_share.sum(axis=-1), expected, atol=3e-5)
+    white = PredictedMatrices.of([MATRIX.sum(axis=1)], MATRIX, BETWEEN)
+    assert white.spread == pytest.approx(0, abs=1e-3) and (prediction.spread > 0.3).all()
     assert np.abs(white.by_share).max() < 1e-3
 
 
