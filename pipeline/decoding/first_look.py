@@ -1,6 +1,7 @@
 """What the first look at a frame tells, before its surfaces are known: colours, ambient light, and where there is none.
 
-The first look takes all surfaces for neutral. Its gains are colours then, averaged over a cycle around every node.
+The first look takes all surfaces for neutral. Colours are means over a cycle on either side, weighed by a triangle,
+which a fringe of a tenth more or fewer pixels leaves by a hundredth.
 """
 
 import math
@@ -27,6 +28,8 @@ from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
 _Labels = npt.NDArray[np.uint8]
 
+# A place's colour is the mean over this many pixels along the stripes, which all show the same light of the projector.
+_COLOR_PX = 5
 # Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces.
 _SHARP = 0.08
 # Nodes closer together than this, under fine fringes, say the same (px): of those only some are looked at.
@@ -73,7 +76,7 @@ class FirstLook:
     spacing_px : int
         Between the nodes that are looked at.
     ratios : (Hn, Wn, 3) float64
-        The colour around every one of these; see `color_ratios`.
+        The colour of every one of these; see `color_ratios`.
     lit : (Hn, Wn) bool
         Which of them tell it.
     """
@@ -97,8 +100,14 @@ class FirstLook:
             for n in smooth.shape[:2]
         )
         self._smooth = smooth[rows[:, None], columns]
-        predicted = np.maximum(self._smooth[..., WindowSum.PREDICTED : WindowSum.PREDICTED + 3], 1e-9)
-        self.ratios = color_ratios(self._smooth[..., WindowSum.SEEN : WindowSum.SEEN + 3] / predicted)
+        half = gains.spacing_px // 2
+        y, x = (
+            np.minimum(gains.spacing_px * places + half, n - 1)
+            for places, n in zip((rows, columns), image.shape, strict=False)
+        )
+        self.ratios = color_ratios(
+            _over_a_cycle(_over_a_cycle(self.image, gains.period_px), gains.period_px)[y[:, None], x]
+        )
         self.lit = self._smooth[..., WindowSum.SAMPLES] > _FILLED * gains.window.samples
 
     @cached_property
@@ -278,6 +287,14 @@ class FirstLook:
             contrast_doubt,
             contrast,
         )
+
+
+def _over_a_cycle(light: npt.NDArray[Any], period_px: float) -> npt.NDArray[np.floating]:
+    """Return the mean light of a cycle across the stripes around every pixel, (H, W, 3) levels."""
+    fewer = int(period_px)
+    part = (period_px - fewer) * (fewer + 1) / period_px  # of a window that is a pixel longer
+    less, more = (cv2.blur(light, (_COLOR_PX, px), borderType=cv2.BORDER_REFLECT) for px in (fewer, fewer + 1))
+    return np.asarray((1 - part) * less + part * more)
 
 
 def repeated(values: npt.NDArray[Any], step: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:
