@@ -253,7 +253,7 @@ class Decoder:
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         work.smoother.along(work.raw_phase, phases.precision, rates, out=work.phase)
         patches = work.unwrapper.join(work.phase, phases.modulation, rates)
-        smoothed = (work.phase, phases.modulation, work.raw_phase, rates)
+        smoothed = (work.phase, phases.modulation, rates)
         seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px, float(model.contrast))
         if path.code_unknown:  # up to here as if there were a code: without, its contrasts look like more surfaces
             self.use_code("contrast" if self._orders.shows_a_code(seen, patches) else None)
@@ -268,7 +268,7 @@ class Decoder:
         rows = replace(surface, unwrapped=work.unwrapped)
         regions = patches.write(work.phase, rates, rows.unwrapped, rows.mask, rows.region)
         orders = placement.region_orders(patches, regions, memory)
-        lost = self._orders.refine(seen, patches, regions, orders, out=rows)
+        lost = self._orders.refine(seen, regions, orders, out=rows)
         light_and_phase = (work.brightness, phases.modulation, work.phase)
         leave_out_strangers(*light_and_phase, out=(rows.unwrapped, rows.mask, rows.region))
         work.smoother.across(rows.unwrapped, rows.mask, rates, out=(surface.unwrapped, phases.variance))

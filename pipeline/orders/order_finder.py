@@ -1,8 +1,8 @@
 """Which whole cycles every region of a frame has: by the pattern's code, the frame before, or the expected depth.
 
 `find` asks all that tells and returns where regions are to be split and what their offsets are, `region_orders` says of
-each region what is known of it, and `refine` uses a code that is known now: it takes in pixels at steps, and corrects
-the phase by each cycle's modulation.
+each region what is known of it, and `refine` uses a code that is known now: it corrects the phase by each cycle's
+modulation.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, Absolut
 from pipeline.pattern import cycle_contrasts
 from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
-from tikernels.order_evidence import adopt_pixels, correct_by_modulation, measure_contrast, vote_orders
+from tikernels.order_evidence import correct_by_modulation, measure_contrast, vote_orders
 from tikernels.order_evidence.order_votes import BEFORE, vote_places
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
@@ -72,7 +72,6 @@ class SeenPhase:
     crosstalk: Crosstalk  # what they were measured with
     phase: F32  # (H, W) rad, smoothed along the stripes
     modulation: F32  # (H, W) levels
-    raw_phase: F32  # (H, W) rad, before smoothing
     rates: F32  # of `measure_rates`
     correction: npt.NDArray[np.float32]  # (N,) rad, the response's, over a cycle
     period_px: float
@@ -244,16 +243,14 @@ class OrderFinder:
         orders = with_frame_before(absolute, carried, None if memory is None else memory.orders)
         return Placement(roots, orders, carried, found is not None, left_out, warning)
 
-    def refine(
-        self, seen: SeenPhase, patches: Patches, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers
-    ) -> str | None:
-        """With a code, take pixels at steps in, and correct the phases by the modulation that their cycles have.
+    def refine(self, seen: SeenPhase, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers) -> str | None:
+        """With a code, correct the phases by the modulation that their cycles have.
 
         Parameters
         ----------
         seen : SeenPhase
             The frame; its smoothed phase is corrected.
-        patches, regions, orders
+        regions, orders
             Its regions, written to `out`, and what is known of them.
         out : SurfaceBuffers
             What is corrected, too.
@@ -266,10 +263,6 @@ class OrderFinder:
         if self.code != "contrast":
             return None
         known = orders.known
-        if known.any():
-            surface = (out.unwrapped, out.mask, out.region)
-            found = (seen.phase, seen.raw_phase, seen.modulation, seen.rates)
-            adopt_pixels(patches.final, *found, known, out=surface)
         # The response's correction is for the pattern's mean contrast.
         deviations = code_deviations(float(cycle_contrasts().mean()))
         columns = (slice(None), slice(None, None, _EVERY_COLUMN))

@@ -9,10 +9,8 @@ if TYPE_CHECKING:
     from tikernels.order_evidence.modulation_correction import correct_by_modulation
     from tikernels.order_evidence.order_votes import vote_orders
     from tikernels.order_evidence.part_joining import join_parts
-    from tikernels.order_evidence.pixel_adoption import adopt_pixels
 
 __all__ = [
-    "adopt_pixels",
     "correct_by_modulation",
     "join_parts",
     "match_stretches",

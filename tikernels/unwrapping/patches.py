@@ -70,7 +70,7 @@ class Patches:
     region_table : (4, capacity) int32
         See `Region`; written.
     final : (3, capacity) int32
-        See `Final`; what `write` needs, and `adopt_pixels` after it.
+        See `Final`; what `write` needs.
     seams : (2, cells) int32
         See `Seam`; scratch.
     """
