@@ -36,7 +36,7 @@ from tikernels.phase.phase_change import RATE_ACROSS, measure_rates
 from tikernels.phase.phase_fit import FittedPhase, count_phases, fit_phase
 from tikernels.phase.white_light import FrameLight
 from tikernels.unwrapping import GivenRegions, UserUnwrapper
-from tikernels.unwrapping.rim_growing import grow_rims
+from tikernels.unwrapping.rim_growing import doubt_rims, grow_rims
 from tikernels.unwrapping.rim_pixels import leave_out_strangers
 
 # While it is not clear which side is in front, this many frames are asked, and then one of as many: asking takes up to
@@ -271,10 +271,11 @@ class Decoder:
         lost = self._orders.refine(seen, regions, orders, out=rows)
         light_and_phase = (work.brightness, phases.modulation, work.phase)
         leave_out_strangers(*light_and_phase, out=(rows.unwrapped, rows.mask, rows.region))
-        work.smoother.across(rows.unwrapped, rows.mask, rates, out=(surface.unwrapped, phases.variance))
         # What smoothing and unwrapping had no place for at the rims, each pixel by itself.
-        grown = (surface.unwrapped, phases.variance, surface.mask, surface.region)
+        grown = (rows.unwrapped, rows.mask, rows.region)
         grow_rims(work.raw_phase, phases.precision, phases.misfit, work.brightness, rates, out=grown)
+        work.smoother.across(rows.unwrapped, rows.mask, rates, out=(surface.unwrapped, phases.variance))
+        doubt_rims(work.brightness, rows.region, out=phases.variance)
         # Its place.
         if rays is not None:
             triangulate(surface.unwrapped, rays.rays, rays.projector, out=surface.points)

@@ -100,15 +100,17 @@ class FirstLook:
             for n in smooth.shape[:2]
         )
         self._smooth = smooth[rows[:, None], columns]
-        half = gains.spacing_px // 2
-        y, x = (
-            np.minimum(gains.spacing_px * places + half, n - 1)
-            for places, n in zip((rows, columns), image.shape, strict=False)
-        )
-        self.ratios = color_ratios(
-            _over_a_cycle(_over_a_cycle(self.image, gains.period_px), gains.period_px)[y[:, None], x]
-        )
+        middles = np.minimum(gains.spacing_px * rows + gains.spacing_px // 2, gains.height - 1)
+        self.ratios = color_ratios(self._light_at(columns)[middles])
         self.lit = self._smooth[..., WindowSum.SAMPLES] > _FILLED * gains.window.samples
+
+    def _light_at(self, columns: npt.NDArray[np.intp]) -> npt.NDArray[np.floating]:
+        """Return the mean light around the pixels of some of the nodes' columns, (H, n, 3) levels."""
+        step, last = self.gains.spacing_px, self.gains.width - 1
+        middles = np.minimum(step * columns + step // 2, last)
+        along = range(-(_COLOR_PX // 2), _COLOR_PX // 2 + 1)
+        light = sum(self.image[:, np.clip(middles + k, 0, last)].astype(np.float32) for k in along)
+        return _over_a_cycle(_over_a_cycle(light, self.gains.period_px), self.gains.period_px)
 
     @cached_property
     def image(self) -> npt.NDArray[Any]:
@@ -293,7 +295,7 @@ def _over_a_cycle(light: npt.NDArray[Any], period_px: float) -> npt.NDArray[np.f
     """Return the mean light of a cycle across the stripes around every pixel, (H, W, 3) levels."""
     fewer = int(period_px)
     part = (period_px - fewer) * (fewer + 1) / period_px  # of a window that is a pixel longer
-    less, more = (cv2.blur(light, (_COLOR_PX, px), borderType=cv2.BORDER_REFLECT) for px in (fewer, fewer + 1))
+    less, more = (cv2.blur(light, (1, px), borderType=cv2.BORDER_REFLECT) for px in (fewer, fewer + 1))
     return np.asarray((1 - part) * less + part * more)
 
 

@@ -388,8 +388,8 @@ _ALL = (
         {"rim_pixels:trim_rims_kernel": nothing}, "rim_pixels:mark_rim rim_pixels:rim_of rim_pixels:lies_at_rim"),
     Mechanism("rim growing", "surfaces grow into measured pixels at their rims", "objects-skin-2",
         {"decoder:grow_rims": nothing}, "rim_growing"),
-    Mechanism("rims' leak", "sigma of grown pixels next to brighter ones", "r-face",
-        {"rim_growing:_LEAK": gives(0.0)}, "rim_growing:widen rim_growing:brightest_beyond"),
+    Mechanism("rims' leak", "sigma of pixels at rims next to brighter ones", "r-face",
+        {"decoder:doubt_rims": nothing}, "rim_growing:doubt_rims_kernel rim_growing:brightest_beyond"),
     # Orders by the code.
     Mechanism("cutting", "regions that the code contradicts are cut", "pile-small-coded",
         {"coded_orders:cut_regions": uncut}, "region_cutting:cut_regions offset_labelling"),
