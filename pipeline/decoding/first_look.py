@@ -109,7 +109,7 @@ class FirstLook:
         step, last = self.gains.spacing_px, self.gains.width - 1
         middles = np.minimum(step * columns + step // 2, last)
         along = range(-(_COLOR_PX // 2), _COLOR_PX // 2 + 1)
-        light = np.sum([self.image[:, np.clip(middles + k, 0, last)] for k in along], axis=0, dtype=np.float32)
+        light = np.stack([self.image[:, np.clip(middles + k, 0, last)] for k in along]).mean(axis=0, dtype=np.float32)
         return _over_a_cycle(_over_a_cycle(light, self.gains.period_px), self.gains.period_px)
 
     @cached_property
