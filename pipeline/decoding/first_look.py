@@ -1,7 +1,6 @@
 """What the first look at a frame tells, before its surfaces are known: colours, ambient light, and where there is none.
 
-The first look takes all surfaces for neutral. Colours are means over a cycle on either side, weighed by a triangle,
-which a fringe of a tenth more or fewer pixels leaves by a hundredth.
+The first look takes all surfaces for neutral. Its gains are colours then; those of prints need a narrower window.
 """
 
 import math
@@ -28,8 +27,9 @@ from tikernels.phase.wrapped_phase import LEAST_NO_PHASE
 
 _Labels = npt.NDArray[np.uint8]
 
-# A place's colour is the mean over this many pixels along the stripes, which all show the same light of the projector.
-_COLOR_PX = 5
+# The window across the stripes that tells a place's colour, as a standard deviation in cycles; along them one block
+# does. It need not hold whole cycles, since what phases predict is seen through the same window.
+_COLOR_CYCLES = 0.4
 # Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces.
 _SHARP = 0.08
 # Nodes closer together than this, under fine fringes, say the same (px): of those only some are looked at.
@@ -76,7 +76,7 @@ class FirstLook:
     spacing_px : int
         Between the nodes that are looked at.
     ratios : (Hn, Wn, 3) float64
-        The colour of every one of these; see `color_ratios`.
+        The colour around every one of these; see `color_ratios`.
     lit : (Hn, Wn) bool
         Which of them tell it.
     """
@@ -100,17 +100,11 @@ class FirstLook:
             for n in smooth.shape[:2]
         )
         self._smooth = smooth[rows[:, None], columns]
-        middles = np.minimum(gains.spacing_px * rows + gains.spacing_px // 2, gains.height - 1)
-        self.ratios = color_ratios(self._light_at(columns)[middles])
+        near = _smoothed_across(runtime.to_host(gains.sums), _COLOR_CYCLES * gains.period_px / gains.window.rows)
+        near = near[rows[:, None], columns]
+        predicted = np.maximum(near[..., WindowSum.PREDICTED : WindowSum.PREDICTED + 3], 1e-9)
+        self.ratios = color_ratios(near[..., WindowSum.SEEN : WindowSum.SEEN + 3] / predicted)
         self.lit = self._smooth[..., WindowSum.SAMPLES] > _FILLED * gains.window.samples
-
-    def _light_at(self, columns: npt.NDArray[np.intp]) -> npt.NDArray[np.floating]:
-        """Return the mean light around the pixels of some of the nodes' columns, (H, n, 3) levels."""
-        step, last = self.gains.spacing_px, self.gains.width - 1
-        middles = np.minimum(step * columns + step // 2, last)
-        along = range(-(_COLOR_PX // 2), _COLOR_PX // 2 + 1)
-        light = np.stack([self.image[:, np.clip(middles + k, 0, last)] for k in along]).mean(axis=0, dtype=np.float32)
-        return _over_a_cycle(_over_a_cycle(light, self.gains.period_px), self.gains.period_px)
 
     @cached_property
     def image(self) -> npt.NDArray[Any]:
@@ -291,12 +285,11 @@ class FirstLook:
         )
 
 
-def _over_a_cycle(light: npt.NDArray[Any], period_px: float) -> npt.NDArray[np.floating]:
-    """Return the mean light of a cycle across the stripes around every pixel, (H, W, 3) levels."""
-    fewer = int(period_px)
-    part = (period_px - fewer) * (fewer + 1) / period_px  # of a window that is a pixel longer
-    less, more = (cv2.blur(light, (1, px), borderType=cv2.BORDER_REFLECT) for px in (fewer, fewer + 1))
-    return np.asarray((1 - part) * less + part * more)
+def _smoothed_across(sums: npt.NDArray[np.floating], sigma: float) -> npt.NDArray[np.floating]:
+    """Return (Hg, Wb, N) blocks' sums, smoothed across the stripes, at the nodes between two of them."""
+    near = cv2.GaussianBlur(sums, (1, 2 * math.ceil(3 * sigma) + 1), 0, sigmaY=sigma, borderType=cv2.BORDER_CONSTANT)
+    above = near[::2]
+    return np.asarray(above + near[np.minimum(2 * np.arange(len(above)) + 1, len(near) - 1)])
 
 
 def repeated(values: npt.NDArray[Any], step: int, shape: tuple[int, ...]) -> npt.NDArray[Any]:

@@ -81,7 +81,8 @@ class Gains:
         self.smooth = runtime.empty((*grid, _WINDOW_SUMS), np.float32)
         #: (Hg, Wg, 3) by node.
         self.gains = runtime.empty((*grid, 3), np.float32)
-        self._sums = runtime.empty((*blocks, _WINDOW_SUMS), np.float32)
+        #: (Hb, Wb, 8) by block, likewise.
+        self.sums = runtime.empty((*blocks, _WINDOW_SUMS), np.float32)
         self._half = runtime.empty((*grid, _WINDOW_SUMS), np.float32)
         # The first look needs the channels alone.
         self._color_sums = runtime.empty((*blocks, 3), np.float32)
@@ -115,8 +116,8 @@ class Gains:
         find_gains_kernel(self._color_smooth, False, self.gains)
         matrices = (crosstalk.inverse, crosstalk.matrix, crosstalk.waves, crosstalk.inverse_waves)
         light = (self.samples, *matrices, self.gains, rows)
-        predict_blocks_kernel(*light, levels.modulation, self._contrast_sums, self._sums)
-        self.window.smooth(self._sums, self._half, self.smooth)
+        predict_blocks_kernel(*light, levels.modulation, self._contrast_sums, self.sums)
+        self.window.smooth(self.sums, self._half, self.smooth)
         find_gains_kernel(self.smooth, True, self.gains)
 
 
