@@ -30,8 +30,9 @@ _Labels = npt.NDArray[np.uint8]
 # The window across the stripes that tells a place's colour, as a standard deviation in cycles; along them one block
 # does. It need not hold whole cycles, since what phases predict is seen through the same window.
 _COLOR_CYCLES = 0.4
-# Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces.
-_SHARP = 0.08
+# Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces. A colour has
+# at least the second share of what is even: of a fine print little is.
+_SHARP, _LEAST_SHARE = 0.08, 0.05
 # Nodes closer together than this, under fine fringes, say the same (px): of those only some are looked at.
 _NODE_SPACING_PX = 8
 # A node tells a colour if this share of its window is lit.
@@ -178,13 +179,14 @@ class FirstLook:
 
     def common_colors(self) -> FloatArray:
         """Return the colours that many nodes have in common, (n, 3) ratios, the commonest first."""
-        change = np.zeros(self.lit.shape)
-        for axis in (0, 1):
-            if self.ratios.shape[axis] > 1:
-                step = np.gradient(self.ratios, axis=axis)
-                change += np.einsum("ijk,ijk->ij", step, step)
-        weights = (1 / (1 + change / _SHARP**2) ** 2)[self.lit]
-        return common_colors(self.ratios[self.lit], weights, LEAST_PX / self.spacing_px**2 / 2)
+        mean, square = (
+            cv2.blur(values, (3, 3), borderType=cv2.BORDER_REPLICATE) for values in (self.ratios, self.ratios**2)
+        )
+        # Of a slope, that is its square; a corner where squares of two colours meet has none.
+        change = 1.5 * (square - mean**2).sum(axis=-1)
+        weights = (1 / (1 + change / _SHARP**2) ** 4)[self.lit]
+        least = min(LEAST_PX / self.spacing_px**2 / 2, _LEAST_SHARE * float(weights.sum()))
+        return common_colors(self.ratios[self.lit], weights, least)
 
     def labels(self, colors: FloatArray) -> _Labels:
         """Return (H, W) uint8: which colour the node nearest to each pixel has, or NO_SURFACE."""

@@ -39,12 +39,18 @@ def board(
     broad: float = 0.25,
     gamma: float = 2.0,
     matrices: list[np.ndarray] | None = None,
+    square_px: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Photograph columns of paints: levels (H, W, 3) float32 of 255, the true phase, rad, and the paints' numbers."""
+    """Photograph columns of paints, or squares of a width.
+
+    Returns levels (H, W, 3) float32 of 255, the true phase, rad, and the paints' numbers.
+    """
     height, width = shape
     y, x = np.mgrid[:height, :width]
     phase = 2 * np.pi * y / PERIOD_PX + 0.02 * x
     numbers = np.minimum(x * len(paints) // width, len(paints) - 1)
+    if square_px is not None:
+        numbers = ((x // square_px + y // square_px) % len(paints)).astype(int)
     sent, image = light(phase, gamma), np.empty((*shape, 3))
     for number, paint in enumerate(paints):
         matrix = surface_matrix(PAINTS[paint], broad) if matrices is None else matrices[number]
@@ -68,7 +74,8 @@ def paint_errors(frame, phase: np.ndarray, numbers: np.ndarray) -> tuple[np.ndar
     error = np.angle(np.exp(1j * (frame.unwrapped_phase - phase)))
     inside = np.ones(numbers.shape, bool)
     for shift in (-5, 5):
-        inside &= np.roll(numbers, shift, axis=1) == numbers
+        for axis in (0, 1):
+            inside &= np.roll(numbers, shift, axis=axis) == numbers
     inside[:6] = inside[-6:] = False
     constants = np.array([np.nanmean(error[inside & (numbers == n)]) for n in np.unique(numbers)])
     rms = np.array([np.nanstd(error[inside & (numbers == n)]) for n in np.unique(numbers)])

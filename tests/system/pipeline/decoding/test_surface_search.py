@@ -2,7 +2,16 @@
 
 import numpy as np
 import pytest
-from support.colored_boards import PAINTS, RESPONSE, board, board_decoder, light, paint_errors, surface_matrix
+from support.colored_boards import (
+    PAINTS,
+    PERIOD_PX,
+    RESPONSE,
+    board,
+    board_decoder,
+    light,
+    paint_errors,
+    surface_matrix,
+)
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration import Calibration
@@ -19,6 +28,18 @@ def test_shadow_shows_no_surface(cpu):
     frame = board_decoder().decode(image)
     assert frame.mask[106:154, 106:214].mean() < 0.02
     assert (np.asarray(frame.memory.surfaces.crosstalk.surfaces.labels)[106:154, 106:214] == NO_SURFACE).mean() > 0.98
+
+
+@pytest.mark.parametrize("cycles", [2.2, 3.0, 5.0])
+@pytest.mark.parametrize("noise", [0.3, 1.0])
+def test_a_fine_print_shows_its_paints(cpu, cycles, noise):
+    """Squares of two paints, some cycles wide: places that see both are no third one."""
+    image, phase, numbers = board(["orange", "blue"], (240, 320), noise=noise, square_px=cycles * PERIOD_PX)
+    frame = board_decoder().decode(image)
+    constants, rms = paint_errors(frame, phase, numbers)
+    assert np.abs(constants).max() < 0.01
+    assert rms.max() < 0.03
+    assert frame.mask.mean() > 0.95
 
 
 def test_a_video_keeps_its_surfaces(cpu):

@@ -22,7 +22,7 @@ def surfaces() -> tuple[np.ndarray, np.ndarray]:
 
 
 def without_rims(region: np.ndarray) -> np.ndarray:
-    """Return the surfaces without the pixels in which they end, in any of eight directions, for three pixels or more."""
+    """Return the surfaces without the pixels in which they end, in any of eight directions, for three pixels."""
     height, width = region.shape
     kept = region.copy()
     for y, x in np.argwhere(region > 0):
