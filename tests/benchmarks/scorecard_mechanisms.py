@@ -385,7 +385,7 @@ _ALL = (
         {"rim_pixels:leave_out_strangers_kernel": nothing},
         "rim_pixels:mark_strangers rim_pixels:is_cut_off rim_pixels:follow_ray rim_pixels:stopped_pixels"),
     Mechanism("rims", "the last pixels of surfaces are left out", "objects-skin-2",
-        {"rim_pixels:trim_rims_kernel": nothing}, "rim_pixels:mark_rim rim_pixels:rim_of rim_pixels:lies_at_rim"),
+        {"rim_pixels:trim_rims_kernel": nothing}, "rim_pixels:mark_rim rim_pixels:ends_at"),
     Mechanism("rim growing", "surfaces grow into measured pixels at their rims", "objects-skin-2",
         {"decoder:grow_rims": nothing}, "rim_growing"),
     Mechanism("rims' leak", "sigma of pixels at rims next to brighter ones", "r-face",

@@ -187,24 +187,6 @@ def lies_at_rim(region: I32Array2, top: i32, left: i32, bottom: i32, right: i32)
 
 
 @ti.func
-def rim_of(region: I32Array2, y: i32, left: i32, right: i32):
-    """Return which pixels of a cell's row have another surface, or none, among the eight around them."""
-    rim = _row_of_regions(0)
-    inside = y > 0 and left > 0 and y + 1 < region.shape[0] and left + CELL_WIDTH < region.shape[1]
-    for place in range(9):
-        dy, dx = place // 3 - 1, place % 3 - 1
-        if inside:
-            for k in range(CELL_WIDTH):
-                rim[k] |= region[y, left + k] ^ region[y + dy, left + k + dx]
-        else:
-            y2 = ti.min(ti.max(y + dy, 0), region.shape[0] - 1)
-            for x in range(left, right):
-                x2 = ti.min(ti.max(x + dx, 0), region.shape[1] - 1)
-                rim[x - left] |= region[y, x] ^ region[y2, x2]
-    return rim
-
-
-@ti.func
 def lies_beside_others(phase: F32Array2, region: I32Array2, top: i32, left: i32, bottom: i32, right: i32) -> u1:
     """Whether two surfaces' light is seen around a cell, by a look at every tenth pixel: at most cells it is not."""
     lowest, highest = 1 << 30, -1
@@ -248,16 +230,16 @@ def mark_strangers(
 
 
 @ti.func
-def ends_at(region: I32Array2, y: i32, x: i32) -> u1:
+def ends_at(region: I32Array2, y: i32, x: i32) -> i32:
     """Whether a surface ends at a pixel, in any of eight directions: behind a hole it goes on."""
-    ends, ray = False, 0
-    while ray < 8 and not ends:
+    ends = 0
+    for ray in range(8):
         dy, dx = place_of_ray(ray)
         room = ti.min(room_along(y, dy, region.shape[0]), room_along(x, dx, region.shape[1]))
-        ends = room > 0
+        own = ti.cast(room == 0, i32)
         for far in range(1, ti.min(room, _HOLE) + 1):
-            ends &= region[y + far * dy, x + far * dx] != region[y, x]
-        ray += 1
+            own += ti.cast(region[y + far * dy, x + far * dx] == region[y, x], i32)
+        ends |= ti.cast(own == 0, i32)
     return ends
 
 
@@ -268,12 +250,10 @@ def mark_rim(region: I32Array2, mask: U8Array2, cell: i32) -> i32:
     top, left, bottom, right = cell_bounds(cell, region.shape[0], region.shape[1])
     if lies_at_rim(region, top, left, bottom, right):
         for y in range(top, bottom):
-            rim = rim_of(region, y, left, right)
             for x in range(left, right):
-                if rim[x - left] != 0 and region[y, x] > 0:
-                    if ends_at(region, y, x):
-                        mask[y, x] = ti.cast(0, ti.u8)
-                        marks = 1
+                if region[y, x] > 0 and ends_at(region, y, x) == 1:
+                    mask[y, x] = ti.cast(0, ti.u8)
+                    marks = 1
     return marks
 
 
@@ -302,7 +282,7 @@ def trim_rims_kernel(
     mask: U8Array2,  # (H, W)
     marked: I32Array1,  # (cells,) scratch: which cells hold pixels to take off
 ):
-    """Mark the last pixel of every surface, and only then take it off."""
+    """Mark the last pixels of surfaces, and only then take them off."""
     for cell in range(marked.shape[0]):
         marked[cell] = mark_rim(region, mask, cell)
     for cell in range(marked.shape[0]):

@@ -43,13 +43,13 @@ def test_a_gpu_is_asked_little(arch):
     frame = decoder.decode(truth.image)
     results = frame.unwrapped_phase.nbytes + frame.mask.nbytes
     if arch == "cpu":
-        assert traffic.calls <= 56  # six turns of one kernel, which is compiled in a sixth of the time
+        assert traffic.calls <= 57  # six turns of one kernel, which is compiled in a sixth of the time
     else:
-        assert traffic.calls <= 51
+        assert traffic.calls <= 52
         assert traffic.copied_calls <= 2
-        assert traffic.reads <= 21
+        assert traffic.reads <= 22
         assert traffic.sent_bytes < truth.image.nbytes + 30_000
-        assert traffic.read_bytes < results + 1_600_000
+        assert traffic.read_bytes < results + 1_700_000
 
 
 @pytest.mark.parametrize("scene", projection.SCENES)
