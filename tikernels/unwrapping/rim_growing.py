@@ -6,13 +6,13 @@ surface next to it where it goes on as that one does. With p its phase, u_1 and 
 a side, g the usual change there (`phase_change.py`), and b the brightness without the fringe,
 
     |p + 2 pi k - (2 u_1 - u_2)| < 0.5 t + 2.5 sqrt(var(p) + 0.54 var(p_1)),    t = |u_1 - u_2 - g|,
-    |log(b / b_1)| < 0.06 + 0.6 t,
+    -max(0.2, 0.06 + 0.6 t) < log(b / b_1) < 0.06 + 0.6 t,
 
-because what turns away may turn away further, and gets darker, and what does not does neither; smoothing along the
-stripes leaves 0.27 of the variance of a single pixel's p_1. Where noise would let 0.8 rad pass, which is a step
-(`smoothing.py`), nothing is told. The side that fits best of four tells the order k. Two of the eight pixels around
-must be of the same surface, and none of another: what sees two surfaces at once belongs to neither. Rims grow by a
-pixel a turn.
+because what turns away may turn away further, and gets darker, and what does not does neither, but that a last pixel
+sees some of the darkness beyond; smoothing along the stripes leaves 0.27 of the variance of a single pixel's p_1. Where
+noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is told. The side that fits best of four tells
+the order k. Two of the eight pixels around must be of the same surface, and none of another: what sees two surfaces at
+once belongs to neither. Rims grow by a pixel a turn.
 
 What lies beyond a rim may shine into its pixels by blur. To their variance that adds
 
@@ -41,8 +41,9 @@ _TURNS = 6
 _SMOOTHED = 0.27
 # How much of what a surface turns by it may turn further, and how many standard deviations are noise.
 _BEND, _SURE = 0.5, 2.5
-# How much a brightness's logarithm may change, and by how much more for a radian that the surface turns by.
-_ALIKE, _DARKENS = 0.06, 0.6
+# How much a brightness's logarithm may change, by how much more for a radian that the surface turns by, and how much it
+# may fall where darkness lies beyond.
+_ALIKE, _DARKENS, _DIMMER = 0.06, 0.6, 0.2
 # Neighbours whose phases differ by more (rad) see two surfaces.
 _STEP = 1.5
 # Of the eight pixels around one, those that must be of its surface at least.
@@ -82,7 +83,8 @@ def goes_on(
                 most = _BEND * turn + _SURE * noise
                 share = ti.abs(value - expected) / most
                 ratio = ti.max(brightness[y, x], _LEAST) / ti.max(brightness[y1, x1], _LEAST)
-                alike = ti.abs(ti.log(ratio)) < _ALIKE + _DARKENS * turn
+                brighter, most_brighter = ti.log(ratio), _ALIKE + _DARKENS * turn
+                alike = brighter < most_brighter and brighter > -ti.max(most_brighter, _DIMMER)
                 if alike and share < best and ti.abs(slope) < _STEP and most < MAX_DEPARTURE:
                     best = share
                     result = vec2(value, ti.cast(region[y1, x1], f32))
