@@ -1,6 +1,6 @@
 """What the first look at a frame tells, before its surfaces are known: colours, ambient light, and where there is none.
 
-The first look takes all surfaces for neutral. Its gains are colours then; those of prints need a narrower window.
+The first look takes all surfaces for neutral. What is seen, over what phases predict, is a surface's colour then.
 """
 
 import math

@@ -21,7 +21,7 @@ _NEUTRAL = 0.05
 # the least through real filters, where the frame has told the crosstalk with the smallest leaks that fit.
 _LEAK, _UNKNOWN_LEAK, _USUAL_LEAK = 0.004, 0.01, 0.03
 # So may a harmonic of the light: where the response is known, but for contrast and blur, and where it is not; and the
-# contrast beside what blur takes: one that is 0.08 off changes the fitted ambient light by a third.
+# contrast apart from what blur takes: one that is 0.08 off changes the fitted ambient light by a third.
 _KNOWN_HARMONIC, _SEEN_HARMONIC = 0.0005, 0.02
 _KNOWN_CONTRAST, _SEEN_CONTRAST = 0.02, 0.2
 # Samples that tell whether a frame's only colour acts after the crosstalk. It does if that leaves less over by this

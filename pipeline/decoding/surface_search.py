@@ -80,7 +80,7 @@ class KnownLight:
     leak: float
     """Standard deviation of a matrix entry on white, as a fraction of its row."""
     contrast: float
-    """Standard deviation of the light's contrast beside what blur takes, as a fraction."""
+    """Standard deviation of the light's contrast apart from what blur takes, as a fraction."""
     harmonic: float
     """How far a harmonic of the light may be off, besides contrast and blur, as a fraction of the first."""
     contrast_doubt: float

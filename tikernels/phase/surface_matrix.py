@@ -219,7 +219,7 @@ def fit_matrices(
     samples : list of SurfaceSamples
         By surface.
     prediction : PredictedMatrices
-        By the colours that these surfaces have beside the ambient light that the fit begins with.
+        By these surfaces' colours, without the ambient light that the fit begins with.
     expected_ambient, ambient : (n, 3)
         Ambient light that each surface is expected to send back, and where the fit begins, levels.
     light : (3, harmonics) complex128
@@ -227,7 +227,7 @@ def fit_matrices(
     leak : float
         Standard deviation of an entry on white, as a fraction of its row.
     contrast : float
-        Standard deviation of the light's contrast beside what blur takes, as a fraction.
+        Standard deviation of the light's contrast apart from what blur takes, as a fraction.
     harmonic : float
         How far a single harmonic of the light may be off, besides contrast and blur, as a fraction of the first:
         standard deviation.
@@ -381,14 +381,14 @@ def _prior_of_surfaces(
         predicted, level = prediction.matrices[k], surface.light.mean(axis=0)
         seen = np.maximum(level - ambient[k], _DIMMEST * level.max())
         own = causes[_COLUMNS * k : _COLUMNS * (k + 1)]
-        entries, rows, lost, beside = np.split(own[:, common + 18 * k : common + 18 * (k + 1)], [9, 12, 15], axis=1)
+        entries, rows, lost, dimmed = np.split(own[:, common + 18 * k : common + 18 * (k + 1)], [9, 12, 15], axis=1)
         own[:9, :common] = prediction.by_share[k].reshape(9, common)
         entries[:9] = np.eye(9)
         rows[:9] = np.repeat(np.eye(3), 3, axis=0)
         # Less contrast looks like more crosstalk: the three primaries together have next to none.
         even = predicted.sum(axis=1, keepdims=True) / (3 * np.maximum(predicted, 1e-9))
         lost[:9] = (even - 1).reshape(9, 1) * rows[:9]
-        beside[:9], beside[9:] = -rows[:9] / seen, np.eye(3)
+        dimmed[:9], dimmed[9:] = -rows[:9] / seen, np.eye(3)
         expected[k, :9] = np.repeat((ambient[k] - expected_ambient[k]) / seen, 3)
         leaks = leak * predicted.sum(axis=1, keepdims=True) / np.maximum(predicted, 1e-9)
         sigma += [

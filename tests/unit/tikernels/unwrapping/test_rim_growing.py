@@ -64,7 +64,7 @@ def test_a_rim_grows_by_its_own_phases(arch):
 
 
 def test_light_from_beyond_a_rim_is_doubted(arch):
-    """A tenth of the brightest pixel around that is on no surface, beside the pixel's own light; inside nothing."""
+    """By a tenth of the brightest pixel around that is on no surface, over the own brightness; not inside."""
     region = np.zeros(SHAPE, np.int32)
     region[:, :40] = 1
     brightness = np.full(SHAPE, 50, np.float32)
