@@ -10,9 +10,10 @@ a side, g the usual change there (`phase_change.py`), and b the brightness witho
 
 because what turns away may turn away further, and gets darker, and what does not does neither, but that a last pixel
 sees some of the darkness beyond; smoothing along the stripes leaves 0.27 of the variance of a single pixel's p_1. Where
-noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is told. The side that fits best of four tells
-the order k. Two of the eight pixels around must be of the same surface, and none of another: what sees two surfaces at
-once belongs to neither. Rims grow by a pixel a turn.
+noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is told, and neither where one of the next three
+pixels departs from p + u_1 - u_2 by 1.5 rad: there another surface begins. The side that fits best of four tells the
+order k. Two of the eight pixels around must be of the same surface, and none of another: what sees two surfaces at once
+belongs to neither. Rims grow by a pixel a turn.
 
 What lies beyond a rim may shine into its pixels by blur. To their variance that adds
 
@@ -55,6 +56,20 @@ _LEAST = 1e-6
 
 
 @ti.func
+def steps_beyond(phase: F32Array2, y: i32, x: i32, side: i32, expected: f32, usual: vec2) -> f32:
+    """Return by how much (rad) three pixels beyond a rim depart from what is expected of the middle one, at (y, x)."""
+    dy, dx = step_to(side)
+    most = 0.0
+    for k in ti.static(range(-1, 2)):
+        j, i = y + k * dx, x + k * dy
+        if j >= 0 and j < phase.shape[0] and i >= 0 and i < phase.shape[1]:
+            if has_phase(phase[j, i]):
+                departs = phase[j, i] - expected - k * (dx * usual[1] + dy * usual[0])
+                most = ti.max(most, ti.abs(departs - 2.0 * PI * ti.round(departs * (0.5 / PI))))
+    return most
+
+
+@ti.func
 def goes_on(
     phase: F32Array2,
     precision: F32Array2,
@@ -68,7 +83,7 @@ def goes_on(
     """Return a pixel's unwrapped phase in the surface that it continues best, and that region's number, 0 if none."""
     height, width = region.shape[0], region.shape[1]
     along, across, _ = frame_rates(rates)
-    result, best = vec2(0.0), 1.0
+    usual, result, best = vec2(along, across), vec2(0.0), 1.0
     for side in range(4):
         dy, dx = step_to(side)
         y1, x1, y2, x2 = y + dy, x + dx, y + 2 * dy, x + 2 * dx
@@ -85,7 +100,8 @@ def goes_on(
                 ratio = ti.max(brightness[y, x], _LEAST) / ti.max(brightness[y1, x1], _LEAST)
                 brighter, most_brighter = ti.log(ratio), _ALIKE + _DARKENS * turn
                 alike = brighter < most_brighter and brighter > -ti.max(most_brighter, _DIMMER)
-                if alike and share < best and ti.abs(slope) < _STEP and most < MAX_DEPARTURE:
+                steep = ti.max(ti.abs(slope), steps_beyond(phase, y - dy, x - dx, side, value + slope, usual))
+                if alike and share < best and steep < _STEP and most < MAX_DEPARTURE:
                     best = share
                     result = vec2(value, ti.cast(region[y1, x1], f32))
     return result
