@@ -11,9 +11,9 @@ a side, g the usual change there (`phase_change.py`), and b the brightness witho
 because what turns away may turn away further, and gets darker, and what does not does neither, but that a last pixel
 sees some of the darkness beyond; smoothing along the stripes leaves 0.27 of the variance of a single pixel's p_1. Where
 noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is told, and neither where one of the next three
-pixels departs from p + u_1 - u_2 by 1.5 rad: there another surface begins. The side that fits best of four tells the
-order k. Two of the eight pixels around must be of the same surface, and none of another: what sees two surfaces at once
-belongs to neither. Rims grow by a pixel a turn.
+pixels, fitted as well, departs from p + u_1 - u_2 by 1.5 rad: there another surface begins. The side that fits best of
+four tells the order k. Two of the eight pixels around must be of the same surface, and none of another: what sees two
+surfaces at once belongs to neither. Rims grow by a pixel a turn.
 
 What lies beyond a rim may shine into its pixels by blur. To their variance that adds
 
@@ -56,14 +56,14 @@ _LEAST = 1e-6
 
 
 @ti.func
-def steps_beyond(phase: F32Array2, y: i32, x: i32, side: i32, expected: f32, usual: vec2) -> f32:
+def steps_beyond(phase: F32Array2, misfit: F32Array2, y: i32, x: i32, side: i32, expected: f32, usual: vec2) -> f32:
     """Return by how much (rad) three pixels beyond a rim depart from what is expected of the middle one, at (y, x)."""
     dy, dx = step_to(side)
     most = 0.0
     for k in ti.static(range(-1, 2)):
         j, i = y + k * dx, x + k * dy
         if j >= 0 and j < phase.shape[0] and i >= 0 and i < phase.shape[1]:
-            if has_phase(phase[j, i]):
+            if has_phase(phase[j, i]) and misfit[j, i] < MAX_MISFIT:
                 departs = phase[j, i] - expected - k * (dx * usual[1] + dy * usual[0])
                 most = ti.max(most, ti.abs(departs - 2.0 * PI * ti.round(departs * (0.5 / PI))))
     return most
@@ -73,6 +73,7 @@ def steps_beyond(phase: F32Array2, y: i32, x: i32, side: i32, expected: f32, usu
 def goes_on(
     phase: F32Array2,
     precision: F32Array2,
+    misfit: F32Array2,
     brightness: F32Array2,
     rates: F32Array2,
     unwrapped: F32Array2,
@@ -100,7 +101,7 @@ def goes_on(
                 ratio = ti.max(brightness[y, x], _LEAST) / ti.max(brightness[y1, x1], _LEAST)
                 brighter, most_brighter = ti.log(ratio), _ALIKE + _DARKENS * turn
                 alike = brighter < most_brighter and brighter > -ti.max(most_brighter, _DIMMER)
-                steep = ti.max(ti.abs(slope), steps_beyond(phase, y - dy, x - dx, side, value + slope, usual))
+                steep = ti.max(ti.abs(slope), steps_beyond(phase, misfit, y - dy, x - dx, side, value + slope, usual))
                 if alike and share < best and steep < _STEP and most < MAX_DEPARTURE:
                     best = share
                     result = vec2(value, ti.cast(region[y1, x1], f32))
@@ -150,7 +151,7 @@ def mark_growth(
         for x in range(left, right):
             if region[y, x] == 0 and has_phase(phase[y, x]) and misfit[y, x] < MAX_MISFIT:
                 left_over += 1
-                found = goes_on(phase, precision, brightness, rates, unwrapped, region, y, x)
+                found = goes_on(phase, precision, misfit, brightness, rates, unwrapped, region, y, x)
                 number = ti.cast(found.y, i32)
                 if number > 0 and lies_among_its_own(unwrapped, region, y, x, found.x, number):
                     unwrapped[y, x] = found.x
