@@ -43,7 +43,13 @@ class PartSteps:
 
     lower_orders: Integers  # (n,) the lower cycle's order
     middle: FloatArray  # (n,) median rise
-    noise: FloatArray  # (n,) its variance, by the columns' scatter
+    columns: Integers  # (n,) that show it
+    scatter: float  # a single column's standard deviation
+
+    @property
+    def noise(self) -> FloatArray:
+        """(n,) the medians' variance."""
+        return (_MEDIAN_SCATTER * self.scatter) ** 2 / self.columns
 
 
 def seen_steps(steps: Steps, roots: npt.NDArray[np.int32], parts: Integers) -> list[PartSteps]:
@@ -83,8 +89,8 @@ def seen_steps(steps: Steps, roots: npt.NDArray[np.int32], parts: Integers) -> l
         shown = deviation[own][several[own]]
         known = len(shown) / (len(shown) + _SCATTER_PRIOR)
         variance = known * _scatter(shown) ** 2 + (1 - known) * usual**2
-        noise = _MEDIAN_SCATTER**2 * variance / counts[first:last]
-        found.append(PartSteps(order[starts[first:last]], middle[first:last], noise))
+        seen = order[starts[first:last]], middle[first:last], counts[first:last]
+        found.append(PartSteps(*seen, float(np.sqrt(variance))))
     return found
 
 
@@ -150,8 +156,18 @@ def _levels() -> FloatArray:
     return np.array([contrast_levels(strength) for strength in STRENGTHS])
 
 
-def code_posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> tuple[list[Posterior], bool]:
-    """Return the posterior of every part, and whether the frame shows the code.
+@dataclass(frozen=True)
+class CodeReading:
+    """What the steps say of the code."""
+
+    posteriors: list[Posterior]  # of every part
+    strengths: FloatArray  # (n,) the code's likeliest in each part; 0: it shows none
+    spreads: FloatArray  # (n,) by how much all columns of each part deviate from it
+    strength: float  # the frame's; 0: it shows none
+
+
+def code_posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> CodeReading:
+    """Read the code, every part beside all others.
 
     Parameters
     ----------
@@ -173,19 +189,25 @@ def code_posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray)
     evidence[np.ix_(read, STRENGTHS == 0)] += luck[read, None, None]
     together = alone + evidence.sum(axis=0)
     posteriors = [NOTHING_KNOWN] * len(likelihoods)
+    strengths, spreads = np.zeros(len(likelihoods)), np.full(len(likelihoods), _SPREADS[-1])
     for some, padded in _padded(likelihoods):
         others = together - evidence[some]
         others -= _log_sum(others.reshape(len(others), -1))[:, None, None]
         prior = np.logaddexp(np.log(1 - _UNALIKE) + others, np.log(_UNALIKE) + alone)
         prior[:, STRENGTHS == 0] += luck[some, None, None]
-        logarithm = _log_sum((prior[..., None] + padded).reshape(len(padded), -1, padded.shape[-1]).swapaxes(1, 2))
-        probability = np.exp(logarithm - logarithm.max(axis=1, keepdims=True, initial=-1e300))
+        joint = (prior[..., None] + padded).reshape(len(padded), -1, padded.shape[-1])
+        joint = np.exp(joint - joint.max(axis=(1, 2), keepdims=True, initial=-1e300))
+        likeliest = np.unravel_index(joint.sum(axis=2).argmax(axis=1), alone.shape)
+        strengths[some], spreads[some] = STRENGTHS[likeliest[0]], _SPREADS[likeliest[1]]
+        probability = joint.sum(axis=1)
         for k, own in zip(range(some.start, some.stop), probability, strict=True):
             if read[k]:
                 own = own[: n_offsets[k]]
                 posteriors[k] = Posterior(likelihoods[k][0], own / own.sum())
-    without, with_code = _log_sum(shown[STRENGTHS == 0].ravel()), _log_sum(shown[STRENGTHS > 0].ravel())
-    return posteriors, bool(without < with_code)
+    of_frame = _log_sum(shown)
+    readable = of_frame[STRENGTHS == 0] < _log_sum(of_frame[STRENGTHS > 0])
+    strength = float(STRENGTHS[1 + of_frame[STRENGTHS > 0].argmax()]) if readable else 0.0
+    return CodeReading(posteriors, np.where(read, strengths, 0.0), spreads, strength)
 
 
 def _padded(likelihoods: list[tuple[int, FloatArray]]) -> Iterator[tuple[slice, FloatArray]]:

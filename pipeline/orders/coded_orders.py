@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.orders.border_settling import settle_borders
-from pipeline.orders.code_posterior import code_posteriors, log_likelihoods, seen_steps
+from pipeline.orders.code_posterior import CodeReading, code_posteriors, log_likelihoods, seen_steps
 from pipeline.orders.contrast_cycles import Steps, read_cycles
 from pipeline.orders.nearness import log_nearness, nearness
 from pipeline.orders.posterior import (
@@ -24,7 +24,7 @@ from pipeline.orders.posterior import (
     OrderRange,
     Posterior,
 )
-from pipeline.orders.region_cutting import cut_regions, spread_and_strength
+from pipeline.orders.region_cutting import cut_regions
 from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 
 # How probably a piece that the labels have cut off, which hangs together with its region, has that one's orders before
@@ -66,16 +66,15 @@ def find_absolute_orders(
         What else is known of the orders.
     """
     cycles, steps = read_cycles(sums, graph, width, rising)
-    sigma, strength = spread_and_strength(steps)
-    roots, main = cut_regions(steps, graph, sigma, strength, order_range)
-    parts, posteriors, readable = _placed(steps, graph, width, roots, main)
+    roots, main = cut_regions(steps, graph, order_range)
+    parts, code = _placed(steps, graph, width, roots, main)
     if (main >= 0).any():
-        roots = _rejoined(roots, main, graph, parts, posteriors)
-        parts, posteriors, readable = _placed(steps, graph, width, roots, main)
+        roots = _rejoined(roots, main, graph, parts, code.posteriors)
+        parts, code = _placed(steps, graph, width, roots, main)
     lacks, known = np.zeros(len(roots), np.int64), np.zeros(len(roots), np.bool_)
-    for part, posterior in zip(parts, posteriors, strict=True):
+    for part, posterior in zip(parts, code.posteriors, strict=True):
         lacks[part], known[part] = posterior.best, posterior.error(posterior.best) < MAX_ABSOLUTE_ERROR
-    settled = settle_borders(cycles, graph, width, strength, roots, lacks[roots], known[roots])
+    settled = settle_borders(cycles, graph, width, code.strength, roots, lacks[roots], known[roots])
     if (settled.roots != roots).any():
         standing = _standing(settled.roots, graph)
         roots, main = standing[settled.roots], np.where(main >= 0, standing[main], -1)
@@ -84,20 +83,21 @@ def find_absolute_orders(
             least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
             order_range = replace(order_range, least=least, most=most)
         _, steps = read_cycles(sums, graph._replace(root=roots), width, rising)
-        parts, posteriors, readable = _placed(steps, graph, width, roots, main)
+        parts, code = _placed(steps, graph, width, roots, main)
+    posteriors = code.posteriors
     if order_range is not None:
         ranges = order_range.by_part(roots, parts, graph.pixels)
         posteriors = [
             within.narrow(posterior) if posterior is not NOTHING_KNOWN else within.alone()
             for within, posterior in zip(ranges, posteriors, strict=True)
         ]
-    return CodedOrders(roots, AbsoluteOrders(parts, tuple(posteriors)), settled.shifts, settled.torn, readable)
+    return CodedOrders(roots, AbsoluteOrders(parts, tuple(posteriors)), settled.shifts, settled.torn, code.strength > 0)
 
 
 def _placed(
     steps: Steps, graph: PatchGraph, width: int, roots: npt.NDArray[np.int32], main: Integers
-) -> tuple[Integers, list[Posterior], bool]:
-    """Return the parts that are large enough, their posteriors, and whether they show the code.
+) -> tuple[Integers, CodeReading]:
+    """Return the parts that are large enough, and what they say of the code.
 
     A piece that was cut off hangs together with its region: that, too, is known of its offset.
     """
@@ -110,22 +110,22 @@ def _placed(
     ends = np.where(origin == parts, 1, 2)  # of what remains of the region the labels have found one
     luck = np.where(origin >= 0, ends * np.log(max(places, 1)), 0.0)
     likelihoods = log_likelihoods(seen)
-    posteriors, readable = code_posteriors(likelihoods, luck)
-    sure = [k for k, found in enumerate(posteriors) if found.error(found.best) < MAX_ABSOLUTE_ERROR]
-    if readable and sure:
+    code = code_posteriors(likelihoods, luck)
+    sure = [k for k, found in enumerate(code.posteriors) if found.error(found.best) < MAX_ABSOLUTE_ERROR]
+    if code.strength and sure:
         # What these tell of the others.
-        lacking = nearness(graph, roots, width, {int(parts[k]): posteriors[k].best for k in sure})
+        lacking = nearness(graph, roots, width, {int(parts[k]): code.posteriors[k].best for k in sure})
         for part, of_region, (first, likelihood) in zip(parts, origin, likelihoods, strict=True):
             if of_region in (-1, part):
                 likelihood += log_nearness(lacking[part], first + np.arange(likelihood.shape[-1]))
-        posteriors, readable = code_posteriors(likelihoods, luck)
-    of_main = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
+        code = code_posteriors(likelihoods, luck)
+    of_main = {int(part): posterior for part, posterior in zip(parts, code.posteriors, strict=True)}
     for k, part in enumerate(parts):
         region = of_main.get(int(origin[k]))
         if region is not None and origin[k] != part:
             certain = 1 - region.error(region.best)
-            posteriors[k] = posteriors[k].beside(region.best, _SAME_SURFACE * certain)
-    return parts, posteriors, readable
+            code.posteriors[k] = code.posteriors[k].beside(region.best, _SAME_SURFACE * certain)
+    return parts, code
 
 
 def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:

@@ -39,8 +39,8 @@ class Steps:
     high: Integers  # (N,) and of the higher one
     order: Integers  # (N,) the lower cycle's order in its region
     rise: FloatArray  # (N,)
-    place: Integers  # (N,) steps that follow each other down a column of patches are numbered one by one
-    rising: bool  # whether the orders grow with the rows
+    column: Integers  # (N,) of patches
+    brightness: FloatArray  # (N,) levels, the darker cycle's
 
 
 def read_cycles(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, rising: bool) -> tuple[Cycles, Steps]:
@@ -69,7 +69,7 @@ def read_cycles(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
     if len(patch) == 0:
         nothing, none = np.zeros(0, np.int64), np.zeros(0)
         cycles = Cycles(nothing, nothing, none, none, none)
-        return cycles, Steps(nothing, nothing, nothing, none, nothing, rising)
+        return cycles, Steps(nothing, nothing, nothing, none, nothing, none)
     # A cycle that a cell's border cuts is put together again.
     fresh = np.ones(len(patch), np.bool_)
     fresh[1:] = (np.diff(root) != 0) | (np.diff(column) != 0) | (np.diff(order) != 0) | (np.diff(row) > 1)
@@ -86,7 +86,9 @@ def read_cycles(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
     place = np.flatnonzero(follows)
     low, high = start[place + (not rising)], start[place + rising]
     rise = contrast[place + rising] - contrast[place + (not rising)]
-    steps = Steps(patch[low], patch[high], order[low], rise, place, rising)
+    light = total[:, BACKGROUND] / np.maximum(total[:, TOTAL], 1e-9)
+    darker = np.minimum(light[place], light[place + 1])
+    steps = Steps(patch[low], patch[high], order[low], rise, column[low], darker)
     of_cycle = np.cumsum(fresh) - 1
     held = np.flatnonzero(whole[of_cycle])
     of_cycle, mine = of_cycle[held], values[held]

@@ -42,5 +42,4 @@ def shown(rows, columns, lacks, factor=0.0, noise=0.004, seed=0):
     cycles = Cycles(np.arange(len(y)), y, np.ones(len(y)), contrast, np.full(len(y), 100.0))
     by_column = np.arange(len(y)).reshape(rows, columns)
     low, high = by_column[:-1].T.ravel(), by_column[1:].T.ravel()
-    place = (np.arange(rows - 1) + rows * np.arange(columns)[:, None]).ravel()
-    return cycles, Steps(low, high, y[low], contrast[high] - contrast[low], place, rising=True)
+    return cycles, Steps(low, high, y[low], contrast[high] - contrast[low], x[low], np.full(len(low), 100.0))

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from tikernels.lazy_names import lazily
 
 if TYPE_CHECKING:
-    from tikernels.order_evidence.contrast_reading import match_stretches, measure_contrast
+    from tikernels.order_evidence.contrast_reading import measure_contrast
     from tikernels.order_evidence.modulation_correction import correct_by_modulation
     from tikernels.order_evidence.order_votes import vote_orders
     from tikernels.order_evidence.part_joining import join_parts
@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 __all__ = [
     "correct_by_modulation",
     "join_parts",
-    "match_stretches",
     "measure_contrast",
     "vote_orders",
 ]

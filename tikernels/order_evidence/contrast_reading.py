@@ -1,4 +1,4 @@
-"""Read a pattern's code: the contrast of every cycle in every patch, and the places in the code that fit it.
+"""Read a pattern's code: the contrast of every cycle in every patch.
 
 The contrast of a cycle is its mean modulation over its mean background. Neither the surface's reflectance nor its
 shading is in it; what changes it otherwise (ambient light, blur) changes slowly. Pixels weigh (1 - (phase / pi)^2)^2:
@@ -40,8 +40,6 @@ ORDER_SLOTS = 17
 _COLUMNS = (1, 6)
 #: What is summed of a cycle: the weights, and the weighted modulation, background (levels) and phase (rad).
 TOTAL, MODULATION, BACKGROUND, PHASE = range(4)
-#: What is found of a stretch: the best window, its sum of squared differences, and the next best one's.
-WINDOW, LEAST, SECOND = range(3)
 
 
 @ti.func
@@ -163,53 +161,3 @@ def measure_contrast(
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
     measure_contrast_kernel(surfaces.mixed)(*light, *of_patches, sums)
     return runtime.to_host(sums)  # synchronises
-
-
-@kernel
-def match_stretches_kernel(
-    stretches: F32Array2,  # (N, n) steps of the contrast's logarithm
-    windows: F32Array2,  # (W, n) the code's
-    out_matches: F32Array2,  # (N, 3) WINDOW, LEAST, SECOND
-):
-    """Compare every stretch with every window."""
-    for i in range(stretches.shape[0]):
-        best, least, second = 0, 1e9, 1e9
-        for w in range(windows.shape[0]):
-            distance = 0.0
-            for k in range(stretches.shape[1]):
-                difference = stretches[i, k] - windows[w, k]
-                distance = distance + difference * difference
-            if distance < least:
-                best, least, second = w, distance, least
-            elif distance < second:
-                second = distance
-        out_matches[i, WINDOW] = ti.cast(best, ti.f32)
-        out_matches[i, LEAST] = least
-        out_matches[i, SECOND] = second
-
-
-def match_stretches(stretches: F32, windows: F32) -> npt.NDArray[np.float32]:
-    """Find the windows of the code from which stretches of a surface's contrast differ least.
-
-    Parameters
-    ----------
-    stretches : (N, n) float32
-        Steps of the contrast's logarithm, from cycle to cycle.
-    windows : (W, n) float32
-        The code's.
-
-    Returns
-    -------
-    (N, 3) float32
-        WINDOW, LEAST and SECOND: number of the best window, its sum of squared differences, the next best one's.
-
-    Raises
-    ------
-    ShapeError
-        A shape or dtype is another one.
-    """
-    stretches = checks.read_array("stretches", stretches, (None, None), np.float32)
-    windows = checks.read_array("windows", windows, (None, int(stretches.shape[1])), np.float32)
-    matches = np.empty((int(stretches.shape[0]), 3), np.float32)
-    match_stretches_kernel(stretches, windows, matches)
-    return matches

@@ -40,9 +40,9 @@ def weigh_offsets_kernel(
     high: I32Array1,  # (S,) and of its higher one
     order: I32Array1,  # (S,) the lower cycle's order
     rise: F32Array1,  # (S,) of the contrast's logarithm
-    code: F32Array1,  # (N,) the code's, as strong as it is in the frame
+    sigma: F32Array1,  # (S,) its standard deviation
+    code: F32Array1,  # (N,) the code's, as strong as it is in the region
     first_offset: i32,
-    sigma: f32,
     most: f32,  # what a step may deviate by, in variances
     out_evidence: Vec16Array2,  # (P, groups of offsets); 0 to begin with
 ):
@@ -53,7 +53,7 @@ def weigh_offsets_kernel(
             for k in ti.static(range(LANES)):
                 place = order[s] + first_offset + group * LANES + k
                 if place >= 0 and place < code.shape[0]:
-                    departs = (rise[s] - code[place]) / sigma
+                    departs = (rise[s] - code[place]) / sigma[s]
                     half[k] = 0.5 * ti.min(departs * departs, most)
             add_alone(out_evidence[low[s], group], half)
             add_alone(out_evidence[high[s], group], half)
@@ -130,10 +130,10 @@ def weigh_offsets(
     patches: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]],
     order: npt.NDArray[np.integer],
     rise: npt.NDArray[np.floating],
+    sigma: npt.NDArray[np.floating],
     code: npt.NDArray[np.floating],
     offsets: range,
     count: int,
-    sigma: float,
     most: float,
 ) -> npt.NDArray[np.float32]:
     """Sum up for every patch and offset by how much its steps deviate from the code.
@@ -146,14 +146,16 @@ def weigh_offsets(
         The lower cycle's order.
     rise : (S,) float
         By how much the logarithm of the contrast rises.
+    sigma : (S,) float
+        Its standard deviation.
     code : (N,) float
         The same of the code.
     offsets : range
         Whole cycles that the orders may lack to be absolute.
     count : int
         Of patches, P.
-    sigma, most : float
-        A step's standard deviation, and what one may deviate by, in variances; so much does one outside the code.
+    most : float
+        What a step may deviate by, in variances; so much does one outside the code.
 
     Returns
     -------
@@ -162,8 +164,8 @@ def weigh_offsets(
     """
     evidence = np.zeros((count, _groups(len(offsets)), LANES), np.float32)
     low, high = (np.ascontiguousarray(ends, np.int32) for ends in patches)
-    seen = (np.ascontiguousarray(order, np.int32), rise.astype(np.float32), code.astype(np.float32))
-    weigh_offsets_kernel(low, high, *seen, offsets.start, sigma, most, evidence)
+    seen = (np.ascontiguousarray(order, np.int32), *(part.astype(np.float32) for part in (rise, sigma, code)))
+    weigh_offsets_kernel(low, high, *seen, offsets.start, most, evidence)
     return evidence.reshape(count, -1)[:, : len(offsets)]
 
 

@@ -1,4 +1,4 @@
-"""The contrast of every cycle, and the places in a code that fit it, against their twins."""
+"""The contrast of every cycle against its twin."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from support.wrapped_surfaces import join
 
 import tikernels
 from tikernels import runtime
-from tikernels.order_evidence import match_stretches, measure_contrast
-from tikernels.order_evidence.contrast_reading import BACKGROUND, LEAST, MODULATION, ORDER_SLOTS, SECOND, TOTAL, WINDOW
+from tikernels.order_evidence import measure_contrast
+from tikernels.order_evidence.contrast_reading import BACKGROUND, MODULATION, ORDER_SLOTS, TOTAL
 from tikernels.phase.color_balance import Gains
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.surfaces import Surfaces
@@ -60,17 +60,6 @@ def test_neutral_fringes_show_their_contrast(arch, ambient):
     np.testing.assert_allclose(cycles[:, MODULATION] / cycles[:, BACKGROUND], 0.4, rtol=1e-5)
 
 
-@pytest.mark.parametrize("count", [1, 700])
-def test_stretches_find_their_windows(arch, count):
-    rng = np.random.default_rng(count)
-    windows = rng.normal(0, 0.2, (90, 5)).astype(np.float32)
-    stretches = (windows[rng.integers(90, size=count)] + rng.normal(0, 0.03, (count, 5))).astype(np.float32)
-    matches = match_stretches(stretches, windows)
-    distances = ((stretches[:, None].astype(np.float64) - windows) ** 2).sum(axis=-1)
-    np.testing.assert_array_equal(matches[:, WINDOW], distances.argmin(axis=1))
-    np.testing.assert_allclose(matches[:, [LEAST, SECOND]], np.sort(distances, axis=1)[:, :2], rtol=1e-4, atol=1e-6)
-
-
 def test_what_is_refused(arch):
     shape = (32, 40)
     phase = reference.wrapped(reference.ramp(*shape))
@@ -82,5 +71,3 @@ def test_what_is_refused(arch):
         measure_contrast(image, crosstalk, gains, phase, phase[1:], patches)
     with pytest.raises(tikernels.ShapeError, match="image is int64"):
         measure_contrast(image.astype(np.int64), crosstalk, gains, phase, phase, patches)
-    with pytest.raises(tikernels.ShapeError, match="windows has shape"):
-        match_stretches(phase[:, :5].copy(), phase[:, :4].copy())
