@@ -88,7 +88,7 @@ def read_cycles(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
     rise = contrast[place + rising] - contrast[place + (not rising)]
     light = total[:, BACKGROUND] / np.maximum(total[:, TOTAL], 1e-9)
     darker = np.minimum(light[place], light[place + 1])
-    steps = Steps(patch[low], patch[high], order[low], rise, column[low], darker)
+    steps = Steps(patch[low], patch[high], order[low], rise, column[low].astype(np.int64), darker)
     of_cycle = np.cumsum(fresh) - 1
     held = np.flatnonzero(whole[of_cycle])
     of_cycle, mine = of_cycle[held], values[held]

@@ -1,15 +1,17 @@
 """Cut regions where the code contradicts them: several surfaces were joined across steps of whole cycles.
 
-All columns of a region tell how strong the code is there, and by how much its steps deviate from it (`code_posterior`).
-Then the region's patches are labelled with the offsets that their steps name, all at once
+Each strip of a region tells how strong the code is there, and by how much its steps deviate from it
+(`code_posterior`). Then the region's patches are labelled with the offsets that their steps name, all at once
 (`tikernels.order_evidence.offset_labelling`).
 """
+
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.models import FloatArray
-from pipeline.orders.code_posterior import code_posteriors, log_likelihoods, seen_steps
+from pipeline.orders.code_posterior import CodeReading, PartSteps, code_posteriors, log_likelihoods, seen_steps
 from pipeline.orders.contrast_cycles import Steps
 from pipeline.orders.posterior import Integers, OrderRange
 from pipeline.pattern import CYCLES, contrast_steps
@@ -23,8 +25,11 @@ from tikernels.order_evidence.offset_labelling import (
 )
 from tikernels.unwrapping.patches import PatchGraph
 
-# Smallest standard deviation of a step's logarithm: what balance, slopes and blur leave of it on clean frames.
-_MIN_SIGMA = 0.015
+# The code's strength and spread are those of a strip so many patches wide, so that few strips show several surfaces.
+_STRIP = 8
+# Smallest standard deviation of a step's logarithm: what balance, slopes and blur leave of it on clean frames. With
+# 0.015 a clean ball's limb, where blur takes more of the contrast, is cut off.
+_MIN_SIGMA = 0.025
 # How much single columns scatter is told by columns so many patches apart, further than a texture's grain is long; by
 # brightness, from so many pairs each.
 _APART, _PAIRS = 6, 200
@@ -67,26 +72,27 @@ def cut_regions(
     least, most = -CYCLES, CYCLES
     if order_range is not None and not order_range.of_depth:
         least, most = int(np.floor(order_range.least.min())), int(np.ceil(order_range.most.max()))
-    owner = graph.root[steps.low]
+    owner = graph.root[steps.low].astype(np.int64)
     pixels, count = np.bincount(graph.root, graph.pixels), np.bincount(owner, minlength=len(graph.root))
     regions = np.flatnonzero(pixels >= _MIN_PARTED_PX)
     regions = regions[count[regions] >= _MIN_STEPS]
-    seen = seen_steps(steps, graph.root, regions)
-    code = code_posteriors(log_likelihoods(seen), np.zeros(len(regions)))
+    strip, seen, code = _read_strips(steps, owner)
+    expected = np.array([contrast_steps(strength) for strength in code.strengths])
+    usual = np.array([part.scatter for part in seen])
     number = np.empty(len(graph.root), np.int64)
     held = (_held_by(owners, regions) for owners in (graph.root, owner, graph.root[graph.ends[0]]))
-    for k, (region, patches, own, within) in enumerate(zip(regions, *held, strict=True)):
-        if code.strengths[k] == 0:
-            continue
+    for region, patches, own, within in zip(regions, *held, strict=True):
         number[patches] = np.arange(len(patches))
         ends, support = number[graph.ends[:, within]], np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
-        sigma = np.maximum(_MIN_SIGMA, np.hypot(code.spreads[k], _scatter(steps, own, seen[k].scatter)))
-        shown = (number[steps.low[own]], number[steps.high[own]]), steps.order[own], steps.rise[own], sigma
+        here = strip[own]
+        sigma = np.maximum(_MIN_SIGMA, np.hypot(code.spreads[here], _scatter(steps, own, usual[here])))
+        ends_of_steps = number[steps.low[own]], number[steps.high[own]]
+        shown = ends_of_steps, steps.order[own], steps.rise[own], sigma, here, expected
         lowest, highest = int(steps.order[own].min()), int(steps.order[own].max())
         offsets = range(max(-highest, least), min(CYCLES - 2 - lowest, most) + 1)
         if len(offsets) == 0:
             continue
-        labels = _labels(*shown, ends, support, len(patches), contrast_steps(code.strengths[k]), offsets)
+        labels = _labels(*shown, ends, support, len(patches), offsets)
         if labels is None:
             continue
         whole = labels[ends[0]] == labels[ends[1]]
@@ -97,7 +103,16 @@ def cut_regions(
     return roots, main
 
 
-def _scatter(steps: Steps, own: Integers, usual: float) -> FloatArray:
+def _read_strips(steps: Steps, owner: Integers) -> tuple[Integers, list[PartSteps], CodeReading]:
+    """Return each step's strip of its region, and what the strips show, each one as if it were a part."""
+    columns = int(steps.column.max(initial=0)) + 1
+    strips, strip = np.unique(owner * columns + steps.column // _STRIP, return_inverse=True)
+    parts = np.arange(len(strips))
+    seen = seen_steps(replace(steps, low=strip, high=strip), parts.astype(np.int32), parts)
+    return strip, seen, code_posteriors(log_likelihoods(seen), np.zeros(len(strips)))
+
+
+def _scatter(steps: Steps, own: Integers, usual: FloatArray) -> FloatArray:
     """Return the standard deviation of each of a region's steps, by brightness; the usual one of few columns."""
     order, column, rise, brightness = steps.order[own], steps.column[own], steps.rise[own], steps.brightness[own]
     place = order * (column.max() + _APART + 1) + column
@@ -106,12 +121,12 @@ def _scatter(steps: Steps, own: Integers, usual: float) -> FloatArray:
     one = np.flatnonzero(other < len(sort))
     one = one[place[sort[other[one]]] == place[one] + _APART]
     if len(one) < _PAIRS:
-        return np.full(len(own), usual)
+        return usual
     two = sort[other[one]]
     apart, dim = np.abs(rise[one] - rise[two]), np.sqrt(brightness[one] * brightness[two])
     bins = np.array_split(np.argsort(dim, kind="stable"), len(one) // _PAIRS)
     middles, scatters = np.array([(np.median(dim[some]), robust_sigma(apart[some])) for some in bins]).T
-    return np.interp(np.log(brightness), np.log(middles), scatters / np.sqrt(2))
+    return np.asarray(np.interp(np.log(brightness), np.log(middles), scatters / np.sqrt(2)))
 
 
 def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integers]:
@@ -126,14 +141,15 @@ def _labels(
     order: Integers,
     rise: FloatArray,
     sigma: FloatArray,
+    strip: Integers,
+    code: FloatArray,
     ends: Integers,
     support: FloatArray,
     patches: int,
-    code: FloatArray,
     offsets: range,
 ) -> npt.NDArray[np.int32] | None:
     """Label a region's patches with the offsets that their steps name, 0 for the region's own; None: all have that."""
-    evidence = weigh_offsets(ends_of_steps, order, rise, sigma, code, offsets, patches, _MAX_DEVIATION)
+    evidence = weigh_offsets(ends_of_steps, order, rise, sigma, strip, code, offsets, patches, _MAX_DEVIATION)
     own = int(evidence.sum(axis=0).argmin())
     links = Links.of(ends, patches)
     pooled = pool_evidence(evidence, links, support)

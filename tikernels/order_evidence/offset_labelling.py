@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from tikernels._taichi import (
     F32Array1,
+    F32Array2,
     I32Array1,
     I32Array2,
     Vec16Array1,
@@ -41,7 +42,8 @@ def weigh_offsets_kernel(
     order: I32Array1,  # (S,) the lower cycle's order
     rise: F32Array1,  # (S,) of the contrast's logarithm
     sigma: F32Array1,  # (S,) its standard deviation
-    code: F32Array1,  # (N,) the code's, as strong as it is in the region
+    strip: I32Array1,  # (S,) where it is
+    code: F32Array2,  # (strips, N) the code's, as strong as it is there
     first_offset: i32,
     most: f32,  # what a step may deviate by, in variances
     out_evidence: Vec16Array2,  # (P, groups of offsets); 0 to begin with
@@ -52,8 +54,8 @@ def weigh_offsets_kernel(
             half = vec16(0.5 * most)
             for k in ti.static(range(LANES)):
                 place = order[s] + first_offset + group * LANES + k
-                if place >= 0 and place < code.shape[0]:
-                    departs = (rise[s] - code[place]) / sigma[s]
+                if place >= 0 and place < code.shape[1]:
+                    departs = (rise[s] - code[strip[s], place]) / sigma[s]
                     half[k] = 0.5 * ti.min(departs * departs, most)
             add_alone(out_evidence[low[s], group], half)
             add_alone(out_evidence[high[s], group], half)
@@ -131,6 +133,7 @@ def weigh_offsets(
     order: npt.NDArray[np.integer],
     rise: npt.NDArray[np.floating],
     sigma: npt.NDArray[np.floating],
+    strip: npt.NDArray[np.integer],
     code: npt.NDArray[np.floating],
     offsets: range,
     count: int,
@@ -148,8 +151,10 @@ def weigh_offsets(
         By how much the logarithm of the contrast rises.
     sigma : (S,) float
         Its standard deviation.
-    code : (N,) float
-        The same of the code.
+    strip : (S,) int
+        Where it is.
+    code : (strips, N) float
+        The code's rises, as strong as it is there.
     offsets : range
         Whole cycles that the orders may lack to be absolute.
     count : int
@@ -164,8 +169,9 @@ def weigh_offsets(
     """
     evidence = np.zeros((count, _groups(len(offsets)), LANES), np.float32)
     low, high = (np.ascontiguousarray(ends, np.int32) for ends in patches)
-    seen = (np.ascontiguousarray(order, np.int32), *(part.astype(np.float32) for part in (rise, sigma, code)))
-    weigh_offsets_kernel(low, high, *seen, offsets.start, most, evidence)
+    seen = (np.ascontiguousarray(order, np.int32), rise.astype(np.float32), sigma.astype(np.float32))
+    expected = np.ascontiguousarray(strip, np.int32), code.astype(np.float32)
+    weigh_offsets_kernel(low, high, *seen, *expected, offsets.start, most, evidence)
     return evidence.reshape(count, -1)[:, : len(offsets)]
 
 

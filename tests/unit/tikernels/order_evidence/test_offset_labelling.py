@@ -24,15 +24,16 @@ def grid():
 
 def test_deviations_as_the_twin(arch):
     rng = np.random.default_rng(0)
-    code = rng.normal(0, 0.1, 20)
+    codes = rng.normal(0, 0.1, (3, 20))
     low, high, order = rng.integers(0, COUNT, 200), rng.integers(0, COUNT, 200), rng.integers(-4, 9, 200)
     rise, sigma, offsets = rng.normal(0, 0.1, 200), rng.uniform(0.02, 0.1, 200), range(-8, 24)
-    evidence = weigh_offsets((low, high), order, rise, sigma, code, offsets, COUNT, 9.0)
+    strip = rng.integers(0, 3, 200)
+    evidence = weigh_offsets((low, high), order, rise, sigma, strip, codes, offsets, COUNT, 9.0)
     expected = np.zeros((COUNT, len(offsets)))
     for k, offset in enumerate(offsets):
         place = order + offset
-        inside = (place >= 0) & (place < len(code))
-        deviation = np.where(inside, np.minimum(((rise - code[np.clip(place, 0, 19)]) / sigma) ** 2, 9.0), 9.0)
+        inside = (place >= 0) & (place < 20)
+        deviation = np.where(inside, np.minimum(((rise - codes[strip, np.clip(place, 0, 19)]) / sigma) ** 2, 9.0), 9.0)
         np.add.at(expected[:, k], low, 0.5 * deviation)
         np.add.at(expected[:, k], high, 0.5 * deviation)
     np.testing.assert_allclose(evidence, expected, rtol=1e-5, atol=1e-4)
