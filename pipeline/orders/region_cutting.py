@@ -77,6 +77,8 @@ def cut_regions(
     regions = np.flatnonzero(pixels >= _MIN_PARTED_PX)
     regions = regions[count[regions] >= _MIN_STEPS]
     strip, seen, code = _read_strips(steps, owner)
+    if code.strength == 0:
+        return roots, main
     expected = np.array([contrast_steps(strength) for strength in code.strengths])
     usual = np.array([part.scatter for part in seen])
     number = np.empty(len(graph.root), np.int64)
