@@ -158,16 +158,16 @@ def _levels() -> FloatArray:
 
 @dataclass(frozen=True)
 class CodeReading:
-    """What the steps say of the code."""
+    """How strong the code is in a frame and in each of its parts, and which offsets it names there."""
 
-    posteriors: list[Posterior]  # of every part
-    strengths: FloatArray  # (n,) the code's likeliest in each part; 0: it shows none
-    spreads: FloatArray  # (n,) by how much all columns of each part deviate from it
-    strength: float  # the frame's; 0: it shows none
+    posteriors: list[Posterior]  # (n,) of the parts' offsets
+    strengths: FloatArray  # (n,) likeliest strength of the code in each part, 0..1; 0: the part does not show it
+    spreads: FloatArray  # (n,) likeliest standard deviation of each part's steps from the code (natural logarithm)
+    strength: float  # likeliest in the frame, 0..1; 0: the frame does not show the code
 
 
 def code_posteriors(likelihoods: list[tuple[int, FloatArray]], luck: FloatArray) -> CodeReading:
-    """Read the code, every part beside all others.
+    """Return what every part shows of the code, what the other parts show of it being its prior.
 
     Parameters
     ----------

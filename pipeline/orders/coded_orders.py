@@ -120,12 +120,13 @@ def _placed(
                 likelihood += log_nearness(lacking[part], first + np.arange(likelihood.shape[-1]))
         code = code_posteriors(likelihoods, luck)
     of_main = {int(part): posterior for part, posterior in zip(parts, code.posteriors, strict=True)}
+    posteriors = list(code.posteriors)
     for k, part in enumerate(parts):
         region = of_main.get(int(origin[k]))
         if region is not None and origin[k] != part:
             certain = 1 - region.error(region.best)
-            code.posteriors[k] = code.posteriors[k].beside(region.best, _SAME_SURFACE * certain)
-    return parts, code
+            posteriors[k] = posteriors[k].beside(region.best, _SAME_SURFACE * certain)
+    return parts, replace(code, posteriors=posteriors)
 
 
 def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:

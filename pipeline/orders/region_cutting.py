@@ -1,6 +1,6 @@
 """Cut regions where the code contradicts them: several surfaces were joined across steps of whole cycles.
 
-Each strip of a region tells how strong the code is there, and by how much its steps deviate from it
+The code's strength, and by how much the steps deviate from it, are estimated in every strip of a region
 (`code_posterior`). Then the region's patches are labelled with the offsets that their steps name, all at once
 (`tikernels.order_evidence.offset_labelling`).
 """
@@ -30,8 +30,8 @@ _STRIP = 8
 # Smallest standard deviation of a step's logarithm: what balance, slopes and blur leave of it on clean frames. With
 # 0.015 a clean ball's limb, where blur takes more of the contrast, is cut off.
 _MIN_SIGMA = 0.025
-# How much single columns scatter is told by columns so many patches apart, further than a texture's grain is long; by
-# brightness, from so many pairs each.
+# The scatter of single columns is estimated from pairs of columns this many patches apart, which is further than the
+# grain of a texture reaches, and for this many pairs of similar brightness at a time.
 _APART, _PAIRS = 6, 200
 # What a single step may add to the squared deviation from the code, in variances, that is three standard deviations:
 # edges and blemishes deviate by more, and must not decide alone.
@@ -106,7 +106,7 @@ def cut_regions(
 
 
 def _read_strips(steps: Steps, owner: Integers) -> tuple[Integers, list[PartSteps], CodeReading]:
-    """Return each step's strip of its region, and what the strips show, each one as if it were a part."""
+    """Return the strip (N,) of every step, and what the strips show of the code, each read as a part of its own."""
     columns = int(steps.column.max(initial=0)) + 1
     strips, strip = np.unique(owner * columns + steps.column // _STRIP, return_inverse=True)
     parts = np.arange(len(strips))
@@ -115,7 +115,7 @@ def _read_strips(steps: Steps, owner: Integers) -> tuple[Integers, list[PartStep
 
 
 def _scatter(steps: Steps, own: Integers, usual: FloatArray) -> FloatArray:
-    """Return the standard deviation of each of a region's steps, by brightness; the usual one of few columns."""
+    """Return the standard deviation (n,) of a region's steps by their brightness; the usual one if pairs are few."""
     order, column, rise, brightness = steps.order[own], steps.column[own], steps.rise[own], steps.brightness[own]
     place = order * (column.max() + _APART + 1) + column
     sort = np.argsort(place, kind="stable")

@@ -42,7 +42,7 @@ def weigh_offsets_kernel(
     order: I32Array1,  # (S,) the lower cycle's order
     rise: F32Array1,  # (S,) of the contrast's logarithm
     sigma: F32Array1,  # (S,) its standard deviation
-    strip: I32Array1,  # (S,) where it is
+    strip: I32Array1,  # (S,) number of the strip that it is in
     code: F32Array2,  # (strips, N) the code's, as strong as it is there
     first_offset: i32,
     most: f32,  # what a step may deviate by, in variances
@@ -152,7 +152,7 @@ def weigh_offsets(
     sigma : (S,) float
         Its standard deviation.
     strip : (S,) int
-        Where it is.
+        Number of the strip that it is in.
     code : (strips, N) float
         The code's rises, as strong as it is there.
     offsets : range

@@ -42,7 +42,7 @@ def test_what_the_projector_does_not_show_is_not_looked_for(of_depth):
 @pytest.mark.usefixtures("cpu")
 @pytest.mark.parametrize("noise", [0.05, 0.15])
 def test_noise_cuts_nothing(noise):
-    """Where single columns scatter, in the dark, they may deviate from the code."""
+    """In the dark, single columns deviate from the code by noise alone."""
     _, steps = shown(ROWS, 4 * COLUMNS, [30] * 4 * COLUMNS, noise=noise)
     roots, _ = cut_regions(steps, grid(ROWS, 4 * COLUMNS))
     assert not roots.any()
