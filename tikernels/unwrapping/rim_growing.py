@@ -12,8 +12,8 @@ because what turns away may turn away further, and gets darker, and what does no
 sees some of the darkness beyond; smoothing along the stripes leaves 0.27 of the variance of a single pixel's p_1. Where
 noise would let 0.8 rad pass, which is a step (`smoothing.py`), nothing is told, and neither where one of the next three
 pixels, fitted as well, departs from p + u_1 - u_2 by 1.5 rad: there another surface begins. The side that fits best of
-four tells the order k. Two of the eight pixels around must be of the same surface, and none of another: what sees two
-surfaces at once belongs to neither. Rims grow by a pixel a turn.
+four tells the order k. At least two of the eight neighbours must be of that surface and none of another: a pixel that
+sees two surfaces at once belongs to neither. Rims grow by a pixel a turn.
 
 What lies beyond a rim may shine into its pixels by blur. To their variance that adds
 
