@@ -48,6 +48,7 @@ class Photographer:
         self._rays = rays_of(self.geometry)
         self._offsets = pixel_rays(rig.camera_blur_px)
         self._projector = projector_numbers(self.geometry)
+        self._tables: dict[bytes, F64] = {}  # by line of codes: blurring takes as long as a scene
         self.calibration = self._calibrated()
 
     # --- light -----------------------------------------------------------------------------------------------------
@@ -73,12 +74,15 @@ class Photographer:
 
     def _table(self, codes: F64) -> F64:
         """Return the light of each primary along the phase, (3, levels of blur, steps)."""
-        rig = self.rig
+        rig, line = self.rig, codes.tobytes()
+        if line in self._tables:
+            return self._tables[line]
         light = rig.black + (1 - rig.black) * codes ** np.array(rig.gammas)
         fine = np.repeat(np.pad(light, ((_MARGIN, _MARGIN), (0, 0))), _STEPS, axis=0)
         blurs = np.hypot(rig.projector_blur_px, _LEVEL_PX * np.arange(_LEVELS))
         tables = [cv2.GaussianBlur(fine, (1, 0), sigmaX=1e-3, sigmaY=blur * _STEPS) for blur in blurs]
-        return np.ascontiguousarray(np.stack(tables).transpose(2, 0, 1))
+        self._tables[line] = np.ascontiguousarray(np.stack(tables).transpose(2, 0, 1))
+        return self._tables[line]
 
     def lines(self, scene: Scene, lines: list[F64]) -> F32:
         """Return the linear light (K, H, W, 3) of frames under these lines of codes."""
