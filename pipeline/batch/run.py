@@ -30,7 +30,7 @@ class DecodeSummary:
     n_frames: int  # asked for
     n_before: int  # of them were done already
     bad: list[BadFrame] = field(default_factory=list)
-    warned: dict[int, tuple[str, ...]] = field(default_factory=dict)  # by number
+    warned: dict[int, tuple[str, ...]] = field(default_factory=dict)  # by number, in order
     notes: tuple[str, ...] = ()  # of the footage as a whole
     damaged: dict[int, str] = field(default_factory=dict)  # frames that were done and not whole: decoded again
 
@@ -166,7 +166,8 @@ def _decode_missing(
         ) from None
     store.remove_leftovers()  # of workers that died
     store.check(stored)
-    summary.bad.sort(key=lambda frame: frame.number)
+    summary.bad.sort(key=lambda frame: frame.number)  # workers finish in any order
+    summary.warned = dict(sorted(summary.warned.items()))
     return summary
 
 
