@@ -79,6 +79,7 @@ def _rows(plan: RigPlan) -> list[tuple[str, str, str]]:
             f"{_number(fringe.pitch_mm)} mm",
             f"{fringe.period_camera_px:.1f} camera px; {plan.cycles_in_view:.0f} cycles in view",
         ),
+        *_scatter_rows(plan),
         ("depth per radian", f"{_number(fringe.depth_per_rad_mm)} mm", "of the phase"),
         (
             "depth per cycle",
@@ -102,6 +103,16 @@ def _rows(plan: RigPlan) -> list[tuple[str, str, str]]:
         ),
         *_motion_rows(plan),
         *_board_rows(plan),
+    ]
+
+
+def _scatter_rows(plan: RigPlan) -> list[tuple[str, str, str]]:
+    """Return what is printed of light that scatters under the surface."""
+    red, green, blue = (f"{100 * left:.0f} %" for left in plan.contrast_left)
+    if red == blue:
+        return []
+    return [
+        ("contrast left", red, f"of red, {green} of green, {blue} of blue: light scatters under {plan.choice.surface}")
     ]
 
 

@@ -16,7 +16,7 @@ from pipeline.models import FloatArray
 from tikernels.phase.channel_template import known_template
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.phase_vector import phase_weights
-from tikernels.phase.surface_colors import color_ratios, common_colors, nearest_colors
+from tikernels.phase.surface_colors import color_ratios, color_word, common_colors, nearest_colors
 from tikernels.phase.surface_labels import LEAST_PX, Relabelled, relabel, surface_misfits
 from tikernels.phase.surface_matrix import (
     BROAD,
@@ -140,6 +140,8 @@ class NoModelFits(NamedTuple):
     """What is left over of them, as a fraction of their light."""
     share: float
     """Of the pixels that are lit."""
+    color: str
+    """In a word, of the largest surface of them."""
 
     @property
     def phase_rad(self) -> float:
@@ -217,11 +219,14 @@ class SurfaceSearch:
         """Return the surfaces, unless the largest is far from fitting, as with a calibration that is not this rig's."""
         sizes = np.bincount(self._labels.ravel(), minlength=NO_SURFACE)[: len(fitted.matrices)]
         shares, largest = sizes / max(sizes.sum(), 1), sizes.argmax()
+        ratios = color_ratios(self._colors) - color_ratios(self._known.white)
         if fitted.misfit[largest] > _CONTRADICTED:
-            return NoModelFits(float(fitted.misfit[largest]), float(shares[largest]))
+            color = color_word(ratios[largest])
+            return NoModelFits(float(fitted.misfit[largest]), float(shares[largest]), color)
         strange = (fitted.misfit > _ODD) & (sizes > 0)
-        odd = NoModelFits(float(fitted.misfit[strange].max(initial=0)), float(shares[strange].sum()))
-        whitest = np.abs(color_ratios(self._colors) - color_ratios(self._known.white)).max(axis=1).argmin()
+        color = color_word(ratios[np.where(strange, sizes, 0).argmax()])
+        odd = NoModelFits(float(fitted.misfit[strange].max(initial=0)), float(shares[strange].sum()), color)
+        whitest = np.abs(ratios).max(axis=1).argmin()
         return FoundSurfaces(
             self._known.crosstalk(fitted.matrices, self._labels, fitted.ambient),
             self._known.template(fitted.light),

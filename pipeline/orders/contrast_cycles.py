@@ -86,7 +86,9 @@ def read_cycles(sums: npt.NDArray[np.float32], graph: PatchGraph, width: int, ri
     whole &= np.abs(total[:, PHASE]) < _MAX_MEAN_PHASE * total[:, TOTAL]
     whole &= np.minimum(total[:, MODULATION], total[:, BACKGROUND]) > 0
     contrast = np.log(np.where(whole, total[:, MODULATION], 1.0) / np.where(whole, total[:, BACKGROUND], 1.0))
-    contrast += _taken_by_blur(total[:, TOTAL], root[start].astype(np.int64), order[start], column[start].astype(np.int64))
+    contrast += _taken_by_blur(
+        total[:, TOTAL], root[start].astype(np.int64), order[start], column[start].astype(np.int64)
+    )
     upper, lower = start[:-1], start[1:]
     follows = whole[:-1] & whole[1:] & (order[lower] - order[upper] == sign)
     follows &= (root[lower] == root[upper]) & (column[lower] == column[upper]) & (row[lower] - row[last[:-1]] <= 1)

@@ -22,7 +22,7 @@ the geometry; the decoder's model of the light takes a part of it off (`docs/pla
 """
 
 from dataclasses import dataclass, replace
-from math import ceil, floor, inf, radians, sin, sqrt
+from math import ceil, exp, floor, inf, log, pi, radians, sin, sqrt
 from typing import Any, Literal
 
 import numpy as np
@@ -50,6 +50,12 @@ TILTS_DEG = (15, 35)
 # ISO 216, mm.
 _SHEETS = (("A4", 210, 297), ("A3", 297, 420), ("A2", 420, 594), ("A1", 594, 841), ("A0", 841, 1189))
 REFLECTANCES = {"skin": SKIN, "white": WHITE}
+# How far red, green and blue travel in it before they come back, mm: the standard deviation of a Gaussian, of no real
+# skin that was measured.
+_SCATTER_MM = {"skin": (1.2, 0.6, 0.3), "white": (0.0, 0.0, 0.0)}
+# With less of red's contrast the phase errs by 0.10 to 0.16 rad, with more by 0.04 to 0.06, whatever the period: faces
+# before two drawn rigs, cycles of 4 and of 5.5 to 15 mm (`docs/limits.md`).
+_LEAST_LEFT = 0.3
 # A mosaic has a third of the samples, from which all three colours of a pixel are interpolated.
 _VARIANCE = {"bayer": 3.0, "rgb": 1.0}
 # An ordinary projector's response, which codes are raised to.
@@ -216,6 +222,12 @@ class RigPlan:
         return self.dark_phase_sigma_rad * self.fringe.depth_per_rad_mm
 
     @property
+    def contrast_left(self) -> tuple[float, float, float]:
+        """What light that scatters under the surface leaves of the contrast of red, green and blue, 0..1."""
+        red, green, blue = (exp(-2 * (pi * mm / self.fringe.pitch_mm) ** 2) for mm in _SCATTER_MM[self.choice.surface])
+        return red, green, blue
+
+    @property
     def code_mm(self) -> float:
         """The least length of a surface across the stripes to be placed by the code alone, mm."""
         return _CODE_CYCLES * self.fringe.pitch_mm
@@ -293,9 +305,10 @@ def _phase_sigma_rad(choice: RigChoice, cycles_in_view: float, share: float) -> 
 def _period_px(choice: RigChoice) -> float:
     """Return the period that was chosen, if a pattern can have it, or the one that is recommended; projector px."""
     length = choice.projector_px[choice.phase_axis]
-    camera_px = fringe_geometry(choice, length).period_camera_px / length
-    least = length / CYCLES
-    usual = max(USUAL_CAMERA_PX / camera_px, _LEAST_PROJECTOR_PX, least)
+    whole = fringe_geometry(choice, length)
+    camera_px, least = whole.period_camera_px / length, length / CYCLES
+    clear = min(_least_pitch_mm(choice.surface) / whole.pitch_mm, 1 / _LEAST_CYCLES) * length
+    usual = max(USUAL_CAMERA_PX / camera_px, _LEAST_PROJECTOR_PX, least, clear)
     # Up to a tenth of a px, which the code still fits, and the command line shows as it is.
     usual = ceil(10 * usual) / 10
     period_px = choice.period_px or usual
@@ -322,6 +335,11 @@ def _period_px(choice: RigChoice) -> float:
     return period_px
 
 
+def _least_pitch_mm(surface: str) -> float:
+    """Return the shortest cycle that leaves red enough of its contrast, mm."""
+    return pi * _SCATTER_MM[surface][0] * sqrt(2 / -log(_LEAST_LEFT))
+
+
 def _usual_exposure_s(longest_s: float, colour_cycle_s: float | None) -> float | None:
     """Return the longest exposure that costs no more than the noise, of whole colour cycles where there are any."""
     if longest_s == inf:
@@ -341,12 +359,19 @@ def _warnings(plan: RigPlan) -> list[str]:
             f"the baseline is {ratio:.2g} of the distance, and {harm}: a fifth is usual, "
             f"{choice.distance_mm / 5:.3g} mm"
         )
+    least_mm = _least_pitch_mm(choice.surface)
+    if fringe.pitch_mm < least_mm:
+        found.append(
+            f"light that scatters under {choice.surface} leaves red {plan.contrast_left[0]:.0%} of its contrast at "
+            f"{fringe.pitch_mm:.2g} mm a cycle, which bends phases by 0.1 rad or more: give a period of "
+            f"{ceil(10 * plan.period_px * least_mm / fringe.pitch_mm) / 10:g} px, {least_mm:.2g} mm"
+        )
     if fringe.period_camera_px < LEAST_CAMERA_PX:
         found.append(
             f"{fringe.period_camera_px:.1f} camera px per cycle lose contrast in the lens: give a longer period, or "
             "none"
         )
-    if fringe.period_camera_px > MOST_CAMERA_PX:
+    if fringe.period_camera_px > MOST_CAMERA_PX and fringe.pitch_mm > 1.1 * least_mm:
         cure = "a projector with more px" if choice.period_px is None else "a shorter period, or none"
         found.append(f"{fringe.period_camera_px:.0f} camera px per cycle lose precision in depth: take {cure}")
     if plan.cycles_in_view < _ENOUGH_CYCLES:

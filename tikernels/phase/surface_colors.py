@@ -13,11 +13,27 @@ _STEP, _FARTHEST, _SMOOTH = 0.025, 120, 1.2
 _APART = 5
 _MOST = 24
 
+# Channels of half of the brightest's light or more name a colour: red 4, green 2, blue 1.
+_HALF = 0.5
+_WORDS = {1: "blue", 2: "green", 3: "cyan", 4: "red", 5: "magenta", 6: "yellow", 7: "a pale colour"}
+
 
 def color_ratios(light: npt.ArrayLike) -> _Array:
     """Return the logarithms of channels, (..., 3), less their mean: a colour without its brightness."""
     logs = np.log(np.maximum(np.asarray(light, np.float64), 1e-9))
     return np.asarray(logs - (_sum_of_channels(logs) / 3)[..., None])
+
+
+def color_word(ratios: _Array) -> str:
+    """Return a word for a colour, given by its ratios (3,) to white: which channels have most of the brightest's light.
+
+    Examples
+    --------
+    >>> color_word(color_ratios([0.6, 0.5, 0.1]))
+    'yellow'
+    """
+    bright = ratios > ratios.max() + np.log(_HALF)
+    return _WORDS[int(bright @ (4, 2, 1))]
 
 
 def common_colors(ratios: _Array, weights: _Array, least: float) -> _Array:

@@ -1,6 +1,7 @@
 """What is planned, what is warned of, and motion against simulated frames that move."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -39,9 +40,31 @@ def test_the_recommended_period_can_be_seen_and_shown(values):
 
 
 def test_coarse_projector_pixels_make_longer_cycles():
-    plan = plan_rig(camera_px=(4000, 3000), pixel_um=1.85, lens_mm=12.0)
+    plan = plan_rig(surface="white", camera_px=(4000, 3000), pixel_um=1.85, lens_mm=12.0)
     assert plan.period_px == 8.0 and plan.fringe.period_camera_px > MOST_CAMERA_PX
     assert any("take a projector with more px" in warning for warning in plan.warnings)
+
+
+NEAR = {"distance_mm": 400.0, "baseline_mm": 80.0, "camera_px": (1440, 1080), "pixel_um": 3.45, "lens_mm": 8.0}
+
+
+def test_skin_takes_longer_cycles_than_white():
+    """Red, which travels by 1.2 mm, keeps 0.6 of its contrast at 7.6 mm a cycle and 0.88 at 15."""
+    white, skin = (plan_rig(**NEAR, surface=surface) for surface in ("white", "skin"))
+    assert white.contrast_left == (1.0, 1.0, 1.0) and white.fringe.period_camera_px == pytest.approx(12, rel=0.02)
+    assert skin.fringe.pitch_mm == pytest.approx(4.9, rel=0.01) and skin.contrast_left[0] == pytest.approx(
+        0.3, abs=0.01
+    )
+    assert not any("scatters" in warning or "precision" in warning for warning in (*skin.warnings, *white.warnings))
+    for pitch_mm, left in ((7.6, 0.61), (15.0, 0.88)):
+        period_px = skin.period_px * pitch_mm / skin.fringe.pitch_mm
+        assert plan_rig(**NEAR, period_px=period_px).contrast_left[0] == pytest.approx(left, abs=0.01)
+
+
+def test_cycles_too_short_for_skin_are_warned_of_with_the_cure():
+    (warning,) = (text for text in plan_rig(**NEAR, period_px=8.5).warnings if "scatters" in text)
+    cure = float(re.search(r"give a period of ([\d.]+) px", warning).group(1))
+    assert not any("scatters" in text for text in plan_rig(**NEAR, period_px=cure).warnings)
 
 
 @pytest.mark.parametrize(

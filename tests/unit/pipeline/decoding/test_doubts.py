@@ -84,11 +84,18 @@ def test_where_there_are_none_the_projector_is_looked_at(cpu):
         (0.4, 0.3, 0.0, 0.0, False, []),  # nothing is known that it could contradict
         (0.05, 0.3, 0.0, 0.0, True, ["contrast is only 5%", "differ by 30%"]),
         (0.4, 0.01, 0.0, 0.2, True, ["20% of the surface moves"]),
-        (0.4, 0.01, 0.03, 0.0, True, ["colours of 40% of the surface, where phases may be off by some 0.06 rad"]),
+        (
+            0.4,
+            0.01,
+            0.03,
+            0.0,
+            True,
+            ["colours of 40% of the surface, yellow above all, where phases may be off by some 0.06 rad"],
+        ),
     ],
 )
 def test_the_light(contrast, mismatch, misfit, fast, known, said):
-    odd = NoModelFits(misfit, 0.4) if misfit else None
+    odd = NoModelFits(misfit, 0.4, "yellow") if misfit else None
     doubts = light_doubts(contrast, mismatch, odd, fast, lambda: None, constant_known=known)
     assert len(doubts) == len(said)
     for doubt, part in zip(doubts, said, strict=True):
@@ -98,7 +105,7 @@ def test_the_light(contrast, mismatch, misfit, fast, known, said):
 def test_what_it_costs_is_said_in_mm(cpu):
     said = [
         light_doubts(0.4, mismatch, odd, 0.0, lambda: 7.0, constant_known=True)[0]
-        for mismatch, odd in ((0.3, None), (0.0, NoModelFits(0.03, 1.0)))
+        for mismatch, odd in ((0.3, None), (0.0, NoModelFits(0.03, 1.0, "red")))
     ]
-    assert "turns phases by about 0.30 rad (2.1 mm): calibrate the light anew" in said[0]
+    assert "phases may be off by as much, 0.30 rad (2.1 mm): colorphase calibrate check" in said[0]
     assert "may be off by some 0.06 rad (0.42 mm): look for other light" in said[1]
