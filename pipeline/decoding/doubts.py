@@ -126,14 +126,14 @@ def light_doubts(
         )
     if constant_known and mismatch > _MAX_MISMATCH:
         doubts.append(
-            f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases may "
-            f"be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase calibrate check says what is wrong"
+            f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases "
+            f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase calibrate check says what is wrong"
         )
     elif odd is not None:
         doubts.append(
-            f"no matrix explains the colours of {odd.share:.0%} of the surface, {odd.color} above all, where phases may "
-            f"be off by some {_in_depth(odd.phase_rad, mm_per_rad)}: look for other light, paint that fluoresces, light "
-            "that scatters or too fine a print (colorphase calibrate check tells the calibration of another rig)"
+            f"no matrix explains the colours of {odd.share:.0%} of the surface, {odd.color} above all, where phases "
+            f"may be off by some {_in_depth(odd.phase_rad, mm_per_rad)}: look for other light, paint that fluoresces, "
+            "light that scatters or too fine a print (colorphase calibrate check tells the calibration of another rig)"
         )
     if too_fast > _MAX_TOO_FAST:
         doubts.append(
