@@ -29,7 +29,7 @@ _Labels = npt.NDArray[np.uint8]
 
 # The window across the stripes that tells a place's colour, as a standard deviation in cycles; along them one block
 # does. It need not hold whole cycles, since what phases predict is seen through the same window.
-_COLOR_CYCLES = 0.4
+_COLOR_CYCLES = 0.3
 # Where colours change by as much from node to node, as logarithms of ratios, the window sees two surfaces. A colour has
 # at least the second share of what is even: of a fine print little is.
 _SHARP, _LEAST_SHARE = 0.08, 0.05
