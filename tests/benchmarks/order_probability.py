@@ -4,10 +4,14 @@ Small pieces of simulated surfaces, some in half-shadow, with texture and printe
 dim, noisy, blurred, ambient, or not what the decoder was told. A region's order is wrong where most of its pixels are.
 
 python tests/benchmarks/order_probability.py [--frames 200] [--seed 1] [--depth-range] [--plain]
+python tests/benchmarks/order_probability.py --rigs 0-19 --folder FOLDER   # scenes before drawn rigs, coded both ways
 """
 
 import argparse
+import sys
+from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 
 import _tests_path  # noqa: F401 - puts support on the path
 import numpy as np
@@ -27,12 +31,33 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--depth-range", action="store_true", help="tell the decoder where the surfaces are")
     parser.add_argument("--plain", action="store_true", help="leave the code away")
+    parser.add_argument("--rigs", metavar="N-M", help="judge drawn rigs of these numbers instead")
+    parser.add_argument("--folder", type=Path, help="where their rendered frames are kept")
     options = parser.parse_args()
     runtime.init(options.arch)
+    if options.rigs:
+        first, _, last = options.rigs.partition("-")
+        print_table(np.array(list(drawn_regions(range(int(first), int(last or first) + 1), options.folder))))
+        return
     code = None if options.plain else "contrast"
     seeds = range(options.seed, options.seed + options.frames)
     rows = [row for seed in seeds for row in judged_regions(*uncertain_frame(seed, code, options.depth_range))]
     print_table(np.array(rows))
+
+
+def drawn_regions(rigs: range, folder: Path) -> Iterator[tuple[float, float]]:
+    """Yield the regions of all opaque scenes before these rigs."""
+    sys.path.append(str(Path(__file__).with_name("rendered")))
+    from drawn_figures import OPAQUE, decode
+    from drawn_frames import kept
+    from ray_caster import NOTHING
+
+    for seed in rigs:
+        for name in OPAQUE:
+            taken = kept(seed, name, folder)
+            phase = np.where(taken.truth.body != NOTHING, taken.phase, np.nan)
+            for pattern in ("coded", "compensated coded"):
+                yield from judged_regions(decode(taken, pattern), phase)
 
 
 def print_table(regions: npt.NDArray[np.float64]) -> None:

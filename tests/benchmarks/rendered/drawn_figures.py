@@ -167,7 +167,7 @@ def measured(seed: int, names: list[str], frames: Path, figures: Path) -> Iterat
         yield name, json.loads(path.read_text())
 
 
-_OPAQUE = tuple(name for name in SCENES if name != "scattering face")
+OPAQUE = tuple(name for name in SCENES if name != "scattering face")
 _SATURATED = ("dark face", "objects", "parcel", "balls", "bars")
 _UNIFORM = ("hand", "objects", "balls", "bars")
 
@@ -179,7 +179,7 @@ def rows_of(found: dict[str, dict[str, Any]]) -> dict[str, float]:
         rows = [row for name in scenes if name in found for row in found[name]["surfaces"].values()]
         return [abs(row[key]) for row in rows if key in row] or [np.nan]
 
-    opaque = [found[name] for name in _OPAQUE if name in found]
+    opaque = [found[name] for name in OPAQUE if name in found]
     pulls = surfaces(tuple(found), "pull")
     coded = [scene[pattern] for scene in opaque for pattern in ("coded", "compensated coded")]
     result = {
