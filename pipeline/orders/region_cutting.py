@@ -27,8 +27,8 @@ from tikernels.unwrapping.patches import PatchGraph
 
 # The code's strength and spread are those of a strip so many patches wide, so that few strips show several surfaces.
 _STRIP = 8
-# Smallest standard deviation of a step's logarithm: what balance, slopes, ambient light and a lens that is not the usual
-# one leave of it on clean frames. With 0.03 a piece of a clean bust that a camera without blur sees is cut off.
+# Smallest standard deviation of a step's logarithm: what balance, slopes, ambient light and a lens that is not the
+# usual one leave of it on clean frames. With 0.03 a piece of a clean bust that a camera without blur sees is cut off.
 _MIN_SIGMA = 0.035
 # The scatter of single columns is estimated from pairs of columns this many patches apart, which is further than the
 # grain of a texture reaches, and for this many pairs of similar brightness at a time.
