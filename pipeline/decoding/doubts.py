@@ -133,7 +133,7 @@ def light_doubts(
         doubts.append(
             f"no matrix explains the colours of {odd.share:.0%} of the surface, {odd.color} above all, where phases "
             f"may be off by some {_in_depth(odd.phase_rad, mm_per_rad)}: look for other light, paint that fluoresces, "
-            "light that scatters or too fine a print (colorphase calibrate check tells the calibration of another rig)"
+            "light that scatters or too fine a print (colorphase calibrate check says whether the calibration fits)"
         )
     if too_fast > _MAX_TOO_FAST:
         doubts.append(

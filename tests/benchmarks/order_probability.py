@@ -36,8 +36,7 @@ def main() -> None:
     options = parser.parse_args()
     runtime.init(options.arch)
     if options.rigs:
-        first, _, last = options.rigs.partition("-")
-        print_table(np.array(list(drawn_regions(range(int(first), int(last or first) + 1), options.folder))))
+        print_table(np.array(list(drawn_regions(options.rigs, options.folder))))
         return
     code = None if options.plain else "contrast"
     seeds = range(options.seed, options.seed + options.frames)
@@ -45,14 +44,15 @@ def main() -> None:
     print_table(np.array(rows))
 
 
-def drawn_regions(rigs: range, folder: Path) -> Iterator[tuple[float, float]]:
+def drawn_regions(rigs: str, folder: Path) -> Iterator[tuple[float, float]]:
     """Yield the regions of all opaque scenes before these rigs."""
     sys.path.append(str(Path(__file__).with_name("rendered")))
     from drawn_figures import OPAQUE, decode
     from drawn_frames import kept
+    from drawn_rigs import rig_numbers
     from ray_caster import NOTHING
 
-    for seed in rigs:
+    for seed in rig_numbers(rigs):
         for name in OPAQUE:
             taken = kept(seed, name, folder)
             phase = np.where(taken.truth.body != NOTHING, taken.phase, np.nan)

@@ -546,15 +546,15 @@ def frames_folder(given: Path | None) -> Path:
 def rigs_table(numbers: str, scenes: list[str], folder: Path) -> str:
     """Return the table of rigs drawn at random, "N-M", and some or all of their scenes."""
     from drawn_figures import study
+    from drawn_rigs import rig_numbers
     from drawn_scenes import SCENES
 
-    first, _, last = numbers.partition("-")
     drawn = Path(__file__).with_name("rendered")
     names = ("drawn_rigs", "drawn_scenes", "drawn_frames", "ray_caster", "spectra")
     makers = [drawn / f"{name}.py" for name in names]
     frames = folder / f"rigs-{digest(*makers, ROOT / 'pipeline' / 'calibration', ROOT / 'pipeline' / 'pattern.py')}"
     figures = frames / digest(drawn, ROOT / "pipeline", ROOT / "tikernels")
-    return study(list(range(int(first), int(last or first) + 1)), scenes or list(SCENES), frames, figures)
+    return study(list(rig_numbers(numbers)), scenes or list(SCENES), frames, figures)
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from drawn_figures import Mask, decode, deeper, phase_error
 from drawn_frames import F32, Taken, kept, photographer_of
+from drawn_rigs import rig_numbers
 
 from tikernels import runtime
 
@@ -102,11 +103,10 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True, help="where rendered frames are kept")
     options = parser.parse_args()
     runtime.init("cpu")
-    first, _, last = options.rigs.partition("-")
     print("| fault | measured | error, rad | over sigma | rigs that warn | of |\n|---|---|---|---|---|---|")
     for name, (fault, local) in FAULTS.items():
         rows = []
-        for seed in range(int(first), int(last or first) + 1):
+        for seed in rig_numbers(options.rigs):
             taken = kept(seed, _SCENE, options.folder)
             frame = decode(fault(taken, seed), "plain")
             here = deeper(taken.lit & (square(taken) if local else True), 4)

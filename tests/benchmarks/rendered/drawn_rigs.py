@@ -60,6 +60,12 @@ class DrawnRig:
         )
 
 
+def rig_numbers(text: str) -> range:
+    """Return the numbers of rigs that "N-M", or "N", means."""
+    first, _, last = text.partition("-")
+    return range(int(first), int(last or first) + 1)
+
+
 def draw_rig(seed: int) -> DrawnRig:
     """Return a rig; every seed gives another one."""
     rng = np.random.default_rng([45, seed])

@@ -18,6 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 from drawn_figures import decode
 from drawn_frames import Taken, kept
+from drawn_rigs import rig_numbers
 
 from tikernels import runtime
 
@@ -44,10 +45,9 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, required=True, help="where rendered frames are kept")
     options = parser.parse_args()
     runtime.init("cpu")
-    first, _, last = options.rigs.partition("-")
     print("| rig | scene | absolute | largest less least | at times | 30 % less light |\n|---|---|---|---|---|---|")
     rows = []
-    for seed in range(int(first), int(last or first) + 1):
+    for seed in rig_numbers(options.rigs):
         for name in _SCENES:
             taken = kept(seed, name, options.folder)
             found, at_times = shares(taken, options.frames)
