@@ -12,6 +12,7 @@ wall three quarters, and as much is right.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -22,12 +23,13 @@ from pipeline.orders.posterior import Integers
 from pipeline.pattern import contrast_levels
 from pipeline.robust import robust_sigma
 from tikernels.order_evidence.offset_labelling import connected_parts
-from tikernels.unwrapping.patches import PatchGraph
+from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 from tikernels.unwrapping.surface_borders import Borders
 
 # A part's contrast is its code's times a factor, whose logarithm is a plane, less ambient light's share: standard
-# deviations of the slopes (a px) and of that share, and the smallest one of a level. A level may add as many variances.
-_SLOPE_SIGMA, _AMBIENT_SIGMA, _MIN_SIGMA, _MAX_DEVIATION = 5e-4, 0.1, 0.012, 9.0
+# deviations of the slopes (a px) and of that share, of what all of a clump is off the plane (light from a surface close
+# by changes that), and the smallest one of a level. A level may add as many variances.
+_SLOPE_SIGMA, _AMBIENT_SIGMA, _CLUMP_SIGMA, _MIN_SIGMA, _MAX_DEVIATION = 5e-4, 0.1, 0.03, 0.012, 9.0
 # How often the factor is fitted, each time with other weights, and to how many cycles at least of those that a large
 # part has.
 _ROUNDS, _FITTED_CYCLES = 5, 500
@@ -53,6 +55,21 @@ class SettledBorders:
     torn: npt.NDArray[np.bool_]  # (P,) patches that may belong to either of two parts
 
 
+class _Levels(NamedTuple):
+    """How high some cycles' contrast is beside what a part lets expect."""
+
+    held: Integers  # (n,) which of the cycles
+    share: FloatArray  # (n,) see `Cycles`
+    departs: FloatArray  # (n,) standard deviations
+    inside: npt.NDArray[np.bool_]  # (n,) whether the code has such a cycle
+    sigma: float  # a standard deviation, natural logarithm
+
+    def cost(self, common: float) -> FloatArray:
+        """Return (n,) squared deviations, in variances, where this much of them is common to all."""
+        squares = np.minimum((self.departs - common) ** 2, _MAX_DEVIATION)
+        return np.asarray(np.where(self.inside, squares, _MAX_DEVIATION))
+
+
 class _LevelCosts:
     """What the contrast says against the patches' belonging to a part."""
 
@@ -66,6 +83,8 @@ class _LevelCosts:
         lacks: Integers,
     ) -> None:
         self._cycles, self._roots, self._lacks = cycles, roots, lacks
+        # Smaller parts have no place.
+        self._placed = np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX
         y, x = np.divmod(graph.first[cycles.patch], width)
         self._y, self._x = y.astype(np.float64), x.astype(np.float64)
         self._code = contrast_levels(strength)
@@ -78,7 +97,7 @@ class _LevelCosts:
         """Whether a part shows how high its contrast is; measured when it is asked for the first time."""
         if part not in self._fits and part not in self._silent:
             held = np.flatnonzero(self._roots[self._cycles.patch] == part)
-            if self._cycles.share[held].sum() >= _MIN_CYCLES:
+            if self._placed[part] and self._cycles.share[held].sum() >= _MIN_CYCLES:
                 self._fits[part] = self._fitted(held)
             else:
                 self._silent.add(part)
@@ -114,13 +133,29 @@ class _LevelCosts:
 
     def against(self, part: int, patches: npt.NDArray[np.bool_], lacks: Integers) -> FloatArray:
         """Return (P,) half the squared deviation, in variances, of these patches' levels from a part's."""
+        levels = self._levels(part, patches, lacks)
+        weights = 0.5 * levels.share * levels.cost(0.0)
+        return np.asarray(np.bincount(self._cycles.patch[levels.held], weights, len(patches)), np.float64)
+
+    def against_together(self, part: int, clump: npt.NDArray[np.bool_], lacks: Integers) -> float:
+        """Return the same of a clump of patches, (P,) bool, which may all be off the part's plane alike.
+
+        So a large clump is told by how its levels rise from cycle to cycle, and a small one by how high they are.
+        """
+        levels = self._levels(part, clump, lacks)
+        common = float(np.median(levels.departs)) if len(levels.departs) else 0.0
+        for _ in range(_ROUNDS):
+            weights = levels.share * levels.inside / np.maximum(1, np.abs(levels.departs - common) / 1.5)
+            common = float(weights @ levels.departs / (weights.sum() + (levels.sigma / _CLUMP_SIGMA) ** 2))
+        off = common * levels.sigma / _CLUMP_SIGMA
+        return float(0.5 * (levels.share @ levels.cost(common) + off**2))
+
+    def _levels(self, part: int, patches: npt.NDArray[np.bool_], lacks: Integers) -> _Levels:
         fit, middle, sigma = self._fits[part]
         held = np.flatnonzero(patches[self._cycles.patch])
         code, inside = self._code_at(held, lacks)
         departs = (self._cycles.contrast[held] - code - fit @ self._terms(held, middle)) / sigma
-        cost = np.where(inside, np.minimum(departs**2, _MAX_DEVIATION), _MAX_DEVIATION)
-        weights = 0.5 * self._cycles.share[held] * cost
-        return np.asarray(np.bincount(self._cycles.patch[held], weights, len(patches)), np.float64)
+        return _Levels(held, self._cycles.share[held], departs, inside, sigma)
 
 
 def settle_borders(
@@ -166,7 +201,8 @@ def settle_borders(
             then = np.where(clump, other, roots), np.where(clump, now + change, now)
             gain = _border_cost(borders, clump, graph.offset + now, roots)
             gain -= _border_cost(borders, clump, graph.offset + then[1], then[0])
-            if gain - prefers[clump].sum() > _MIN_GAIN and 2 * graph.pixels[clump].sum() < graph.pixels[inside].sum():
+            gain += costs.against_together(part, clump, now) - costs.against_together(other, clump, now + change)
+            if gain > _MIN_GAIN and 2 * graph.pixels[clump].sum() < graph.pixels[inside].sum():
                 roots, now = then
                 inside = inside & ~clump
     known = known[roots]

@@ -75,3 +75,26 @@ def test_nothing_without_borders():
     found = settle_borders(cycles, graph, WIDTH, 1.0, roots, roots.astype(int), roots == 0)
     assert not found.torn.any() and not found.shifts.any()
     np.testing.assert_array_equal(found.roots, roots)
+
+
+@pytest.mark.parametrize("change", [-0.1, 0.1])
+@pytest.mark.parametrize("step", [1, 2, 3])
+def test_what_light_from_a_surface_close_by_changes_stays(change, step):
+    """Its contrast is as high as that of the surface close by, but rises from cycle to cycle as its own does."""
+    columns, cut = 40, 30
+    x = np.arange(ROWS * columns) % columns
+    lacks = np.where(x < cut, LEFT, LEFT + step)
+    cycles, _ = shown(ROWS, columns, lacks[:columns], factor=np.where(x >= cut - 3, change, 0.0))
+    roots = np.where(x < cut, 0, columns - 1).astype(np.int32)
+    found = settle_borders(cycles, grid(ROWS, columns), WIDTH, 1.0, roots, lacks, np.ones(len(x), bool))
+    np.testing.assert_array_equal(found.roots[x < cut - 1], 0)
+
+
+def test_a_part_too_small_for_a_place_takes_nothing():
+    cycles, _ = shown(ROWS, COLUMNS, TRUE)
+    x = np.arange(ROWS * COLUMNS) % COLUMNS
+    graph = grid(ROWS, COLUMNS)
+    roots = np.where(x < 5, 0, COLUMNS - 1).astype(np.int32)
+    small = graph._replace(pixels=np.where(x < 5, 1, 128).astype(np.int32))
+    found = settle_borders(cycles, small, WIDTH, 1.0, roots, np.where(x < 5, LEFT, RIGHT), np.ones(len(x), bool))
+    np.testing.assert_array_equal(found.roots, roots)
