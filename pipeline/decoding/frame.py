@@ -31,6 +31,7 @@ from tikernels.arrays import F32, Array
 from tikernels.depth.point_uncertainty import point_sigma
 from tikernels.depth.triangulation import ProjectorGeometry
 from tikernels.errors import ShapeError
+from tikernels.phase.model_variance import ContrastDoubt
 from tikernels.phase.surface_edges import edge_variance
 from tikernels.phase.texture import measure_texture
 from tikernels.phase.uncertainty import estimate_phase_sigma
@@ -132,6 +133,7 @@ class Measured:
     at_rest: bool = True  # whether the surfaces are those of one moment: no motion between the colours, or undone
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
+    contrast_doubt: ContrastDoubt = attribute(default=ContrastDoubt(0.0, 0.0))  # of the fit of the phases
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -310,7 +312,8 @@ class DecodedFrame:
         """Estimate the standard deviations; without the misfit the light's model is taken to be right."""
         phases, surface = self._measured.phases, self._measured.surface
         with runtime.lock:
-            known = (surface.unwrapped, phases.precision, phases.variance, misfit, surface.mask)
+            contrast = self._measured.contrast_doubt
+            known = (surface.unwrapped, phases.precision, phases.variance, misfit, contrast, surface.mask)
             found = self._measured.surfaces
             edges = None
             if misfit is not None and isinstance(found, FoundSurfaces):

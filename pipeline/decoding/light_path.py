@@ -16,6 +16,7 @@ from pipeline.settings import DecodeSettings
 from tikernels.phase.channel_template import flat_template
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.equalization import measure_correction
+from tikernels.phase.model_variance import ContrastDoubt
 from tikernels.phase.projector_response import ResponsePrior
 from tikernels.phase.surfaces import Surfaces
 from tikernels.raw.linearization import Transfer
@@ -23,9 +24,9 @@ from tikernels.raw.linearization import Transfer
 # Share of the pixels a cycle up to which the equalisation keeps harmonics; at one, the pixel grid itself looks like
 # one.
 _HARMONICS_A_PIXEL = 0.8
-# How far a pixel's contrast may be from what its neighbourhood shows, as a standard deviation: it hardly changes within
-# a surface, but a code changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
-_CONTRAST_DOUBT = {None: 0.02, "contrast": 0.08}
+# How far a pixel's contrast may be from what its neighbourhood shows: it hardly changes within a surface, but a code
+# changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
+_CONTRAST_DOUBT = {None: ContrastDoubt(0.02, 0.01), "contrast": ContrastDoubt(0.08, 0.08)}
 _LINEAR = np.array([[0.0, 1.0]] * 3)
 # Crosstalk of which nothing is known turns the phase about grey. Leaks to one side outweigh those to the other: camera
 # filters leak up to a quarter of the neighbouring primary, and turn it by 0.1 rad.
@@ -160,8 +161,8 @@ class LightPath:
         return self._learned is not None or bool(self._priors)
 
     @property
-    def contrast_doubt(self) -> float:
-        """Standard deviation of a pixel's contrast about its neighbourhood's, by the pattern's code."""
+    def contrast_doubt(self) -> ContrastDoubt:
+        """How far a pixel's contrast may be from its neighbourhood's, by the pattern's code."""
         return _CONTRAST_DOUBT[self.code]
 
     def _use(self, matrix: FloatArray) -> None:

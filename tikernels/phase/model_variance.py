@@ -6,10 +6,15 @@ The mean of the misfit is one where the model is right, and a model that is wron
 the usual scaling of a fit's variance by its chi square, place by place. Over a few pixels `misfit` is that mean less
 one, where chance does not make it: at an edge of paint, a highlight, a spot of another colour. Over the balance window
 `error` is the mean of (misfit - 1) / precision, as of a surface whose colour acts otherwise than the model says.
+
+The fit allows for more uneven a contrast than surfaces have, so that it bends no phase, and its misfit is measured
+against that, K: some (1 + K^2 precision) variances of noise. It counts against what is usual, k:
+
+    misfit = fit's misfit (1 + K^2 precision) / (1 + k^2 precision)
 """
 
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -46,16 +51,26 @@ _LEAST_SHARE = 1e-3
 LEAST_PRECISION = 1e-6
 
 
-@ti.func
-def counted(misfit: f32) -> f32:
-    """Return a misfit as far as it counts."""
-    return ti.min(misfit, _MOST_MISFIT)
+class ContrastDoubt(NamedTuple):
+    """Standard deviations of a pixel's contrast about its neighbourhood's, as a fraction."""
+
+    allowed: float
+    """What the fit takes for possible."""
+    usual: float
+    """What surfaces show."""
 
 
 @ti.func
 def divided_by(misfit: f32) -> f32:
     """Return what the fit has divided a pixel's precision by already, for its misfit is large."""
-    return ti.max(1.0, counted(misfit) * (1.0 / MAX_MISFIT))
+    return ti.max(1.0, ti.min(misfit, _MOST_MISFIT) * (1.0 / MAX_MISFIT))
+
+
+@ti.func
+def counted(misfit: f32, precision: f32, allowed: f32, usual: f32) -> f32:
+    """Return a pixel's misfit, beside what the usual contrast makes, as far as it counts; the doubts are squared."""
+    sure = divided_by(misfit) * precision
+    return ti.min(misfit * (1.0 + allowed * sure) / (1.0 + usual * sure), _MOST_MISFIT)
 
 
 @kernel
@@ -63,6 +78,8 @@ def sum_blocks_kernel(
     precision: F32Array2,  # (H, W) 1 / rad^2
     misfit: F32Array2,  # (H, W)
     mask: U8Array2,  # (H, W)
+    allowed: f32,  # see `ContrastDoubt`, squared
+    usual: f32,
     step: i32,  # side of a block, px
     out_excess: F32Array2,  # (rows, columns) rad^2, the mean over a column of each block, 0 off the mask
     out_share: F32Array2,  # (rows, columns) which part of that lies on the mask
@@ -76,8 +93,8 @@ def sum_blocks_kernel(
         excess, share = 0.0, 0.0
         for y in range(first, stop):
             if mask[y, x] != 0:
-                over = counted(misfit[y, x])
-                variance = (over - 1.0) / ti.max(divided_by(over) * precision[y, x], LEAST_PRECISION)
+                sure = ti.max(divided_by(misfit[y, x]) * precision[y, x], LEAST_PRECISION)
+                variance = (counted(misfit[y, x], precision[y, x], allowed, usual) - 1.0) / sure
                 excess += ti.min(variance, _MOST_VARIANCE)
                 share += 1.0
         out_excess[row, column] = excess / ti.cast(stop - first, ti.f32)
@@ -91,17 +108,21 @@ def _count_misfits_kernel(wide: bool) -> Any:
 
     @kernel(whole_vectors=wide)
     def count_misfits_kernel(
+        precision: planes(wide),  # (H, W) 1 / rad^2
         misfit: planes(wide),  # (H, W)
         mask: planes(wide, ti.u8),  # (H, W)
+        allowed: f32,  # see `ContrastDoubt`, squared
+        usual: f32,
         out: planes(wide),  # (H, W) as far as it counts; 0 off the mask
     ):
         height, width = mask.shape[0], width_of(mask, wide)
         for t in range(height * lane_count(width, wide)):
             y, place = lanes_at(t, width, wide)
+            sure = load_lanes(precision, lanes.floats, y, place, width, wide)
             misfits = load_lanes(misfit, lanes.floats, y, place, width, wide)
             holds = load_lanes(mask, lanes.bytes, y, place, width, wide)
             for k in range(lanes.count):
-                misfits[k] = ti.select(holds[k] != 0, counted(misfits[k]), 0.0)
+                misfits[k] = ti.select(holds[k] != 0, counted(misfits[k], sure[k], allowed, usual), 0.0)
             store_lanes(out, y, place, width, misfits, wide)
 
     return count_misfits_kernel
@@ -139,7 +160,9 @@ def _model_variance_kernel(wide: bool) -> Any:
     return model_variance_kernel
 
 
-def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out: F32 | None = None) -> F32:
+def model_variance(
+    precision: F32, misfit: F32, mask: U8, contrast: ContrastDoubt, period_px: float, out: F32 | None = None
+) -> F32:
     """Return the variance that the channels' model leaves, whatever is averaged over.
 
     Parameters
@@ -150,6 +173,8 @@ def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out:
         What it says of the model; see `FittedPhase`.
     mask : (H, W) uint8
         Valid pixels.
+    contrast : ContrastDoubt
+        Of the fit.
     period_px : float
         Camera px a cycle.
     out : (H, W) float32, optional
@@ -171,10 +196,11 @@ def model_variance(precision: F32, misfit: F32, mask: U8, period_px: float, out:
     mask = checks.read_array("mask", mask, shape, np.uint8)
     out = checks.out_buffer("out", out, shape, np.float32)
     telling = runtime.empty(shape, np.float32)
-    counting, wide = whole_rows(misfit, mask, telling)
-    _count_misfits_kernel(wide)(*(as_lanes(array, wide) for array in counting))
-    put_back(counting[2], telling)
-    sums = (_sums_around(telling), _sums_around(mask), _window_error(precision, misfit, mask, period_px))
+    counting, wide = whole_rows(precision, misfit, mask, telling)
+    *seen, counts = (as_lanes(array, wide) for array in counting)
+    _count_misfits_kernel(wide)(*seen, contrast.allowed**2, contrast.usual**2, counts)
+    put_back(counting[3], telling)
+    sums = (_sums_around(telling), _sums_around(mask), _window_error(precision, misfit, mask, contrast, period_px))
     rows, wide = whole_rows(precision, misfit, *(runtime.to_device(part) for part in sums), out)
     _model_variance_kernel(wide)(*(as_lanes(array, wide) for array in rows))
     put_back(rows[-1], out)
@@ -189,13 +215,15 @@ def _sums_around(values: Array[E]) -> npt.NDArray[np.float32]:
     return sums
 
 
-def _window_error(precision: F32, misfit: F32, mask: U8, period_px: float) -> npt.NDArray[np.float32]:
+def _window_error(
+    precision: F32, misfit: F32, mask: U8, contrast: ContrastDoubt, period_px: float
+) -> npt.NDArray[np.float32]:
     """Return the variance that the model leaves over the balance window, (H, W) float32, rad^2."""
     height, width = (int(length) for length in mask.shape)
     step = max(1, int(period_px / _BLOCKS_A_CYCLE))
     blocks = (-(-height // step), -(-width // step))
     excess, share = runtime.empty(blocks, np.float32), runtime.empty(blocks, np.float32)
-    sum_blocks_kernel(precision, misfit, mask, step, excess, share)
+    sum_blocks_kernel(precision, misfit, mask, contrast.allowed**2, contrast.usual**2, step, excess, share)
     along, across = SIGMA_ALONG * period_px / step, SIGMA_ACROSS * period_px / step
     sums, shares = (
         cv2.GaussianBlur(runtime.to_host(part), (0, 0), along, sigmaY=across) for part in (excess, share)

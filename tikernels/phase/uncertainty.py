@@ -8,9 +8,11 @@ by the fit's misfit tells (`model_variance.py`), and edges between surfaces add 
 wrong in the same way as brightness or phase does not show. Smoothing leaves all of that.
 
 Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the scatter: third
-differences over four rows a quarter of a cycle apart, which leave a surface's bend out, in units of what the law of
-propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). Their median tells it, where noise is
-most of what is expected: a model is wrong in the same way over many rows, which then scatter less than they are off.
+differences over four rows a third of a cycle apart, which leave a surface's bend out, in units of what the law of
+propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). At a third of a cycle, ripple of once or
+twice a cycle counts sqrt(27 / 20) as much as noise; at a quarter, that of twice a cycle counts 1.8 times. Their median
+tells it, where noise is most of what is expected: a model is wrong in the same way over many rows, which then scatter
+less than they are off.
 Near an edge of the mask part of the balance window is empty.
 """
 
@@ -38,7 +40,7 @@ from tikernels.lanes import (
 )
 from tikernels.launching import kernel
 from tikernels.phase.balance_window import SIGMA_ACROSS
-from tikernels.phase.model_variance import LEAST_PRECISION, model_variance
+from tikernels.phase.model_variance import LEAST_PRECISION, ContrastDoubt, model_variance
 from tikernels.phase.smoothing import left_of_differences, left_of_variance
 from tikernels.phase.wide_blur import wide_blur
 
@@ -233,6 +235,7 @@ def estimate_phase_sigma(
     precision: F32,
     smoothed: F32,
     misfit: F32 | None,
+    contrast: ContrastDoubt,
     mask: Mask,
     edges: npt.NDArray[np.float32] | None,
     pairs: int,
@@ -250,6 +253,8 @@ def estimate_phase_sigma(
         rad^2, the variance that noise leaves after smoothing; see `Smoother`.
     misfit : (H, W) float32, optional
         What it says of the model, see `FittedPhase`; None: the model is right.
+    contrast : ContrastDoubt
+        What the fit has allowed for.
     mask : (H, W) bool or uint8
         Valid pixels.
     edges : (H, W) float32, optional
@@ -274,7 +279,7 @@ def estimate_phase_sigma(
     if misfit is None:
         model = runtime.to_device(np.zeros(inside.shape, np.float32))
     else:
-        model = model_variance(precision, misfit, mask, period_px)
+        model = model_variance(precision, misfit, mask, contrast, period_px)
     if edges is not None:
         model = runtime.to_device(runtime.to_host(model) + edges)  # synchronises
     known = (precision, model, smoothed, mask)
@@ -285,9 +290,9 @@ def estimate_phase_sigma(
 def _scatter(
     unwrapped: F32, precision: F32, model: F32, smoothed: F32, mask: U8, pairs: int, period_px: float
 ) -> float:
-    """Return how far rows a quarter of a cycle apart differ, in units of what is expected; 1 where none tells."""
+    """Return how far rows a third of a cycle apart differ, in units of what is expected; 1 where none tells."""
     height, width = int(mask.shape[0]), int(mask.shape[1])
-    step, every = max(2, round(period_px / 4)), max(1, height * width // _SCATTER_SAMPLES)
+    step, every = max(2, round(period_px / 3)), max(1, height * width // _SCATTER_SAMPLES)
     if height <= 3 * step:
         return 1.0
     independent = left_of_differences(pairs, step) / (20 * left_of_variance(pairs))
