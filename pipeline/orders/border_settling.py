@@ -19,11 +19,11 @@ import numpy.typing as npt
 
 from pipeline.models import FloatArray
 from pipeline.orders.contrast_cycles import Cycles
-from pipeline.orders.posterior import Integers
+from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, Integers
 from pipeline.pattern import contrast_levels
 from pipeline.robust import robust_sigma
 from tikernels.order_evidence.offset_labelling import connected_parts
-from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
+from tikernels.unwrapping.patches import PatchGraph
 from tikernels.unwrapping.surface_borders import Borders
 
 # A part's contrast is its code's times a factor, whose logarithm is a plane, less ambient light's share: standard
@@ -44,6 +44,8 @@ _GOING_ON_COST, _STEPPING_COST, _MIN_GAIN = 0.15, 0.225, 4.0
 _SOME_PX, _SIDE_PX, _UNDECIDED, _WELL_SHOWN, _CONTRADICTS = 3.0, 8.0, 4.0, 0.8, 7.0
 # Orders that differ by more are a border's that has been misread.
 _MOST_CYCLES = 200
+# A part takes patches if its own place is likelier than not.
+_MOST_ERROR = 0.5
 
 
 @dataclass(frozen=True)
@@ -83,8 +85,6 @@ class _LevelCosts:
         lacks: Integers,
     ) -> None:
         self._cycles, self._roots, self._lacks = cycles, roots, lacks
-        # Smaller parts have no place.
-        self._placed = np.bincount(roots, graph.pixels, len(roots)) >= MIN_REGION_PX
         y, x = np.divmod(graph.first[cycles.patch], width)
         self._y, self._x = y.astype(np.float64), x.astype(np.float64)
         self._code = contrast_levels(strength)
@@ -97,7 +97,7 @@ class _LevelCosts:
         """Whether a part shows how high its contrast is; measured when it is asked for the first time."""
         if part not in self._fits and part not in self._silent:
             held = np.flatnonzero(self._roots[self._cycles.patch] == part)
-            if self._placed[part] and self._cycles.share[held].sum() >= _MIN_CYCLES:
+            if self._cycles.share[held].sum() >= _MIN_CYCLES:
                 self._fits[part] = self._fitted(held)
             else:
                 self._silent.add(part)
@@ -165,7 +165,7 @@ def settle_borders(
     strength: float,
     roots: npt.NDArray[np.int32],
     lacks: Integers,
-    known: npt.NDArray[np.bool_],
+    errors: FloatArray,
 ) -> SettledBorders:
     """Move clumps of patches to the part beside theirs where contrast and borders favour that, and find torn ones.
 
@@ -183,8 +183,9 @@ def settle_borders(
         The patch that stands for each patch's part.
     lacks : (P,) int
         Whole cycles that the orders of the patches' parts lack to be absolute.
-    known : (P,) bool
-        Whether that is certain; orders that are not are flagged anyway, and their patches not torn.
+    errors : (P,) float
+        How probably that is wrong. Parts whose place is rather wrong take no patches; orders that are not
+        certain are flagged anyway, and their patches not torn.
     """
     torn = np.zeros(len(roots), np.bool_)
     if graph.borders is None or strength == 0:
@@ -192,7 +193,7 @@ def settle_borders(
     borders, costs = graph.borders, _LevelCosts(cycles, graph, width, strength, roots, lacks)
     roots, now = roots.copy(), lacks.astype(np.int64)
     for part, other, change, seeds in _going_on(borders, graph.offset + now, roots, _SOME_PX):
-        if not (costs.known(part) and costs.known(other)):
+        if errors[other] > _MOST_ERROR or not (costs.known(part) and costs.known(other)):
             continue
         inside = roots == part
         prefers = costs.against(other, inside, now + change) - costs.against(part, inside, now)
@@ -205,7 +206,7 @@ def settle_borders(
             if gain > _MIN_GAIN and 2 * graph.pixels[clump].sum() < graph.pixels[inside].sum():
                 roots, now = then
                 inside = inside & ~clump
-    known = known[roots]
+    known = errors[roots] < MAX_ABSOLUTE_ERROR
     for part, other, change, seeds in _going_on(borders, graph.offset + now, roots, _SIDE_PX):
         if costs.known(part) and costs.known(other):
             asked = np.zeros(len(roots), np.bool_)

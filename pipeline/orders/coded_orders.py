@@ -71,10 +71,10 @@ def find_absolute_orders(
     if (main >= 0).any():
         roots = _rejoined(roots, main, graph, parts, code.posteriors)
         parts, code = _placed(steps, graph, width, roots, main)
-    lacks, known = np.zeros(len(roots), np.int64), np.zeros(len(roots), np.bool_)
+    lacks, errors = np.zeros(len(roots), np.int64), np.ones(len(roots))
     for part, posterior in zip(parts, code.posteriors, strict=True):
-        lacks[part], known[part] = posterior.best, posterior.error(posterior.best) < MAX_ABSOLUTE_ERROR
-    settled = settle_borders(cycles, graph, width, code.strength, roots, lacks[roots], known[roots])
+        lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
+    settled = settle_borders(cycles, graph, width, code.strength, roots, lacks[roots], errors[roots])
     if (settled.roots != roots).any():
         standing = _standing(settled.roots, graph)
         roots, main = standing[settled.roots], np.where(main >= 0, standing[main], -1)

@@ -12,14 +12,13 @@ LEFT, RIGHT = 30, 33  # what the orders of either surface lack
 TRUE = np.where(np.arange(COLUMNS) < 7, LEFT, RIGHT)
 
 
-def settled(cut, known=True, **surface):
+def settled(cut, error=0.0, **surface):
     """Settle a region that was cut before this column instead of the seventh."""
     cycles, _ = shown(ROWS, COLUMNS, TRUE, **surface)
     x = np.arange(ROWS * COLUMNS) % COLUMNS
     roots = np.where(x < cut, 0, COLUMNS - 1).astype(np.int32)
     lacks = np.where(x < cut, LEFT, RIGHT)
-    known = np.full(len(x), known)
-    found = settle_borders(cycles, grid(ROWS, COLUMNS), WIDTH, 1.0, roots, lacks, known)
+    found = settle_borders(cycles, grid(ROWS, COLUMNS), WIDTH, 1.0, roots, lacks, np.full(len(x), error))
     return found.roots.reshape(ROWS, COLUMNS), found.torn.reshape(ROWS, COLUMNS), found.shifts
 
 
@@ -47,7 +46,7 @@ def test_patches_that_both_sides_may_have_are_torn():
 
 
 def test_unsure_orders_are_flagged_anyway():
-    assert not settled(7, known=False)[1].any()
+    assert not settled(7, error=0.01)[1].any()
 
 
 def test_orders_of_another_region_change():
@@ -61,7 +60,7 @@ def test_orders_of_another_region_change():
     cycles.order[x[cycles.patch] < cut] -= 2
     lacks = np.where(x < cut, LEFT + 2, RIGHT)
     graph = graph._replace(root=roots, offset=offset)
-    found = settle_borders(cycles, graph, WIDTH, 1.0, roots, lacks, np.ones(len(x), bool))
+    found = settle_borders(cycles, graph, WIDTH, 1.0, roots, lacks, np.zeros(len(x)))
     moved = found.roots != roots
     assert moved.sum() >= 8
     np.testing.assert_array_equal(found.shifts, np.where(moved, -2, 0))
@@ -72,7 +71,7 @@ def test_nothing_without_borders():
     cycles, _ = shown(ROWS, COLUMNS, TRUE)
     roots = np.zeros(ROWS * COLUMNS, np.int32)
     graph = grid(ROWS, COLUMNS)._replace(borders=None)
-    found = settle_borders(cycles, graph, WIDTH, 1.0, roots, roots.astype(int), roots == 0)
+    found = settle_borders(cycles, graph, WIDTH, 1.0, roots, roots.astype(int), np.zeros(len(roots)))
     assert not found.torn.any() and not found.shifts.any()
     np.testing.assert_array_equal(found.roots, roots)
 
@@ -86,15 +85,14 @@ def test_what_light_from_a_surface_close_by_changes_stays(change, step):
     lacks = np.where(x < cut, LEFT, LEFT + step)
     cycles, _ = shown(ROWS, columns, lacks[:columns], factor=np.where(x >= cut - 3, change, 0.0))
     roots = np.where(x < cut, 0, columns - 1).astype(np.int32)
-    found = settle_borders(cycles, grid(ROWS, columns), WIDTH, 1.0, roots, lacks, np.ones(len(x), bool))
+    found = settle_borders(cycles, grid(ROWS, columns), WIDTH, 1.0, roots, lacks, np.zeros(len(x)))
     np.testing.assert_array_equal(found.roots[x < cut - 1], 0)
 
 
-def test_a_part_too_small_for_a_place_takes_nothing():
+def test_a_part_whose_place_is_rather_wrong_takes_nothing():
     cycles, _ = shown(ROWS, COLUMNS, TRUE)
     x = np.arange(ROWS * COLUMNS) % COLUMNS
-    graph = grid(ROWS, COLUMNS)
     roots = np.where(x < 5, 0, COLUMNS - 1).astype(np.int32)
-    small = graph._replace(pixels=np.where(x < 5, 1, 128).astype(np.int32))
-    found = settle_borders(cycles, small, WIDTH, 1.0, roots, np.where(x < 5, LEFT, RIGHT), np.ones(len(x), bool))
+    lacks, unsure = np.where(x < 5, LEFT, RIGHT), np.where(x < 5, 0.6, 0.0)
+    found = settle_borders(cycles, grid(ROWS, COLUMNS), WIDTH, 1.0, roots, lacks, unsure)
     np.testing.assert_array_equal(found.roots, roots)
