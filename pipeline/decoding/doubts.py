@@ -7,6 +7,7 @@ import numpy as np
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 from tikernels import runtime
+from tikernels.arrays import LevelsImage
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure_frame
 from tikernels.transposing import transpose
 
@@ -38,7 +39,7 @@ _COLUMNS, _FRINGE_SHARE, _FRINGE_BAND = 32, 0.25, 0.08
 def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
     """Say why no fringe was found in a frame."""
     # First, for what is too fine to be seen beats with the pixels, and may then pass for stripes the other way.
-    finest = _finest_fringe(frame)
+    finest = finest_fringe(frame.image)
     if finest is not None:
         return (
             f"the fringe has {finest:.1f} px a cycle in this frame, and {MIN_PERIOD_PX:g} are the least: go nearer, "
@@ -78,9 +79,9 @@ def over_exposure_doubt(clipped: float) -> str | None:
     return f"{clipped:.0%} of what is lit has a colour at full scale, which bends its phase: expose it shorter"
 
 
-def _finest_fringe(frame: LinearFrame) -> float | None:
-    """Return the period of a fringe that is too short to be decoded, px; None: there is none."""
-    image = runtime.to_host(frame.image)
+def finest_fringe(light: LevelsImage) -> float | None:
+    """Return the period of a fringe too short to be decoded, px, stripes along the rows; None: there is none."""
+    image = runtime.to_host(light)
     columns = image[:, :: max(1, image.shape[1] // _COLUMNS)].astype(np.float64)
     power = (np.abs(np.fft.rfft(columns - columns.mean(axis=0), axis=0)) ** 2).sum(axis=(1, 2))
     cycles = np.arange(len(power))

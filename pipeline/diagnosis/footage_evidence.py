@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.decoder import Decoder
+from pipeline.decoding.doubts import finest_fringe
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.diagnosis.channel_spectra import KnownLight
 from pipeline.diagnosis.frame_sequence import MIN_FRAMES, SequenceDiagnosis, diagnose_sequence
@@ -450,6 +451,9 @@ def _turned(stored: StoredFrame, settings: DecodeSettings) -> DecodeSettings:
     light = as_light(develop(stored.planes, stored.format, stripes=settings.stripes), settings)[1]
     other = "vertical" if settings.stripes == "horizontal" else "horizontal"
     across = {"horizontal": light, "vertical": transpose(light)}
+    # What is too fine to be seen beats with the pixels, and may pass for stripes the other way.
+    if finest_fringe(across[settings.stripes]) is not None:
+        return settings
     if measure_frame(across[settings.stripes]).period_px is not None or measure_frame(across[other]).period_px is None:
         return settings
     return settings.model_copy(update={"stripes": other})
