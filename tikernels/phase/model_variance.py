@@ -67,9 +67,11 @@ def divided_by(misfit: f32) -> f32:
 
 
 @ti.func
-def counted(misfit: f32, precision: f32, allowed: f32, usual: f32) -> f32:
-    """Return a pixel's misfit, beside what the usual contrast makes, as far as it counts; the doubts are squared."""
-    sure = divided_by(misfit) * precision
+def counted(misfit: f32, sure: f32, allowed: f32, usual: f32) -> f32:
+    """Return a misfit, beside what the usual contrast makes, as far as it counts.
+
+    `sure` is the precision that nothing has divided; the doubts are squared.
+    """
     return ti.min(misfit * (1.0 + allowed * sure) / (1.0 + usual * sure), _MOST_MISFIT)
 
 
@@ -94,7 +96,7 @@ def sum_blocks_kernel(
         for y in range(first, stop):
             if mask[y, x] != 0:
                 sure = ti.max(divided_by(misfit[y, x]) * precision[y, x], LEAST_PRECISION)
-                variance = (counted(misfit[y, x], precision[y, x], allowed, usual) - 1.0) / sure
+                variance = (counted(misfit[y, x], sure, allowed, usual) - 1.0) / sure
                 excess += ti.min(variance, _MOST_VARIANCE)
                 share += 1.0
         out_excess[row, column] = excess / ti.cast(stop - first, ti.f32)
@@ -122,7 +124,8 @@ def _count_misfits_kernel(wide: bool) -> Any:
             misfits = load_lanes(misfit, lanes.floats, y, place, width, wide)
             holds = load_lanes(mask, lanes.bytes, y, place, width, wide)
             for k in range(lanes.count):
-                misfits[k] = ti.select(holds[k] != 0, counted(misfits[k], sure[k], allowed, usual), 0.0)
+                seen = counted(misfits[k], divided_by(misfits[k]) * sure[k], allowed, usual)
+                misfits[k] = ti.select(holds[k] != 0, seen, 0.0)
             store_lanes(out, y, place, width, misfits, wide)
 
     return count_misfits_kernel
