@@ -162,7 +162,7 @@ class LightPath:
 
     @property
     def contrast_doubt(self) -> ContrastDoubt:
-        """How far a pixel's contrast may be from its neighbourhood's, by the pattern's code."""
+        """How uneven the contrast may be under this pattern."""
         return _CONTRAST_DOUBT[self.code]
 
     def _use(self, matrix: FloatArray) -> None:

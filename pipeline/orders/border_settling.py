@@ -58,7 +58,7 @@ class SettledBorders:
 
 
 class _Levels(NamedTuple):
-    """How high some cycles' contrast is beside what a part lets expect."""
+    """The contrast of some cycles, less what their part predicts."""
 
     held: Integers  # (n,) which of the cycles
     share: FloatArray  # (n,) see `Cycles`
@@ -140,7 +140,7 @@ class _LevelCosts:
     def against_together(self, part: int, clump: npt.NDArray[np.bool_], lacks: Integers) -> float:
         """Return the same of a clump of patches, (P,) bool, which may all be off the part's plane alike.
 
-        So a large clump is told by how its levels rise from cycle to cycle, and a small one by how high they are.
+        A large clump is judged by how its levels rise from cycle to cycle, a small one by how high they are.
         """
         levels = self._levels(part, clump, lacks)
         common = float(np.median(levels.departs)) if len(levels.departs) else 0.0
@@ -184,7 +184,7 @@ def settle_borders(
     lacks : (P,) int
         Whole cycles that the orders of the patches' parts lack to be absolute.
     errors : (P,) float
-        How probably that is wrong. Parts whose place is rather wrong take no patches; orders that are not
+        How probably that is wrong. A part that is probably misplaced takes no patches; orders that are not
         certain are flagged anyway, and their patches not torn.
     """
     torn = np.zeros(len(roots), np.bool_)

@@ -7,8 +7,8 @@ the usual scaling of a fit's variance by its chi square, place by place. Over a 
 one, where chance does not make it: at an edge of paint, a highlight, a spot of another colour. Over the balance window
 `error` is the mean of (misfit - 1) / precision, as of a surface whose colour acts otherwise than the model says.
 
-The fit allows for more uneven a contrast than surfaces have, so that it bends no phase, and its misfit is measured
-against that, K: some (1 + K^2 precision) variances of noise. It counts against what is usual, k:
+The fit allows for a more uneven contrast than surfaces have, of standard deviation K, so that none bends the phase. Its
+misfit is in units of that, some (1 + K^2 precision) variances of noise, and is converted to what is usual, k:
 
     misfit = fit's misfit (1 + K^2 precision) / (1 + k^2 precision)
 """
@@ -55,9 +55,9 @@ class ContrastDoubt(NamedTuple):
     """Standard deviations of a pixel's contrast about its neighbourhood's, as a fraction."""
 
     allowed: float
-    """What the fit takes for possible."""
+    """That the fit allows for."""
     usual: float
-    """What surfaces show."""
+    """That is usual."""
 
 
 @ti.func
@@ -68,9 +68,9 @@ def divided_by(misfit: f32) -> f32:
 
 @ti.func
 def counted(misfit: f32, sure: f32, allowed: f32, usual: f32) -> f32:
-    """Return a misfit, beside what the usual contrast makes, as far as it counts.
+    """Return a misfit in units of what noise and the usual contrast make, capped.
 
-    `sure` is the precision that nothing has divided; the doubts are squared.
+    `sure` is the precision before the fit divided it; the doubts are squared.
     """
     return ti.min(misfit * (1.0 + allowed * sure) / (1.0 + usual * sure), _MOST_MISFIT)
 
@@ -177,7 +177,7 @@ def model_variance(
     mask : (H, W) uint8
         Valid pixels.
     contrast : ContrastDoubt
-        Of the fit.
+        How uneven a contrast the fit has allowed for, and what is usual.
     period_px : float
         Camera px a cycle.
     out : (H, W) float32, optional

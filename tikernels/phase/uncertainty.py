@@ -10,9 +10,9 @@ wrong in the same way as brightness or phase does not show. Smoothing leaves all
 Whatever else differs from row to row, such as ripple that balance and crosstalk leave, shows in the scatter: third
 differences over four rows a third of a cycle apart, which leave a surface's bend out, in units of what the law of
 propagation expects of them (JCGM 100:2008, 5.1.2, doi:10.59161/JCGM100-2008E). At a third of a cycle, ripple of once or
-twice a cycle counts sqrt(27 / 20) as much as noise; at a quarter, that of twice a cycle counts 1.8 times. Their median
-tells it, where noise is most of what is expected: a model is wrong in the same way over many rows, which then scatter
-less than they are off.
+twice a cycle counts sqrt(27 / 20) as much as noise, and that of three times a cycle not at all; at a quarter, that of
+twice a cycle counts 1.8 times. Their median tells it, where noise is most of what is expected: a model is wrong in the
+same way over many rows, which then scatter less than they are off.
 Near an edge of the mask part of the balance window is empty.
 """
 
@@ -254,7 +254,7 @@ def estimate_phase_sigma(
     misfit : (H, W) float32, optional
         What it says of the model, see `FittedPhase`; None: the model is right.
     contrast : ContrastDoubt
-        What the fit has allowed for.
+        How uneven a contrast the fit has allowed for, and what is usual.
     mask : (H, W) bool or uint8
         Valid pixels.
     edges : (H, W) float32, optional
