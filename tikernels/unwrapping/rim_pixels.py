@@ -25,9 +25,9 @@ from tikernels.launching import kernel
 from tikernels.phase.wrapped_phase import has_phase
 from tikernels.unwrapping.tables import CELL_WIDTH, cell_bounds, cells_of
 
-# How far rays go; within how many px they must reach another surface's light, and how far beyond the own one's end that
-# is looked for.
-_FAR, _NEAR, _GAP = 24, 12, 3
+# How far rays go; within how many px they must reach another surface's light, how far beyond the own one's end that is
+# looked for, and within how many px the own one must not go on: a print's edge may be so wide.
+_FAR, _NEAR, _GAP, _PRINT = 24, 12, 3, 4
 # An edge of brightness: by this ratio from two px before to two px after. Another surface's light: this part of the
 # pixel's modulation.
 _EDGE, _LIGHT = 1.4, 0.5
@@ -46,13 +46,15 @@ _row_of_regions = ti.types.vector(CELL_WIDTH, ti.i32)
 def other_light(
     phase: F32Array2, modulation: F32Array2, region: I32Array2, y: i32, x: i32, dy: i32, dx: i32, own: i32, least: f32
 ) -> u1:
-    """Whether the light of another surface follows where a ray leaves the own one."""
-    found = False
-    for gap in range(_GAP + 1):
+    """Whether the light of another surface follows where a ray leaves the own one, which does not go on behind it."""
+    found, goes_on = False, False
+    for gap in range(_PRINT + 1):
         y2, x2 = y + gap * dy, x + gap * dx
         if y2 >= 0 and y2 < region.shape[0] and x2 >= 0 and x2 < region.shape[1]:
-            found |= (region[y2, x2] != own) & has_phase(phase[y2, x2]) & (modulation[y2, x2] > least)
-    return found
+            others = region[y2, x2] != own
+            found |= others & (gap <= _GAP) & has_phase(phase[y2, x2]) & (modulation[y2, x2] > least)
+            goes_on |= (gap > 0) & ~others
+    return found & ~goes_on
 
 
 @ti.func

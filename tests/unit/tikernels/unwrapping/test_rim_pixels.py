@@ -57,6 +57,9 @@ def cut_off(brightness: np.ndarray, region: np.ndarray, y: int, x: int) -> bool:
                 places = [(at[k][0] + gap * dy, at[k][1] + gap * dx) for gap in range(-1, 3)]
                 places = [p for p in places if 0 <= p[0] < SHAPE[0] and 0 <= p[1] < SHAPE[1]]
                 light = any(region[p] != region[y, x] and brightness[p] > 0.5 * brightness[y, x] for p in places)
+                behind = [(at[k][0] + gap * dy, at[k][1] + gap * dx) for gap in range(4)]
+                behind = [p for p in behind if 0 <= p[0] < SHAPE[0] and 0 <= p[1] < SHAPE[1]]
+                light = light and all(region[p] != region[y, x] for p in behind)
                 meets = "other" if 2 * k <= 12 and light else "end"
             elif k > 1:
                 ends = brightness[at[k - 2]], brightness[at[k]]
@@ -113,6 +116,18 @@ def test_a_shadow_is_no_stranger_where_its_surface_goes_on(arch):
     dark = np.where(alone > 0, np.float32(0), np.float32(NO_PHASE))
     np.testing.assert_array_equal(left(brightness, alone, dark)[2], without_rims(alone))
     assert (left(brightness, alone)[2] != without_rims(alone)).sum() > 50
+
+
+@pytest.mark.parametrize(("edge_px", "stays"), [(1, True), (6, False)])
+def test_a_print_edge_is_no_other_surface(arch, edge_px, stays):
+    """Checks of two paints, between which some pixels are of no surface."""
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    inside = ((y - 8) % 20 >= edge_px) & ((x - 8) % 20 >= edge_px)
+    brightness = np.where(((y + 12) // 20 + (x + 12) // 20) % 2 == 0, np.float32(80), np.float32(50))
+    brightness[:, ::3] *= 0.5  # print inside the checks
+    region = inside.astype(np.int32)
+    cut = (left(brightness, region)[2] != without_rims(region)).sum()
+    assert cut < 0.01 * region.sum() if stays else cut > 0.5 * region.sum()
 
 
 def test_the_last_pixel_of_a_surface_goes(arch):
