@@ -46,7 +46,7 @@ _row_of_regions = ti.types.vector(CELL_WIDTH, ti.i32)
 def other_light(
     phase: F32Array2, modulation: F32Array2, region: I32Array2, y: i32, x: i32, dy: i32, dx: i32, own: i32, least: f32
 ) -> u1:
-    """Whether the light of another surface follows where a ray leaves the own one, which does not go on behind it."""
+    """Whether a ray that leaves its surface meets another one's light, and not its own surface again behind it."""
     found, goes_on = False, False
     for gap in range(_PRINT + 1):
         y2, x2 = y + gap * dy, x + gap * dx
