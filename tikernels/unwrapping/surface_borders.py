@@ -1,8 +1,9 @@
 """Where patches border on each other: over how many pixels the surface goes on, and over how many it steps.
 
-From a pixel to the fourth one after it the phase is compared with what the slopes on either side let expect. Two
-surfaces that touch may agree in places, where the step between them is a whole cycle; along most of their border they
-do not. The pixels between are passed over: some see both surfaces, and their phase is neither's.
+The phase is compared across four pixels with what the slopes on either side let expect. Two surfaces that touch may
+agree in places, where the step between them is a whole cycle; along most of their border they do not. Pixels at a
+border may see both surfaces or two paints, and their phase is neither's. So the four pixels are laid across the border
+at each of the four places where they reach over it, and the second least departure counts.
 """
 
 from enum import IntEnum
@@ -31,7 +32,7 @@ from tikernels.unwrapping.tables import (
     patch_number,
 )
 
-# The surface is looked at again this many pixels further on; slopes are taken over this many. Steeper ones (rad a px,
+# The phase is compared this many pixels further on; slopes are taken over this many. Steeper ones (rad a px,
 # relative to the usual change) are no slopes, and count as none.
 _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 # A surface goes on where the phase departs by less than the first, and steps where it departs by more than the second
@@ -153,24 +154,32 @@ def note_border(ends: ivec2, shift: i32, px: f32, steps: i32, cell: i32, count: 
 def border_at(
     phase: F32Array2, quality: F32Array2, usual: vec3, limits: vec4, labels: I32Array2, down: Static, y: i32, x: i32
 ):
-    """Return the label on the far side of a border that begins after a pixel, its pixels, and whether it steps.
+    """Return the labels on both sides of a border that begins after a pixel, its pixels, and whether it steps.
 
-    A negative label: there is none, or it says nothing. Then the whole cycles to add there to count from here.
+    Negative labels: there is none, or it says nothing. Then the whole cycles to add there to count from here.
     """
     dy, dx = ti.static((down, 1 - down))
-    far, px, steps, shift = -1, 0.0, 0, 0
-    here, beside = labels[y, x], labels[y + dy, x + dx]
-    if here >= 0 and (here >> ORDER_BITS) != (beside >> ORDER_BITS):
-        there = labels[y + _REACH * dy, x + _REACH * dx]
-        if there >= 0 and (here >> ORDER_BITS) != (there >> ORDER_BITS):
-            departs = departure(phase, y, x, down, usual[down])
-            low = ti.min(quality[y, x], quality[y + _REACH * dy, x + _REACH * dx])
-            px = ti.min(4.0 * low / usual[2], 1.0)
-            goes_on = departs[0] < limits[2 * down]
-            steps = ti.cast(departs[0] > limits[2 * down + 1], i32)
-            far = ti.select(goes_on or (steps == 1 and has_phase(departs[0])), there, -1)
-            shift = (here & ORDER_MASK) - (there & ORDER_MASK) - ti.cast(departs[1], i32)
-    return far, px, steps, shift
+    here, there, px, shift = -1, -1, 0.0, 0
+    least, second = NO_PHASE, NO_PHASE
+    last, first = labels[y, x], labels[y + dy, x + dx]
+    if last >= 0 and (last >> ORDER_BITS) != (first >> ORDER_BITS):
+        for before in range(_REACH):
+            y1, x1 = y - before * dy, x - before * dx
+            y2, x2 = y1 + _REACH * dy, x1 + _REACH * dx
+            if y1 >= 0 and x1 >= 0 and y2 < phase.shape[0] and x2 < phase.shape[1]:
+                one, two = labels[y1, x1], labels[y2, x2]
+                if one >= 0 and two >= 0 and (one >> ORDER_BITS) != (two >> ORDER_BITS):
+                    departs = departure(phase, y1, x1, down, usual[down])
+                    second = ti.min(second, ti.max(least, departs[0]))
+                    if departs[0] < least:
+                        least = departs[0]
+                        px = ti.min(4.0 * ti.min(quality[y1, x1], quality[y2, x2]) / usual[2], 1.0)
+                        here, there = one, two
+                        shift = (one & ORDER_MASK) - (two & ORDER_MASK) - ti.cast(departs[1], i32)
+    steps = ti.cast(second > limits[2 * down + 1], i32)
+    if not has_phase(second) or (second >= limits[2 * down] and steps == 0):
+        here, there = -1, -1
+    return here, there, px, steps, shift
 
 
 @kernel
@@ -200,13 +209,13 @@ def measure_borders_kernel(
             start = ivec2(top, left)
             if filled:
                 start[1 - down] = bounds[3 - down] - 1
-            stop = ivec2(height - down * _REACH, width - (1 - down) * _REACH)
+            stop = ivec2(height - down, width - (1 - down))
             for y in range(start[0], ti.min(bounds[2], stop[0])):
                 for x in range(start[1], ti.min(bounds[3], stop[1])):
-                    there, px, steps, shift = border_at(phase, quality, usual, own, labels, down, y, x)
-                    if there >= 0:
-                        here = patch_number(labels[y, x] >> ORDER_BITS, cells, draft_bits)
-                        ends = ivec2(here, patch_number(there >> ORDER_BITS, cells, draft_bits))
+                    here, there, px, steps, shift = border_at(phase, quality, usual, own, labels, down, y, x)
+                    if here >= 0:
+                        one = patch_number(here >> ORDER_BITS, cells, draft_bits)
+                        ends = ivec2(one, patch_number(there >> ORDER_BITS, cells, draft_bits))
                         note_border(ends, shift, px, steps, cell, count, out_notes)
         out_counts[cell] = count
 

@@ -1,6 +1,7 @@
 """Where surfaces go on and where they step, at the borders of patches."""
 
 import numpy as np
+import pytest
 import reference
 from support.wrapped_surfaces import drafts_and_orders, flat_rates, join
 
@@ -86,3 +87,14 @@ def test_a_step_is_seen_along_the_whole_border(arch):
     right[patch[:, 67:][patch[:, 67:] >= 0]] = True
     one, other = right[borders.ends[:, borders.stepping > 0]]
     assert (one != other).all()
+
+
+@pytest.mark.parametrize(("step", "steps"), [(0.0, False), (2.0, True)])
+def test_mixed_pixels_at_a_border_say_nothing(arch, step, steps):
+    """Two columns that see both sides of a print's edge or of a step, and whose phase is neither's."""
+    column = np.arange(SHAPE[1])
+    true = reference.ramp(*SHAPE, 12.0) + step * (column >= 73) + 0.9 * ((column >= 72) & (column < 74))
+    borders, _ = measured(reference.wrapped(true).astype(np.float32))
+    assert (borders.stepping.sum() > 0.8 * SHAPE[0]) == steps
+    if not steps:
+        assert borders.stepping.sum() < 0.1 * SHAPE[0]
