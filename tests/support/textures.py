@@ -11,7 +11,7 @@ from tikernels.phase.texture import BRIGHTEST
 Array = npt.NDArray[np.floating]
 
 #: By how much less than the frame's the fringe of a texture must be, dB of energy.
-DECIBELS = 35.0
+DECIBELS = 34.5
 
 
 def white_frame(rig: Calibration, settings: SimulationSettings) -> Array:
