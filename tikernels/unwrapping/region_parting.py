@@ -220,7 +220,7 @@ def part_regions(
     joined, partners = _join_parts(parents, parents[contacts], of_parts, graph.pixels)
     doubtful = steps & _go_on_to_others(joined, borders.ends, borders.going_on)
     partner = partners[joined]
-    joined = _set_apart(joined, doubtful)
+    joined = set_apart(joined, doubtful)
     beside = np.where(steps & ~doubtful, joined[partner], graph.root)
     sliver = steps & (np.bincount(joined, graph.pixels, len(joined))[joined] < _MIN_PART_PX)
     return np.where(steps, joined, graph.root).astype(np.int32), sliver, beside.astype(np.int32)
@@ -285,7 +285,7 @@ def _go_on_to_others(parts: Integers, ends: Integers, going_on: npt.NDArray[np.f
     return np.asarray(px >= _MIN_HIDDEN_BORDER_PX)
 
 
-def _set_apart(parts: Integers, alone: npt.NDArray[np.bool_]) -> Integers:
+def set_apart(parts: npt.NDArray[np.integer], alone: npt.NDArray[np.bool_]) -> Integers:
     """Make patches parts of their own; what is left of the others needs a patch that stands for it."""
     rest = np.flatnonzero(~alone)
     standing = np.arange(len(parts))

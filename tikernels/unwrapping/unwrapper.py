@@ -20,6 +20,7 @@ from tikernels.phase.phase_change import measure_rates
 from tikernels.phase.wrapped_phase import mark_no_phase_kernel
 from tikernels.transposing import transpose
 from tikernels.unwrapping.drafts import Drafts
+from tikernels.unwrapping.even_light import patches_of_even_light
 from tikernels.unwrapping.given_regions import GivenRegions
 from tikernels.unwrapping.patch_contacts import note_borders_kernel
 from tikernels.unwrapping.patch_growing import grow_patches_kernel
@@ -27,7 +28,7 @@ from tikernels.unwrapping.patch_numbering import collect_patches_kernel, number_
 from tikernels.unwrapping.patch_slopes import measure_slopes
 from tikernels.unwrapping.patches import Patches, one_thread_is_faster
 from tikernels.unwrapping.region_merging import close_gaps_kernel, merge_patches_kernel, settle_patches_kernel
-from tikernels.unwrapping.region_parting import part_regions, regions_that_step
+from tikernels.unwrapping.region_parting import part_regions, regions_that_step, set_apart
 from tikernels.unwrapping.surface_borders import measure_borders
 from tikernels.unwrapping.tables import Contact, Counter, Final, Match, Patch, Region, Seam
 from tikernels.unwrapping.union_find import rounds_at_once
@@ -111,8 +112,11 @@ class RegionUnwrapper:
         return patches
 
     def _part(self, patches: Patches, phase: F32, quality: F32, rates: F32) -> None:
-        """Part regions that hang together by the smaller part of a border."""
+        """Leave out even light, and part regions that hang together by the smaller part of a border."""
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
+        even = patches_of_even_light(phase, rates, patches.labels, patches.cell_table)
+        if even.any():
+            patches.split(set_apart(patches.roots(), even).astype(np.int32), even)
         patches.borders = measure_borders(phase, quality, rates, *of_patches, patches.table)
         if regions_that_step(patches.roots(), patches.borders).any():
             slopes = measure_slopes(phase, *of_patches, patches.count)

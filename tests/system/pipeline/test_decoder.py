@@ -207,6 +207,17 @@ def test_no_fringe_gives_an_empty_mask_and_a_warning(level):
     assert frame.period_px is None
 
 
+@pytest.mark.parametrize("color", [(9, 13.5, 11.6), (20, 28, 24)])
+def test_beyond_the_projectors_picture_nothing_is_measured(color):
+    """Even light in a lit room; a few pixels at the border may be taken."""
+    rig = simulated_rig((480, 360))
+    frame = simulate_frame(rig, SimulationSettings(scene="plane", noise_levels=0.8))
+    image, noise = frame.image.astype(float), np.random.default_rng(0).normal(0, 0.8, (72, 480, 3))
+    image[288:] = color + noise
+    mask = Decoder(DecodeSettings(), rig, arch="cpu").decode(np.clip(np.rint(image), 0, 255).astype(np.uint8)).mask
+    assert mask[304:].mean() < 0.02 and mask[10:284].mean() > 0.99
+
+
 def test_noise_is_no_fringe():
     image = np.random.default_rng(3).integers(0, 256, (120, 160, 3)).astype(np.uint8)
     with pytest.warns(DecodeWarning, match="no fringe stands out"):

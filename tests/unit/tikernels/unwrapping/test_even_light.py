@@ -1,0 +1,33 @@
+"""Light without a fringe."""
+
+import numpy as np
+import reference
+from support.wrapped_surfaces import join
+
+from tikernels.unwrapping.even_light import patches_of_even_light
+from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
+
+SHAPE = (96, 128)
+
+
+def even_cells(phase):
+    """Return (rows, columns) whether a cell's patches are of even light; the patches must agree."""
+    patches, rates = join(phase, np.ones(SHAPE, np.float32))
+    even, first = patches_of_even_light(phase, rates, patches.labels, patches.cell_table), patches.graph().first
+    result = np.full((SHAPE[0] // CELL_HEIGHT, SHAPE[1] // CELL_WIDTH), -1)
+    for patch, cell in enumerate(zip(first // SHAPE[1] // CELL_HEIGHT, first % SHAPE[1] // CELL_WIDTH, strict=True)):
+        assert result[cell] in (-1, even[patch])
+        result[cell] = even[patch]
+    return result
+
+
+def test_a_shadow_in_a_lit_room(arch):
+    """The rest is a plane and, with two thirds of its change, a steep side; a lone pixel tells nothing."""
+    rng = np.random.default_rng(0)
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    true = np.where(x < 48, 0.35, 0.52) * y
+    shadow = (y >= 64) & (x >= 64)
+    true[shadow] = 1.2
+    phase = reference.wrapped(true + rng.normal(0, 0.1, SHAPE)).astype(np.float32)
+    even = even_cells(phase)
+    assert even[4:, 8:].all() and not even[:4].any() and not even[:, :8].any()
