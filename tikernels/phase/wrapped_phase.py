@@ -10,7 +10,7 @@ from tikernels import checks
 from tikernels._taichi import F32Array2, F32Array3, U8Array2, f32, ti, u1
 from tikernels.arrays import F32
 from tikernels.launching import kernel
-from tikernels.phase.phase_vector import arctangent, color_at, modulation_of, phase_vector
+from tikernels.phase.phase_vector import PI, arctangent, color_at, modulation_of, phase_vector
 
 #: What a phase buffer holds outside the mask between two stages: no angle, and far from every threshold, where NaN
 #: would slip through comparisons that the compiler takes to be free of NaN.
@@ -26,6 +26,18 @@ LEAST_NO_PHASE, LEAST_STEP_PHASE = 0.5 * NO_PHASE, 0.5 * (NO_PHASE + STEP_PHASE)
 def has_phase(phase: f32) -> u1:
     """Whether this is a phase, and neither NO_PHASE nor STEP_PHASE."""
     return phase < LEAST_NO_PHASE
+
+
+@ti.func
+def whole_cycles(angle: f32) -> f32:
+    """Return how many whole cycles bring an angle into [-pi, pi]."""
+    return ti.floor(angle * (0.5 / PI) + 0.5)  # ti.round is a call of the C library
+
+
+@ti.func
+def without_cycles(angle: f32) -> f32:
+    """Return an angle less its whole cycles, in [-pi, pi]."""
+    return angle - 2.0 * PI * whole_cycles(angle)
 
 
 @kernel

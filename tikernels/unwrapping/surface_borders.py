@@ -17,9 +17,9 @@ from tikernels import runtime
 from tikernels._taichi import F32Array2, I32Array1, I32Array2, Static, f32, i32, ivec2, ivec4, ti, vec2, vec3, vec4
 from tikernels.arrays import F32, I32
 from tikernels.launching import kernel
-from tikernels.phase.phase_vector import PI
-from tikernels.phase.wrapped_phase import NO_PHASE, has_phase
+from tikernels.phase.wrapped_phase import NO_PHASE, has_phase, whole_cycles, without_cycles
 from tikernels.unwrapping.continuity import frame_rates
+from tikernels.unwrapping.even_light import mean_change
 from tikernels.unwrapping.table_columns import columns_at
 from tikernels.unwrapping.tables import (
     ORDER_BITS,
@@ -75,18 +75,6 @@ class Borders(NamedTuple):
 
 
 @ti.func
-def whole_cycles(angle: f32) -> f32:
-    """Return how many whole cycles bring an angle into [-pi, pi]."""
-    return ti.floor(angle * (0.5 / PI) + 0.5)  # ti.round is a call of the C library
-
-
-@ti.func
-def without_cycles(angle: f32) -> f32:
-    """Return an angle less its whole cycles, in [-pi, pi]."""
-    return angle - 2.0 * PI * whole_cycles(angle)
-
-
-@ti.func
 def slope_beyond(difference: f32, rate: f32) -> f32:
     """Return a slope, rad a px, beyond the usual change; 0 where it is too steep to be one."""
     slope = without_cycles(difference - _SLOPE_PX * rate) / _SLOPE_PX
@@ -113,19 +101,21 @@ def departure(phase: F32Array2, y: i32, x: i32, down: Static, rate: f32) -> vec2
 
 
 @kernel
-def sample_departures_kernel(
+def sample_cells_kernel(
     phase: F32Array2,  # (H, W) rad
     rates: F32Array2,  # see `frame_rates`
-    out_departures: F32Array2,  # (2, cells) along and across the stripes, rad; NO_PHASE where they cannot be told
+    labels: I32Array2,  # (H, W) negative: no patch's
+    out_samples: F32Array2,  # (3, cells) see `sample_cells`
 ):
-    """Measure at one place of each cell by how much the phase departs."""
+    """Measure at one place of each cell by how much the phase departs, and over the cell how it changes."""
     height, width = phase.shape[0], phase.shape[1]
     for cell in range(cell_count(height, width)):
         along, across, _ = frame_rates(rates)
         top, left, bottom, right = cell_bounds(cell, height, width)
         y, x = (top + bottom) // 2, (left + right) // 2
-        out_departures[0, cell] = departure(phase, y, x, 0, along)[0]
-        out_departures[1, cell] = departure(phase, y, x, 1, across)[0]
+        out_samples[0, cell] = departure(phase, y, x, 0, along)[0]
+        out_samples[1, cell] = departure(phase, y, x, 1, across)[0]
+        out_samples[2, cell] = mean_change(phase, labels, ivec4(top, left, bottom, right), across)
 
 
 @ti.func
@@ -252,8 +242,35 @@ def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt
     return np.stack([goes_on, steps], axis=1).reshape(4, -1).astype(np.float32)
 
 
+def sample_cells(phase: F32, rates: F32, labels: I32) -> npt.NDArray[np.float32]:
+    """Return (3, cells): how far the phase departs, along and across the stripes, rad, and its `mean_change`.
+
+    A departure is NO_PHASE where it cannot be told.
+
+    Parameters
+    ----------
+    phase : (H, W) float32
+        rad in [-pi, pi]; NO_PHASE outside the mask.
+    rates : (N, 5) float32
+        What `measure_rates` found.
+    labels : (H, W) int32
+        Patch and order in it.
+    """
+    rows, columns = cells_of(int(phase.shape[0]), int(phase.shape[1]))
+    samples = runtime.empty((3, rows * columns), np.float32)
+    sample_cells_kernel(phase, rates, labels, samples)
+    return runtime.to_host(samples)  # synchronises
+
+
 def measure_borders(
-    phase: F32, quality: F32, rates: F32, labels: I32, cells: I32, draft_bits: int, patches: I32
+    phase: F32,
+    quality: F32,
+    rates: F32,
+    labels: I32,
+    cells: I32,
+    draft_bits: int,
+    patches: I32,
+    departures: npt.NDArray[np.float32],
 ) -> Borders:
     """Measure over how many pixels the surface goes on from each patch to those beside it, and over how many it steps.
 
@@ -273,12 +290,12 @@ def measure_borders(
         A cell has places for 2^bits patches.
     patches : (11, capacity) int32
         See `Patch`.
+    departures : (2, cells) float32
+        Of `sample_cells`.
     """
     rows, columns = cells_of(int(phase.shape[0]), int(phase.shape[1]))
     count = rows * columns
-    sample = runtime.empty((2, count), np.float32)
-    sample_departures_kernel(phase, rates, sample)
-    limits = _limits(runtime.to_host(sample), rows, columns)  # synchronises
+    limits = _limits(departures, rows, columns)
     notes, counts = runtime.empty((len(_Note), _PLACES * count), np.int32), runtime.empty((count,), np.int32)
     measure_borders_kernel(phase, quality, rates, labels, cells, draft_bits, patches, limits, notes, counts)
     number = runtime.to_host(counts)  # synchronises

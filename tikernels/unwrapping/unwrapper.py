@@ -29,7 +29,7 @@ from tikernels.unwrapping.patch_slopes import measure_slopes
 from tikernels.unwrapping.patches import Patches, one_thread_is_faster
 from tikernels.unwrapping.region_merging import close_gaps_kernel, merge_patches_kernel, settle_patches_kernel
 from tikernels.unwrapping.region_parting import part_regions, regions_that_step, set_apart
-from tikernels.unwrapping.surface_borders import measure_borders
+from tikernels.unwrapping.surface_borders import measure_borders, sample_cells
 from tikernels.unwrapping.tables import Contact, Counter, Final, Match, Patch, Region, Seam
 from tikernels.unwrapping.union_find import rounds_at_once
 
@@ -114,10 +114,11 @@ class RegionUnwrapper:
     def _part(self, patches: Patches, phase: F32, quality: F32, rates: F32) -> None:
         """Leave out even light, and part regions that hang together by the smaller part of a border."""
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
-        even = patches_of_even_light(phase, rates, patches.labels, patches.cell_table)
+        samples = sample_cells(phase, rates, patches.labels)
+        even = patches_of_even_light(samples[2], patches.cell_table, patches.count)
         if even.any():
             patches.split(set_apart(patches.roots(), even).astype(np.int32), even)
-        patches.borders = measure_borders(phase, quality, rates, *of_patches, patches.table)
+        patches.borders = measure_borders(phase, quality, rates, *of_patches, patches.table, samples[:2])
         if regions_that_step(patches.roots(), patches.borders).any():
             slopes = measure_slopes(phase, *of_patches, patches.count)
             roots, slivers, beside = part_regions(patches.graph(), patches.borders, slopes)

@@ -5,6 +5,7 @@ import reference
 from support.wrapped_surfaces import join
 
 from tikernels.unwrapping.even_light import patches_of_even_light
+from tikernels.unwrapping.surface_borders import sample_cells
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH
 
 SHAPE = (96, 128)
@@ -13,7 +14,9 @@ SHAPE = (96, 128)
 def even_cells(phase):
     """Return (rows, columns) whether a cell's patches are of even light; the patches must agree."""
     patches, rates = join(phase, np.ones(SHAPE, np.float32))
-    even, first = patches_of_even_light(phase, rates, patches.labels, patches.cell_table), patches.graph().first
+    changes = sample_cells(phase, rates, patches.labels)[2]
+    even = patches_of_even_light(changes, patches.cell_table, patches.count)
+    first = patches.graph().first
     result = np.full((SHAPE[0] // CELL_HEIGHT, SHAPE[1] // CELL_WIDTH), -1)
     for patch, cell in enumerate(zip(first // SHAPE[1] // CELL_HEIGHT, first % SHAPE[1] // CELL_WIDTH, strict=True)):
         assert result[cell] in (-1, even[patch])

@@ -8,7 +8,7 @@ from support.wrapped_surfaces import drafts_and_orders, flat_rates, join
 from tikernels import runtime
 from tikernels.phase.phase_change import RATE_ACROSS, RATE_ALONG
 from tikernels.phase.wrapped_phase import NO_PHASE
-from tikernels.unwrapping.surface_borders import measure_borders, sample_departures_kernel
+from tikernels.unwrapping.surface_borders import measure_borders, sample_cells
 from tikernels.unwrapping.tables import CELL_HEIGHT, CELL_WIDTH, Cell, cells_of, numbers_of
 
 SHAPE = (97, 131)
@@ -18,9 +18,9 @@ def measured(phase, quality=None):
     """Return the borders of a wrapped phase's patches, and the patch of every pixel (-1: none)."""
     quality = np.ones(phase.shape, np.float32) if quality is None else quality
     patches, rates = join(phase, quality)
-    borders = measure_borders(
-        phase, quality, rates, patches.labels, patches.cell_table, patches.draft_bits, patches.table
-    )
+    departures = sample_cells(phase, rates, patches.labels)[:2]
+    of_patches = patches.labels, patches.cell_table, patches.draft_bits, patches.table
+    borders = measure_borders(phase, quality, rates, *of_patches, departures)
     drafts, _ = drafts_and_orders(np.array(runtime.to_host(patches.labels)))
     cells = runtime.to_host(patches.cell_table)
     patch = np.where(drafts >= 0, numbers_of(np.maximum(drafts, 0), cells, patches.draft_bits), -1)
@@ -35,9 +35,7 @@ def test_departures_as_the_twin(arch):
     phase[40:60, 50:52] = NO_PHASE
     rates = flat_rates(along=0.05, across=0.52)
     rows, columns = cells_of(*SHAPE)
-    departures = runtime.empty((2, rows * columns), np.float32)
-    sample_departures_kernel(phase, rates, departures)
-    told = runtime.to_host(departures)
+    told = sample_cells(phase, rates, np.zeros(SHAPE, np.int32))
     for axis, rate in ((1, rates[-1, RATE_ALONG]), (0, rates[-1, RATE_ACROSS])):
         for cell in range(rows * columns):
             top, left = cell // columns * CELL_HEIGHT, cell % columns * CELL_WIDTH
