@@ -12,13 +12,13 @@ from tikernels.unwrapping.tables import Cell
 # Light is even where the phase changes across the stripes by less than this share of what is usual. On surfaces, even
 # those that the projector grazes, it is .4 and more; in shadows of a lit room and beyond the projector's picture .05.
 _LEAST_CHANGE = 0.2
-# Of so many columns of a cell one is looked at.
-_EVERY = 2
+# Of so many columns of a cell one is looked at; fewer changes than these, of 60, tell nothing.
+_EVERY, _FEW = 2, 16
 
 
 @ti.func
 def mean_change(phase: F32Array2, labels: I32Array2, bounds: ivec4, usual: f32) -> f32:
-    """Return a cell's mean change of phase from row to row, as a share of the usual one; 1 where nothing tells it."""
+    """Return a cell's mean change of phase from row to row, as a share of the usual one; 1 where too few tell it."""
     beyond, count = 0.0, 0.0
     for y in range(bounds[0], bounds[2] - 1):
         for column in range((bounds[3] - bounds[1] + _EVERY - 1) // _EVERY):
@@ -26,7 +26,7 @@ def mean_change(phase: F32Array2, labels: I32Array2, bounds: ivec4, usual: f32) 
             if labels[y, x] >= 0 and labels[y + 1, x] >= 0:
                 beyond += without_cycles(phase[y + 1, x] - phase[y, x] - usual)
                 count += 1.0
-    return ti.select(count > 0.0, 1.0 + beyond / (count * usual), 1.0)
+    return ti.select(count >= _FEW, 1.0 + beyond / (count * usual), 1.0)
 
 
 def patches_of_even_light(changes: npt.NDArray[np.float32], cells: I32, count: int) -> npt.NDArray[np.bool_]:
