@@ -1,4 +1,4 @@
-"""Where the phase is not the fringe's: even light has one, too, that of its colour, and everywhere the same."""
+"""Places where no fringe falls: even light has a phase as well, that of its colour, but it is the same everywhere."""
 
 import numpy as np
 import numpy.typing as npt
@@ -12,13 +12,14 @@ from tikernels.unwrapping.tables import Cell
 # Light is even where the phase changes across the stripes by less than this share of what is usual. On surfaces, even
 # those that the projector grazes, it is .4 and more; in shadows of a lit room and beyond the projector's picture .05.
 _LEAST_CHANGE = 0.2
-# Of so many columns of a cell one is looked at; fewer changes than these, of 60, tell nothing.
-_EVERY, _FEW = 2, 16
+# One column of a cell in this many is looked at. The least number of changes, of the 60 of a whole cell, that is relied
+# on: at the image's border a cell may be a row or two.
+_EVERY, _LEAST_COUNT = 2, 16
 
 
 @ti.func
 def mean_change(phase: F32Array2, labels: I32Array2, bounds: ivec4, usual: f32) -> f32:
-    """Return a cell's mean change of phase from row to row, as a share of the usual one; 1 where too few tell it."""
+    """Return a cell's mean change of phase from row to row, as a share of the usual one; 1 if few are known."""
     beyond, count = 0.0, 0.0
     for y in range(bounds[0], bounds[2] - 1):
         for column in range((bounds[3] - bounds[1] + _EVERY - 1) // _EVERY):
@@ -26,7 +27,7 @@ def mean_change(phase: F32Array2, labels: I32Array2, bounds: ivec4, usual: f32) 
             if labels[y, x] >= 0 and labels[y + 1, x] >= 0:
                 beyond += without_cycles(phase[y + 1, x] - phase[y, x] - usual)
                 count += 1.0
-    return ti.select(count >= _FEW, 1.0 + beyond / (count * usual), 1.0)
+    return ti.select(count >= _LEAST_COUNT, 1.0 + beyond / (count * usual), 1.0)
 
 
 def patches_of_even_light(changes: npt.NDArray[np.float32], cells: I32, count: int) -> npt.NDArray[np.bool_]:

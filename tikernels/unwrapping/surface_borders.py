@@ -32,7 +32,7 @@ from tikernels.unwrapping.tables import (
     patch_number,
 )
 
-# The phase is compared this many pixels further on; slopes are taken over this many. Steeper ones (rad a px,
+# The phase is compared with that this many pixels away; slopes are taken over this many. Steeper ones (rad a px,
 # relative to the usual change) are no slopes, and count as none.
 _REACH, _SLOPE_PX, _MAX_SLOPE = 4, 2, 0.6
 # A surface goes on where the phase departs by less than the first, and steps where it departs by more than the second
@@ -74,6 +74,15 @@ class Borders(NamedTuple):
     """(N,) pixels over which it steps."""
 
 
+class CellSamples(NamedTuple):
+    """What cells show of the phase, before borders are measured."""
+
+    departures: npt.NDArray[np.float32]
+    """(2, cells) rad, how far the phase departs at one place, along and across the stripes; NO_PHASE if unknown."""
+    changes: npt.NDArray[np.float32]
+    """(cells,) the `mean_change` across the stripes, as a share of the usual one."""
+
+
 @ti.func
 def slope_beyond(difference: f32, rate: f32) -> f32:
     """Return a slope, rad a px, beyond the usual change; 0 where it is too steep to be one."""
@@ -105,7 +114,7 @@ def sample_cells_kernel(
     phase: F32Array2,  # (H, W) rad
     rates: F32Array2,  # see `frame_rates`
     labels: I32Array2,  # (H, W) negative: no patch's
-    out_samples: F32Array2,  # (3, cells) see `sample_cells`
+    out_samples: F32Array2,  # (3, cells) see `CellSamples`: departures along and across, changes
 ):
     """Measure at one place of each cell by how much the phase departs, and over the cell how it changes."""
     height, width = phase.shape[0], phase.shape[1]
@@ -242,10 +251,8 @@ def _limits(departures: npt.NDArray[np.float32], rows: int, columns: int) -> npt
     return np.stack([goes_on, steps], axis=1).reshape(4, -1).astype(np.float32)
 
 
-def sample_cells(phase: F32, rates: F32, labels: I32) -> npt.NDArray[np.float32]:
-    """Return (3, cells): how far the phase departs, along and across the stripes, rad, and its `mean_change`.
-
-    A departure is NO_PHASE where it cannot be told.
+def sample_cells(phase: F32, rates: F32, labels: I32) -> CellSamples:
+    """Measure how far the phase departs in each cell, and by how much it changes.
 
     Parameters
     ----------
@@ -259,7 +266,8 @@ def sample_cells(phase: F32, rates: F32, labels: I32) -> npt.NDArray[np.float32]
     rows, columns = cells_of(int(phase.shape[0]), int(phase.shape[1]))
     samples = runtime.empty((3, rows * columns), np.float32)
     sample_cells_kernel(phase, rates, labels, samples)
-    return runtime.to_host(samples)  # synchronises
+    along, across, changes = runtime.to_host(samples)  # synchronises
+    return CellSamples(np.stack([along, across]), changes)
 
 
 def measure_borders(
@@ -291,7 +299,7 @@ def measure_borders(
     patches : (11, capacity) int32
         See `Patch`.
     departures : (2, cells) float32
-        Of `sample_cells`.
+        See `CellSamples`.
     """
     rows, columns = cells_of(int(phase.shape[0]), int(phase.shape[1]))
     count = rows * columns

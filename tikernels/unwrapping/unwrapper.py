@@ -112,13 +112,13 @@ class RegionUnwrapper:
         return patches
 
     def _part(self, patches: Patches, phase: F32, quality: F32, rates: F32) -> None:
-        """Leave out even light, and part regions that hang together by the smaller part of a border."""
+        """Leave out cells of even light, and part regions that hang together by less than most of a border."""
         of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
         samples = sample_cells(phase, rates, patches.labels)
-        even = patches_of_even_light(samples[2], patches.cell_table, patches.count)
+        even = patches_of_even_light(samples.changes, patches.cell_table, patches.count)
         if even.any():
             patches.split(set_apart(patches.roots(), even).astype(np.int32), even)
-        patches.borders = measure_borders(phase, quality, rates, *of_patches, patches.table, samples[:2])
+        patches.borders = measure_borders(phase, quality, rates, *of_patches, patches.table, samples.departures)
         if regions_that_step(patches.roots(), patches.borders).any():
             slopes = measure_slopes(phase, *of_patches, patches.count)
             roots, slivers, beside = part_regions(patches.graph(), patches.borders, slopes)

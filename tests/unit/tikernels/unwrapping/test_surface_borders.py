@@ -18,7 +18,7 @@ def measured(phase, quality=None):
     """Return the borders of a wrapped phase's patches, and the patch of every pixel (-1: none)."""
     quality = np.ones(phase.shape, np.float32) if quality is None else quality
     patches, rates = join(phase, quality)
-    departures = sample_cells(phase, rates, patches.labels)[:2]
+    departures = sample_cells(phase, rates, patches.labels).departures
     of_patches = patches.labels, patches.cell_table, patches.draft_bits, patches.table
     borders = measure_borders(phase, quality, rates, *of_patches, departures)
     drafts, _ = drafts_and_orders(np.array(runtime.to_host(patches.labels)))
@@ -35,7 +35,7 @@ def test_departures_as_the_twin(arch):
     phase[40:60, 50:52] = NO_PHASE
     rates = flat_rates(along=0.05, across=0.52)
     rows, columns = cells_of(*SHAPE)
-    told = sample_cells(phase, rates, np.zeros(SHAPE, np.int32))
+    departures = sample_cells(phase, rates, np.zeros(SHAPE, np.int32)).departures
     for axis, rate in ((1, rates[-1, RATE_ALONG]), (0, rates[-1, RATE_ACROSS])):
         for cell in range(rows * columns):
             top, left = cell // columns * CELL_HEIGHT, cell % columns * CELL_WIDTH
@@ -47,7 +47,7 @@ def test_departures_as_the_twin(arch):
                 one, two, three, four = line[[place - 2, place, place + 4, place + 6]]
                 slopes = [reference.wrapped(np.array(b - a - 2 * rate)) / 2 for a, b in ((one, two), (three, four))]
                 expected = abs(reference.wrapped(np.array(three - two - 4 * (rate + np.mean(slopes)))))
-            assert abs(told[1 - axis, cell] - expected) < 1e-4
+            assert abs(departures[1 - axis, cell] - expected) < 1e-4
 
 
 def test_a_smooth_surface_steps_nowhere(arch):
