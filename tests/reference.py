@@ -153,7 +153,7 @@ def neighbour(phase: Array, rows: int, columns: int) -> Array:
 def usual_change(phase: Array, quality: Array) -> tuple[float, float, float]:
     """Return the usual change along a row and from row to row (rad a px, complex means), and the mean quality.
 
-    Every eighth pixel both ways is asked, never the last of a row or column.
+    A change counts by its quality squared. Every eighth pixel both ways is asked, never the last of a row or column.
     """
     height, width = phase.shape
     rows = np.minimum(np.arange(0, height, 8), max(height - 2, 0))
@@ -161,7 +161,8 @@ def usual_change(phase: Array, quality: Array) -> tuple[float, float, float]:
     grid = np.ix_(rows, columns)
 
     def mean_change(other: Array) -> float:
-        return float(np.angle(np.nansum(np.exp(1j * (other - phase)[grid])) + 1e-6))
+        turns = quality[grid] ** 2 * np.exp(1j * (other - phase)[grid])
+        return float(np.angle(np.nansum(turns) + 1e-6))
 
     counted = ~np.isnan(phase[grid])
     full = counted.any(axis=1)
@@ -174,7 +175,7 @@ def usual_change(phase: Array, quality: Array) -> tuple[float, float, float]:
 def smooth_phase(wrapped_phase: Array, mask: Array, smoothing_px: int) -> Array:
     """Fit a quadric to what each pixel's surface holds of a window; leave pixels at steps alone."""
     phase = np.where(mask, wrapped_phase, np.nan).astype(np.float64)
-    along, across, _ = usual_change(phase, phase)
+    along, across, _ = usual_change(phase, np.ones_like(phase))
 
     def saw_two_surfaces(rows: int, columns: int, rate: float) -> Array:
         departures = [

@@ -42,7 +42,7 @@ from tikernels.phase.channel_template import (
     template_mismatch,
     waves_of,
 )
-from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at
+from tikernels.phase.color_balance import Gains, WindowSum, gain_at, sample_at, shows_fringe
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.frame_statistics import FrameLevels
 from tikernels.phase.fringe_sharpness import FringeSharpness, equalized_at
@@ -145,7 +145,7 @@ class ChannelModel:
             Clipped samples, and those with less modulation, have no phase.
         """
         gains = self.gains
-        samples = (gains.samples, gains.gains, gains.spacing_px, crosstalk.weights)
+        samples = (gains.samples, gains.gains, gains.sums, gains.spacing_px, crosstalk.weights)
         out = (self.balanced, self.phases, self._moments)
         recover_samples_kernel(*samples, levels.modulation, levels.telling, levels.clipped, *out)
         moments = runtime.to_host(self._moments)  # synchronises
@@ -234,6 +234,7 @@ class ChannelModel:
 def recover_samples_kernel(
     samples: F32Array3,  # (H, Wb, 3) the channels that the gains belong to, levels
     gains: F32Array3,  # (Hg, Wg, 3)
+    sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`
     spacing_px: i32,
     phase_weights: F32Array2,  # (3, 3)
     min_modulation: f32,  # levels
@@ -253,7 +254,8 @@ def recover_samples_kernel(
             first, count = start + part * LANES, ti.min(LANES, total - part * LANES)
             for k in range(count):
                 x = (first + k) * spacing_px + spacing_px // 2
-                set_color(light, k, sample_at(samples, y, first + k))
+                fringed = ti.select(shows_fringe(sums, spacing_px // 2, y, first + k), 1.0, 0.0)
+                set_color(light, k, fringed * sample_at(samples, y, first + k))
                 set_color(color_gains, k, gain_at(gains, spacing_px, y, x))
             for k in range(LANES):
                 seen, gain = color_of(light, k), color_of(color_gains, k)

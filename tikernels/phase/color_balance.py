@@ -9,7 +9,8 @@ range imaging, 2004), with C_i the channel and P_i what a neutral surface would 
 A Gaussian window does so without the ripple that a box leaves when it is not a whole number of cycles. A first look
 takes every P_i for the same. At the edge of a surface the window is one-sided and 13 % of the fringe passes it, so a
 second look, which knows the phase by then, predicts P_i from it: the channels' waves with the pixel's background and
-the frame's mean contrast. A third look gains less than 0.001 rad.
+the frame's mean contrast. A third look gains less than 0.001 rad. The second look leaves out blocks of even light,
+where nothing of the projector's falls: their phase is that of their colour and hardly changes across the stripes.
 """
 
 from enum import IntEnum
@@ -28,6 +29,7 @@ from tikernels.launching import kernel
 from tikernels.phase.balance_window import BalanceWindow
 from tikernels.phase.crosstalk import Crosstalk, unmixed
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels
+from tikernels.phase.phase_change import LEAST_CHANGE
 from tikernels.phase.phase_vector import color_at, matrix_of, modulation_of
 from tikernels.phase.surfaces import neutral_light, shows_surface, without_ambient
 from tikernels.raw.linearization import LEVEL_TYPES
@@ -43,6 +45,10 @@ _MAX_CONTRAST = 1.5
 # Columns of the sums that tell it, a row of the image each; in the last row the first has the contrast itself.
 _MODULATION, _BACKGROUND = range(2)
 _CONTRAST = 0
+# Even light is told by two samples in a column, that is two rows apart: their phase hardly changes (`LEAST_CHANGE`) and
+# their correlation is at least this. A fringe's is .8 or less up to 20 px a cycle; fine prints' phase may stand still,
+# but not their colour.
+_TURN_ROWS, _EVEN_CORRELATION = 2, 0.9
 
 
 class WindowSum(IntEnum):
@@ -81,7 +87,7 @@ class Gains:
         self.smooth = runtime.empty((*grid, _WINDOW_SUMS), np.float32)
         #: (Hg, Wg, 3) by node.
         self.gains = runtime.empty((*grid, 3), np.float32)
-        #: (Hb, Wb, 8) by block, likewise.
+        #: (Hb, Wb, 8) by block, likewise; see `shows_fringe`.
         self.sums = runtime.empty((*blocks, _WINDOW_SUMS), np.float32)
         self._half = runtime.empty((*grid, _WINDOW_SUMS), np.float32)
         # The first look needs the channels alone.
@@ -116,7 +122,8 @@ class Gains:
         find_gains_kernel(self._color_smooth, False, self.gains)
         matrices = (crosstalk.inverse, crosstalk.matrix, crosstalk.waves, crosstalk.inverse_waves)
         light = (self.samples, *matrices, self.gains, rows)
-        predict_blocks_kernel(*light, levels.modulation, self._contrast_sums, self.sums)
+        least_turn = float(np.tan(LEAST_CHANGE * _TURN_ROWS * 2 * np.pi / self.period_px))
+        predict_blocks_kernel(*light, levels.modulation, least_turn, self._contrast_sums, self.sums)
         self.window.smooth(self.sums, self._half, self.smooth)
         find_gains_kernel(self.smooth, True, self.gains)
 
@@ -165,6 +172,12 @@ def balancing_gain(seen: vec3, predicted: vec3) -> vec3:
         color = seen / predicted
         gain = color.sum() / 3.0 / color
     return gain
+
+
+@ti.func
+def shows_fringe(sums: F32Array3, rows: i32, y: i32, j: i32) -> ti.i32:
+    """Whether a pixel's block, whose column is j, has a fringe: it is neither dark nor lit evenly."""
+    return sums[y // rows, j, WindowSum.SAMPLES] > 0.0
 
 
 @ti.func
@@ -222,13 +235,14 @@ def predict_blocks_kernel(
     gains: F32Array3,  # (Hg, Wg, 3) of the first look
     rows: i32,
     min_modulation: f32,
+    least_turn: f32,  # tangent of the least change of phase in _TURN_ROWS that is no even light's
     contrast_sums: F32Array2,  # (H / 8 + 1, 2) scratch: see _MODULATION and so on
     out_sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`
 ):
     """Measure the frame's contrast, then sum up every block's channels and what they should be."""
     height, columns = samples.shape[0], 2 * rows
-    last = contrast_sums.shape[0] - 1
-    for i in range(last):
+    contrast_row = contrast_sums.shape[0] - 1
+    for i in range(contrast_row):
         inverse, to_phase = matrix_of(inverse_matrix), matrix_of(phase_matrix)
         modulation_sum, background_sum = 0.0, 0.0
         y = i * _SPARSE
@@ -245,10 +259,10 @@ def predict_blocks_kernel(
     ti.loop_config(serialize=True)
     for _ in range(1):
         modulation_sum, background_sum = 0.0, 1e-12
-        for i in range(last):
+        for i in range(contrast_row):
             modulation_sum += contrast_sums[i, _MODULATION]
             background_sum += contrast_sums[i, _BACKGROUND]
-        contrast_sums[last, _CONTRAST] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
+        contrast_sums[contrast_row, _CONTRAST] = ti.min(modulation_sum / background_sum, _MAX_CONTRAST)
     strips = strip_count(out_sums.shape[1], LANES)
     for t in range(SPREAD * out_sums.shape[0] * strips):
         if t % SPREAD > 0:
@@ -256,20 +270,30 @@ def predict_blocks_kernel(
         i, first, count = strip_at(t // SPREAD, out_sums.shape[1], LANES)
         inverse, matrix = matrix_of(inverse_matrix), matrix_of(crosstalk_matrix)
         of_phase, to_phase = matrix_of(channel_matrix), matrix_of(phase_matrix)
-        contrast = contrast_sums[last, _CONTRAST]
+        contrast = contrast_sums[contrast_row, _CONTRAST]
         light, color_gains, sums = lanes_of_colors(0.0), lanes_of_colors(1.0), window_sums(0.0)
+        # b cos(phi), b sin(phi) and b of the last row and of the row before it; sums of what the latter and the present
+        # row have in common: b b' times the cosine and the sine of the change, and b b'.
+        last, before, turn = lanes_of_colors(0.0), lanes_of_colors(0.0), lanes_of_colors(0.0)
         # One gain serves the block: it changes slowly, and the pixels' errors from it cancel.
         middle = ti.min(i * rows + rows // 2, height - 1)
         for k in range(count):
             set_color(color_gains, k, gain_at(gains, columns, middle, (first + k) * columns + rows))
-        for y in range(i * rows, ti.min((i + 1) * rows, height)):
+        end = ti.min((i + 1) * rows, height)
+        for y in range(i * rows, ti.min(end + _TURN_ROWS, height)):
             for k in range(count):
                 set_color(light, k, sample_at(samples, y, first + k))
             for k in range(LANES):
                 sample, gain = color_of(light, k), color_of(color_gains, k)
                 vector = projected_vector(sample, gain, inverse, to_phase)
                 modulation = modulation_of(vector)
-                counts = ti.select(modulation > min_modulation, 1.0, 0.0)
+                turn[0, k] += before[0, k] * vector.x + before[1, k] * vector.y
+                turn[1, k] += before[0, k] * vector.y - before[1, k] * vector.x
+                turn[2, k] += before[2, k] * modulation
+                for c in ti.static(range(3)):
+                    before[c, k] = last[c, k]
+                last[0, k], last[1, k], last[2, k] = vector.x, vector.y, modulation
+                counts = ti.select((modulation > min_modulation) & (y < end), 1.0, 0.0)
                 share = contrast / ti.max(modulation, 1e-9)
                 predicted = neutral_channels(vector, share, of_phase, matrix)
                 for c in ti.static(range(3)):
@@ -278,8 +302,10 @@ def predict_blocks_kernel(
                 sums[WindowSum.BACKGROUND, k] += counts * ((sample * gain).sum() / 3.0)
                 sums[WindowSum.SAMPLES, k] += counts
         for k in range(count):
+            even = (ti.abs(turn[1, k]) < least_turn * turn[0, k]) & (turn[0, k] > _EVEN_CORRELATION * turn[2, k])
+            fringed = ti.select(even, 0.0, 1.0)
             for c in ti.static(range(_WINDOW_SUMS)):
-                out_sums[i, first + k, c] = sums[c, k]
+                out_sums[i, first + k, c] = fringed * sums[c, k]
 
 
 @kernel

@@ -13,6 +13,12 @@ _SAMPLE = 8
 #: Places in the last row of what `measure_rates` fills: the usual change along and across the stripes, rad a px, and
 #: the mean quality.
 RATE_ALONG, RATE_ACROSS, MEAN_QUALITY = range(3)
+# Squares of what is outside these are no float32, and NaN is no quality. A frame without phases does not change.
+_LEAST_QUALITY, _MOST_QUALITY = 1e-15, 1e15
+_NO_CHANGE = 1e-36
+#: Light is even where the phase changes across the stripes by less than this share of what is usual. On surfaces, even
+#: those that the projector grazes, it is .4 and more; in shadows of a lit room and beyond the projector's picture .05.
+LEAST_CHANGE = 0.2
 # Places in the other rows of what `measure_rates` fills: sums of the changes' cosines and sines along and across, and
 # the row's mean quality.
 _ALONG_COSINE, _ALONG_SINE, _ACROSS_COSINE, _ACROSS_SINE, _ROW_QUALITY = range(5)
@@ -30,6 +36,9 @@ def rates_shape(height: int) -> tuple[int, int]:
 
 def measure_rates(phase: F32, quality: F32, out: F32 | None = None) -> F32:
     """Measure the usual change of the phase from pixel to pixel, and the mean quality.
+
+    A change counts by the square of its quality, as its variance has it: even light of a lit room, which has the phase
+    of its colour and a tenth of a surface's modulation, may fill most of a frame.
 
     Parameters
     ----------
@@ -75,14 +84,18 @@ def measure_rates_kernel(
             if has_phase(phase[y, x]):
                 total += quality[y, x]
                 count += 1.0
+                certain = ti.select(
+                    quality[y, x] > _LEAST_QUALITY, ti.min(quality[y, x], _MOST_QUALITY), _LEAST_QUALITY
+                )
+                weight = certain * certain
                 if x + 1 < width:
                     if has_phase(phase[y, x + 1]):
                         change = phase[y, x + 1] - phase[y, x]
-                        along += ti.Vector([ti.cos(change), ti.sin(change)])
+                        along += weight * ti.Vector([ti.cos(change), ti.sin(change)])
                 if y + 1 < height:
                     if has_phase(phase[y + 1, x]):
                         change = phase[y + 1, x] - phase[y, x]
-                        across += ti.Vector([ti.cos(change), ti.sin(change)])
+                        across += weight * ti.Vector([ti.cos(change), ti.sin(change)])
         out_rates[i, _ALONG_COSINE] = along.x
         out_rates[i, _ALONG_SINE] = along.y
         out_rates[i, _ACROSS_COSINE] = across.x
@@ -91,7 +104,7 @@ def measure_rates_kernel(
     # One thread adds the rows up in order, so that the sum is the same every time.
     ti.loop_config(serialize=True)
     for _ in range(1):
-        along, across = ti.Vector([1e-6, 0.0]), ti.Vector([1e-6, 0.0])
+        along, across = ti.Vector([_NO_CHANGE, 0.0]), ti.Vector([_NO_CHANGE, 0.0])
         total, count = 0.0, 0.0
         for i in range(rows):
             along += ti.Vector([out_rates[i, _ALONG_COSINE], out_rates[i, _ALONG_SINE]])

@@ -51,7 +51,7 @@ from tikernels.arrays import F32, LevelsImage
 from tikernels.launching import kernel
 from tikernels.phase.channel_model import ChannelModel
 from tikernels.phase.channel_template import load_harmonics, sharpened_cycle_and_slope, sharpening_of
-from tikernels.phase.color_balance import Gains, gain_at
+from tikernels.phase.color_balance import Gains, gain_at, shows_fringe
 from tikernels.phase.crosstalk import Crosstalk, weighed_vector
 from tikernels.phase.equalization import BINS, equalized, place_in_cycle
 from tikernels.phase.frame_statistics import FrameLevels
@@ -331,6 +331,7 @@ def _count_phases_kernel(mixed: bool) -> Any:
         besides: F32Array2,  # (N, 3) levels
         phase_weights: F32Array2,  # (3, 3)
         gains: F32Array3,  # (Hg, Wg, 3)
+        sums: F32Array3,  # (Hb, Wb, 8) see `WindowSum`
         spacing_px: i32,
         step: i32,  # px between two that are counted
         min_intensity: f32,  # levels
@@ -358,6 +359,7 @@ def _count_phases_kernel(mixed: bool) -> Any:
                 channels = neutral_light(projected, unmixing, labels, y, (first + k) * step, mixed)
                 vector = weighed_vector(channels, gain, weights)
                 counts = is_lit(seen, min_intensity, clipped)
+                counts &= shows_fringe(sums, spacing_px // 2, y, ti.min((first + k) * step, width - 1) // spacing_px)
                 if ti.static(mixed):
                     counts &= shows_surface(labels, y, (first + k) * step)
                 counts &= squared_modulation(vector) > min_modulation * min_modulation
@@ -401,7 +403,7 @@ def count_phases(image: LevelsImage, gains: Gains, crosstalk: Crosstalk, levels:
     surfaces = crosstalk.surfaces
     shown = (surfaces.labels, surfaces.unmixing, surfaces.ambient)
     kernel = _count_phases_kernel(surfaces.mixed)
-    kernel(image, *shown, crosstalk.weights, gains.gains, gains.spacing_px, step, *thresholds, histogram)
+    kernel(image, *shown, crosstalk.weights, gains.gains, gains.sums, gains.spacing_px, step, *thresholds, histogram)
     return runtime.to_host(histogram).astype(np.int64)  # synchronises
 
 

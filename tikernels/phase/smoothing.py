@@ -447,7 +447,7 @@ def smooth_phase(wrapped_phase: F32, mask: Mask, smoothing_px: int = 7, *, out: 
     out = checks.out_array("out", out, shape, np.float32)
     marked = np.empty(shape, np.float32)
     mark_no_phase_kernel(wrapped_phase, mask, marked)
-    rates = measure_rates(marked, marked)
+    rates = measure_rates(marked, np.ones(shape, np.float32))
     smoother = Smoother(*shape, smoothing_px // 2)
     rows = runtime.to_host(smoother.along(marked, np.zeros(shape, np.float32), rates))
     held = (rows < LEAST_NO_PHASE).astype(np.uint8)

@@ -6,12 +6,10 @@ import numpy.typing as npt
 from tikernels import runtime
 from tikernels._taichi import F32Array2, I32Array2, f32, ivec4, ti
 from tikernels.arrays import I32
+from tikernels.phase.phase_change import LEAST_CHANGE
 from tikernels.phase.wrapped_phase import without_cycles
 from tikernels.unwrapping.tables import Cell
 
-# Light is even where the phase changes across the stripes by less than this share of what is usual. On surfaces, even
-# those that the projector grazes, it is .4 and more; in shadows of a lit room and beyond the projector's picture .05.
-_LEAST_CHANGE = 0.2
 # One column of a cell in this many is looked at. The least number of changes, of the 60 of a whole cell, that is relied
 # on: at the image's border a cell may be a row or two.
 _EVERY, _LEAST_COUNT = 2, 16
@@ -42,7 +40,7 @@ def patches_of_even_light(changes: npt.NDArray[np.float32], cells: I32, count: i
     count : int
         How many patches there are.
     """
-    even = changes < _LEAST_CHANGE
+    even = changes < LEAST_CHANGE
     if not even.any():
         return np.zeros(count, bool)
     return np.asarray(np.repeat(even, np.diff(runtime.to_host(cells)[Cell.PATCHES])))

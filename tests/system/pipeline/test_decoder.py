@@ -460,6 +460,20 @@ def test_what_the_light_gives_away(arch):
         Decoder(DecodeSettings(), wrong, arch=arch).decode(truth.image)
 
 
+@pytest.mark.parametrize("room", [20, 30])
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_lit_room_around_objects_is_no_surface(arch, room, calibrated):
+    """Three quarters of the frame have no fringe but the light of the room, of 255 levels so many."""
+    truth, calibration = simulated("objects", "horizontal", noise_levels=1.0)
+    image = truth.image * (1 - room / 255) + room * np.array([0.9, 1.1, 1.0])
+    image = image + np.random.default_rng(1).normal(0, 0.5, image.shape)
+    frame = Decoder(DecodeSettings(), calibration if calibrated else None, arch=arch).decode(
+        np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    )
+    assert frame.mask[truth.mask].mean() > 0.85
+    assert (frame.mask & ~truth.mask).sum() < 0.01 * (~truth.mask).sum()
+
+
 def test_one_decoder_may_be_called_from_several_threads(arch):
     """And what it gives may be looked at from any, whenever that is."""
     fields = ("unwrapped_phase", "mask", "modulation", "region", "phase_sigma", "points", "point_sigma")

@@ -6,7 +6,8 @@ import reference
 
 import tikernels
 from pipeline.simulation import TYPICAL_CROSSTALK
-from tikernels.phase.color_balance import Gains, apply_gains_kernel
+from tikernels import runtime
+from tikernels.phase.color_balance import Gains, WindowSum, apply_gains_kernel
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.frame_statistics import FrameLevels
 
@@ -129,6 +130,18 @@ def test_the_decoders_gains_are_those_of_the_public_stage(arch, matrix):
     balanced = np.empty_like(image)
     apply_gains_kernel(image, gains.gains, gains.spacing_px, balanced)
     np.testing.assert_array_equal(balanced, tikernels.balance_color(image, PERIOD_PX, crosstalk_matrix=matrix))
+
+
+def test_blocks_of_even_light_do_not_count(arch):
+    """The right half has the light of a room; in the block between the two halves both are seen."""
+    image, _ = scene(96, 160)
+    image[:, 80:] = (0.1, 0.14, 0.12)
+    gains = Gains(*image.shape[:2], PERIOD_PX)
+    gains.measure(image, Crosstalk.of(np.eye(3)), FrameLevels(1.0, 0.001, 0.0, 0.001, 0.005, 0.005))
+    counted = runtime.to_host(gains.sums)[..., WindowSum.SAMPLES] > 0
+    edge = 80 // gains.spacing_px
+    assert counted[:, :edge].all()
+    assert not counted[:, edge + 1 :].any()
 
 
 def test_a_frame_of_another_size_is_refused(arch):

@@ -18,6 +18,15 @@ def test_rates_are_those_of_a_plane(arch):
     assert last[MEAN_QUALITY] == pytest.approx(reference.usual_change(phase, quality)[2], rel=1e-5)
 
 
+def test_rates_are_those_of_what_is_bright(arch):
+    """Even light that fills three quarters of a frame, at a tenth of the modulation, changes the rate by 3 %."""
+    phase, quality = reference.wrapped(reference.ramp(64, 96, 12.0)), np.full((64, 96), 100, np.float32)
+    phase[:, 24:], quality[:, 24:] = 1.0, 10
+    last = runtime.to_host(measure_rates(phase, quality))[-1]
+    assert last[RATE_ACROSS] == pytest.approx(2 * np.pi / 12, rel=0.03)
+    assert last[RATE_ACROSS] == pytest.approx(reference.usual_change(phase, quality)[1], rel=1e-4)
+
+
 def test_menu(menu):
     phase = reference.wrapped(reference.ramp(17, 23)).astype(np.float32)
 

@@ -168,6 +168,7 @@ def test_counted_phases_are_those_of_the_public_chain(arch, mixed):
     levels = FrameLevels(255.0, NOISE, 0.0, NOISE, 5.0, 5.0)
     gains = Gains(60, 96, PERIOD_PX)
     gains.gains.fill(1)
+    gains.sums.fill(1)
     counted = count_phases(image, gains, crosstalk, levels)
     matrix = MATRIX if mixed else crosstalk.matrix.astype(np.float64)
     phase, modulation, _ = tikernels.compute_wrapped_phase(tikernels.correct_crosstalk(image, matrix))

@@ -159,7 +159,8 @@ def test_whole_cycles_and_holes(arch):
     """Unwrapped phases as wrapped ones; where one was lost, or is a cycle off, its neighbours do without it."""
     true = reference.ramp(48, 60)
     seen, rng = marked(noisy(true, 0.02), np.ones((48, 60), bool)), np.random.default_rng(6)
-    precision, rates = np.full((48, 60), 2500, np.float32), measure_rates(seen, seen)
+    precision = np.full((48, 60), 2500, np.float32)
+    rates = measure_rates(seen, precision)
     smoother = Smoother(48, 60, 2)
     rows = runtime.to_host(smoother.along(seen, precision, rates)).copy()
     mask = (rng.random((48, 60)) > 0.1).astype(np.uint8)
@@ -180,7 +181,8 @@ def test_a_pixel_between_surfaces_has_only_itself(arch):
     true = reference.ramp(48, 60) + 2.4 * (np.arange(60) >= 30)
     true[:, 30] -= 1.2
     seen = marked(noisy(true, 0.02), np.ones((48, 60), bool))
-    precision, rates = np.full((48, 60), 2500, np.float32), measure_rates(seen, seen)
+    precision = np.full((48, 60), 2500, np.float32)
+    rates = measure_rates(seen, precision)
     smoother = Smoother(48, 60, 3)
     rows = runtime.to_host(smoother.along(seen, precision, rates)).copy()
     assert (rows[:, 30] == STEP_PHASE).all() and (np.delete(rows, 30, axis=1) < NO_PHASE).all()
