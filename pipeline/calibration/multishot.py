@@ -1,13 +1,19 @@
-"""Projector coordinates of every camera pixel of a scene that holds still, from captures of many pictures.
+"""Projector coordinates of every camera pixel of a scene that holds still, from captures of twelve pictures.
 
-Sinusoids along columns and rows, each at three periods: the coarsest spans the projector, and every finer one is
-unwrapped by the one before. Six steps at the finest cancel the harmonics of the projector's response up to the fourth,
-and four elsewhere are enough to choose the right cycle.
+Black and white, and of columns and of rows five each: three steps of a sinusoid, and the two digits of the number of its
+cycle as levels of grey. White and black make light a share of white, s, whatever the surface. Of three steps
+
+    z = 2/3 sum of s_k exp(2 pi i k / 3) = c_1 exp(i phi) + c_2 exp(-2 i phi),
+
+with c_n the harmonics of the projector's response: on average |z|^2 is c_1^2 + c_2^2 and z^3 is 3 c_1^2 c_2, which
+determines both, and then phi. The mean of the steps tells the response's gamma, and that the levels of the digits.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import gamma as gamma_function
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -16,23 +22,34 @@ from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray, ImageArray
 
 WHITE, BLACK = "00-white", "01-black"
-#: The finest period, projector px.
+#: The sinusoids' period, projector px.
 FINE_PX = 16.0
-# Between a period and the next finer one: the coarser phase need only be known to a sixteenth of a cycle.
-_RATIO = 8
-_STEPS = {"coarse": 4, "middle": 4, "fine": 6}
+_STEPS, _DIGITS = 3, 2
 _AXES = ("column", "row")
-# A pixel counts where the fine fringe's amplitude is at least this part of that of the best pixels.
+# Digits' codes are spaced evenly in light if the projector's gamma is this.
+_USUAL_GAMMA = 2.0
+# Gammas of the projector and the camera together that are looked for.
+_GAMMAS = np.linspace(0.6, 4.0, 341)
+# Turns of two fixed points, each ten times as near as the one before.
+_TURNS = 8
+# Where something has moved since white and black were taken, shares of white are many times what they are elsewhere.
+_MOST_SIZE = 1.5
+# A pixel counts where the fringe's amplitude is at least this part of that of the best pixels.
 _MIN_AMPLITUDE = 0.25
 # And where it exceeds three times this, of 255 levels: it then stands out of rounding.
 _MIN_LEVELS = 4.0
-# Between two periods the phases may disagree by this part of a cycle before the choice of the cycle becomes unsafe.
-_UNSURE = 0.3
-# A greater share of pixels with an unsafe cycle is refused: in captures in order, of a scene that stands still, noise
-# and depth steps make but a few per cent of the pixels so.
-_MAX_UNSURE = 0.1
-# What captures out of order add to the fine fringes, over their amplitude, beyond which they are refused.
-_MAX_UNEVEN = 0.12
+# The least first harmonic, as a share of white; in focus it is .4 to .5.
+_MIN_CONTRAST = 0.08
+# A cycle's number changes half a cycle from where the phase is 0: to this part of a cycle its digits are not blurred.
+_SURE = 0.25
+# A digit further than this part of the way to the next one's level is none.
+_UNSURE = 0.4
+# Greater shares of pixels between digits, or beyond the picture, and of cycles whose numbers do not follow each other
+# are refused: in captures in order, of a scene that stands still, noise and depth steps make but a few per cent so.
+_MAX_UNSURE, _MAX_TORN = 0.1, 0.3
+_RIM_PX = 5
+# The mean of the steps, as a share of white, is the same everywhere to this in three quarters of the pixels.
+_MAX_UNEVEN = 0.06
 
 
 @dataclass(frozen=True)
@@ -48,15 +65,18 @@ def multishot_sequence(size_px: tuple[int, int]) -> PictureSequence:
     """Return the pictures from which every pixel's projector column and row are found."""
     names = [WHITE, BLACK]
     for axis in _AXES:
-        for level, steps in _STEPS.items():
-            names += [f"{len(names) + step:02d}-{axis}-{level}-{step}" for step in range(steps)]
+        for kind, count in (("digit", _DIGITS), ("fringe", _STEPS)):
+            names += [f"{len(names) + k:02d}-{axis}-{kind}-{k}" for k in range(count)]
     return PictureSequence(kind="geometry", size_px=size_px, names=tuple(names))
 
 
 def fringe_groups() -> list[list[str]]:
     """Return the names of the fringes that differ in their step only, group by group in the order of projection."""
-    names = multishot_sequence((1, 1)).names
-    return [[name for name in names if f"-{axis}-{level}-" in name] for axis in _AXES for level in _STEPS]
+    return [_names(axis, "fringe") for axis in _AXES]
+
+
+def _names(axis: str, kind: str) -> list[str]:
+    return [name for name in multishot_sequence((1, 1)).names if f"-{axis}-{kind}-" in name]
 
 
 def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
@@ -64,10 +84,22 @@ def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
     width, height = size_px
     if name in (WHITE, BLACK):
         return np.full((height, width, 3), float(name == WHITE))
-    _, axis, level, step = name.split("-")
+    _, axis, kind, number = name.split("-")
     pixels = np.arange(width)[None] if axis == "column" else np.arange(height)[:, None]
-    angle = 2 * np.pi * (pixels / _period(level, axis, size_px) - int(step) / _STEPS[level])
-    return np.asarray(np.broadcast_to((0.5 + 0.5 * np.cos(angle))[..., None], (height, width, 3)))
+    if kind == "fringe":
+        codes = 0.5 + 0.5 * np.cos(2 * np.pi * (pixels / FINE_PX - int(number) / _STEPS))
+    else:
+        levels = _levels(pixels.size)
+        high, low = np.divmod(np.floor(pixels / FINE_PX + 0.5).astype(int), levels)
+        # Every other row of numbers runs back, so that neighbours differ by one level of one digit.
+        digit = high if number == "0" else np.where(high % 2 == 0, low, levels - 1 - low)
+        codes = (digit / (levels - 1)) ** (1 / _USUAL_GAMMA)
+    return np.asarray(np.broadcast_to(codes[..., None], (height, width, 3)))
+
+
+def _levels(length: int) -> int:
+    """Return how many levels the digits of the cycles of so many projector px have."""
+    return int(np.ceil(np.sqrt(np.floor((length - 1) / FINE_PX + 0.5) + 1)))
 
 
 def decode_multishot(
@@ -115,46 +147,33 @@ def decode_multishot(
     return ProjectorMap(position, shift, white.astype(np.float64) / full)
 
 
-def _period(level: str, axis: str, size_px: tuple[int, int]) -> float:
-    """Return a level's period in px.
-
-    The coarsest spans the projector, so that every place has a phase of its own; and only just, so that read with
-    another projector's size the periods contradict each other.
-    """
-    length = size_px[0 if axis == "column" else 1]
-    if level == "fine":
-        return FINE_PX
-    if level == "middle":
-        return FINE_PX * _RATIO
-    return max(FINE_PX * _RATIO, 1.02 * length)
-
-
 def _decode_axis(
     captures: Mapping[str, ImageArray], axis: str, size_px: tuple[int, int], full: float, where: str
 ) -> tuple[FloatArray, FloatArray]:
     """Return the coordinate along one axis, (H, W) px, and what each channel adds to it, (3, H, W)."""
     length = size_px[0 if axis == "column" else 1]
-    vectors = {level: _phase_vector(captures, axis, level, full) for level in _STEPS}
-    fine = vectors["fine"].sum(axis=-1)
-    amplitude = np.abs(fine)
-    valid = amplitude > max(_MIN_AMPLITUDE * float(np.percentile(amplitude, 99)), 3 * _MIN_LEVELS / 255)
-    coarse = np.abs(vectors["coarse"].sum(axis=-1))
-    if np.percentile(amplitude, 99) < 0.2 * np.percentile(coarse, 99):
-        raise CalibrationError(f"{where}: the fine fringes are washed out: focus camera and projector on the board")
-    # Half a period of room before the first pixel, so that noise there does not turn the coarse phase round.
-    period = _period("coarse", axis, size_px)
-    place = np.mod(np.angle(vectors["coarse"].sum(axis=-1)) / (2 * np.pi), 1.0) * period
-    place = np.where(place > length + 0.25 * (period - length), place - period, place)
-    unsure = np.zeros(place.shape, np.bool_)
-    for level in ("middle", "fine"):
-        period = _period(level, axis, size_px)
-        part = np.angle(vectors[level].sum(axis=-1)) / (2 * np.pi)
-        cycles = np.rint(place / period - part)
-        unsure |= np.abs(place / period - part - cycles) > _UNSURE
-        place = (cycles + part) * period
+    black = captures[BLACK].astype(np.float64)
+    fringes, digits = ([captures[name] - black for name in _names(axis, kind)] for kind in ("fringe", "digit"))
+    by_channel = np.maximum(captures[WHITE] - black, 1e-3 * full)
+    white = by_channel.sum(axis=-1)
+    shares = [fringe.sum(axis=-1) / white for fringe in fringes]
+    amplitude = np.abs(_vector(shares)) * white / full
+    best = float(np.percentile(amplitude, 99))
+    if best < _MIN_CONTRAST * np.percentile(white, 99) / full:
+        raise CalibrationError(f"{where}: the fringes are washed out: focus camera and projector on the board")
+    valid = amplitude > max(_MIN_AMPLITUDE * best, 3 * _MIN_LEVELS / 255)
+    if not valid.any():
+        return np.full(valid.shape, np.nan), np.zeros((3, *valid.shape))
+    turned = _first_harmonic(_vector(shares), valid)
+    part = np.mod(np.angle(turned) / (2 * np.pi), 1.0)
+    mean = np.asarray(sum(shares) / _STEPS)
+    number, unsure = _cycle_numbers([digit.sum(axis=-1) / white for digit in digits], mean, part, valid, length)
+    place = (number + part) * FINE_PX
     outside = (place < -1) | (place > length)
-    if np.count_nonzero((unsure | outside) & valid) > _MAX_UNSURE * np.count_nonzero(valid) or (
-        valid.any() and _unevenness(captures, axis, full, fine, valid) > _MAX_UNEVEN
+    if (
+        np.count_nonzero((unsure | outside) & valid) > _MAX_UNSURE * np.count_nonzero(valid)
+        or np.percentile(np.abs(mean - np.median(mean[valid]))[valid], 75) > _MAX_UNEVEN
+        or _torn(place, part, valid) > _MAX_TORN
     ):
         given = "{}x{} is not the projector's size".format(*size_px)
         if place.shape[::-1] == tuple(size_px):
@@ -164,36 +183,91 @@ def _decode_axis(
             + given
         )
     place[~valid | unsure | outside] = np.nan
-    with np.errstate(invalid="ignore", divide="ignore"):
-        alone = np.angle(vectors["fine"] * np.conj(fine / amplitude)[..., None]) * FINE_PX / (2 * np.pi)
-    return place, np.moveaxis(alone, -1, 0)
+    alone = [_vector([fringe[..., i] / by_channel[..., i] for fringe in fringes]) for i in range(3)]
+    shift = [np.angle(_first_harmonic(channel, valid) * np.conj(turned)) * FINE_PX / (2 * np.pi) for channel in alone]
+    return place, np.stack(shift)
 
 
-def _unevenness(
-    captures: Mapping[str, ImageArray],
-    axis: str,
-    full: float,
-    fine: npt.NDArray[np.complex128],
-    valid: npt.NDArray[np.bool_],
-) -> float:
-    """Return what captures out of order add to the fine fringes, over their amplitude.
+def _vector(steps: list[FloatArray]) -> npt.NDArray[np.complex128]:
+    """Return amplitude times exp(i phase) of a sinusoid's steps."""
+    turned = sum(step * np.exp(2j * np.pi * k / _STEPS) for k, step in enumerate(steps))
+    return np.asarray(turned, np.complex128) * (2 / _STEPS)
 
-    In order, the second harmonic is the response's and in phase with the first (up to a twentieth of it, which a fourth
-    adds), and the third is a thirtieth of the first at most. Two steps of one parity that change places
-    leave the third as it is, two of different parity neither. The result is what a quarter of the pixels exceed, as a
-    black picture in place of one step bends only those that are bright there.
+
+def _first_harmonic(seen: npt.NDArray[np.complex128], valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.complex128]:
+    """Return exp(i phi) from `_vector`, in which the response's second harmonic is; see the module."""
+    size = np.abs(seen)
+    usual = valid & (size < _MOST_SIZE * np.median(size[valid]))
+    unit = seen / np.sqrt(np.mean(size[usual] ** 2))
+    # Of a mean |z|^2 of 1 follows c_1^2 = 1 - c_2^2.
+    skew = float(np.mean(unit[usual] ** 3).real) / 3
+    second = skew
+    for _ in range(_TURNS):
+        second = skew / max(1 - second**2, 0.5)
+    turned = unit / np.maximum(np.abs(unit), 1e-9)
+    for _ in range(_TURNS):
+        turned = unit - second * np.conj(turned) ** 2
+        turned = turned / np.maximum(np.abs(turned), 1e-9)
+    return np.asarray(turned)
+
+
+def _cycle_numbers(
+    light: list[FloatArray], mean: FloatArray, part: FloatArray, valid: npt.NDArray[np.bool_], length: int
+) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Return the number of every pixel's cycle, (H, W), and where it is doubtful.
+
+    Parameters
+    ----------
+    light : list of (H, W)
+        The digits, the higher one first, as shares of white.
+    mean : (H, W)
+        Of the steps, as a share of white.
+    part : (H, W)
+        Of the cycle, 0 to 1.
+    valid : (H, W) bool
+        Pixels that count.
+    length : int
+        The projector's, px.
     """
-    amplitude = np.maximum(np.abs(fine), 1e-9)
-    second, third = (_phase_vector(captures, axis, "fine", full, harmonic).sum(axis=-1) for harmonic in (2, 3))
-    across = np.abs((second * np.conj(fine / amplitude) ** 2).imag)
-    return max(float(np.percentile((part / amplitude)[valid], 75)) for part in (across, np.abs(third) / 2))
+    levels = _levels(length)
+    # Of light = code^gamma a sinusoid's mean is Gamma(gamma + 1/2) / (sqrt(pi) Gamma(gamma + 1)).
+    means = [gamma_function(gamma + 0.5) / (np.sqrt(np.pi) * gamma_function(gamma + 1)) for gamma in _GAMMAS]
+    gamma = float(np.interp(-np.median(mean[valid]), -np.array(means), _GAMMAS))
+    expected = (np.arange(levels) / (levels - 1)) ** (gamma / _USUAL_GAMMA)
+    sure = valid & (np.abs(part - 0.5) > 0.5 - _SURE)
+    unsure = np.zeros(valid.shape, bool)
+    digits = []
+    for share in light:
+        digit = np.searchsorted((expected[1:] + expected[:-1]) / 2, share)
+        to_next = np.gradient(expected)[digit]
+        unsure |= sure & (np.abs(share - expected[digit]) > _UNSURE * to_next)
+        digits.append(digit)
+    high, low = digits
+    number = high * levels + np.where(high % 2 == 0, low, levels - 1 - low)
+    number = np.where(part > 0.5, number - 1, number)
+    # Pixels whose digits are blurred go on from the nearest that are not.
+    sure &= ~unsure
+    if not sure.any():
+        return number.astype(np.float64), valid
+    _, nearest = cv2.distanceTransformWithLabels(
+        (~sure).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    place = np.zeros(nearest.max() + 1)
+    place[nearest[sure]] = (number + part)[sure]
+    return np.rint(place[nearest] - part), unsure
 
 
-def _phase_vector(
-    captures: Mapping[str, ImageArray], axis: str, level: str, full: float, harmonic: int = 1
-) -> npt.NDArray[np.complex128]:
-    """Return amplitude times exp(i phase) of each channel, (H, W, 3); or of a harmonic."""
-    steps = _STEPS[level]
-    names = [name for name in multishot_sequence((1, 1)).names if f"-{axis}-{level}-" in name]
-    total = sum(captures[name] * np.exp(2j * np.pi * harmonic * step / steps) for step, name in enumerate(names))
-    return np.asarray(total, np.complex128) * (2 / steps / full)
+def _torn(place: FloatArray, part: FloatArray, valid: npt.NDArray[np.bool_]) -> float:
+    """Return how often the place leaps where the phase goes on, for every cycle that neighbouring pixels pass.
+
+    Not at the rims of squares, which something that moves by half a pixel tears apart.
+    """
+    inside = cv2.erode(valid.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX))) > 0
+    leaps, cycles = 0, 1.0
+    for axis in (0, 1):
+        both = np.minimum(*(np.delete(inside, end, axis) for end in (0, -1)))
+        step = np.diff(part, axis=axis)[both]
+        step -= np.rint(step)
+        leaps += np.count_nonzero(np.abs(np.diff(place, axis=axis)[both] / FINE_PX - step) > 0.5)
+        cycles += float(np.abs(step).sum())
+    return leaps / cycles

@@ -22,8 +22,8 @@ from pipeline.models import CameraState, FloatArray, ImageArray
 from pipeline.robust import robust_sigma
 from tikernels.raw.linearization import TRANSFERS, Transfer, linear_values
 
-#: Codes of the ramps, 0..255. Sixteen steps follow any smooth response to a thousandth.
-RAMP_CODES = (*range(16, 256, 16), 255)
+#: Codes of the ramps, 0..255. Eight steps follow a smooth response to two thousandths, and phases to .0006 rad.
+RAMP_CODES = (*range(32, 256, 32), 255)
 _COLORS = {"red": (1, 0, 0), "green": (0, 1, 0), "blue": (0, 0, 1), "grey": (1, 1, 1)}
 #: Names of the projector's primaries, and of the camera channels that see most of each.
 PRIMARIES = ("red", "green", "blue")
@@ -43,7 +43,7 @@ _MAX_NOT_ADDITIVE = 0.02
 # A named transfer by which grey differs by less is the camera's; only else is a curve fitted.
 _ADDITIVE = 0.01
 # Knots of that curve, denser where it is dark.
-_KNOTS = 24
+_KNOTS = 12
 
 
 @dataclass(frozen=True)
@@ -278,11 +278,19 @@ def _factorise(ramps: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, F
         matrix_sigma[:, k] = sigma
         knots = np.clip(np.maximum.accumulate(curve / top), 0, 1)
         knots[0], knots[-1] = 0.0, 1.0
-        response[k] = np.clip(monotone_curve(codes, knots, np.arange(256) / 255), 0, 1)
+        response[k] = _between(codes, knots)
         response[k, [0, -1]] = 0, 1
         response_sigma[k] = sigma / np.linalg.norm(matrix[:, k])
         response_sigma[k, [0, -1]] = 0.0
     return matrix, matrix_sigma, response, response_sigma
+
+
+def _between(codes: FloatArray, light: FloatArray) -> FloatArray:
+    """Return the light of 256 codes, interpolated in the power of it that is nearly straight."""
+    middle = len(codes) // 2
+    gamma = float(np.clip(np.log(max(light[middle], 1e-6)) / np.log(codes[middle]), 1, 3))
+    straight = monotone_curve(codes, light ** (1 / gamma), np.arange(256) / 255)
+    return np.asarray(np.clip(straight, 0, 1) ** gamma)
 
 
 def monotone_curve(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:

@@ -108,10 +108,10 @@ def test_a_pose_that_moved_is_named_with_what_moved(captures, poses, step_mm, fi
     still, rig = captures[3], practice_rig()
     place = still.place_mm + np.array(step_mm)
     after = BoardCaptures(rig, BOARD, still.turn, place, still.names, still.codes, still.light, seed=9)
-    pose = measured("pose-04", MovedCaptures(still, after, "16-row-coarse-0"))
+    pose = measured("pose-04", MovedCaptures(still, after, "07-row-digit-0"))
     found = solved([*poses[:3], pose, *poses[4:]])
     (judged,) = (judged for judged in found.verdict.poses if judged.name == "pose-04")
-    assert "it moved: from 16-row-coarse-0 on" in judged.in_words()
+    assert "it moved: from 09-row-fringe-0 on" in judged.in_words()
     assert (judged is found.verdict.poses[0]) == (judged.rms_px[0] > 2 * judged.usual_px[0]) == (not fits)
 
 

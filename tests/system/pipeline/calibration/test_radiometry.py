@@ -89,7 +89,7 @@ def test_a_transfer_that_no_standard_names():
     [
         (lambda c: c.update({n: np.minimum(2 * c[n].astype(int), 255).astype(np.uint8) for n in c}), "at full scale"),
         (lambda c: c.update({n: (c[n] // 32) for n in c}), "hardly brighter"),
-        (lambda c: c.update({"09-red-144": c["04-red-064"]}), "08-red-128|09-red-144 is darker"),
+        (lambda c: c.update({"05-red-160": c["02-red-064"]}), "04-red-128|05-red-160 is darker"),
         (lambda c: c.update({n: np.ascontiguousarray(c[n][..., ::-1]) for n in c}), "BGR"),
         # A white segment: grey is brighter than its parts.
         (lambda c: c.update({n: (1.08 * c[n]).astype(np.uint8) for n in c if "grey" in n}), "colour mode"),
@@ -119,16 +119,16 @@ def test_the_sequence_and_its_captures(tmp_path):
     write_sequence(folder, small, lambda name: np.broadcast_to(radiometry_codes(name), (30, 40, 3)))
     assert PictureSequence.model_validate_json((folder / SEQUENCE_FILE).read_text()) == small
     assert len(small.names) == 1 + 4 * len(RAMP_CODES)
-    np.testing.assert_array_equal(read_image(folder / "16-red-255.png")[0, 0], (255, 0, 0))
+    np.testing.assert_array_equal(read_image(folder / "08-red-255.png")[0, 0], (255, 0, 0))
     with pytest.raises(OutputError, match="not an empty folder"):
         write_sequence(folder, small, lambda name: np.zeros((30, 40, 3)))
     captures = CapturedFolder(folder, small.names)
     assert captures[GREY].shape == (30, 40, 3)
-    cv2.imwrite(str(folder / "03-red-048.png"), np.zeros((20, 40, 3), np.uint8))
-    with pytest.raises(CalibrationError, match=r"03-red-048.png is 40x20 .* others are 40x30"):
-        captures["03-red-048"]
-    (folder / "02-red-032.png").unlink()
-    with pytest.raises(CalibrationError, match=r"lacks the capture 02-red-032.png"):
+    cv2.imwrite(str(folder / "03-red-096.png"), np.zeros((20, 40, 3), np.uint8))
+    with pytest.raises(CalibrationError, match=r"03-red-096.png is 40x20 .* others are 40x30"):
+        captures["03-red-096"]
+    (folder / "02-red-064.png").unlink()
+    with pytest.raises(CalibrationError, match=r"lacks the capture 02-red-064.png"):
         CapturedFolder(folder, small.names)
 
 

@@ -54,9 +54,9 @@ def test_radiometry_command(folder, command):
     assert done.returncode == 0 and json.loads((folder / "bright.json").read_text())["compensated"] is True
     done = command("calibrate", "radiometry", "ramps", "--out", "light.json", cwd=folder)
     assert done.returncode == 1 and "exists already" in done.stderr
-    (folder / "ramps" / "07-red-112.png").unlink()
+    (folder / "ramps" / "07-red-224.png").unlink()
     done = command("calibrate", "radiometry", "ramps", "--out", "other.json", cwd=folder)
-    assert done.returncode == 1 and "07-red-112.png" in done.stderr and not (folder / "other.json").exists()
+    assert done.returncode == 1 and "07-red-224.png" in done.stderr and not (folder / "other.json").exists()
     done = command("pattern", "board.pdf", "--board", "charuco", "--squares", "9x6", cwd=folder)
     assert done.returncode == 0 and (folder / "board.pdf").read_bytes().startswith(b"%PDF")
 

@@ -10,13 +10,14 @@ from pipeline.errors import CalibrationError
 
 def test_captures_in_the_wrong_order(of_charuco):
     captures = dict(of_charuco)
-    names = [name for name in SEQUENCE.names if "column-fine" in name]
-    for a, b in ((WHITE, BLACK), (names[0], "05-column-coarse-3"), (names[0], names[2]), (BLACK, names[1])):
+    names = [name for name in SEQUENCE.names if "column-fringe" in name]
+    digits = [name for name in SEQUENCE.names if "column-digit" in name]
+    for a, b in ((WHITE, BLACK), (names[0], digits[1]), (names[0], names[2]), (BLACK, names[1]), digits):
         swapped = {**captures, a: captures[b], b: captures[a]}
         with pytest.raises(CalibrationError, match=r"order|contradict"):
             decode_multishot(swapped, PROJECTOR_PX)
-    # Steps turned round in a circle are fringes, too, of another place: the coarser ones contradict them.
-    turned = {a: captures[b] for a, b in zip(names, names[3:] + names[:3], strict=True)}
+    # Steps turned round in a circle are fringes, too, of another place: the digits contradict them.
+    turned = {a: captures[b] for a, b in zip(names, names[1:] + names[:1], strict=True)}
     with pytest.raises(CalibrationError, match="contradict"):
         decode_multishot({**captures, **turned}, PROJECTOR_PX)
 

@@ -17,8 +17,8 @@ from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 from tikernels.depth.triangulation import triangulate
 
 MATRIX = 0.6 * np.array(TYPICAL_CROSSTALK)
-SHARP = PictureEvidence(0.5, (("02-column-coarse-0", 0.01), ("16-row-coarse-0", 0.01)))
-MOVED = PictureEvidence(0.5, (("02-column-coarse-0", 0.01), ("16-row-coarse-0", 0.4)))
+SHARP = PictureEvidence(0.5, (("04-column-fringe-0", 0.01), ("09-row-fringe-0", 0.01)))
+MOVED = PictureEvidence(0.5, (("04-column-fringe-0", 0.01), ("09-row-fringe-0", 0.4)))
 BLURRED = PictureEvidence(2.5, SHARP.drift_px)
 
 
@@ -107,7 +107,7 @@ def poses_with(evidence, noise_px):
 @pytest.mark.parametrize(
     ("evidence", "named"),
     [
-        (MOVED, "it moved: from 16-row-coarse-0 on its corners lie up to 0.40 px from"),
+        (MOVED, "it moved: from 09-row-fringe-0 on its corners lie up to 0.40 px from"),
         (BLURRED, "it is blurred (edges have a sigma of 2.5 px, elsewhere 0.5)"),
         (SHARP, "no cause shows but the error itself"),
     ],
