@@ -54,6 +54,9 @@ _REACH = 0.2
 # further off.
 _FIT = 0.05
 _MM_PER_INCH = 25.4
+# What A4 and Letter paper have in common; what of a page's rim name and ruler need, and their places in it.
+_PAPER_MM = (279.4, 210.0)
+_CAPTION_MM, _TEXT_MM, _RULER_MM = 11.0, 5.0, 8.5
 
 
 @dataclass(frozen=True)
@@ -374,7 +377,11 @@ class Board(Model):
         return np.where((x + y) % 2 == 0, 0, 255).astype(np.uint8)
 
     def write(self, path: Path) -> None:
-        """Write the board to be printed, as PDF, SVG or PNG, in its true size with a white margin of one square.
+        """Write the board to be printed, as PDF, SVG or PNG, in its true size.
+
+        Below it stand its name and a ruler of 100 mm, which tells whether it was printed in its true size, and above
+        it which way is up. The page fits on A4 and on Letter paper where the board does, with a white margin of half a
+        square at least; else it is the board with a margin of one square.
 
         Raises
         ------
@@ -387,13 +394,31 @@ class Board(Model):
         kind = path.suffix.lower().lstrip(".")
         if kind not in ("pdf", "svg", "png"):
             raise OutputError(f"a board is written as PDF, SVG or PNG: name it {path.stem}.pdf")
-        drawing = np.pad(self.draw(64), 64, constant_values=255)
-        height, width = np.array(drawing.shape) / 64 * self.square_mm / _MM_PER_INCH
-        figure = Figure(figsize=(width, height))
+        board = np.array(self.squares) * self.square_mm
+        page = np.array(_PAPER_MM if board[0] >= board[1] else _PAPER_MM[::-1])
+        if (board + max(self.square_mm, 2 * _CAPTION_MM) > page).any():
+            page = board + 2 * max(self.square_mm, _CAPTION_MM)
+        figure = Figure(figsize=tuple(page / _MM_PER_INCH))
         FigureCanvasAgg(figure)
-        axes = figure.add_axes((0, 0, 1, 1))
-        axes.imshow(drawing, cmap="gray", interpolation="nearest", aspect="auto", vmin=0, vmax=255)
+        left, bottom = (page - board) / 2
+        axes = figure.add_axes((left / page[0], bottom / page[1], *(board / page)))
+        axes.imshow(self.draw(64), cmap="gray", interpolation="nearest", aspect="auto", vmin=0, vmax=255)
         axes.set_axis_off()
+        self._caption(figure.add_axes((0, 0, 1, 1), xlim=(0, page[0]), ylim=(0, page[1])), page)
         buffer = io.BytesIO()
         figure.savefig(buffer, format=kind, dpi=300)
         write_atomically(path, buffer.getvalue())
+
+    def _caption(self, axes: Any, page_mm: FloatArray) -> None:
+        """Draw name, ruler and "up" at the page's rims, in axes whose unit is mm."""
+        axes.set_axis_off()
+        axes.patch.set_alpha(0)
+        middle, top = page_mm[0] / 2, page_mm[1]
+        name = "{} {}x{}, squares of {:g} mm".format(self.kind, *self.squares, self.square_mm)
+        if self.kind == "charuco":
+            name += f", {self.dictionary}, markers of {self.marker_mm or 0.75 * self.square_mm:g} mm"
+        axes.text(middle, _TEXT_MM, f"{name}; the ruler is 100 mm long", ha="center", va="bottom", fontsize=6)
+        ticks = middle - 50 + np.arange(0, 101, 10)
+        axes.vlines(ticks, _RULER_MM, _RULER_MM + 1.5, colors="black", linewidths=0.5)
+        axes.hlines(_RULER_MM, ticks[0], ticks[-1], colors="black", linewidths=0.5)
+        axes.text(middle, top - _TEXT_MM, "up", ha="center", va="top", fontsize=6)

@@ -1,7 +1,7 @@
 """Projector coordinates of every camera pixel of a scene that holds still, from captures of twelve pictures.
 
-Black and white, and of columns and of rows five each: three steps of a sinusoid, and the two digits of the number of its
-cycle as levels of grey. White and black make light a share of white, s, whatever the surface. Of three steps
+Black and white, and of columns and of rows five each: three steps of a sinusoid, and two digits of the number of its
+cycle, as levels of grey. White and black make light a share of white, s, whatever the surface. Of three steps
 
     z = 2/3 sum of s_k exp(2 pi i k / 3) = c_1 exp(i phi) + c_2 exp(-2 i phi),
 
@@ -30,7 +30,7 @@ _AXES = ("column", "row")
 _USUAL_GAMMA = 2.0
 # Gammas of the projector and the camera together that are looked for.
 _GAMMAS = np.linspace(0.6, 4.0, 341)
-# Turns of two fixed points, each ten times as near as the one before.
+# Turns of three iterations to a fixed point, which four reach.
 _TURNS = 8
 # Where something has moved since white and black were taken, shares of white are many times what they are elsewhere.
 _MOST_SIZE = 1.5
@@ -235,6 +235,7 @@ def _cycle_numbers(
     gamma = float(np.interp(-np.median(mean[valid]), -np.array(means), _GAMMAS))
     expected = (np.arange(levels) / (levels - 1)) ** (gamma / _USUAL_GAMMA)
     sure = valid & (np.abs(part - 0.5) > 0.5 - _SURE)
+    expected = _seen_levels(np.concatenate([share[sure] for share in light]), expected)
     unsure = np.zeros(valid.shape, bool)
     digits = []
     for share in light:
@@ -257,17 +258,27 @@ def _cycle_numbers(
     return np.rint(place[nearest] - part), unsure
 
 
+def _seen_levels(shares: FloatArray, expected: FloatArray) -> FloatArray:
+    """Return the digits' levels as they are seen: stray light and the camera's curve move them a little."""
+    for _ in range(_TURNS):
+        digit = np.searchsorted((expected[1:] + expected[:-1]) / 2, shares)
+        there = np.unique(digit)
+        off = [float(np.median(shares[digit == number])) - expected[number] for number in there]
+        expected = expected + np.interp(np.arange(len(expected)), there, off)
+    return expected
+
+
 def _torn(place: FloatArray, part: FloatArray, valid: npt.NDArray[np.bool_]) -> float:
     """Return how often the place leaps where the phase goes on, for every cycle that neighbouring pixels pass.
 
     Not at the rims of squares, which something that moves by half a pixel tears apart.
     """
     inside = cv2.erode(valid.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX))) > 0
-    leaps, cycles = 0, 1.0
+    leaps, cycles = 0.0, 1.0
     for axis in (0, 1):
         both = np.minimum(*(np.delete(inside, end, axis) for end in (0, -1)))
         step = np.diff(part, axis=axis)[both]
         step -= np.rint(step)
-        leaps += np.count_nonzero(np.abs(np.diff(place, axis=axis)[both] / FINE_PX - step) > 0.5)
+        leaps += float(np.count_nonzero(np.abs(np.diff(place, axis=axis)[both] / FINE_PX - step) > 0.5))
         cycles += float(np.abs(step).sum())
     return leaps / cycles

@@ -111,6 +111,7 @@ def pattern(
     """
     if board is not None:
         options.board(board).write(file)
+        say(f"wrote {file}: print it in its true size, so that its ruler is 100 mm long, and glue it on something flat")
         return
     from pipeline.pattern import write_pattern
 

@@ -99,3 +99,21 @@ def test_a_printed_board(tmp_path):
     np.testing.assert_allclose(places, (CHARUCO.corners_mm()[numbers, :2] + 30) / 25.4 * 300, atol=3)
     with pytest.raises(OutputError, match="PDF, SVG or PNG"):
         CHARUCO.write(tmp_path / "board.jpg")
+
+
+@pytest.mark.parametrize(
+    ("squares", "square_mm", "page_mm"),
+    [((11, 8), 20.0, (279.4, 210.0)), ((6, 9), 20.0, (210.0, 279.4)), ((11, 8), 24.0, (312.0, 240.0))],
+)
+def test_a_printed_board_fits_on_paper_and_tells_its_size(tmp_path, squares, square_mm, page_mm):
+    """A ruler of 100 mm lies under it, in a margin that hides no corner."""
+    board = Board(kind="chessboard", squares=squares, square_mm=square_mm)
+    board.write(tmp_path / "board.png")
+    picture = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
+    px_per_mm = 300 / 25.4
+    np.testing.assert_allclose(picture.shape[::-1], np.array(page_mm) * px_per_mm, atol=2)
+    dark = np.flatnonzero(picture[round(picture.shape[0] - 8.5 * px_per_mm)] < 160)
+    assert np.ptp(dark) == pytest.approx(100 * px_per_mm, abs=8)
+    small = cv2.resize(picture, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
+    _, places = board.find(small / 255.0)
+    assert np.linalg.norm(places[1] - places[0]) * 4 / px_per_mm == pytest.approx(square_mm, rel=0.01)

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from support.board_rig import MovedCaptures
-from support.posed_boards import CHARUCO, CHESSBOARD, PROJECTOR_PX, SEQUENCE, captured, rig
+from support.posed_boards import CHARUCO, CHESSBOARD, PROJECTOR_PX, captured, rig
 
 from pipeline.calibration import board_poses
 from pipeline.calibration.board import Board
