@@ -84,6 +84,7 @@ def pattern(
     /,
     *,
     size: str | None = None,
+    display: int | None = None,
     fringes: PatternOptions = _FRINGES,
     calibration: Path | None = None,
     brightness: float = 1.0,
@@ -101,6 +102,8 @@ def pattern(
         The PNG to write; a board may be a PDF or SVG.
     size
         The projector's width and height in px; left out, the calibration's, else 1024x768.
+    display
+        Instead of a size: the display that `colorphase project` shows it on, as `colorphase devices` numbers them.
     calibration
         The rig's calibration.json; the projector's response is then undone in the pattern.
     brightness
@@ -118,9 +121,28 @@ def pattern(
     rig = read_calibration(calibration)
     if rig is not None and rig.response is None:
         raise CalibrationError(f"{calibration} holds no response: run colorphase calibrate radiometry")
-    size_px = rig.projector.size_px if rig is not None and rig.projector is not None else DEFAULT_PROJECTOR_PX
+    calibrated_px = None if rig is None or rig.projector is None else rig.projector.size_px
+    size_px = calibrated_px or DEFAULT_PROJECTOR_PX
+    if display is not None:
+        size_px = _display_size(display, size, calibrated_px)
+    elif size is not None:
+        size_px = size_of(size)
     response = None if rig is None else rig.response
-    write_pattern(file, size_px if size is None else size_of(size), fringes.pattern(rig), response, brightness)
+    write_pattern(file, size_px, fringes.pattern(rig), response, brightness)
+
+
+def _display_size(number: int, size: str | None, calibrated_px: tuple[int, int] | None) -> tuple[int, int]:
+    """Return a display's size in px, as a picture on it must have it."""
+    if size is not None:
+        raise SettingsError("give --size or --display, not both")
+    with Display(number) as screen:
+        size_px = screen.size_px
+    if calibrated_px is not None and calibrated_px != size_px:
+        here, known = ("{}x{}".format(*px) for px in (size_px, calibrated_px))
+        raise CalibrationError(
+            f"display {number} has {here} px, the calibrated projector {known}: choose its display, or set that size"
+        )
+    return size_px
 
 
 def project(

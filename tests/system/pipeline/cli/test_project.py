@@ -8,6 +8,7 @@ import pytest
 from support.emulators.emulated_pjlink import PJLinkProjector
 
 from pipeline.footage.image_file import read_image
+from pipeline.simulation import simulated_rig
 
 PASSWORD = "JBMIAProjectorLink"
 
@@ -90,6 +91,20 @@ def test_pictures_that_are_refused(command, name, picture, message):
     assert (code, said) == (1, "")
     assert message in complained
     assert complained.count("\n") == 1
+
+
+def test_a_pattern_for_a_display_has_its_size(command, tmp_path):
+    assert command("pattern", "pattern.png", "--display", "0") == (0, "", "")
+    assert read_image(tmp_path / "pattern.png").shape == (768, 1024, 3)
+    assert "there is no display 7: choose one of 0 (1024x768)" in command("pattern", "p.png", "--display", "7")[2]
+    assert "--size or --display, not both" in command("pattern", "p.png", "--display", "0", "--size", "8x8")[2]
+    rig = simulated_rig()
+    other = rig.projector.model_copy(update={"size_px": (1920, 1080)})
+    response = np.tile(np.linspace(0, 1, 256), (3, 1))
+    rig.model_copy(update={"projector": other, "response": response}).write(tmp_path / "rig.json")
+    said = command("pattern", "p.png", "--display", "0", "--calibration", "rig.json")[2]
+    assert "display 0 has 1024x768 px, the calibrated projector 1920x1080" in said
+    assert not (tmp_path / "p.png").exists()
 
 
 def test_a_pattern_has_the_size_that_was_asked_for(command, tmp_path):
