@@ -379,8 +379,8 @@ class Board(Model):
     def write(self, path: Path) -> None:
         """Write the board to be printed, as PDF, SVG or PNG, in its true size.
 
-        Below it stand its name and a ruler of 100 mm, which tells whether it was printed in its true size, and above
-        it which way is up. The page fits on A4 and on Letter paper where the board does, with a white margin of half a
+        Below the board are its name and a ruler of 100 mm, to check that it was printed in its true size; above it,
+        which way is up. The page fits on A4 and on Letter paper where the board does, with a white margin of half a
         square at least; else it is the board with a margin of one square.
 
         Raises

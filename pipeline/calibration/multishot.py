@@ -6,7 +6,7 @@ cycle, as levels of grey. White and black make light a share of white, s, whatev
     z = 2/3 sum of s_k exp(2 pi i k / 3) = c_1 exp(i phi) + c_2 exp(-2 i phi),
 
 with c_n the harmonics of the projector's response: on average |z|^2 is c_1^2 + c_2^2 and z^3 is 3 c_1^2 c_2, which
-determines both, and then phi. The mean of the steps tells the response's gamma, and that the levels of the digits.
+determines both, and then phi. The mean of the steps gives the response's gamma, from which the digits' levels follow.
 """
 
 from collections.abc import Mapping
@@ -47,6 +47,7 @@ _UNSURE = 0.4
 # Greater shares of pixels between digits, or beyond the picture, and of cycles whose numbers do not follow each other
 # are refused: in captures in order, of a scene that stands still, noise and depth steps make but a few per cent so.
 _MAX_UNSURE, _MAX_TORN = 0.1, 0.3
+# The rims of squares, half of this wide in px, are left out: what moves by half a pixel tears them.
 _RIM_PX = 5
 # The mean of the steps, as a share of white, is the same everywhere to this in three quarters of the pixels.
 _MAX_UNEVEN = 0.06
@@ -87,7 +88,8 @@ def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
     _, axis, kind, number = name.split("-")
     pixels = np.arange(width)[None] if axis == "column" else np.arange(height)[:, None]
     if kind == "fringe":
-        codes = 0.5 + 0.5 * np.cos(2 * np.pi * (pixels / FINE_PX - int(number) / _STEPS))
+        cycles = pixels / FINE_PX + _begin(axis, size_px)
+        codes = 0.5 + 0.5 * np.cos(2 * np.pi * (cycles - int(number) / _STEPS))
     else:
         levels = _levels(pixels.size)
         high, low = np.divmod(np.floor(pixels / FINE_PX + 0.5).astype(int), levels)
@@ -95,6 +97,16 @@ def multishot_codes(name: str, size_px: tuple[int, int]) -> FloatArray:
         digit = high if number == "0" else np.where(high % 2 == 0, low, levels - 1 - low)
         codes = (digit / (levels - 1)) ** (1 / _USUAL_GAMMA)
     return np.asarray(np.broadcast_to(codes[..., None], (height, width, 3)))
+
+
+def _begin(axis: str, size_px: tuple[int, int]) -> float:
+    """Return after which part of a cycle the fringes begin: pictures read with another size contradict their digits.
+
+    Of 26 sizes that projectors have, 640x360 to 4096x2160, no two begin within a third of a cycle of each other along
+    both axes, unless their digits differ in their levels.
+    """
+    width, height = size_px[0] - 1024, size_px[1] - 768
+    return width / 16 + height / 9 if axis == "column" else width / 9 + height / 16
 
 
 def _levels(length: int) -> int:
@@ -157,15 +169,16 @@ def _decode_axis(
     by_channel = np.maximum(captures[WHITE] - black, 1e-3 * full)
     white = by_channel.sum(axis=-1)
     shares = [fringe.sum(axis=-1) / white for fringe in fringes]
-    amplitude = np.abs(_vector(shares)) * white / full
+    seen = _vector(shares)
+    amplitude = np.abs(seen) * white / full
     best = float(np.percentile(amplitude, 99))
     if best < _MIN_CONTRAST * np.percentile(white, 99) / full:
         raise CalibrationError(f"{where}: the fringes are washed out: focus camera and projector on the board")
     valid = amplitude > max(_MIN_AMPLITUDE * best, 3 * _MIN_LEVELS / 255)
     if not valid.any():
         return np.full(valid.shape, np.nan), np.zeros((3, *valid.shape))
-    turned = _first_harmonic(_vector(shares), valid)
-    part = np.mod(np.angle(turned) / (2 * np.pi), 1.0)
+    turned = _first_harmonic(seen, valid)
+    part = np.mod(np.angle(turned) / (2 * np.pi) - _begin(axis, size_px), 1.0)
     mean = np.asarray(sum(shares) / _STEPS)
     number, unsure = _cycle_numbers([digit.sum(axis=-1) / white for digit in digits], mean, part, valid, length)
     place = (number + part) * FINE_PX
@@ -269,10 +282,7 @@ def _seen_levels(shares: FloatArray, expected: FloatArray) -> FloatArray:
 
 
 def _torn(place: FloatArray, part: FloatArray, valid: npt.NDArray[np.bool_]) -> float:
-    """Return how often the place leaps where the phase goes on, for every cycle that neighbouring pixels pass.
-
-    Not at the rims of squares, which something that moves by half a pixel tears apart.
-    """
+    """Return how often the place leaps where the phase goes on, for every cycle that neighbouring pixels pass."""
     inside = cv2.erode(valid.astype(np.uint8), np.ones((_RIM_PX, _RIM_PX))) > 0
     leaps, cycles = 0.0, 1.0
     for axis in (0, 1):

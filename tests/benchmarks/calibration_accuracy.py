@@ -1,9 +1,9 @@
-"""How far calibrations of drawn rigs leave depth off, from nothing but captures of a board, beside what they predict.
+"""The depth error that calibrations of drawn rigs leave, from captures of a board alone, beside the predicted one.
 
 A 640x480 camera and a 1024x768 projector with lenses, axes and places of their own, some 180 mm apart; a chessboard of
 11x8 squares of 24 mm in ten poses about 900 mm away; a projector's gamma of 1.8 to 2.4, crosstalk, a blur of half a
-pixel and noise of 1.5 levels. Of each rig: the RMS of depth's error 900 mm away over the picture, what the calibration
-predicts of it, and how many standard deviations its parameters are off, RMS.
+pixel and noise of 1.5 levels. For each rig: the RMS depth error over the picture 900 mm away,
+the predicted one, and the RMS error of its parameters in their standard deviations.
 
 python tests/benchmarks/calibration_accuracy.py [--rigs 20]
 """

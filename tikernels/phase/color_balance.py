@@ -45,9 +45,8 @@ _MAX_CONTRAST = 1.5
 # Columns of the sums that tell it, a row of the image each; in the last row the first has the contrast itself.
 _MODULATION, _BACKGROUND = range(2)
 _CONTRAST = 0
-# Even light is told by two samples in a column, that is two rows apart: their phase hardly changes (`LEAST_CHANGE`) and
-# their correlation is at least this. A fringe's is .8 or less up to 20 px a cycle; fine prints' phase may stand still,
-# but not their colour.
+# In even light two samples of a column, two rows apart, have nearly the same phase (`LEAST_CHANGE`), and a correlation
+# of at least this. A fringe's is .8 or less up to 20 px a cycle; a fine print may hold the phase, but not the colour.
 _TURN_ROWS, _EVEN_CORRELATION = 2, 0.9
 
 

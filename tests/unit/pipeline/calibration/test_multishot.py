@@ -11,7 +11,7 @@ from pipeline.errors import CalibrationError
 @pytest.mark.parametrize("gamma", [1.0, 2.0, 2.4])
 @pytest.mark.parametrize("size_px", [(1024, 96), (1920, 80), (3840, 64)])
 def test_a_camera_that_is_the_projector(size_px, gamma):
-    """Every pixel's column and row come out, to .05 px in 8 bits, whatever the response, which is not told."""
+    """Every pixel's column and row are found to .05 px RMS in 8 bits, for any response, without knowing it."""
     names = multishot_sequence(size_px).names
     assert len(names) == 12
     codes = {name: np.rint(255 * multishot_codes(name, size_px)) / 255 for name in names}
@@ -59,6 +59,9 @@ def test_a_projector_of_another_size(of_charuco):
     captures = dict(of_charuco)
     with pytest.raises(CalibrationError, match="800x600 is not the projector's size"):
         decode_multishot(captures, (800, 600))
+    for larger in ((1280, 720), (1280, 768), (1280, 800), (1366, 768), (1280, 1024), (1400, 1050), (1920, 1080)):
+        with pytest.raises(CalibrationError, match="is not the projector's size"):
+            decode_multishot(captures, larger)
     with pytest.raises(CalibrationError, match=r"640x480 is .* but the camera's: camera and projector are swapped"):
         decode_multishot(captures, CAMERA_PX)
 
