@@ -6,6 +6,8 @@ have; by Gauss-Newton steps with Levenberg's and Marquardt's damping. The invers
 parameters' covariance (B. Triggs et al., Bundle adjustment, a modern synthesis, 2000, doi:10.1007/3-540-44480-7_21).
 """
 
+from dataclasses import dataclass, replace
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -25,8 +27,18 @@ _START_SIGMA_PX = 0.1
 # Damping, of the normal matrix's diagonal: at the start; times this where a step makes the fit worse, over that where
 # it makes it better; and where it is given up, as steps are then too small to change anything.
 _DAMPING, _WORSE, _BETTER, _MAX_DAMPING = 1e-3, 10, 5, 1e8
+# A board's corners are lifted by this to see what that does: it bends no line of sight.
+_LIFT_MM = 0.1
 # Steps at most, and the part of its cost by which a step must lower it for another one to follow.
 _MAX_STEPS, _LEAST_GAIN = 60, 1e-9
+
+
+@dataclass(frozen=True)
+class BoardBow:
+    """How far a board that is taken for flat is bent."""
+
+    height_mm: float  # from its middle to its farthest corner, positive where the middle is nearer to the camera
+    sigma_mm: float
 
 
 class BundleAdjustment:
@@ -119,7 +131,7 @@ class BundleAdjustment:
     def _residuals(self, k: int) -> tuple[FloatArray, FloatArray]:
         """Return a pose's errors, (N, 2 devices, 2) px, and their derivatives by every parameter."""
         at = 24 + 6 * k
-        residual, slopes = self.corner_errors(self.poses[k], self.parameters[at : at + 6])
+        residual, slopes = self.corner_errors(self.poses[k], self._stands(k))
         jacobian = np.zeros((*residual.shape, len(self.parameters)))
         jacobian[..., :24], jacobian[..., at : at + 6] = slopes[..., :24], slopes[..., 24:]
         return residual, jacobian
@@ -158,6 +170,43 @@ class BundleAdjustment:
         jacobian[:, 1, :, 21:24] = by_turn @ dr_dt2 + by_place @ dt_dt2
         jacobian[:, 1, :, 9:18] = slopes[..., 6:]
         return residual, jacobian
+
+    def board_bow(self) -> BoardBow:
+        """Return how far the board is bent, by the residuals that its corners share in all poses.
+
+        A bent board is taken for z = a x^2 + b x y + c y^2 about its middle: three parameters more, solved for with all
+        others by one step of Gauss and Newton.
+        """
+        size = len(self.parameters)
+        system, right = np.zeros((size + 3, size + 3)), np.zeros(size + 3)
+        normal, gradient, _ = self._normal_equations()
+        system[:size, :size], right[:size] = normal, gradient
+        every = np.concatenate([pose.corners_mm for pose in self.poses])
+        middle, reach = every.mean(axis=0), np.ptp(every, axis=0).max() / 2
+        for k, pose in enumerate(self.poses):
+            x, y, _ = ((pose.corners_mm - middle) / reach).T
+            residual, jacobian = self._residuals(k)
+            lifted = replace(pose, corners_mm=pose.corners_mm + np.array([0.0, 0.0, _LIFT_MM]))
+            by_height = (self.corner_errors(lifted, self._stands(k))[0] - residual) / _LIFT_MM
+            shapes = np.stack([x * x, x * y, y * y], axis=-1)
+            by_bow = (by_height[..., None] * shapes[:, None, None, :]).reshape(-1, 3)
+            weight = (self.used[k][:, None, None] / self.sigma_px[None, :, None] ** 2 * np.ones((1, 1, 2))).ravel()
+            rows = jacobian.reshape(-1, size)
+            system[size:, size:] += by_bow.T @ (by_bow * weight[:, None])
+            system[:size, size:] += rows.T @ (by_bow * weight[:, None])
+            right[size:] += by_bow.T @ (weight * residual.ravel())
+        system[size:, :size] = system[:size, size:].T
+        covariance = np.linalg.inv(system)
+        bow = -(covariance @ right)[size:]
+        x, y, _ = ((every - middle) / reach).T
+        shapes = np.stack([x * x, x * y, y * y], axis=-1)
+        highest = shapes[int(np.argmax(np.abs(shapes @ bow)))]
+        sigma = float(np.sqrt(highest @ covariance[size:, size:] @ highest))
+        return BoardBow(float(highest @ bow), sigma)
+
+    def _stands(self, k: int) -> FloatArray:
+        """Return where a pose's board stands: rotation vector and place, mm."""
+        return self.parameters[24 + 6 * k : 30 + 6 * k]
 
     def _rms_px(self, device: int) -> float:
         errors = [self._residuals(k)[0][used, device] for k, used in enumerate(self.used)]

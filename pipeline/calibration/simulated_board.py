@@ -22,6 +22,8 @@ _Place = tuple[float, float]
 _TEXELS = 80
 # What the board's black and white ink send back.
 _BLACK, _WHITE = 0.05, 0.8
+# Steps from a plane to a bent board: each leaves a hundredth of what the one before did.
+_BEND_STEPS = 3
 # Ambient light, over the projector's white.
 _AMBIENT = 0.02
 
@@ -41,8 +43,8 @@ class CaptureLight:
 _LIGHT = CaptureLight()
 
 
-class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
-    """The captures of one pose, rendered on demand.
+class BoardView:
+    """A board as a camera sees it under any picture.
 
     Parameters
     ----------
@@ -54,16 +56,12 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
         The board's rotation vector.
     place_mm : (3,)
         Where its middle lies, in the camera's frame.
-    names : sequence of str
-        The pictures, in order.
-    codes : callable
-        From a name to (height, width, 3) projector codes, 0..1.
     light : CaptureLight
         What happens on the way.
-    seed : int
-        Of the noise.
     samples : int
         Rays per pixel, along either side.
+    bow_mm : float
+        How far its left and right edges are bent away from the camera.
     """
 
     def __init__(
@@ -72,15 +70,14 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
         board: Board,
         turn: FloatArray | tuple[float, float, float],
         place_mm: FloatArray | tuple[float, float, float],
-        names: tuple[str, ...],
-        codes: Callable[[str], FloatArray],
         light: CaptureLight = _LIGHT,
         *,
-        seed: int = 0,
         samples: int = 2,
+        bow_mm: float = 0.0,
     ) -> None:
         self.turn, self.place_mm = np.asarray(turn, np.float64), np.asarray(place_mm, np.float64)
-        self.names, self.codes, self.light, self.seed, self.samples = names, codes, light, seed, samples
+        self.light, self.samples, self.bow_mm = light, samples, bow_mm
+        self._half_mm = board.squares[0] * board.square_mm / 2
         self.crosstalk = np.eye(3) if light.crosstalk is None else np.asarray(light.crosstalk)
         nowhere = np.zeros((3, 2))
         self.camera_shift = nowhere if light.camera_shift is None else np.asarray(light.camera_shift)
@@ -94,7 +91,6 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
         middle = np.array([*board.squares, 0]) / 2 * board.square_mm
         origin = self.place_mm - rotation @ middle
         self.corners_camera = board.corners_mm() @ rotation.T + origin  # (N, 3) mm
-        self._pictures: dict[str, npt.NDArray[np.uint8]] = {}
         # Of each of the camera's lateral shifts: what is seen, and the projector pixel that lights it.
         self._views: dict[_Place, tuple[FloatImage, FloatImage]] = {}
         for shift in {_place(row) for row in self.camera_shift}:
@@ -121,8 +117,11 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
         rays = geometry.camera.rays_through(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) - np.array(shift))
         rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
         normal = rotation[:, 2]
-        points = rays * ((origin @ normal) / (rays @ normal))[:, None]
-        on_board = (points - origin) @ rotation
+        height: FloatArray | float = 0.0
+        for _ in range(_BEND_STEPS if self.bow_mm else 1):
+            points = rays * ((origin @ normal + height) / (rays @ normal))[:, None]
+            on_board = (points - origin) @ rotation
+            height = self.bow_mm * (on_board[:, 0] / self._half_mm - 1) ** 2
         shape = (len(y), len(x), 2)
         # The texture has a margin of one square.
         place = (on_board[:, :2] * texels_per_mm + _TEXELS - 0.5).astype(np.float32).reshape(shape)
@@ -134,14 +133,14 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
         pixels, _ = cv2.projectPoints(points, turn, geometry.translation_mm, projector.matrix, projector.distortion)
         return np.asarray(reflectance, np.float32), pixels.reshape(shape).astype(np.float32)
 
-    def __getitem__(self, name: str) -> npt.NDArray[np.uint8]:
-        """Return one capture, (H, W, 3) uint8."""
-        if name not in self._pictures:
-            self._pictures[name] = self._photograph(name)
-        return self._pictures[name]
+    def arrives(self, codes: npt.NDArray[np.floating]) -> FloatImage:
+        """Return the light that the camera's pixels see, (H, W, 3), 1 at full scale.
 
-    def _photograph(self, name: str) -> npt.NDArray[np.uint8]:
-        codes = self.codes(name)
+        Parameters
+        ----------
+        codes : (height, width, 3)
+            The projector's, 0..1.
+        """
         is_grey = codes.strides[2] == 0  # one plane, broadcast to three
         gamma = self.light.gamma
         planes = [np.power(codes[..., k], gamma, dtype=np.float32) for k in range(1 if is_grey else 3)]
@@ -164,13 +163,59 @@ class BoardCaptures(Mapping[str, npt.NDArray[np.uint8]]):
             channels[..., i] += _AMBIENT * self._averaged(reflectance)
         if self.light.blur_px:
             channels = np.asarray(cv2.GaussianBlur(channels, (0, 0), self.light.blur_px), np.float32)
-        rng = np.random.default_rng([self.seed, self.names.index(name)])
+        return channels
+
+    def photograph(self, codes: npt.NDArray[np.floating], rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+        """Return a frame, (H, W, 3), under a picture."""
+        channels = self.arrives(codes)
         levels = 255 * channels + self.light.noise * rng.standard_normal(channels.shape, dtype=np.float32)
         return np.clip(np.rint(levels), 0, 255).astype(np.uint8)
 
     def _averaged(self, fine: FloatImage) -> FloatImage:
         """Return the mean of each pixel's samples."""
         return np.asarray(cv2.resize(fine, self.size, interpolation=cv2.INTER_AREA), np.float32)
+
+
+class BoardCaptures(BoardView, Mapping[str, npt.NDArray[np.uint8]]):
+    """The captures of one pose, rendered on demand.
+
+    Parameters
+    ----------
+    rig, board, turn, place_mm, light, samples
+        As for `BoardView`.
+    names : sequence of str
+        The pictures, in order.
+    codes : callable
+        From a name to (height, width, 3) projector codes, 0..1.
+    seed : int
+        Of the noise.
+    """
+
+    def __init__(
+        self,
+        rig: Calibration,
+        board: Board,
+        turn: FloatArray | tuple[float, float, float],
+        place_mm: FloatArray | tuple[float, float, float],
+        names: tuple[str, ...],
+        codes: Callable[[str], FloatArray],
+        light: CaptureLight = _LIGHT,
+        *,
+        seed: int = 0,
+        samples: int = 2,
+    ) -> None:
+        super().__init__(rig, board, turn, place_mm, light, samples=samples)
+        self.names, self.codes, self.seed = names, codes, seed
+        self._pictures: dict[str, npt.NDArray[np.uint8]] = {}
+
+    def __getitem__(self, name: str) -> npt.NDArray[np.uint8]:
+        """Return one capture, (H, W, 3) uint8."""
+        if name not in self._pictures:
+            self._pictures[name] = self._photograph(name)
+        return self._pictures[name]
+
+    def _photograph(self, name: str) -> npt.NDArray[np.uint8]:
+        return self.photograph(self.codes(name), np.random.default_rng([self.seed, self.names.index(name)]))
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names in order."""
