@@ -29,7 +29,7 @@ _FIT_FROM = 4
 #: Poses at most: twice as many as are needed lower the uncertainty of depth by three tenths.
 MOST_POSES = 16
 # Another pose is worth its minute while it lowers the uncertainty of depth by this part.
-_LEAST_GAIN = 0.08
+_LEAST_GAIN = 0.1
 # Candidates: tilts in deg, towards so many sides, at these parts of the first pose's distance, in the middle and as far
 # as the views allow towards so many sides.
 _TILT_DEG, _TILT_SIDES = 28.0, 6
@@ -46,6 +46,10 @@ _CONTRADICTS = 3.0
 # A board is bent if its bow exceeds so many standard deviations, and this part of its length: flat ones of glass or
 # aluminium keep a tenth of it.
 _BOW_SIGMAS, _LEAST_BOW = 5.0, 1 / 1000
+
+
+class BentBoardError(CalibrationError):
+    """The board is bent: none of its poses is of use."""
 
 
 @dataclass(frozen=True)
@@ -91,8 +95,9 @@ class PoseGuide:
         Raises
         ------
         CalibrationError
-            It contradicts the poses before it, or all of them together show that the board is bent. A pose that
-            contradicts is not taken in.
+            It contradicts the poses before it, and is not taken in.
+        BentBoardError
+            All poses together show that the board is bent.
         """
         if self.fit is not None:
             self._refuse_contradiction(self.fit, pose)
@@ -134,7 +139,7 @@ class PoseGuide:
         columns, rows = self._board.squares
         length = float(np.hypot(columns, rows)) * self._board.square_mm
         if abs(bow.height_mm) > max(_BOW_SIGMAS * bow.sigma_mm, _LEAST_BOW * length):
-            raise CalibrationError(
+            raise BentBoardError(
                 f"the board is bent by {abs(bow.height_mm):.1f} ± {bow.sigma_mm:.1f} mm: glue it on glass, aluminium "
                 "or another thing that is flat, and begin in a new folder"
             )

@@ -1,0 +1,510 @@
+"""Take the pictures of a calibration: show each, wait until it is on the screen, photograph, check and keep it.
+
+A picture is kept under its name as soon as it is checked, so a capture that is stopped at any time goes on where it
+was. The pictures of the light, and of each pose, are in a folder whose name begins with a dot until all of them are
+there and show that nothing changed meanwhile.
+"""
+
+import json
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.acquisition.studio import Guidance, Studio
+from pipeline.calibration.board import Board
+from pipeline.calibration.board_poses import measure_pose
+from pipeline.calibration.captures import CapturedFolder, captured_files
+from pipeline.calibration.multishot import BLACK, WHITE, multishot_codes, multishot_sequence
+from pipeline.calibration.pose_guide import BentBoardError, PoseGuide
+from pipeline.calibration.radiometry import radiometry_codes, radiometry_sequence
+from pipeline.errors import CalibrationError, OutputError
+from pipeline.files import explain, write_atomically
+from pipeline.models import FloatArray, ImageArray
+from tikernels.raw.linearization import WHITE_LEVELS
+
+#: The folders of the captures.
+LIGHT, POSES, SESSION = "light", "poses", "session.json"
+# How often a picture is taken, and a pose or the light from the start, before it is given up.
+_TRIES = 3
+# Time in which every projector and camera shows and sees a picture, s; and flashes by which the true time is measured.
+_SURE_S, _FLASHES = 1.0, 4
+# A flash is on the screen when a frame has this part of its light.
+_ON = 0.98
+# White must be brighter than black by this part of full scale; and in no more pixels than this part be saturated.
+_MIN_LIGHT, _SATURATED, _MAX_SATURATED = 0.06, 0.99, 0.02
+# Pixels count that are this part as bright as the brightest: the projector lights them fully.
+_LIT = 0.3
+# Frames of white by which flicker is seen, in bands of so many rows, and how much of it a phase bears: a channel off by
+# a hundredth makes .013 rad (verdict.py), as much as a frame's noise.
+_FLICKER_TAKES, _BAND_PX, _MAX_FLICKER = 12, 32, 0.01
+# Stripes of one px are this part darker than those of two where a picture is resampled: interpolation mixes codes, and
+# light is a power of them.
+_MAX_RESAMPLED = 0.04
+# Two frames of one picture differ by their noise; by this many times as much where the picture was changing.
+_NOISE_TIMES = 2.0
+# Pictures whose codes differ by less in the mean may look alike.
+_OTHER_CODES = 0.2
+# The light of white and black may change by this part of white from the first picture to the last.
+_MAX_CHANGE = 0.01
+# What even a frame without noise may differ by, of full scale: a level of 8 bits in every other pixel.
+_LEAST_NOISE = 0.7 / 255
+# A white sheet is lit in this part of the picture, and its colour's shares differ by less in 95 % of its pixels.
+_SHEET, _ONE_COLOR = 0.3, 0.03
+# A board that is held still for this time is taken, s; it is still while corners move by less, px of 640 in a row.
+_STILL_S, _STILL_PX = 2.0, 0.3
+# Time between two looks at it, s.
+_LOOK_S = 0.2
+# A board is at another place where a corner is further than this part of the picture's width from all before.
+_OTHER_PLACE = 0.02
+# Time that somebody has to bring the board, s.
+_PATIENCE_S = 900.0
+
+
+@dataclass(frozen=True)
+class _Shown:
+    """A picture that is on the screen, and the frame that shows it."""
+
+    codes: npt.NDArray[np.floating]
+    frame: ImageArray
+
+
+class GuidedCapture:
+    """Takes the pictures of a calibration with a projector and a camera.
+
+    Parameters
+    ----------
+    studio : Studio
+        Projector, camera and operator.
+    folder : Path
+        Where the pictures go; what an earlier capture left there is gone on with.
+    identity : dict
+        What must be the same when a capture is gone on with: the camera's settings, for instance. Plain JSON values.
+    tell : callable
+        Hears what is being done.
+
+    Raises
+    ------
+    OutputError
+        The folder belongs to a capture with another identity, or cannot be written.
+    """
+
+    def __init__(
+        self, studio: Studio, folder: Path, identity: dict[str, object], tell: Callable[[str], None]
+    ) -> None:
+        self._studio, self._folder, self._tell = studio, folder, tell
+        self._shown: _Shown | None = None
+        self._delay_s = _SURE_S
+        self._noise = 0.0  # RMS difference of two frames of one picture, of full scale
+        _continue_session(folder, identity | {"projector_px": list(studio.projector_px)})
+
+    def check_rig(self) -> None:
+        """Measure the delay of a picture, and look for faults that spoil every capture.
+
+        Raises
+        ------
+        CalibrationError
+            A fault is found; the message names it.
+        """
+        self._tell("looking for faults of the rig")
+        black, white = self._settled(0.0), self._settled(1.0)
+        gain = white.mean(axis=-1) - black.mean(axis=-1)
+        brightest = float(np.percentile(gain, 99))
+        if brightest < _MIN_LIGHT:
+            raise CalibrationError(
+                f"the camera sees hardly any light of the projector: white is {brightest:.1%} of full scale brighter "
+                "than black. Look whether the projector shows it, and expose longer"
+            )
+        lit = gain > _LIT * brightest
+        self._measure_delay(lit, float(gain[lit].mean()), float(black.mean(axis=-1)[lit].mean()))
+        saturated = float((white >= _SATURATED).any(axis=-1)[lit].mean())
+        if saturated > _MAX_SATURATED:
+            raise CalibrationError(f"{saturated:.0%} of the lit pixels are saturated by white: expose shorter")
+        self._check_flicker(lit)
+        self._check_colors(black, lit)
+        self._check_resampling(black, lit)
+        self._check_mirrored(black, white, lit)
+
+    def _settled(self, code: float | FloatArray) -> FloatArray:
+        """Return the frame of a plain picture, 0..1, when it is on the screen for certain."""
+        self._show(self._field(code))
+        self._studio.sleep(_SURE_S)
+        return _shares(self._studio.take()[-1])
+
+    def _field(self, code: float | FloatArray) -> npt.NDArray[np.floating]:
+        width, height = self._studio.projector_px
+        return np.broadcast_to(np.asarray(code, np.float64) * np.ones(3), (height, width, 3))
+
+    def _show(self, codes: npt.NDArray[np.floating]) -> None:
+        self._studio.show(np.rint(255 * codes).astype(np.uint8))
+        self._shown = None
+
+    def _measure_delay(self, lit: npt.NDArray[np.bool_], gain: float, dark: float) -> None:
+        """Find by flashes how long a picture takes to the screen: the longest of some, and one frame more."""
+        longest = 0.0
+        for _ in range(_FLASHES):
+            self._settled(0.0)
+            start_s = self._studio.now_s()
+            self._show(self._field(1.0))
+            while True:
+                began_s = self._studio.now_s()
+                frames = self._studio.take()
+                level = _shares(frames[0]).mean(axis=-1)[lit].mean()
+                if level > dark + _ON * gain:
+                    break
+                if began_s - start_s > 3 * _SURE_S:
+                    raise CalibrationError(
+                        "white took longer than 3 s to the screen, or shows for a moment only: switch off what the "
+                        "projector does to its picture (dynamic iris, eco blanking, signal search)"
+                    )
+            longest = max(longest, began_s - start_s)
+            frame_s = (self._studio.now_s() - began_s) / len(frames)
+        self._delay_s = longest + frame_s
+
+    def _check_flicker(self, lit: npt.NDArray[np.bool_]) -> None:
+        means, noise = [], []
+        for _ in range(_FLICKER_TAKES):
+            frames = [_shares(frame) for frame in self._studio.take()]
+            means += [_band_means(frame, lit) for frame in frames]
+            noise.append(_rms(frames[0] - frames[-1]))
+        self._noise = float(np.median(noise))
+        series = np.array(means)
+        varies = float(np.nanmax(series.std(axis=0) / series.mean(axis=0)))
+        if varies > _MAX_FLICKER:
+            raise CalibrationError(
+                f"white flickers by {varies:.1%} from frame to frame: the exposure is no whole number of the "
+                "projector's cycles (1/60 s or 1/50 s, or the colour wheel's), or the camera's exposure is automatic"
+            )
+
+    def _check_colors(self, black: FloatArray, lit: npt.NDArray[np.bool_]) -> None:
+        seen = np.array([(self._settled(color) - black)[lit].mean(axis=0) for color in np.eye(3)])
+        shares = seen / np.maximum(seen.sum(axis=0), 1e-9)  # [primary, channel]
+        most = shares.argmax(axis=0)
+        if tuple(most) == (2, 1, 0):
+            raise CalibrationError("the camera's frames are B, G, R instead of R, G, B: set its pixel format")
+        if tuple(most) != (0, 1, 2):
+            raise CalibrationError(
+                "the camera's channels see other colours of the projector more than their own: switch off the "
+                "projector's colour modes and the camera's colour effects, and correct its white balance"
+            )
+
+    def _check_resampling(self, black: FloatArray, lit: npt.NDArray[np.bool_]) -> None:
+        width, height = self._studio.projector_px
+        for axis, positions in (("columns", np.arange(width)[None]), ("rows", np.arange(height)[:, None])):
+            light = []
+            for wide in (1, 2):
+                stripes = np.broadcast_to((positions // wide % 2)[..., None], (height, width, 3))
+                self._show(stripes.astype(np.float64))
+                self._studio.sleep(self._delay_s)
+                light.append(float((_shares(self._studio.take()[-1]) - black)[lit].mean()))
+            darker = 1 - light[0] / light[1]
+            if darker > _MAX_RESAMPLED:
+                raise CalibrationError(
+                    f"the projector does not show the picture pixel for pixel: {axis} of one px are {darker:.0%} "
+                    "darker than those of two. Switch off keystone, zoom, overscan and sharpness, set its own "
+                    "resolution, and do not mirror it to a display of another size"
+                )
+
+    def _check_mirrored(self, black: FloatArray, white: FloatArray, lit: npt.NDArray[np.bool_]) -> None:
+        width, height = self._studio.projector_px
+        y, x = np.nonzero(lit)
+        places = np.column_stack([np.ones(len(x)), x, y])
+        slopes = []
+        for ramp in (np.linspace(0, 1, width)[None], np.linspace(0, 1, height)[:, None]):
+            self._show(np.broadcast_to(ramp[..., None], (height, width, 3)))
+            self._studio.sleep(self._delay_s)
+            seen = (_shares(self._studio.take()[-1]) - black)[lit].mean(axis=-1)
+            share = seen / (white - black)[lit].mean(axis=-1)
+            slopes.append(np.linalg.lstsq(places, share, rcond=None)[0][1:])
+        if np.linalg.det(np.array(slopes)) < 0:
+            raise CalibrationError(
+                "the picture is mirrored: switch off the projector's rear projection or ceiling mode, or the camera's "
+                "mirroring, whichever is on"
+            )
+
+    def photograph(self, name: str, codes: npt.NDArray[np.floating]) -> ImageArray:
+        """Return the frame of a picture that is checked to be on the screen, and still.
+
+        Parameters
+        ----------
+        name : str
+            The picture's, for messages.
+        codes : (height, width, 3)
+            The projector's, 0..1.
+
+        Raises
+        ------
+        CalibrationError
+            It is not on the screen, or not still.
+        """
+        before = self._shown
+        for _ in range(_TRIES):
+            self._show(codes)
+            self._studio.sleep(self._delay_s)
+            first, *_, frame = self._studio.take()
+            if not self._alike(_shares(first), _shares(frame)):
+                reason = "two frames of it differ: something moves, or the light flickers"
+            elif (
+                before is not None
+                and np.abs(before.codes - codes).mean() > _OTHER_CODES
+                and self._alike(_shares(before.frame), _shares(frame))
+            ):
+                reason = "the camera still sees the picture before it: nothing may cover the projector's picture"
+            else:
+                self._shown = _Shown(codes, frame)
+                return frame
+        raise CalibrationError(f"{name}: {reason}")
+
+    def take_light(self) -> Path:
+        """Take the pictures of the light, of a white sheet; return their folder.
+
+        Raises
+        ------
+        CalibrationError
+            The sheet is not held still, or the light changes.
+        OutputError
+            A picture cannot be written.
+        """
+        done = self._folder / LIGHT
+        if done.exists():
+            return done
+        work = self._folder / f".{LIGHT}"
+        names = radiometry_sequence(self._studio.projector_px).names
+        self._wait_for_sheet()
+        self._discard_unless_alike(work, names[0], "the sheet or the room's light")
+        for _ in range(_TRIES):
+            captures = self._take_missing(work, names, lambda name: self._field(radiometry_codes(name)))
+            reason = self._change(captures, names[0], names[-1])
+            if reason is None:
+                return _finish(work, done)
+            _discard(work)
+            self._tell(f"{reason}: all pictures of the light are taken again")
+        raise CalibrationError(
+            f"{reason}: let the projector warm up for a quarter of an hour, keep the room's light as it is, and switch "
+            "off the camera's automatic exposure"
+        )
+
+    def take_poses(self, board: Board, guide: PoseGuide) -> Path:
+        """Take the pictures of a board in as many poses as are needed; return their folder.
+
+        Raises
+        ------
+        CalibrationError
+            The board is bent, a lens has moved, or a pose cannot be taken.
+        OutputError
+            A picture cannot be written.
+        """
+        folder, size_px = self._folder / POSES, self._studio.projector_px
+        for place in sorted(folder.glob("pose-*")):
+            self._tell(f"reading {place.name}")
+            captures = CapturedFolder(place, multishot_sequence(size_px).names)
+            guide.add(measure_pose(place.name, captures, board, size_px))
+        failures = 0
+        while not guide.enough:
+            try:
+                self._take_pose(folder / f"pose-{len(guide.poses) + 1:02d}", board, guide)
+                failures = 0
+            except BentBoardError:
+                raise
+            except CalibrationError as error:
+                failures += 1
+                if failures == _TRIES:
+                    raise
+                self._tell(f"again: {error}")
+        return folder
+
+    def _take_pose(self, done: Path, board: Board, guide: PoseGuide) -> None:
+        size_px = self._studio.projector_px
+        work = done.with_name(f".{done.name}")
+        names = multishot_sequence(size_px).names
+        self._hold_board(done.name, board, guide)
+        self._discard_unless_alike(work, WHITE, "the board")
+        try:
+            captures = self._take_missing(work, names, lambda name: multishot_codes(name, size_px))
+            reason = self._change(captures, BLACK, WHITE)
+            if reason is not None:
+                raise CalibrationError(f"{done.name}: {reason}: hold the board still, and keep the light as it is")
+            guide.add(measure_pose(done.name, captures, board, size_px))
+        except CalibrationError:
+            _discard(work)
+            raise
+        _finish(work, done)
+        depth = f"; the calibration leaves depth off by {guide.depth_mm[-1]:.2f} mm so far" if guide.depth_mm else ""
+        self._tell(f"{done.name} is taken{depth}")
+
+    def _wait_for_sheet(self) -> None:
+        """Wait until the camera sees an even sheet that is still, or a key is pressed."""
+        black = self._settled(0.0)
+        self._settled(1.0)
+        line = "put up a white sheet that fills the picture"
+        last, since_s = None, self._studio.now_s()
+        for frame in self._looks(line):
+            now = _shares(frame)
+            if last is None or not self._alike(last, now) or not _is_sheet(now - black):
+                since_s = self._studio.now_s()
+            last = now
+            self._studio.guide(Guidance(line, frame))
+            if self._studio.key_pressed() or self._studio.now_s() - since_s >= _STILL_S:
+                return
+
+    def _hold_board(self, name: str, board: Board, guide: PoseGuide) -> None:
+        """Wait until the board is held still at another place than before, or a key is pressed."""
+        suggestion = guide.suggest()
+        covered = np.concatenate([pose.camera_px for pose in guide.poses]) if guide.poses else None
+        line = f"{name}: {suggestion.words}"
+        self._settled(1.0)
+        last: dict[int, FloatArray] = {}
+        since_s = self._studio.now_s()
+        for frame in self._looks(line):
+            width = frame.shape[1]
+            try:
+                seen = dict(zip(*board.find(_shares(frame).mean(axis=-1)), strict=True))
+                problem = ""
+            except CalibrationError as error:
+                seen, problem = {}, f" ({error})"
+            moved_px = _moved_px(last, seen)
+            places = np.array(list(seen.values())).reshape(-1, 2)
+            again = any(_is_near(pose.camera_px, places, _OTHER_PLACE * width) for pose in guide.poses)
+            if moved_px > _STILL_PX * width / 640 or again:
+                since_s = self._studio.now_s()
+            last = seen
+            self._studio.guide(Guidance(line + problem, frame, suggestion.outline_px, places, covered))
+            pressed = self._studio.key_pressed()
+            if seen and (pressed or self._studio.now_s() - since_s >= _STILL_S):
+                return
+
+    def _looks(self, line: str) -> Iterator[ImageArray]:
+        """Yield what the camera sees, now and then."""
+        self._tell(line)
+        start_s = self._studio.now_s()
+        while self._studio.now_s() - start_s < _PATIENCE_S:
+            yield self._studio.take()[-1]
+            self._studio.sleep(_LOOK_S)
+        raise CalibrationError(f"nothing came for {_PATIENCE_S / 60:.0f} minutes: run the command again to go on")
+
+    def _discard_unless_alike(self, work: Path, name: str, what: str) -> None:
+        """Take the pictures from the start where an earlier capture's first one shows another scene than now."""
+        stored = captured_files(work)
+        if not stored:
+            return
+        if name in stored:
+            before = _shares(CapturedFolder(work, (name,))[name])
+            now = _shares(self.photograph(name, self._field(float(name == WHITE))))
+            if before.shape == now.shape and self._alike(before, now):
+                return
+        self._tell(f"{what} is not as it was: the pictures are taken from the start")
+        _discard(work)
+
+    def _take_missing(
+        self, work: Path, names: tuple[str, ...], codes: Callable[[str], npt.NDArray[np.floating]]
+    ) -> CapturedFolder:
+        """Take those of the pictures that are not there yet."""
+        _make_folder(work)
+        there = captured_files(work)
+        for number, name in enumerate(names, start=1):
+            if name not in there:
+                self._tell(f"picture {number} of {len(names)}: {name}")
+                _write_picture(work / f"{name}.png", self.photograph(name, codes(name)))
+        return CapturedFolder(work, names)
+
+    def _change(self, captures: CapturedFolder, black: str, white: str) -> str | None:
+        """Say what has changed since black and white were taken; None: nothing."""
+        for name, code in ((white, 1.0), (black, 0.0)):
+            before, now = _shares(captures[name]), _shares(self.photograph(name, self._field(code)))
+            change = float((now - before).mean() / _shares(captures[white]).mean())
+            if abs(change) > _MAX_CHANGE:
+                return f"the light of {name} changed by {change:+.1%} of white while the pictures were taken"
+            if not self._alike(before, now):
+                return f"something moved while the pictures were taken: {name} is another one at their end"
+        return None
+
+    def _alike(self, before: FloatArray, now: FloatArray) -> bool:
+        """Whether two frames of one picture differ by noise only."""
+        return _rms(before - now) <= _NOISE_TIMES * max(self._noise, _LEAST_NOISE)
+
+
+def _continue_session(folder: Path, identity: dict[str, object]) -> None:
+    """Make the folder of a capture, or refuse one that belongs to another."""
+    _make_folder(folder)
+    file = folder / SESSION
+    if not file.exists():
+        write_atomically(file, (json.dumps(identity, indent=1) + "\n").encode())
+        return
+    try:
+        before = json.loads(file.read_bytes())
+    except (OSError, ValueError):
+        before = None
+    if not isinstance(before, dict):
+        raise OutputError(f"{file} cannot be read: choose another folder")
+    changed = [key for key in identity if before.get(key) != identity[key]]
+    if changed:
+        raise OutputError(
+            f"{folder} holds captures with another {changed[0]} ({before.get(changed[0])}, now {identity[changed[0]]}): "
+            "choose another folder, or set it as it was"
+        )
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OutputError(f"cannot write {folder}: {explain(error)}") from None
+
+
+def _finish(work: Path, done: Path) -> Path:
+    """Give a folder whose pictures are complete its name."""
+    try:
+        return work.replace(done)
+    except OSError as error:
+        raise OutputError(f"cannot write {done}: {explain(error)}") from None
+
+
+def _discard(work: Path) -> None:
+    shutil.rmtree(work, ignore_errors=True)
+
+
+def _write_picture(path: Path, frame: ImageArray) -> None:
+    write_atomically(path, cv2.imencode(".png", frame[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
+
+
+def _shares(frame: ImageArray) -> FloatArray:
+    """Return a frame as shares of full scale."""
+    return np.asarray(frame / np.float32(WHITE_LEVELS[frame.dtype.name]), np.float64)
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt((values**2).mean()))
+
+
+def _band_means(frame: FloatArray, lit: npt.NDArray[np.bool_]) -> FloatArray:
+    """Return the mean of the lit pixels of bands of rows, (bands, 3); NaN where a band has few."""
+    starts = np.arange(0, len(frame), _BAND_PX)
+    counts = np.add.reduceat(lit.sum(axis=1), starts)
+    sums = np.add.reduceat((frame * lit[..., None]).sum(axis=1), starts)
+    return np.where(counts[:, None] < _BAND_PX**2, np.nan, sums / np.maximum(counts, 1)[:, None])
+
+
+def _is_sheet(gain: FloatArray) -> bool:
+    """Whether the light that the projector adds falls on one even colour in most of the picture."""
+    total = gain.sum(axis=-1)
+    lit = total > _LIT * np.percentile(total, 99)
+    shares = gain[lit] / total[lit][:, None]
+    return bool(lit.mean() > _SHEET and np.percentile(np.abs(shares - np.median(shares, axis=0)), 95) < _ONE_COLOR)
+
+
+def _is_near(before: FloatArray, now: FloatArray, limit_px: float) -> bool:
+    """Whether every corner of one board lies near one of another."""
+    if not len(now):
+        return False
+    ways = np.linalg.norm(before[:, None] - now[None], axis=-1)
+    return bool(ways.min(axis=0).max() < limit_px)
+
+
+def _moved_px(before: dict[int, FloatArray], now: dict[int, FloatArray]) -> float:
+    """Return the median way, px, of corners that are seen twice; infinite where none are."""
+    both = before.keys() & now.keys()
+    return float(np.median([np.hypot(*(now[k] - before[k])) for k in both])) if both else np.inf

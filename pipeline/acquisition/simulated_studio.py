@@ -1,0 +1,259 @@
+"""A rig of which nothing is there, before which somebody holds a sheet and a board; its time passes as fast as it can.
+
+The projector shows a picture some frames after it was sent, the camera runs freely, and every frame has noise of its
+own. The calibration is to be found from the pictures alone.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.acquisition.studio import FRAMES, Guidance
+from pipeline.calibration import Calibration
+from pipeline.calibration.board import Board
+from pipeline.calibration.simulated_board import BoardView, CaptureLight
+from pipeline.models import FloatArray, ImageArray
+from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
+
+#: The camera's frames.
+FRAME_S = 1 / 30
+# k1 k2 p1 p2 k3 of ordinary lenses: a picture's corner lies nearly a hundredth beside where a pinhole shows it.
+_CAMERA_LENS, _PROJECTOR_LENS = (-0.12, 0.08, 0.001, -0.0008, 0.0), (-0.06, 0.05, -0.001, 0.0005, 0.0)
+_GAMMA, _NOISE_LEVELS, _BLUR_PX = 2.0, 1.5, 0.5
+# A picture is on the screen this long after it was sent: two frames of the computer and one of the projector, more or
+# less.
+_LATENCY_S, _LATENCY_JITTER_S = 0.06, 0.02
+# Somebody brings a board to its place in this time, in steps, and is off it by so much: deg, mm, part of the distance.
+_MOVE_S, _MOVE_STEPS = 8.0, 4
+_HAND_DEG, _HAND_MM, _HAND_PART = 4.0, 6.0, 0.02
+# The least distance from a view's rim, px, at which a board is seen whole.
+_RIM_PX = 3.0
+# The sheet is larger than what the camera sees.
+_SHEET = Board(kind="chessboard", squares=(11, 8), square_mm=60.0)
+_SHEET_TURN, _SHEET_MM = (0.05, 0.1, 0.0), (0.0, 0.0, 900.0)
+
+
+@dataclass(frozen=True)
+class StudioFaults:
+    """What is wrong with the simulated rig."""
+
+    mirrored: bool = False  # the projector's picture
+    scale: float = 1.0  # of its picture, about its middle
+    keystone: float = 0.0  # how much narrower its top is, as a part of its width
+    swapped: bool = False  # the camera sends B, G, R
+    colour_cycle_s: float | None = None  # the projector shows its colours one after another; None: at once
+    bow_mm: float = 0.0  # of the board
+    dims: float = 0.0  # part of the projector's light that is lost in a minute
+    moved_from: int | None = None  # from which pose on the camera's lens has another focal length, by three thousandths
+
+
+class _Sheet(BoardView):
+    """A white sheet."""
+
+    def drawing(self, board: Board) -> npt.NDArray[np.uint8]:
+        """Return what is printed: nothing."""
+        return np.full_like(super().drawing(board), 255)
+
+
+def simulated_truth() -> Calibration:
+    """Return the simulated rig's true geometry, which only whoever judges the result should ask for."""
+    return simulated_rig(camera_distortion=_CAMERA_LENS, projector_distortion=_PROJECTOR_LENS, code="contrast")
+
+
+class SimulatedStudio:
+    """A `Studio` that is simulated.
+
+    Parameters
+    ----------
+    board : Board, optional
+        What is held before it; None: a white sheet.
+    exposure_s : float
+        The camera's.
+    faults : StudioFaults
+        What is wrong with it.
+    seed : int, optional
+        Of its noise and its operator's hands; None: fresh ones.
+
+    Attributes
+    ----------
+    n_acts : int
+        How often its operator has done something.
+    """
+
+    def __init__(
+        self,
+        board: Board | None,
+        exposure_s: float = 1 / 60,
+        faults: StudioFaults = StudioFaults(),  # noqa: B008 - frozen
+        seed: int | None = None,
+    ) -> None:
+        self.n_acts = 0 if board is not None else 1
+        self._board, self._exposure_s, self._faults, self._seed = board, exposure_s, faults, seed
+        self._rng = np.random.default_rng(seed)
+        self._truth = simulated_truth()
+        self._time_s = 0.0
+        self._sent: list[tuple[float, npt.NDArray[np.uint8]]] = []  # when each picture comes on, newest last
+        self._outline: FloatArray | None = None
+        self._way: tuple[FloatArray, FloatArray, float] = (_START, _START, 0.0)  # from, to, since
+        self._view_of = cache(self._look)
+        self._light_of: tuple[tuple[object, ...], npt.NDArray[np.float32]] | None = None
+
+    @property
+    def projector_px(self) -> tuple[int, int]:
+        """Width and height of the projector's pictures."""
+        return self._truth.geometry().projector.size_px
+
+    def now_s(self) -> float:
+        """Return the time."""
+        return self._time_s
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        self._time_s += seconds
+
+    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Send a picture to the projector; see `Studio`."""
+        latency_s = _LATENCY_S + _LATENCY_JITTER_S * self._rng.uniform(-1, 1)
+        self._sent = [*self._sent[-1:], (self._time_s + latency_s, self._projected(picture))]
+
+    def take(self) -> list[ImageArray]:
+        """Return frames; see `Studio`."""
+        # The camera runs freely: an exposure begins with every whole frame.
+        number = int(np.ceil(self._time_s / FRAME_S))
+        frames = []
+        for start_s in FRAME_S * (number + np.arange(FRAMES)):
+            frames.append(self._exposed(float(start_s)))
+            self._time_s = float(start_s) + FRAME_S
+        return frames
+
+    def guide(self, guidance: Guidance) -> None:
+        """Have the operator go where the guidance says; see `Studio`."""
+        outline = guidance.outline_px
+        if outline is None or (self._outline is not None and np.array_equal(outline, self._outline)):
+            return
+        self.n_acts += 1
+        self._outline = outline
+        self._way = (self._stands(self._time_s)[0], self._hands(outline), self._time_s)
+
+    def key_pressed(self) -> bool:
+        """Return False: this operator holds things still."""
+        return False
+
+    def close(self) -> None:
+        """Do nothing: nothing is there."""
+
+    def _projected(self, picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Return what the projector makes of a picture."""
+        faults = self._faults
+        if faults.mirrored:
+            picture = np.ascontiguousarray(picture[:, ::-1])
+        if faults.scale == 1 and not faults.keystone:
+            return picture
+        height, width = picture.shape[:2]
+        corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
+        middle = np.array([width, height], np.float32) / 2
+        places = middle + faults.scale * (corners - middle)
+        places[:2, 0] += np.float32(faults.keystone * width / 2) * np.array([1, -1], np.float32)
+        return np.asarray(cv2.warpPerspective(picture, cv2.getPerspectiveTransform(corners, places), (width, height)))
+
+    def _hands(self, outline: FloatArray) -> FloatArray:
+        """Return where a board is held, (6,) rotation vector and mm, that is to fill an outline."""
+        board, lens = self._held(), self._truth.geometry().camera
+        _, turn, place = cv2.solvePnP(board_outline_mm(board), outline, lens.matrix, lens.distortion)
+        rng = np.random.default_rng(None if self._seed is None else [self._seed, *np.rint(outline).astype(int).ravel() % 4096])
+        while True:
+            stands = np.concatenate(
+                [
+                    turn.ravel() + np.radians(_HAND_DEG) * rng.standard_normal(3),
+                    place.ravel() * (1 + _HAND_PART * rng.standard_normal()) + _HAND_MM * rng.standard_normal(3),
+                ]
+            )
+            if self._is_seen(stands):
+                return stands
+
+    def _is_seen(self, stands: FloatArray) -> bool:
+        """Whether camera and projector see a whole board."""
+        geometry = self._truth.geometry()
+        outline = board_outline_mm(self._held()) @ cv2.Rodrigues(stands[:3])[0].T + stands[3:]
+        here, there = (np.zeros(3), np.zeros(3)), (cv2.Rodrigues(geometry.rotation)[0], geometry.translation_mm)
+        for lens, (turn, place) in ((geometry.camera, here), (geometry.projector, there)):
+            pixels, _ = cv2.projectPoints(outline, turn, place, lens.matrix, lens.distortion)
+            if (pixels < _RIM_PX).any() or (pixels > np.array(lens.size_px) - 1 - _RIM_PX).any():
+                return False
+        return True
+
+    def _held(self) -> Board:
+        return _SHEET if self._board is None else self._board
+
+    def _stands(self, time_s: float) -> tuple[FloatArray, bool]:
+        """Return where the board is, (6,), and whether it is at rest."""
+        before, to, since_s = self._way
+        step = min(int(_MOVE_STEPS * (time_s - since_s) / _MOVE_S), _MOVE_STEPS)
+        return before + (to - before) * step / _MOVE_STEPS, step == _MOVE_STEPS
+
+    def _look(self, stands: tuple[float, ...], samples: int, zoom: float) -> BoardView:
+        rig = self._truth
+        if zoom != 1 and rig.camera is not None:
+            matrix = rig.camera.matrix * np.array([[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]])
+            rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"matrix": matrix})})
+        light = CaptureLight(gamma=_GAMMA, crosstalk=np.array(TYPICAL_CROSSTALK), blur_px=_BLUR_PX)
+        kind = _Sheet if self._board is None else BoardView
+        turn, place = np.array(stands[:3]), np.array(stands[3:])
+        return kind(rig, self._held(), turn, place, light, samples=samples, bow_mm=self._faults.bow_mm)
+
+    def _light(self, time_s: float, picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+        """Return the light that the camera sees of a picture, (H, W, 3)."""
+        stands, at_rest = (np.array([*_SHEET_TURN, *_SHEET_MM]), True) if self._board is None else self._stands(time_s)
+        faults = self._faults
+        moved = faults.moved_from is not None and self.n_acts >= faults.moved_from
+        key = (*stands, at_rest, moved, id(picture))
+        if self._light_of is None or self._light_of[0] != key:
+            view = self._view_of(tuple(stands.tolist()), 2 if at_rest else 1, 1.003 if moved else 1.0)
+            codes = picture.astype(np.float32) / 255
+            if (picture == picture[..., :1]).all():
+                codes = np.broadcast_to(codes[..., :1], codes.shape)
+            self._light_of = key, view.arrives(codes)
+        return self._light_of[1]
+
+    def _exposed(self, start_s: float) -> ImageArray:
+        """Return the frame of one exposure; a picture that comes on meanwhile is seen for the rest of it."""
+        light = np.zeros(1, np.float32)
+        since_s = start_s
+        for n, (_, picture) in enumerate(self._sent):
+            ends_s = self._sent[n + 1][0] if n + 1 < len(self._sent) else np.inf
+            share = (min(ends_s, start_s + self._exposure_s) - since_s) / self._exposure_s
+            if share > 0:
+                light = light + np.float32(share) * self._light(start_s, picture)
+                since_s = ends_s
+        width, height = self._truth.geometry().camera.size_px
+        light = np.broadcast_to(light * self._shares_of_cycle(start_s), (height, width, 3))
+        light = light * np.float32(1 - self._faults.dims * start_s / 60)
+        noise = self._rng.standard_normal(light.shape, dtype=np.float32)
+        levels = np.clip(np.rint(255 * light + _NOISE_LEVELS * noise), 0, 255).astype(np.uint8)
+        return np.ascontiguousarray(levels[..., ::-1]) if self._faults.swapped else levels
+
+    def _shares_of_cycle(self, start_s: float) -> npt.NDArray[np.float32]:
+        """Return how much of each colour an exposure sees, (3,), 1 where it is a whole number of cycles."""
+        cycle_s = self._faults.colour_cycle_s
+        if cycle_s is None:
+            return np.ones(3, np.float32)
+
+        def lit_s(until_s: float) -> FloatArray:
+            whole, part = divmod(until_s, cycle_s)
+            return whole * cycle_s / 3 + np.clip(part - np.arange(3) * cycle_s / 3, 0, cycle_s / 3)
+
+        return np.asarray(3 * (lit_s(start_s + self._exposure_s) - lit_s(start_s)) / self._exposure_s, np.float32)
+
+
+# Where the board is held at first: (6,) rotation vector and place.
+_START = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1100.0])
+
+
+def board_outline_mm(board: Board) -> FloatArray:
+    """Return a board's corners about its middle, (4, 3) mm."""
+    columns, rows = board.squares
+    corners = np.array([[0, 0, 0], [columns, 0, 0], [columns, rows, 0], [0, rows, 0]], np.float64)
+    return (corners - corners.mean(axis=0)) * board.square_mm

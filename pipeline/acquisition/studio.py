@@ -1,0 +1,190 @@
+"""A projector, a camera and somebody who holds things before them: what guided captures work with."""
+
+import select
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from hardware.display import Display
+from hardware.protocols import Camera, Trigger
+from hardware.rig import Rig
+from hardware.settings import RigSettings
+from pipeline.acquisition.capture_folder import pixel_format
+from pipeline.files import write_atomically
+from pipeline.models import FloatArray, ImageArray
+from tikernels import runtime
+from tikernels.raw.development import develop
+from tikernels.raw.linearization import WHITE_LEVELS
+
+#: Frames of every picture: two that differ show one that was not on the screen yet, or light that flickers.
+FRAMES = 2
+# Colours of the operator's picture, RGB: where the board should be, is, and was.
+_SHOULD, _IS, _WAS = (255, 160, 0), (0, 220, 90), (120, 150, 255)
+# The width of that picture, px, and the height of the band that its line is in.
+_SHOWN_PX, _BAND_PX = 960, 48
+
+
+@dataclass(frozen=True)
+class Guidance:
+    """What whoever holds the board should know now."""
+
+    line: str
+    frame: ImageArray | None = None  # (H, W, 3) RGB, as the camera sees it
+    outline_px: FloatArray | None = None  # (4, 2) where the board should be in it
+    corners_px: FloatArray | None = None  # (N, 2) where it is; None: it is not seen
+    covered_px: FloatArray | None = None  # (N, 2) where corners of the poses before were
+
+
+class Studio(Protocol):
+    """A projector, a camera, and somebody who holds things before them. Times are in s by its own clock."""
+
+    @property
+    def projector_px(self) -> tuple[int, int]:
+        """Width and height of the projector's pictures."""
+
+    def now_s(self) -> float:
+        """Return the time."""
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+
+    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Send a picture, (height, width, 3), to the projector; it is on the screen some time later."""
+
+    def take(self) -> list[ImageArray]:
+        """Return `FRAMES` frames, (H, W, 3) RGB, that were exposed from now on."""
+
+    def guide(self, guidance: Guidance) -> None:
+        """Show whoever holds the board what to do."""
+
+    def key_pressed(self) -> bool:
+        """Whether a key was pressed since the last call: the board is where it should be."""
+
+    def close(self) -> None:
+        """Let go of everything; idempotent."""
+
+
+class RigStudio:
+    """A rig whose projector is a display.
+
+    Parameters
+    ----------
+    settings : RigSettings
+        The rig.
+    open_instruments : callable
+        Opens its trigger source and its camera.
+    display : int, optional
+        Which display the projector is; None: the only one there is.
+    picture : Path
+        A PNG of what the operator should see, written anew whenever that changes.
+    tell : callable
+        Hears the line of every guidance.
+
+    Raises
+    ------
+    ProjectorError, TriggerError, CameraError, RigError
+        An instrument cannot be reached or used, or the camera sends a Bayer mosaic and does not say which.
+    """
+
+    def __init__(
+        self,
+        settings: RigSettings,
+        open_instruments: Callable[[], tuple[Trigger, Camera]],
+        display: int | None,
+        picture: Path,
+        tell: Callable[[str], None],
+    ) -> None:
+        self._picture, self._tell = picture, tell
+        self._display = Display(display)
+        try:
+            timing = settings.timing.model_copy(update={"frames": FRAMES})
+            projector = settings.projector.model_copy(update={"alternating": False})
+            self._rig = Rig(
+                settings.model_copy(update={"timing": timing, "projector": projector}), open_instruments
+            )
+        except BaseException:
+            self._display.close()
+            raise
+        self._bursts = self._rig.bursts()
+        self._format = pixel_format(self._rig.camera.limits.format)
+
+    @property
+    def projector_px(self) -> tuple[int, int]:
+        """Width and height of the projector's pictures."""
+        return self._display.size_px
+
+    def now_s(self) -> float:
+        """Return the time."""
+        return time.monotonic()
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass."""
+        self._display.wait(seconds)
+
+    def show(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Send a picture to the projector; see `Studio`."""
+        self._display.show(picture)
+
+    def take(self) -> list[ImageArray]:
+        """Return frames; see `Studio`."""
+        return [
+            np.array(develop((frame.image,), self._format)) for frame in next(self._bursts).frames
+        ]
+
+    def guide(self, guidance: Guidance) -> None:
+        """Write the operator's picture; see `Studio`."""
+        self._tell(guidance.line)
+        if guidance.frame is not None:
+            write_atomically(self._picture, cv2.imencode(".png", draw_guidance(guidance)[..., ::-1])[1].tobytes())
+
+    def key_pressed(self) -> bool:
+        """Whether Enter was pressed in the terminal; see `Studio`."""
+        if not sys.stdin.isatty():
+            return False
+        if sys.platform == "win32":
+            import msvcrt
+
+            return msvcrt.kbhit() and msvcrt.getch() in (b"\r", b"\n", b" ")
+        pressed = bool(select.select([sys.stdin], [], [], 0)[0])
+        if pressed:
+            sys.stdin.readline()
+        return pressed
+
+    def close(self) -> None:
+        """Let go of everything; idempotent."""
+        self._rig.close()
+        self._display.close()
+
+
+def draw_guidance(guidance: Guidance) -> npt.NDArray[np.uint8]:
+    """Return what the operator should see, (H, W, 3) RGB, given the camera's frame.
+
+    The place that the board should be at is outlined, corners that are seen are dots, those of the poses before are
+    small dots, and the line stands below.
+    """
+    if guidance.frame is None:
+        raise ValueError("there is no frame to draw on")
+    height, width = guidance.frame.shape[:2]
+    scale = _SHOWN_PX / width
+    levels = guidance.frame.astype(np.float32) / WHITE_LEVELS[guidance.frame.dtype.name]
+    size = (_SHOWN_PX, round(scale * height))
+    shown = np.rint(255 * cv2.resize(levels, size, interpolation=cv2.INTER_AREA)).astype(np.uint8)
+    for dots, color, radius in ((guidance.covered_px, _WAS, 2), (guidance.corners_px, _IS, 4)):
+        for x, y in () if dots is None else np.rint(scale * dots).astype(int):
+            cv2.circle(shown, (int(x), int(y)), radius, color, cv2.FILLED, cv2.LINE_AA)
+    if guidance.outline_px is not None:
+        outline = np.rint(scale * guidance.outline_px).astype(np.int32)
+        cv2.polylines(shown, [outline], isClosed=True, color=_SHOULD, thickness=3, lineType=cv2.LINE_AA)
+    band = np.zeros((_BAND_PX, _SHOWN_PX, 3), np.uint8)
+    font = cv2.FONT_HERSHEY_SIMPLEX
+    across = cv2.getTextSize(guidance.line, font, 1.0, 2)[0][0]
+    size_of_text = min(0.8, (_SHOWN_PX - 24) / max(across, 1))
+    cv2.putText(band, guidance.line, (12, 32), font, size_of_text, (255, 255, 255), 1, cv2.LINE_AA)
+    return np.concatenate([shown, band])
