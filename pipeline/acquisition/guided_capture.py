@@ -65,6 +65,10 @@ _OTHER_PLACE = 0.02
 _PATIENCE_S = 900.0
 
 
+# Places in the picture, px, of a board's corners by x and y on it, mm.
+_Corners = dict[tuple[float, float], FloatArray]
+
+
 @dataclass(frozen=True)
 class _Shown:
     """A picture that is on the screen, and the frame that shows it."""
@@ -354,24 +358,25 @@ class GuidedCapture:
     def _hold_board(self, name: str, board: Board, guide: PoseGuide) -> None:
         """Wait until the board is held still at another place than before, or a key is pressed."""
         suggestion = guide.suggest()
+        before = [_by_corner(pose.corners_mm, pose.camera_px) for pose in guide.poses]
         covered = np.concatenate([pose.camera_px for pose in guide.poses]) if guide.poses else None
         line = f"{name}: {suggestion.words}"
         self._settled(1.0)
-        last: dict[int, FloatArray] = {}
+        last: _Corners = {}
         since_s = self._studio.now_s()
         for frame in self._looks(line):
             width = frame.shape[1]
             try:
-                seen = dict(zip(*board.find(_shares(frame).mean(axis=-1)), strict=True))
-                problem = ""
+                numbers, found = board.find(_shares(frame).mean(axis=-1))
+                seen, problem = _by_corner(board.corners_mm()[numbers], found), ""
             except CalibrationError as error:
                 seen, problem = {}, f" ({error})"
-            moved_px = _moved_px(last, seen)
-            places = np.array(list(seen.values())).reshape(-1, 2)
-            again = any(_is_near(pose.camera_px, places, _OTHER_PLACE * width) for pose in guide.poses)
-            if moved_px > _STILL_PX * width / 640 or again:
+            moves = np.median(_ways_px(last, seen)) > _STILL_PX * width / 640
+            again = any(_ways_px(pose, seen).max() < _OTHER_PLACE * width for pose in before)
+            if moves or again:
                 since_s = self._studio.now_s()
             last = seen
+            places = np.array(list(seen.values())) if seen else None
             self._studio.guide(Guidance(line + problem, frame, suggestion.outline_px, places, covered))
             pressed = self._studio.key_pressed()
             if seen and (pressed or self._studio.now_s() - since_s >= _STILL_S):
@@ -496,15 +501,11 @@ def _is_sheet(gain: FloatArray) -> bool:
     return bool(lit.mean() > _SHEET and np.percentile(np.abs(shares - np.median(shares, axis=0)), 95) < _ONE_COLOR)
 
 
-def _is_near(before: FloatArray, now: FloatArray, limit_px: float) -> bool:
-    """Whether every corner of one board lies near one of another."""
-    if not len(now):
-        return False
-    ways = np.linalg.norm(before[:, None] - now[None], axis=-1)
-    return bool(ways.min(axis=0).max() < limit_px)
+def _by_corner(corners_mm: FloatArray, places_px: FloatArray) -> _Corners:
+    return {(x, y): place for (x, y, _), place in zip(corners_mm.tolist(), places_px, strict=True)}
 
 
-def _moved_px(before: dict[int, FloatArray], now: dict[int, FloatArray]) -> float:
-    """Return the median way, px, of corners that are seen twice; infinite where none are."""
+def _ways_px(before: _Corners, now: _Corners) -> FloatArray:
+    """Return how far corners have moved that are seen twice, px; infinite where none are."""
     both = before.keys() & now.keys()
-    return float(np.median([np.hypot(*(now[k] - before[k])) for k in both])) if both else np.inf
+    return np.array([np.hypot(*(now[k] - before[k])) for k in both]) if both else np.array([np.inf])
