@@ -358,7 +358,7 @@ class GuidedCapture:
     def _hold_board(self, name: str, board: Board, guide: PoseGuide) -> None:
         """Wait until the board is held still at another place than before, or a key is pressed."""
         suggestion = guide.suggest()
-        before = [_by_corner(pose.corners_mm, pose.camera_px) for pose in guide.poses]
+        before = [_by_corner(board, pose.corners_mm, pose.camera_px) for pose in guide.poses]
         covered = np.concatenate([pose.camera_px for pose in guide.poses]) if guide.poses else None
         line = f"{name}: {suggestion.words}"
         self._settled(1.0)
@@ -368,7 +368,7 @@ class GuidedCapture:
             width = frame.shape[1]
             try:
                 numbers, found = board.find(_shares(frame).mean(axis=-1))
-                seen, problem = _by_corner(board.corners_mm()[numbers], found), ""
+                seen, problem = _by_corner(board, board.corners_mm()[numbers], found), ""
             except CalibrationError as error:
                 seen, problem = {}, f" ({error})"
             moves = np.median(_ways_px(last, seen)) > _STILL_PX * width / 640
@@ -501,8 +501,12 @@ def _is_sheet(gain: FloatArray) -> bool:
     return bool(lit.mean() > _SHEET and np.percentile(np.abs(shares - np.median(shares, axis=0)), 95) < _ONE_COLOR)
 
 
-def _by_corner(corners_mm: FloatArray, places_px: FloatArray) -> _Corners:
-    return {(x, y): place for (x, y, _), place in zip(corners_mm.tolist(), places_px, strict=True)}
+def _by_corner(board: Board, corners_mm: FloatArray, places_px: FloatArray) -> _Corners:
+    """Return a board's corners by their place on it; those of a chessboard, which has two ends, from the upper left."""
+    x, y, _ = corners_mm.T
+    if board.kind == "chessboard" and places_px[-1].sum() < places_px[0].sum():
+        x, y = board.squares[0] * board.square_mm - x, board.squares[1] * board.square_mm - y
+    return dict(zip(zip(x.tolist(), y.tolist(), strict=True), places_px, strict=True))
 
 
 def _ways_px(before: _Corners, now: _Corners) -> FloatArray:
