@@ -504,7 +504,8 @@ def _is_sheet(gain: FloatArray) -> bool:
 def _by_corner(board: Board, corners_mm: FloatArray, places_px: FloatArray) -> _Corners:
     """Return a board's corners by their place on it; those of a chessboard, which has two ends, from the upper left."""
     x, y, _ = corners_mm.T
-    if board.kind == "chessboard" and places_px[-1].sum() < places_px[0].sum():
+    begin, end = places_px[np.argmin(x + y)], places_px[np.argmax(x + y)]
+    if board.kind == "chessboard" and end.sum() < begin.sum():
         x, y = board.squares[0] * board.square_mm - x, board.squares[1] * board.square_mm - y
     return dict(zip(zip(x.tolist(), y.tolist(), strict=True), places_px, strict=True))
 
