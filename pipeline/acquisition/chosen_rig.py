@@ -91,12 +91,18 @@ def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:
     if settings.trigger.driver == settings.camera.driver == SIMULATED:
         return ChosenRig(settings, *simulated_instruments(settings, arch, tell))
     calibration = None if settings.calibration is None else Calibration.read(settings.calibration)
-    _check_projector(settings, rig)
+    check_projector(settings, rig)
     return ChosenRig(settings, partial(open_instruments, settings), calibration)
 
 
-def _check_projector(settings: RigSettings, rig: str) -> None:
-    """Refuse a projector that is known to show nothing."""
+def check_projector(settings: RigSettings, rig: str) -> None:
+    """Refuse a projector that is known to show nothing.
+
+    Raises
+    ------
+    ProjectorError
+        It is off, or shows black; or cannot be reached.
+    """
     if settings.projector.control is None:
         return
     with closing(open_projector(settings.projector)) as projector:

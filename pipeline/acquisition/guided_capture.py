@@ -10,6 +10,7 @@ import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -90,6 +91,8 @@ class GuidedCapture:
         What must be the same when a capture is gone on with: the camera's settings, for instance. Plain JSON values.
     tell : callable
         Hears what is being done.
+    report : callable
+        Hears what has come of it: a pose that was taken, or why one is taken again.
 
     Raises
     ------
@@ -98,10 +101,16 @@ class GuidedCapture:
     """
 
     def __init__(
-        self, studio: Studio, folder: Path, identity: dict[str, object], tell: Callable[[str], None]
+        self,
+        studio: Studio,
+        folder: Path,
+        identity: dict[str, Any],
+        tell: Callable[[str], None],
+        report: Callable[[str], None],
     ) -> None:
-        self._studio, self._folder, self._tell = studio, folder, tell
+        self._studio, self._folder, self._tell, self._report = studio, folder, tell, report
         self._shown: _Shown | None = None
+        self._camera_px = (0, 0)
         self._delay_s = _SURE_S
         self._noise = 0.0  # RMS difference of two frames of one picture, of full scale
         _continue_session(folder, identity | {"projector_px": list(studio.projector_px)})
@@ -116,6 +125,7 @@ class GuidedCapture:
         """
         self._tell("looking for faults of the rig")
         black, white = self._settled(0.0), self._settled(1.0)
+        self._camera_px = (white.shape[1], white.shape[0])
         gain = white.mean(axis=-1) - black.mean(axis=-1)
         brightest = float(np.percentile(gain, 99))
         if brightest < _MIN_LIGHT:
@@ -132,6 +142,11 @@ class GuidedCapture:
         self._check_colors(black, lit)
         self._check_resampling(black, lit)
         self._check_mirrored(black, white, lit)
+
+    @property
+    def camera_px(self) -> tuple[int, int]:
+        """Width and height of the camera's frames, once the rig was looked at."""
+        return self._camera_px
 
     def _settled(self, code: float | FloatArray) -> FloatArray:
         """Return the frame of a plain picture, 0..1, when it is on the screen for certain."""
@@ -286,7 +301,7 @@ class GuidedCapture:
             if reason is None:
                 return _finish(work, done)
             _discard(work)
-            self._tell(f"{reason}: all pictures of the light are taken again")
+            self._report(f"{reason}: all pictures of the light are taken again")
         raise CalibrationError(
             f"{reason}: let the projector warm up for a quarter of an hour, keep the room's light as it is, and switch "
             "off the camera's automatic exposure"
@@ -318,7 +333,7 @@ class GuidedCapture:
                 failures += 1
                 if failures == _TRIES:
                     raise
-                self._tell(f"again: {error}")
+                self._report(f"again: {error}")
         return folder
 
     def _take_pose(self, done: Path, board: Board, guide: PoseGuide) -> None:
@@ -338,7 +353,7 @@ class GuidedCapture:
             raise
         _finish(work, done)
         depth = f"; the calibration leaves depth off by {guide.depth_mm[-1]:.2f} mm so far" if guide.depth_mm else ""
-        self._tell(f"{done.name} is taken{depth}")
+        self._report(f"{done.name} is taken{depth}")
 
     def _wait_for_sheet(self) -> None:
         """Wait until the camera sees an even sheet that is still, or a key is pressed."""
@@ -401,7 +416,7 @@ class GuidedCapture:
             now = _shares(self.photograph(name, self._field(float(name == WHITE))))
             if before.shape == now.shape and self._alike(before, now):
                 return
-        self._tell(f"{what} is not as it was: the pictures are taken from the start")
+        self._report(f"{what} is not as it was: the pictures are taken from the start")
         _discard(work)
 
     def _take_missing(
@@ -432,25 +447,24 @@ class GuidedCapture:
         return _rms(before - now) <= _NOISE_TIMES * max(self._noise, _LEAST_NOISE)
 
 
-def _continue_session(folder: Path, identity: dict[str, object]) -> None:
-    """Make the folder of a capture, or refuse one that belongs to another."""
+def _continue_session(folder: Path, identity: dict[str, Any]) -> None:
+    """Make the folder of a capture, or refuse one whose pictures were taken otherwise."""
     _make_folder(folder)
     file = folder / SESSION
-    if not file.exists():
-        write_atomically(file, (json.dumps(identity, indent=1) + "\n").encode())
-        return
-    try:
-        before = json.loads(file.read_bytes())
-    except (OSError, ValueError):
-        before = None
-    if not isinstance(before, dict):
-        raise OutputError(f"{file} cannot be read: choose another folder")
-    changed = [key for key in identity if before.get(key) != identity[key]]
+    before: dict[str, Any] = {}
+    if file.exists():
+        try:
+            before = dict(json.loads(file.read_bytes()))
+        except (OSError, ValueError, TypeError):
+            raise OutputError(f"{file} cannot be read: choose another folder") from None
+    changed = [key for key, value in identity.items() if before.get(key, value) != value]
     if changed:
         raise OutputError(
-            f"{folder} holds captures with another {changed[0]} ({before.get(changed[0])}, now {identity[changed[0]]}): "
+            f"{folder} holds captures with another {changed[0]} ({before[changed[0]]}, now {identity[changed[0]]}): "
             "choose another folder, or set it as it was"
         )
+    if before.keys() != before.keys() | identity.keys():
+        write_atomically(file, (json.dumps(before | identity, indent=1) + "\n").encode())
 
 
 def _make_folder(folder: Path) -> None:

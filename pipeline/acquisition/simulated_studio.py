@@ -4,6 +4,7 @@ The projector shows a picture some frames after it was sent, the camera runs fre
 own. The calibration is to be found from the pictures alone.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 
@@ -22,7 +23,6 @@ from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 FRAME_S = 1 / 30
 # k1 k2 p1 p2 k3 of ordinary lenses: a picture's corner lies nearly a hundredth beside where a pinhole shows it.
 _CAMERA_LENS, _PROJECTOR_LENS = (-0.12, 0.08, 0.001, -0.0008, 0.0), (-0.06, 0.05, -0.001, 0.0005, 0.0)
-_GAMMA, _NOISE_LEVELS, _BLUR_PX = 2.0, 1.5, 0.5
 # A picture is on the screen this long after it was sent: two frames of the computer and one of the projector, more or
 # less.
 _LATENCY_S, _LATENCY_JITTER_S = 0.06, 0.02
@@ -50,6 +50,11 @@ class StudioFaults:
     moved_from: int | None = None  # from which pose on the camera's lens has another focal length, by three thousandths
 
 
+_NO_FAULTS = StudioFaults()
+#: The path of light of the simulated rig.
+LIGHT = CaptureLight(gamma=2.0, crosstalk=np.array(TYPICAL_CROSSTALK), blur_px=0.5, noise=1.5)
+
+
 class _Sheet(BoardView):
     """A white sheet."""
 
@@ -72,6 +77,12 @@ class SimulatedStudio:
         What is held before it; None: a white sheet.
     exposure_s : float
         The camera's.
+    tell : callable, optional
+        Hears the line of every guidance.
+    truth : Calibration, optional
+        The rig's geometry; None: `simulated_truth`.
+    light : CaptureLight
+        What happens between the projector's codes and the camera's levels.
     faults : StudioFaults
         What is wrong with it.
     seed : int, optional
@@ -87,13 +98,17 @@ class SimulatedStudio:
         self,
         board: Board | None,
         exposure_s: float = 1 / 60,
-        faults: StudioFaults = StudioFaults(),  # noqa: B008 - frozen
+        tell: Callable[[str], None] = lambda line: None,
+        *,
+        truth: Calibration | None = None,
+        light: CaptureLight = LIGHT,
+        faults: StudioFaults = _NO_FAULTS,
         seed: int | None = None,
     ) -> None:
         self.n_acts = 0 if board is not None else 1
-        self._board, self._exposure_s, self._faults, self._seed = board, exposure_s, faults, seed
+        self._board, self._exposure_s, self._tell, self._faults, self._seed = board, exposure_s, tell, faults, seed
+        self._truth, self._path = simulated_truth() if truth is None else truth, light
         self._rng = np.random.default_rng(seed)
-        self._truth = simulated_truth()
         self._time_s = 0.0
         self._sent: list[tuple[float, npt.NDArray[np.uint8]]] = []  # when each picture comes on, newest last
         self._outline: FloatArray | None = None
@@ -131,6 +146,7 @@ class SimulatedStudio:
 
     def guide(self, guidance: Guidance) -> None:
         """Have the operator go where the guidance says; see `Studio`."""
+        self._tell(guidance.line)
         outline = guidance.outline_px
         if outline is None or (self._outline is not None and np.array_equal(outline, self._outline)):
             return
@@ -199,10 +215,9 @@ class SimulatedStudio:
         if zoom != 1 and rig.camera is not None:
             matrix = rig.camera.matrix * np.array([[zoom, 1, 1], [1, zoom, 1], [1, 1, 1]])
             rig = rig.model_copy(update={"camera": rig.camera.model_copy(update={"matrix": matrix})})
-        light = CaptureLight(gamma=_GAMMA, crosstalk=np.array(TYPICAL_CROSSTALK), blur_px=_BLUR_PX)
         kind = _Sheet if self._board is None else BoardView
         turn, place = np.array(stands[:3]), np.array(stands[3:])
-        return kind(rig, self._held(), turn, place, light, samples=samples, bow_mm=self._faults.bow_mm)
+        return kind(rig, self._held(), turn, place, self._path, samples=samples, bow_mm=self._faults.bow_mm)
 
     def _light(self, time_s: float, picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
         """Return the light that the camera sees of a picture, (H, W, 3)."""
@@ -232,7 +247,7 @@ class SimulatedStudio:
         light = np.broadcast_to(light * self._shares_of_cycle(start_s), (height, width, 3))
         light = light * np.float32(1 - self._faults.dims * start_s / 60)
         noise = self._rng.standard_normal(light.shape, dtype=np.float32)
-        levels = np.clip(np.rint(255 * light + _NOISE_LEVELS * noise), 0, 255).astype(np.uint8)
+        levels = np.clip(np.rint(255 * light + self._path.noise * noise), 0, 255).astype(np.uint8)
         return np.ascontiguousarray(levels[..., ::-1]) if self._faults.swapped else levels
 
     def _shares_of_cycle(self, start_s: float) -> npt.NDArray[np.float32]:

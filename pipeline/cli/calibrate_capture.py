@@ -1,0 +1,164 @@
+"""`colorphase calibrate capture ...`: the pictures of a calibration are shown and taken, and the rig is calibrated."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from cyclopts import App
+
+from hardware.drivers import SIMULATED
+from hardware.instruments import open_instruments
+from hardware.settings import RigSettings
+from pipeline.acquisition.chosen_rig import check_projector, read_rig
+from pipeline.acquisition.guided_capture import GuidedCapture
+from pipeline.acquisition.session import Stopping
+from pipeline.acquisition.simulated_capture import SETTINGS
+from pipeline.acquisition.simulated_studio import SimulatedStudio
+from pipeline.acquisition.studio import RigStudio, Studio
+from pipeline.calibration.board import Board
+from pipeline.calibration.pose_guide import PoseGuide
+from pipeline.cli import calibrate
+from pipeline.cli.console import read_calibration, remark, say, steps
+from pipeline.cli.project import BoardOptions, PatternOptions
+from tikernels import runtime
+
+_BOARD, _FRINGES = BoardOptions(), PatternOptions()
+#: The picture for whoever holds the board, and the calibration where the rig's file names none.
+GUIDE, CALIBRATION = "guide.png", "calibration.json"
+
+
+@dataclass(frozen=True)
+class _Capture:
+    """A guided capture under way."""
+
+    guided: GuidedCapture
+    studio: Studio
+    settings: RigSettings
+    target: Path  # the calibration to write
+    n_acts: int = 0
+
+
+def radiometry(*, rig: str, out: Path, display: int | None = None) -> None:
+    """Show 33 plain pictures on a white sheet, take each, and measure the rig's light.
+
+    Stopped at any time, it goes on where it was when it is called again. The calibration is the one that the rig's file
+    names, else calibration.json in the folder; its geometry is kept.
+
+    Example: colorphase calibrate capture radiometry --rig rig.toml --out captures
+
+    Parameters
+    ----------
+    rig
+        The rig's TOML file; or "simulated", which needs nothing to be there.
+    out
+        The folder of the captures.
+    display
+        Which display the projector is, as `colorphase devices` numbers them; left out, the only one there is.
+    """
+    with _capturing(rig, out, display, None) as capture:
+        folder = capture.guided.take_light()
+    size_px = "{}x{}".format(*capture.studio.projector_px)
+    calibrate.radiometry(
+        folder,
+        out=capture.target,
+        size=size_px,
+        calibration=_kept(capture.target, out),
+        exposure_s=capture.settings.camera.exposure_s,
+        force=True,
+    )
+
+
+def geometry(
+    *,
+    rig: str,
+    out: Path,
+    display: int | None = None,
+    board: Literal["charuco", "chessboard"] = "charuco",
+    options: BoardOptions = _BOARD,
+    fringes: PatternOptions = _FRINGES,
+    baseline_mm: float | None = None,
+) -> None:
+    """Say where to hold a board, take its pictures in each pose, and measure lenses and places.
+
+    A pose is taken when the board has been still for 2 s, or Enter is pressed. It ends when another pose would hardly
+    lower the uncertainty of depth. Stopped at any time, it goes on where it was when it is called again. The
+    calibration is the one that the rig's file names, else calibration.json in the folder; its light is kept.
+
+    Example: colorphase calibrate capture geometry --rig rig.toml --out captures --board chessboard --squares 11x8
+    --square-mm 24
+
+    Parameters
+    ----------
+    rig
+        The rig's TOML file; or "simulated", which needs nothing to be there.
+    out
+        The folder of the captures; guide.png in it shows where to hold the board.
+    display
+        Which display the projector is, as `colorphase devices` numbers them; left out, the only one there is.
+    board
+        What the board is.
+    baseline_mm
+        The distance between camera and projector where it is known; a wrong square size shows in it.
+    """
+    described = options.board(board)
+    with _capturing(rig, out, display, described) as capture:
+        known = _kept(capture.target, out)
+        pattern = fringes.pattern(read_calibration(known))
+        camera_px = capture.guided.camera_px
+        guide = PoseGuide(described, camera_px, capture.studio.projector_px, pattern)
+        folder = capture.guided.take_poses(described, guide)
+    calibrate.geometry(
+        folder,
+        out=capture.target,
+        size="{}x{}".format(*capture.studio.projector_px),
+        board=board,
+        options=options,
+        fringes=fringes,
+        baseline_mm=baseline_mm,
+        calibration=known,
+        force=True,
+    )
+
+
+@contextmanager
+def _capturing(rig: str, out: Path, display: int | None, board: Board | None) -> Iterator[_Capture]:
+    """Open a rig for a guided capture, its faults looked for."""
+    settings = SETTINGS if rig == SIMULATED else read_rig(rig)
+    target = out / CALIBRATION if settings.calibration is None else Path(settings.calibration)
+    stopping = Stopping()
+    with stopping.listening(), steps() as show:
+        show("opening the rig")
+        if settings.trigger.driver == settings.camera.driver == SIMULATED:
+            studio: Studio = SimulatedStudio(board, settings.camera.exposure_s, tell=show)
+        else:
+            check_projector(settings, rig)
+            runtime.init("cpu")
+            studio = RigStudio(settings, lambda: open_instruments(settings), display, out / GUIDE, show)
+        try:
+            identity = {"camera": settings.camera.model_dump(mode="json")}
+            if board is not None:
+                identity["board"] = board.model_dump(mode="json")
+            guided = GuidedCapture(studio, out, identity, show, remark)
+            guided.check_rig()
+            yield _Capture(guided, studio, settings, target)
+        finally:
+            studio.close()
+    if isinstance(studio, SimulatedStudio):
+        say(f"simulated: {studio.n_acts} manual acts, {studio.now_s():.0f} s by the rig's clock")
+
+
+def _kept(target: Path, out: Path) -> Path | None:
+    """Return an earlier calibration, which is kept in the captures' folder, too; None: there is none."""
+    if not target.exists():
+        return None
+    earlier = out / "earlier-calibration.json"
+    shutil.copyfile(target, earlier)
+    return earlier
+
+
+capture = App(name="capture", help="Show and take the pictures of a calibration, and calibrate the rig.")
+for command in (radiometry, geometry):
+    capture.command(command)
