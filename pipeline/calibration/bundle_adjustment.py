@@ -182,9 +182,20 @@ class BundleAdjustment:
         errors = [self._residuals(k)[0][used] for k, used in enumerate(self.used)]
         return np.array([np.sqrt((e**2).sum(axis=-1).mean(axis=0)) for e in errors])
 
+    def corner_residuals_px(self, k: int) -> FloatArray:
+        """Return the steps from each of a pose's corners to where the fit puts it, (N, 2 devices, 2)."""
+        return self._residuals(k)[0]
+
     def corner_distances_px(self, k: int) -> FloatArray:
         """Return the distance of each of a pose's corners from the fit, (N, 2 devices)."""
-        return np.asarray(np.linalg.norm(self._residuals(k)[0], axis=-1))
+        return np.asarray(np.linalg.norm(self.corner_residuals_px(k), axis=-1))
+
+    def rough_stand(self, pose: BoardPose) -> FloatArray:
+        """Return roughly where a board stands that need not be one of the fit's: rotation vector and place, (6,)."""
+        lens = self.parameters[:9]
+        matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
+        _, turn, place = cv2.solvePnP(pose.corners_mm, pose.camera_px, matrix, lens[4:])
+        return np.concatenate([turn.ravel(), place.ravel()])
 
     def normals(self) -> FloatArray:
         """Return the unit vectors that stand on each pose's board, in the camera's frame, (poses, 3)."""
