@@ -34,33 +34,28 @@ class BundleAdjustment:
 
     Its parameters, in order: fx, fy, cx, cy, k1, k2, p1, p2, k3 of the camera; the same of the projector; rotation
     vector and translation from camera to projector; then rotation vector and translation of each pose.
+
+    Parameters
+    ----------
+    poses : list of BoardPose
+        The corners.
+    camera_size_px, projector_size_px : (width, height)
+        The two devices' sizes in px.
+    start : (24 + 6 poses,), optional
+        The parameters to start from, such as the truth of a simulated rig; None: found from the corners.
     """
 
     def __init__(
-        self, poses: list[BoardPose], camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
+        self,
+        poses: list[BoardPose],
+        camera_size_px: tuple[int, int],
+        projector_size_px: tuple[int, int],
+        start: FloatArray | None = None,
     ) -> None:
         self.poses = poses
         self.used: list[npt.NDArray[np.bool_]] = [np.ones(len(pose.corners_mm), np.bool_) for pose in poses]
         self.sigma_px = np.full(2, _START_SIGMA_PX)  # of a corner's coordinate in camera and projector
-        points = [pose.corners_mm.astype(np.float32) for pose in poses]
-        lenses, boards = [], []
-        for size, pixels in (
-            (camera_size_px, [pose.camera_px for pose in poses]),
-            (projector_size_px, [pose.projector_px for pose in poses]),
-        ):
-            views = [view.astype(np.float32) for view in pixels]
-            start = cv2.initCameraMatrix2D(points, views, size)
-            flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
-            _, matrix, distortion, turns, places = cv2.calibrateCamera(points, views, size, start, None, flags=flags)
-            lenses.append(np.array([matrix[0, 0], matrix[1, 1], *matrix[:2, 2], *distortion.ravel()[:5]]))
-            boards.append([np.concatenate([t.ravel(), p.ravel()]) for t, p in zip(turns, places, strict=True)])
-        # From camera to projector: the mean over the poses of projector pose after camera pose undone. Of matrices, as
-        # rotation vectors of a projector that hangs upside down change sign from pose to pose.
-        turns = [cv2.Rodrigues(p[:3])[0] @ cv2.Rodrigues(c[:3])[0].T for c, p in zip(*boards, strict=True)]
-        left, _, right = np.linalg.svd(np.sum(turns, axis=0))
-        steps = [p[3:] - turn @ c[3:] for turn, c, p in zip(turns, *boards, strict=True)]
-        turn = cv2.Rodrigues(left @ right)[0].ravel()
-        self.parameters = np.concatenate([*lenses, turn, np.median(steps, axis=0), *boards[0]])
+        self.parameters = _start(poses, camera_size_px, projector_size_px) if start is None else start
 
     @property
     def stereo(self) -> FloatArray:
@@ -233,3 +228,26 @@ def project_points(
     matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     pixels, slopes = cv2.projectPoints(points, turn, place, matrix, lens[4:])
     return pixels.reshape(-1, 2), slopes[:, :15].reshape(-1, 2, 15)
+
+
+def _start(poses: list[BoardPose], camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]) -> FloatArray:
+    """Return parameters near the fit: each lens calibrated by itself."""
+    points = [pose.corners_mm.astype(np.float32) for pose in poses]
+    lenses, boards = [], []
+    for size, pixels in (
+        (camera_size_px, [pose.camera_px for pose in poses]),
+        (projector_size_px, [pose.projector_px for pose in poses]),
+    ):
+        views = [view.astype(np.float32) for view in pixels]
+        start = cv2.initCameraMatrix2D(points, views, size)
+        flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
+        _, matrix, distortion, turns, places = cv2.calibrateCamera(points, views, size, start, None, flags=flags)
+        lenses.append(np.array([matrix[0, 0], matrix[1, 1], *matrix[:2, 2], *distortion.ravel()[:5]]))
+        boards.append([np.concatenate([t.ravel(), p.ravel()]) for t, p in zip(turns, places, strict=True)])
+    # From camera to projector: the mean over the poses of projector pose after camera pose undone. Of matrices, as
+    # rotation vectors of a projector that hangs upside down change sign from pose to pose.
+    turns = [cv2.Rodrigues(p[:3])[0] @ cv2.Rodrigues(c[:3])[0].T for c, p in zip(*boards, strict=True)]
+    left, _, right = np.linalg.svd(np.sum(turns, axis=0))
+    steps = [p[3:] - turn @ c[3:] for turn, c, p in zip(turns, *boards, strict=True)]
+    turn = cv2.Rodrigues(left @ right)[0].ravel()
+    return np.concatenate([*lenses, turn, np.median(steps, axis=0), *boards[0]])
