@@ -20,6 +20,8 @@ from pipeline.models import FloatArray
 _LENS_PRIOR = np.array([1.0, 1.0, 0.02, 0.02, 1.0])
 # Corners further from the fit than this many standard deviations are left out; of good ones fewer than one in 10,000.
 _CORNER_SIGMAS = 4.5
+# A pose with a smaller share of its corners left is bad as a whole.
+_LEAST_USED = 0.5
 # A corner's standard deviation, px, until the first fit estimates it.
 _START_SIGMA_PX = 0.1
 # Damping, of the normal matrix's diagonal: at the start; times this where a step makes the fit worse, over that where
@@ -74,7 +76,9 @@ class BundleAdjustment:
             freedom = max(1 - (24 + 6 * len(self.poses)) / everything.size, 0.2)
             self.sigma_px = np.sqrt((everything**2).mean(axis=(0, 2)) / freedom)
             limit = _CORNER_SIGMAS * self.sigma_px[None, :, None]
-            self.used = [np.asarray((np.abs(r) < limit).all(axis=(1, 2))) for r in residuals]
+            near = [np.asarray((np.abs(r) < limit).all(axis=(1, 2))) for r in residuals]
+            # A pose without corners has no place. One that is bad as a whole keeps all, and shows as a pose.
+            self.used = [used if used.mean() > _LEAST_USED else np.ones_like(used) for used in near]
 
     def _descend(self) -> None:
         damping, cost, best = _DAMPING, np.inf, self.parameters
