@@ -260,14 +260,15 @@ def _draw_pose_bars(axes: "Axes", found: GeometryFit) -> None:
         usual = float(np.median([bar.rms_px[device] for bar in bars if bar.used]))
         axes.bar(at, np.minimum(heights, top), 0.38, color=color, label=f"{name}; dashed: middle pose, {usual:.3f} px")
         axes.axhline(usual, color=color, linestyle="--", linewidth=1)
+    names = [bar.name for bar in bars]
+    is_turned = sum(map(len, names)) > _LEVEL_LETTERS
     for k, bar in enumerate(bars):
         if not bar.used:
             axes.axvspan(k - 0.48, k + 0.48, color=_LEFT_OUT, alpha=0.35, linewidth=0, zorder=0)
-            text = "left out\n{:.2f}, {:.2f} px".format(*bar.rms_px)
+            text = "left out{}{:.2f}, {:.2f} px".format(" " if is_turned else "\n", *bar.rms_px)
             box = {"facecolor": "white", "edgecolor": "none", "pad": 2}
-            axes.text(k, 0.97 * top, text, ha="center", va="top", bbox=box)
-    names = [bar.name for bar in bars]
-    axes.set_xticks(range(len(bars)), names, rotation=90 if sum(map(len, names)) > _LEVEL_LETTERS else 0)
+            axes.text(k, 0.97 * top, text, ha="center", va="top", rotation=90 * is_turned, bbox=box)
+    axes.set_xticks(range(len(bars)), names, rotation=90 * is_turned)
     axes.set(xlim=(-0.6, len(bars) - 0.4), ylim=(0, top), ylabel="residual, px RMS")
     axes.set_title("residuals of each pose", loc="left")
     axes.grid(axis="y", alpha=0.3)
