@@ -22,6 +22,8 @@ from pipeline.models import FloatArray
 _LENS_PRIOR = np.array([1.0, 1.0, 0.02, 0.02, 1.0])
 # Corners further from the fit than this many standard deviations are left out; of good ones fewer than one in 10,000.
 _CORNER_SIGMAS = 4.5
+# A pose with a smaller share of its corners left is bad as a whole.
+_LEAST_USED = 0.5
 # A corner's standard deviation, px, until the first fit estimates it.
 _START_SIGMA_PX = 0.1
 # Damping, of the normal matrix's diagonal: at the start; times this where a step makes the fit worse, over that where
@@ -46,33 +48,28 @@ class BundleAdjustment:
 
     Its parameters, in order: fx, fy, cx, cy, k1, k2, p1, p2, k3 of the camera; the same of the projector; rotation
     vector and translation from camera to projector; then rotation vector and translation of each pose.
+
+    Parameters
+    ----------
+    poses : list of BoardPose
+        The corners.
+    camera_size_px, projector_size_px : (width, height)
+        The two devices' sizes in px.
+    start : (24 + 6 poses,), optional
+        The parameters to start from, such as the truth of a simulated rig; None: found from the corners.
     """
 
     def __init__(
-        self, poses: list[BoardPose], camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]
+        self,
+        poses: list[BoardPose],
+        camera_size_px: tuple[int, int],
+        projector_size_px: tuple[int, int],
+        start: FloatArray | None = None,
     ) -> None:
         self.poses = poses
         self.used: list[npt.NDArray[np.bool_]] = [np.ones(len(pose.corners_mm), np.bool_) for pose in poses]
         self.sigma_px = np.full(2, _START_SIGMA_PX)  # of a corner's coordinate in camera and projector
-        points = [pose.corners_mm.astype(np.float32) for pose in poses]
-        lenses, boards = [], []
-        for size, pixels in (
-            (camera_size_px, [pose.camera_px for pose in poses]),
-            (projector_size_px, [pose.projector_px for pose in poses]),
-        ):
-            views = [view.astype(np.float32) for view in pixels]
-            start = cv2.initCameraMatrix2D(points, views, size)
-            flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
-            _, matrix, distortion, turns, places = cv2.calibrateCamera(points, views, size, start, None, flags=flags)
-            lenses.append(np.array([matrix[0, 0], matrix[1, 1], *matrix[:2, 2], *distortion.ravel()[:5]]))
-            boards.append([np.concatenate([t.ravel(), p.ravel()]) for t, p in zip(turns, places, strict=True)])
-        # From camera to projector: the mean over the poses of projector pose after camera pose undone. Of matrices, as
-        # rotation vectors of a projector that hangs upside down change sign from pose to pose.
-        turns = [cv2.Rodrigues(p[:3])[0] @ cv2.Rodrigues(c[:3])[0].T for c, p in zip(*boards, strict=True)]
-        left, _, right = np.linalg.svd(np.sum(turns, axis=0))
-        steps = [p[3:] - turn @ c[3:] for turn, c, p in zip(turns, *boards, strict=True)]
-        turn = cv2.Rodrigues(left @ right)[0].ravel()
-        self.parameters = np.concatenate([*lenses, turn, np.median(steps, axis=0), *boards[0]])
+        self.parameters = _start(poses, camera_size_px, projector_size_px) if start is None else start
 
     @property
     def stereo(self) -> FloatArray:
@@ -91,7 +88,9 @@ class BundleAdjustment:
             freedom = max(1 - (24 + 6 * len(self.poses)) / everything.size, 0.2)
             self.sigma_px = np.sqrt((everything**2).mean(axis=(0, 2)) / freedom)
             limit = _CORNER_SIGMAS * self.sigma_px[None, :, None]
-            self.used = [np.asarray((np.abs(r) < limit).all(axis=(1, 2))) for r in residuals]
+            near = [np.asarray((np.abs(r) < limit).all(axis=(1, 2))) for r in residuals]
+            # A pose without corners has no place. One that is bad as a whole keeps all, and shows as a pose.
+            self.used = [used if used.mean() > _LEAST_USED else np.ones_like(used) for used in near]
 
     def _descend(self) -> None:
         damping, cost, best = _DAMPING, np.inf, self.parameters
@@ -231,9 +230,20 @@ class BundleAdjustment:
         errors = [self._residuals(k)[0][used] for k, used in enumerate(self.used)]
         return np.array([np.sqrt((e**2).sum(axis=-1).mean(axis=0)) for e in errors])
 
+    def corner_residuals_px(self, k: int) -> FloatArray:
+        """Return the steps from each of a pose's corners to where the fit puts it, (N, 2 devices, 2)."""
+        return self._residuals(k)[0]
+
     def corner_distances_px(self, k: int) -> FloatArray:
         """Return the distance of each of a pose's corners from the fit, (N, 2 devices)."""
-        return np.asarray(np.linalg.norm(self._residuals(k)[0], axis=-1))
+        return np.asarray(np.linalg.norm(self.corner_residuals_px(k), axis=-1))
+
+    def rough_stand(self, pose: BoardPose) -> FloatArray:
+        """Return roughly where a board stands that need not be one of the fit's: rotation vector and place, (6,)."""
+        lens = self.parameters[:9]
+        matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
+        _, turn, place = cv2.solvePnP(pose.corners_mm, pose.camera_px, matrix, lens[4:])
+        return np.concatenate([turn.ravel(), place.ravel()])
 
     def normals(self) -> FloatArray:
         """Return the unit vectors that stand on each pose's board, in the camera's frame, (poses, 3)."""
@@ -271,3 +281,26 @@ def project_points(
     matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
     pixels, slopes = cv2.projectPoints(points, turn, place, matrix, lens[4:])
     return pixels.reshape(-1, 2), slopes[:, :15].reshape(-1, 2, 15)
+
+
+def _start(poses: list[BoardPose], camera_size_px: tuple[int, int], projector_size_px: tuple[int, int]) -> FloatArray:
+    """Return parameters near the fit: each lens calibrated by itself."""
+    points = [pose.corners_mm.astype(np.float32) for pose in poses]
+    lenses, boards = [], []
+    for size, pixels in (
+        (camera_size_px, [pose.camera_px for pose in poses]),
+        (projector_size_px, [pose.projector_px for pose in poses]),
+    ):
+        views = [view.astype(np.float32) for view in pixels]
+        start = cv2.initCameraMatrix2D(points, views, size)
+        flags = cv2.CALIB_USE_INTRINSIC_GUESS | cv2.CALIB_FIX_K3
+        _, matrix, distortion, turns, places = cv2.calibrateCamera(points, views, size, start, None, flags=flags)
+        lenses.append(np.array([matrix[0, 0], matrix[1, 1], *matrix[:2, 2], *distortion.ravel()[:5]]))
+        boards.append([np.concatenate([t.ravel(), p.ravel()]) for t, p in zip(turns, places, strict=True)])
+    # From camera to projector: the mean over the poses of projector pose after camera pose undone. Of matrices, as
+    # rotation vectors of a projector that hangs upside down change sign from pose to pose.
+    turns = [cv2.Rodrigues(p[:3])[0] @ cv2.Rodrigues(c[:3])[0].T for c, p in zip(*boards, strict=True)]
+    left, _, right = np.linalg.svd(np.sum(turns, axis=0))
+    steps = [p[3:] - turn @ c[3:] for turn, c, p in zip(turns, *boards, strict=True)]
+    turn = cv2.Rodrigues(left @ right)[0].ravel()
+    return np.concatenate([*lenses, turn, np.median(steps, axis=0), *boards[0]])

@@ -6,10 +6,8 @@ the crosstalk matrix M times that primary's response f_k (section 2.2 of Je, Lee
 matrix of rank one. Grey must be the sum of the three, which also determines how the camera encodes light.
 """
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +15,6 @@ import numpy.typing as npt
 from pipeline.calibration.captures import PictureSequence, full_scale
 from pipeline.calibration.model import MAX_CONDITION, Calibration, Uncertainty
 from pipeline.errors import CalibrationError
-from pipeline.files import write_atomically
 from pipeline.models import CameraState, FloatArray, ImageArray
 from pipeline.robust import robust_sigma
 from tikernels.raw.linearization import TRANSFERS, Transfer, linear_values
@@ -310,38 +307,3 @@ def monotone_curve(x: FloatArray, y: FloatArray, at: FloatArray) -> FloatArray:
     t = (at - x[i]) / step[i]
     rise, start, end = y[i + 1] - y[i], inner[i] * step[i], inner[i + 1] * step[i]
     return np.asarray(y[i] + t * (start + t * (3 * rise - 2 * start - end + t * (start + end - 2 * rise))))
-
-
-def plot_radiometry(radiometry: Radiometry, path: str | Path) -> None:
-    """Draw what each camera channel sees of red, green and blue, and the three responses (figure 2.2 of the paper).
-
-    Parameters
-    ----------
-    radiometry : Radiometry
-        What was measured.
-    path : str or Path
-        The PNG.
-
-    Raises
-    ------
-    OutputError
-        The place cannot be written.
-    """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg  # slow to import, and only needed here
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(4.2 * 4, 3.6), layout="constrained")
-    axes = figure.subplots(1, 4)
-    codes = np.array([0, *RAMP_CODES])
-    for k, color in enumerate(PRIMARIES):
-        axes[k].set_title(f"camera's response to {color}")
-        for i, channel in enumerate(PRIMARIES):
-            axes[k].plot(codes, radiometry.ramps[k, :, i], color=channel, marker="o", markersize=3)
-        axes[3].plot(np.arange(256), radiometry.response[k], color=color)
-    axes[3].set_title("the projector's responses")
-    for panel in axes:
-        panel.set_xlabel("projector code")
-        panel.set_ylabel("linear light")
-    buffer = io.BytesIO()
-    FigureCanvasAgg(figure).print_png(buffer)  # type: ignore[no-untyped-call]  # matplotlib has no annotation there
-    write_atomically(path, buffer.getvalue())

@@ -142,7 +142,7 @@ def board_scale(fit: BundleAdjustment, poses: Sequence[BoardPose]) -> tuple[floa
     unknowns and K those by the 24 fixed parameters of covariance C, the covariance is inv(J'J) s^2 + G C G', G =
     inv(J'J) J'K.
     """
-    places = [_start_of(fit, pose) for pose in poses]
+    places = [fit.rough_stand(pose) for pose in poses]
     unknowns = np.array([1.0, *np.concatenate(places)])
     for _ in range(_BOARD_STEPS):
         residual, by_unknown, by_fixed = _board_residuals(fit, poses, unknowns)
@@ -160,14 +160,6 @@ def board_scale(fit: BundleAdjustment, poses: Sequence[BoardPose]) -> tuple[floa
     noise = max(1.0, float((residual**2).sum() / (len(residual) - len(unknowns))))
     covariance = noise * inverse + gain @ fit.covariance() @ gain.T
     return float(unknowns[0]), float(np.sqrt(covariance[0, 0]))
-
-
-def _start_of(fit: BundleAdjustment, pose: BoardPose) -> FloatArray:
-    """Return roughly where a pose stands in the camera's frame: rotation vector and place."""
-    lens = fit.parameters[:9]
-    matrix = np.array([[lens[0], 0, lens[2]], [0, lens[1], lens[3]], [0, 0, 1]])
-    _, turn, place = cv2.solvePnP(pose.corners_mm, pose.camera_px, matrix, lens[4:])
-    return np.concatenate([turn.ravel(), place.ravel()])
 
 
 def _board_residuals(
@@ -204,6 +196,8 @@ class GeometryFit:
     camera_rms_px: float
     projector_rms_px: float
     verdict: GeometryVerdict
+    adjustment: BundleAdjustment  # with the poses that were used
+    unused: tuple[BoardPose, ...]  # those that were left out
 
 
 def solve_geometry(
@@ -248,9 +242,16 @@ def solve_geometry(
     # An earlier calibration's lateral colour goes with its lenses.
     shift = _color_shift(fit.poses, calibration.crosstalk_matrix)
     calibration = calibration.model_copy(update={"color_shift_px": shift})
-    names = tuple(pose.name for pose in fit.poses)
-    verdict = judge_geometry(fit, camera_size_px, pattern, calibration.depth_range_mm)
-    return GeometryFit(calibration, names, tuple(left_out), fit.camera_rms_px, fit.projector_rms_px, verdict)
+    return GeometryFit(
+        calibration=calibration,
+        poses=tuple(pose.name for pose in fit.poses),
+        left_out=tuple(left_out),
+        camera_rms_px=fit.camera_rms_px,
+        projector_rms_px=fit.projector_rms_px,
+        verdict=judge_geometry(fit, camera_size_px, pattern, calibration.depth_range_mm),
+        adjustment=fit,
+        unused=tuple(pose for pose in poses if pose.name in dict(left_out)),
+    )
 
 
 def _fit_without_outliers(

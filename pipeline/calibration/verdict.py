@@ -26,6 +26,7 @@ import numpy as np
 from pipeline.calibration.board_poses import BoardPose
 from pipeline.calibration.bundle_adjustment import BundleAdjustment, project_points
 from pipeline.calibration.model import Geometry, Pattern
+from pipeline.calibration.multishot import multishot_sequence
 from pipeline.calibration.radiometry import Radiometry
 from pipeline.models import FloatArray
 
@@ -423,5 +424,9 @@ def _advice(
         worst = max(fit.camera_rms_px, fit.projector_rms_px)
         if worst > _MAX_CORNER_PX:
             advice.append(f"corners are off by {worst:.2f} px RMS: take sharper pictures, larger squares, a flat board")
-        advice.append(f"show more poses than {len(fit.poses)}: twice as many take three tenths off the bias")
+        pictures = len(multishot_sequence(camera_size_px).names)
+        advice.append(
+            f"show more poses than {len(fit.poses)}: twice as many take three tenths off the bias; more than "
+            f"{pictures} pictures per pose take off 1 %"
+        )
     return tuple(advice)

@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from cyclopts import App, Parameter
@@ -13,13 +13,13 @@ from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import measure_poses
 from pipeline.calibration.captures import CapturedFolder, PictureSequence, refuse_other_camera, write_sequence
 from pipeline.calibration.color_chart import chart_codes, chart_sequence, measure_wavelengths, read_spectra
+from pipeline.calibration.figures import geometry_figure, radiometry_figure, write_figure
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Uncertainty
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
 from pipeline.calibration.radiometry import (
     PRIMARIES,
     Radiometry,
     measure_radiometry,
-    plot_radiometry,
     radiometry_codes,
     radiometry_sequence,
 )
@@ -44,6 +44,9 @@ from pipeline.cli.console import (
 from pipeline.cli.project import BoardOptions, PatternOptions
 from pipeline.errors import SettingsError
 from pipeline.models import CameraState, FloatArray, build
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: The projector's size where none is given.
 PROJECTOR_SIZE = "{}x{}".format(*DEFAULT_PROJECTOR_PX)
@@ -88,7 +91,7 @@ def radiometry(
     captures
         Folder with the captures, under the names that the pictures have.
     out
-        The calibration to write; a plot of the responses is written next to it.
+        The calibration to write; a picture of light and crosstalk is written next to it.
     calibration
         An earlier calibration, whose geometry is kept.
     transfer
@@ -114,14 +117,13 @@ def radiometry(
         refuse_other_camera(known, (width, height), str(folder))
     found = measure_radiometry(ramps, transfer, white_level)
     found.add_to(known, camera).write(target, force=force)
-    plot = target.with_name(f"{target.stem}-radiometry.png")
-    plot_radiometry(found, plot)
     _show_crosstalk(found)
     verdict = judge_radiometry(found, known.geometry() if known is not None and known.has_geometry else None)
     name = found.transfer if isinstance(found.transfer, str) else "a curve of its own, measured"
     say(f"the camera's transfer: {name}; grey is red + green + blue to {found.additivity:.2%} of white")
-    for line in (*verdict.lines(), f"wrote {target} and {plot}"):
+    for line in verdict.lines():
         say(line)
+    _write_picture(radiometry_figure(found), target, "radiometry")
 
 
 def wavelengths(
@@ -212,7 +214,7 @@ def geometry(
     /,
     *,
     make: Make = None,
-    out: NewCalibration = None,
+    out: Path | None = None,
     size: ProjectorSize = PROJECTOR_SIZE,
     board: Literal["charuco", "chessboard"] = "charuco",
     options: BoardOptions = _BOARD,
@@ -236,6 +238,8 @@ def geometry(
         Folder with one folder per pose, each with the captures under the names that the pictures have.
     board
         What the board is.
+    out
+        The calibration to write; a picture of corners, poses and rig is written next to it.
     baseline_mm
         The distance between camera and projector where it is known; a wrong square size shows in it.
     second_board
@@ -267,7 +271,14 @@ def geometry(
     found.calibration.write(target, force=force)
     _show_geometry(found)
     _say_verdict(found, refused)
-    say(f"wrote {target}")
+    _write_picture(geometry_figure(found), target, "geometry")
+
+
+def _write_picture(figure: "Figure", target: Path, kind: str) -> None:
+    """Write the picture of a calibration next to it, and print both names."""
+    picture = target.with_name(f"{target.stem}-{kind}.png")
+    write_figure(figure, picture)
+    say(f"wrote {target} and {picture}")
 
 
 def _write_fringes(folder: Path, size_px: tuple[int, int]) -> None:

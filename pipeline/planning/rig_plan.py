@@ -28,9 +28,11 @@ from typing import Any, Literal
 import numpy as np
 
 from hardware.colour_cycle import check_exposure
+from pipeline.calibration.board import Board
 from pipeline.errors import SettingsError
 from pipeline.models import FloatArray, build
 from pipeline.pattern import CHANNEL_PHASES, CYCLES, modulation_at
+from pipeline.planning.expected_calibration import planned_bias_mm
 from pipeline.planning.rig_choice import FringeGeometry, RigChoice, SeenFields, angle_deg, fringe_geometry, seen_fields
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE
@@ -93,13 +95,17 @@ _LIT_ENOUGH, _LIT_LEAST = 0.98, 0.25
 
 @dataclass(frozen=True)
 class BoardChoice:
-    """A ChArUco board that fills half of what camera and projector both see."""
+    """A board that fills half of what camera and projector both see."""
 
     squares: tuple[int, int]  # columns, rows
     square_mm: float
     square_px: float  # of the camera, seen straight on
     sheet: str  # the smallest that takes it with its margin of one square
     sharp_mm: float  # how far before and behind the object the lenses must be sharp when it is tilted most
+
+    def of_kind(self, kind: Literal["charuco", "chessboard"]) -> Board:
+        """Return the board with or without markers."""
+        return Board(kind=kind, squares=self.squares, square_mm=self.square_mm)
 
 
 def choose_board(field_mm: tuple[float, float], mm_per_px: float) -> BoardChoice:
@@ -209,6 +215,8 @@ class RigPlan:
     colour_bias_mm: float  # RMS at most, what motion between colours in turn leaves
     least_rate_hz: float  # to carry orders from frame to frame under a plain pattern
     board: BoardChoice
+    chessboard_bias_mm: float  # one standard deviation of depth that calibrating with a chessboard leaves, or infinite
+    charuco_bias_mm: float  # the same with a ChArUco board
     warnings: tuple[str, ...]  # one line each, with the cure
 
     @property
@@ -265,12 +273,18 @@ def plan_rig(**values: Any) -> RigPlan:
     fields = seen_fields(choice)
     if fields.lit_share < _LIT_LEAST:
         raise SettingsError(_dark(choice, fields))
+    if min(fields.overlap_mm) <= 0:
+        raise SettingsError(
+            f"an edge of the projector's picture never meets the object's plane, as its throw ratio is "
+            f"{choice.throw_ratio:g}: take a longer throw or a shorter baseline"
+        )
     period_px = _period_px(choice)
     fringe = fringe_geometry(choice, period_px)
     cycles = fields.overlap_mm[choice.phase_axis] / fringe.pitch_mm
     sigma, dark = (_phase_sigma_rad(choice, cycles, share) for share in (1.0, 0.5))
     speed, cycle_s = choice.speed_mm_s, choice.colour_cycle_s or 0.0
     longest_s = sqrt(12) * sigma * fringe.depth_per_rad_mm / speed if speed else inf
+    board = choose_board(fields.overlap_mm, fields.mm_per_px)
     plan = RigPlan(
         choice=choice,
         period_px=period_px,
@@ -284,7 +298,9 @@ def plan_rig(**values: Any) -> RigPlan:
         exposure_s=choice.exposure_s or _usual_exposure_s(longest_s, choice.colour_cycle_s),
         colour_bias_mm=speed * cycle_s / 3 / sqrt(6),
         least_rate_hz=speed / (_CARRIED * fringe.depth_per_cycle_mm),
-        board=choose_board(fields.overlap_mm, fields.mm_per_px),
+        board=board,
+        chessboard_bias_mm=planned_bias_mm(choice, fields, board.of_kind("chessboard")),
+        charuco_bias_mm=planned_bias_mm(choice, fields, board.of_kind("charuco")),
         warnings=(),
     )
     return replace(plan, warnings=tuple(_warnings(plan)))

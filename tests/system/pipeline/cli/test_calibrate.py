@@ -49,7 +49,9 @@ def test_radiometry_command(folder, command):
     done = command("calibrate", "radiometry", "ramps", "--out", "light.json", "--exposure-s", "0.01", cwd=folder)
     assert done.returncode == 0, done.stderr
     assert "good: response and crosstalk leave a ripple of 0.00" in done.stdout and "gamma is 1.0" in done.stdout
-    assert "camera's transfer: linear" in done.stdout and (folder / "light-radiometry.png").exists()
+    assert "camera's transfer: linear" in done.stdout
+    assert done.stdout.endswith("wrote light.json and light-radiometry.png\n")
+    assert (folder / "light-radiometry.png").read_bytes().startswith(b"\x89PNG")
     done = command("pattern", "bright.png", "--calibration", "light.json", cwd=folder)
     assert done.returncode == 0 and json.loads((folder / "bright.json").read_text())["compensated"] is True
     done = command("calibrate", "radiometry", "ramps", "--out", "light.json", cwd=folder)
@@ -113,8 +115,16 @@ def test_a_verdict_follows_the_figures(posed, command, tmp_path):
     assert worst.startswith("worst pose: pose_0") and "it does not stand out" in worst
     assert verdict.startswith("good: 9") and "mm per point" in verdict
     assert scale == "scale proven by the second board; camera and projector stand 180.0 mm apart"
-    assert wrote == "wrote rig.json"
+    assert wrote == "wrote rig.json and rig-geometry.png"
+    assert (tmp_path / "rig-geometry.png").read_bytes().startswith(b"\x89PNG")
     assert json.loads((tmp_path / "rig.json").read_text())["scale_proof"] == "second board"
+
+
+def test_a_picture_that_cannot_be_written_is_one_line(posed, command, tmp_path):
+    (tmp_path / "rig-geometry.png").mkdir()
+    done = command(*ARGUMENTS, "--square-mm", "26", "--out", "rig.json")
+    assert done.returncode == 1 and (tmp_path / "rig.json").exists()
+    assert done.stderr == "error: cannot write rig-geometry.png: it is a folder: name a file in it\n"
 
 
 def test_squares_that_are_wrong_by_a_quarter(posed, command, tmp_path):

@@ -102,6 +102,10 @@ def test_the_cure_of_a_small_picture_is_one(values):
     "values, message",
     [
         ({"baseline_mm": 1000.0}, "the rig: a baseline of 1000 mm is as long as the distance"),
+        (
+            {"throw_ratio": 0.15, "baseline_mm": 500.0},
+            "an edge of the projector's picture never meets the object's plane, as its throw ratio is 0.15: take a",
+        ),
         ({"throw_ratio": 9.0}, "the projector lights 5.2 % of what the camera sees"),
         (
             {"period_px": 5.0},

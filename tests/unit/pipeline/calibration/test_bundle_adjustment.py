@@ -1,8 +1,11 @@
 """The bundle adjustment: its derivatives against differences, its descent to exact corners."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
+from support.posed_boards import exact_poses
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import BoardPose
@@ -78,3 +81,15 @@ def test_a_corner_far_off_is_left_out(poses):
     assert not fit.used[0][5]
     assert sum(np.count_nonzero(~used) for used in fit.used) < 5
     assert fit.sigma_px == pytest.approx(0.05, rel=0.1)
+
+
+def test_one_bad_pose_of_many_still_has_a_place():
+    """All of its corners lie beyond the noise of the others: it fits badly, and the normal matrix is not singular."""
+    many, rng = exact_poses(30, 0.02, seed=4), np.random.default_rng(2)
+    bad = many[3]
+    many[3] = replace(bad, camera_px=bad.camera_px + rng.normal(0, 1.5, bad.camera_px.shape))
+    fit = BundleAdjustment(many, CAMERA_PX, PROJECTOR_PX)
+    fit.refine()
+    assert fit.used[3].all() and np.concatenate(fit.used).mean() > 0.99
+    errors = fit.pose_errors_px()
+    assert np.argmax(errors) == 3 and errors[3] > 10 * np.median(errors)

@@ -195,6 +195,7 @@ def test_noise_makes_it_usable_and_then_poor():
     assert grades == ["usable", "poor"]
     advice = " ".join(judged(exact_poses(noise_px=0.3)).advice)
     assert "corners are off by 0.4" in advice and "more poses than 10" in advice
+    assert "more than 12 pictures per pose take off 1 %" in advice
 
 
 def test_poses_that_are_hardly_tilted():
