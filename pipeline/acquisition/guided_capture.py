@@ -50,7 +50,9 @@ _MAX_RESAMPLED = 0.04
 _NOISE_TIMES = 2.0
 # Pictures whose codes differ by less in the mean may look alike.
 _OTHER_CODES = 0.2
-# The light of white and black may change by this part of white from the first picture to the last.
+#: The first bright picture of the light: what it has changed by at the end, everything may have.
+_EARLY_BRIGHT = "08-red-255"
+# The light of it and of black may change by this part of the projector's from the first picture to the last.
 _MAX_CHANGE = 0.01
 # What even a frame without noise may differ by, of full scale: a level of 8 bits in every other pixel.
 _LEAST_NOISE = 0.7 / 255
@@ -135,10 +137,10 @@ class GuidedCapture:
             )
         lit = gain > _LIT * brightest
         self._measure_delay(lit, float(gain[lit].mean()), float(black.mean(axis=-1)[lit].mean()))
+        self._check_flicker(lit)
         saturated = float((white >= _SATURATED).any(axis=-1)[lit].mean())
         if saturated > _MAX_SATURATED:
             raise CalibrationError(f"{saturated:.0%} of the lit pixels are saturated by white: expose shorter")
-        self._check_flicker(lit)
         self._check_colors(black, lit)
         self._check_resampling(black, lit)
         self._check_mirrored(black, white, lit)
@@ -293,11 +295,15 @@ class GuidedCapture:
             return done
         work = self._folder / f".{LIGHT}"
         names = radiometry_sequence(self._studio.projector_px).names
+
+        def codes(name: str) -> npt.NDArray[np.floating]:
+            return self._field(radiometry_codes(name))
+
         self._wait_for_sheet()
-        self._discard_unless_alike(work, names[0], "the sheet or the room's light")
+        self._discard_unless_alike(work, names[0], codes(names[0]), "the sheet or the room's light")
         for _ in range(_TRIES):
-            captures = self._take_missing(work, names, lambda name: self._field(radiometry_codes(name)))
-            reason = self._change(captures, names[0], names[-1])
+            captures = self._take_missing(work, names, codes)
+            reason = self._change(captures, {name: codes(name) for name in (_EARLY_BRIGHT, names[0])})
             if reason is None:
                 return _finish(work, done)
             _discard(work)
@@ -340,11 +346,15 @@ class GuidedCapture:
         size_px = self._studio.projector_px
         work = done.with_name(f".{done.name}")
         names = multishot_sequence(size_px).names
+
+        def codes(name: str) -> npt.NDArray[np.floating]:
+            return multishot_codes(name, size_px)
+
         self._hold_board(done.name, board, guide)
-        self._discard_unless_alike(work, WHITE, "the board")
+        self._discard_unless_alike(work, WHITE, codes(WHITE), "the board")
         try:
-            captures = self._take_missing(work, names, lambda name: multishot_codes(name, size_px))
-            reason = self._change(captures, BLACK, WHITE)
+            captures = self._take_missing(work, names, codes)
+            reason = self._change(captures, {name: codes(name) for name in (WHITE, BLACK)})
             if reason is not None:
                 raise CalibrationError(f"{done.name}: {reason}: hold the board still, and keep the light as it is")
             guide.add(measure_pose(done.name, captures, board, size_px))
@@ -406,14 +416,16 @@ class GuidedCapture:
             self._studio.sleep(_LOOK_S)
         raise CalibrationError(f"nothing came for {_PATIENCE_S / 60:.0f} minutes: run the command again to go on")
 
-    def _discard_unless_alike(self, work: Path, name: str, what: str) -> None:
+    def _discard_unless_alike(
+        self, work: Path, name: str, codes: npt.NDArray[np.floating], what: str
+    ) -> None:
         """Take the pictures from the start where an earlier capture's first one shows another scene than now."""
         stored = captured_files(work)
         if not stored:
             return
         if name in stored:
             before = _shares(CapturedFolder(work, (name,))[name])
-            now = _shares(self.photograph(name, self._field(float(name == WHITE))))
+            now = _shares(self.photograph(name, codes))
             if before.shape == now.shape and self._alike(before, now):
                 return
         self._report(f"{what} is not as it was: the pictures are taken from the start")
@@ -431,13 +443,14 @@ class GuidedCapture:
                 _write_picture(work / f"{name}.png", self.photograph(name, codes(name)))
         return CapturedFolder(work, names)
 
-    def _change(self, captures: CapturedFolder, black: str, white: str) -> str | None:
-        """Say what has changed since black and white were taken; None: nothing."""
-        for name, code in ((white, 1.0), (black, 0.0)):
-            before, now = _shares(captures[name]), _shares(self.photograph(name, self._field(code)))
-            change = float((now - before).mean() / _shares(captures[white]).mean())
+    def _change(self, captures: CapturedFolder, pictures: dict[str, npt.NDArray[np.floating]]) -> str | None:
+        """Say what has changed since a bright picture and black were taken; None: nothing."""
+        bright = _shares(captures[next(iter(pictures))]).mean()
+        for name, codes in pictures.items():
+            before, now = _shares(captures[name]), _shares(self.photograph(name, codes))
+            change = float((now - before).mean() / bright)
             if abs(change) > _MAX_CHANGE:
-                return f"the light of {name} changed by {change:+.1%} of white while the pictures were taken"
+                return f"the light of {name} changed by {change:+.1%} of the projector's while the pictures were taken"
             if not self._alike(before, now):
                 return f"something moved while the pictures were taken: {name} is another one at their end"
         return None

@@ -242,12 +242,13 @@ class PoseGuide:
             )
             if word
         )
-        normal = cv2.Rodrigues(stands[:3])[0][:, 2]
-        edges = [("left", "right")[int(normal[0] < 0)], ("top", "bottom")[int(normal[1] < 0)]]
-        sizes = np.abs(normal[:2])
+        # How much farther away the board is towards the right and towards the bottom.
+        recedes = cv2.Rodrigues(stands[:3])[0][2, :2]
+        edges = ("right" if recedes[0] < 0 else "left", "bottom" if recedes[1] < 0 else "top")
+        sizes = np.abs(recedes)
         which = [edge for edge, size in zip(edges, sizes, strict=True) if size > 0.4 * sizes.max()]
         tilt = f"its {' and '.join(which)} edge towards the camera by {_TILT_DEG:.0f} deg"
-        distance = "" if not self.poses else f", {stands[5]:.0f} mm away" if self.fit is not None else ""
+        distance = "" if self.fit is None else f", {stands[5]:.0f} mm away"
         return Suggestion(pixels, f"hold the board {place or 'in the middle'} of the picture{distance}, {tilt}")
 
 

@@ -1,7 +1,7 @@
 """The depth error that calibrations of drawn rigs leave, from captures of a board alone, beside the predicted one.
 
 A 640x480 camera and a 1024x768 projector with lenses, axes and places of their own, some 180 mm apart; a chessboard of
-11x8 squares of 24 mm in ten poses about 900 mm away; a projector's gamma of 1.8 to 2.4, crosstalk, a blur of half a
+11x8 squares of 24 mm in the poses that the guide asks for, at most ten; a projector's gamma of 1.8 to 2.4, crosstalk, a blur of half a
 pixel and noise of 1.5 levels. For each rig: the RMS depth error over the picture 900 mm away,
 the predicted one, and the RMS error of its parameters in their standard deviations.
 
@@ -10,23 +10,27 @@ python tests/benchmarks/calibration_accuracy.py [--rigs 20]
 
 import argparse
 from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import _tests_path  # noqa: F401
 import cv2
 import numpy as np
 
 from pipeline import Calibration
+from pipeline.acquisition.guided_capture import GuidedCapture
+from pipeline.acquisition.simulated_studio import SimulatedStudio
 from pipeline.calibration.board import Board
-from pipeline.calibration.board_poses import measure_pose
 from pipeline.calibration.model import Geometry, Pattern
-from pipeline.calibration.multishot import multishot_codes, multishot_sequence
+from pipeline.calibration.multishot import multishot_sequence
+from pipeline.calibration.pose_guide import PoseGuide
 from pipeline.calibration.rig_geometry import solve_geometry
-from pipeline.calibration.simulated_board import BoardCaptures, CaptureLight, board_turns
+from pipeline.calibration.simulated_board import CaptureLight
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 
 BOARD = Board(kind="chessboard", squares=(11, 8), square_mm=24.0)
 CAMERA_PX, PROJECTOR_PX = (640, 480), (1024, 768)
-POSES, DISTANCE_MM, PERIOD_PX = 10, 900.0, 768 / 44
+DISTANCE_MM, PERIOD_PX = 900.0, 768 / 44
 
 
 def main() -> None:
@@ -54,15 +58,14 @@ def calibrated(seed: int) -> tuple[float, float, np.ndarray]:
     light = CaptureLight(
         gamma=rng.uniform(1.8, 2.4), crosstalk=np.array(TYPICAL_CROSSTALK), blur_px=0.5, noise=1.5
     )  # fmt: skip
-    poses = []
-    for k, (turn, place) in enumerate(zip(*board_turns(POSES, seed), strict=True)):
-        aside = place + np.array([*(30 * np.array([np.cos(2.4 * k), np.sin(2.4 * k)])), 0])
-        captures = BoardCaptures(
-            truth, BOARD, turn, aside, multishot_sequence(PROJECTOR_PX).names,
-            lambda name: multishot_codes(name, PROJECTOR_PX), light, seed=100 * seed + k,
-        )  # fmt: skip
-        poses.append(measure_pose(f"pose-{k + 1:02d}", captures, BOARD, PROJECTOR_PX))
-    found = solve_geometry(poses, CAMERA_PX, PROJECTOR_PX, Pattern(period_px=PERIOD_PX)).calibration
+    pattern = Pattern(period_px=PERIOD_PX)
+    studio = SimulatedStudio(BOARD, truth=truth, light=light, seed=seed)
+    guide = PoseGuide(BOARD, CAMERA_PX, PROJECTOR_PX, pattern)
+    with TemporaryDirectory() as folder:
+        capture = GuidedCapture(studio, Path(folder), {}, lambda line: None, lambda line: None)
+        capture.check_rig()
+        capture.take_poses(BOARD, guide)
+    found = solve_geometry(guide.poses, CAMERA_PX, PROJECTOR_PX, pattern).calibration
     off, predicted = [], found.uncertainty
     for name in ("camera", "projector"):
         values = [np.array([*lens.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *lens.distortion]) for lens in (

@@ -35,15 +35,22 @@ def captured(board, turn=(0.3, -0.3, 0.1), place=(0.0, 0.0, 900.0), **options):
     return SpoiltCaptures(rig(), board, turn, place, SEQUENCE.names, codes, **options)
 
 
-def exact_poses(count=10, noise_px=0.03, board=CHESSBOARD, seed=3, turns=None, places=None, geometry=None):
-    """Return poses whose corners are projected, not looked for: what the solver makes of noise alone."""
+def exact_poses(
+    count=10, noise_px=0.03, board=CHESSBOARD, seed=3, turns=None, places=None, geometry=None, bow_mm=0.0
+):  # fmt: skip
+    """Return poses whose corners are projected, not looked for: what the solver makes of noise alone.
+
+    The board's left and right edges are bent by `bow_mm`.
+    """
     rng = np.random.default_rng(seed)
     geometry = geometry or rig().geometry()
     turns, places = (turns, places) if turns is not None else board_turns(count, seed)
     poses = []
     for k, (turn, place) in enumerate(zip(turns, places, strict=True)):
         rotation = cv2.Rodrigues(turn)[0]
-        corners = board.corners_mm() @ rotation.T + place - rotation @ (board.corners_mm().mean(axis=0))
+        corners = board.corners_mm() - board.corners_mm().mean(axis=0)
+        corners[:, 2] += bow_mm * (corners[:, 0] / corners[:, 0].max()) ** 2
+        corners = corners @ rotation.T + place
         views = []
         for lens, r, t in (
             (geometry.camera, np.eye(3), np.zeros(3)),

@@ -1,0 +1,224 @@
+"""Guided captures: what is kept, what is refused, and how they go on after they were stopped."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from support.flat_studio import FlatStudio
+from support.posed_boards import PATTERN
+
+from hardware.errors import CameraError
+from pipeline.acquisition.guided_capture import LIGHT, POSES, GuidedCapture
+from pipeline.acquisition.simulated_studio import SimulatedStudio, StudioFaults
+from pipeline.calibration.board import Board
+from pipeline.calibration.captures import CapturedFolder
+from pipeline.calibration.pose_guide import PoseGuide
+from pipeline.calibration.radiometry import measure_radiometry, radiometry_sequence
+from pipeline.errors import CalibrationError, OutputError
+from pipeline.simulation import simulated_rig
+
+NAMES = radiometry_sequence(FlatStudio.projector_px).names
+SMALL = simulated_rig((320, 240))
+BOARD = Board(kind="chessboard", squares=(9, 6), square_mm=34.0)
+
+
+def capture_of(studio, folder, identity=None):
+    """Return a guided capture, and the lines that it reports."""
+    lines = []
+    return GuidedCapture(studio, folder, identity or {"camera": "one"}, lines.append, lines.append), lines
+
+
+def light_of(studio, folder):
+    capture, lines = capture_of(studio, folder)
+    capture.check_rig()
+    return capture.take_light(), lines
+
+
+def test_the_pictures_of_the_light_measure_it(tmp_path):
+    folder, lines = light_of(FlatStudio(), tmp_path / "new" / "captures")
+    captures = CapturedFolder(folder, NAMES)
+    found = measure_radiometry(captures)
+    np.testing.assert_allclose(found.crosstalk_matrix, 0.08 * np.array([[9, 1, 0], [1, 8, 1], [0, 1, 9]]), atol=2e-3)
+    np.testing.assert_allclose(found.response[1], np.linspace(0, 1, 256) ** 2, atol=4e-3)
+    assert "picture 33 of 33: 32-grey-255" in lines and "put up a white sheet that fills the picture" in lines
+
+
+def test_a_picture_is_taken_when_it_is_on_the_screen_however_long_that_takes(tmp_path):
+    for latency_s in (0.0, 0.3, 0.9):
+        folder, _ = light_of(FlatStudio(latency_s), tmp_path / f"{latency_s}")
+        assert measure_radiometry(CapturedFolder(folder, NAMES)).additivity < 0.01
+
+
+class Dropping(FlatStudio):
+    """Now and then its projector does not show a picture at first."""
+
+    n_shown = n_dropped = 0
+
+    def show(self, picture):
+        self.n_shown += 1
+        if self.n_shown > 30 and self.n_shown % 9 == 0:
+            self.n_dropped += 1
+        else:
+            super().show(picture)
+
+
+def test_a_picture_that_is_not_shown_is_repeated(tmp_path):
+    studio = Dropping()
+    folder, _ = light_of(studio, tmp_path / "captures")
+    assert studio.n_dropped >= 2
+    assert measure_radiometry(CapturedFolder(folder, NAMES)).additivity < 0.01
+
+
+class Interrupted(Exception):
+    pass
+
+
+@pytest.mark.parametrize("kind", [Interrupted, KeyboardInterrupt, CameraError])
+def test_a_capture_that_is_stopped_anywhere_goes_on_there(tmp_path, kind):
+    """Fifty interruptions in one capture: no picture is lost, taken twice or another one."""
+    rng, folder, taken, stops = np.random.default_rng(4), tmp_path / "captures", {}, 0
+    while True:
+        studio = FlatStudio(seed=stops)
+        left = int(rng.integers(20, 80)) if stops < 50 else 10**6
+
+        def count(name, left=[left]):  # noqa: B006 - one a studio
+            left[0] -= 1
+            if left[0] < 0:
+                raise kind("stopped")
+
+        studio.before_each = count
+        try:
+            done, _ = light_of(studio, folder)
+            break
+        except kind:
+            stops += 1
+        kept = {path.name: path.read_bytes() for path in folder.glob(f".{LIGHT}/*.png")}
+        assert taken.items() <= kept.items()
+        taken = kept
+        assert not (folder / LIGHT).exists() and not list(folder.glob(f".{LIGHT}/*.part"))
+    assert stops == 50 and {path.stem for path in done.iterdir()} == set(NAMES)
+    assert all((done / name).read_bytes() == content for name, content in taken.items())
+    assert measure_radiometry(CapturedFolder(done, NAMES)).additivity < 0.01
+
+
+def test_a_scene_that_is_another_one_is_taken_from_the_start(tmp_path):
+    studio, folder = FlatStudio(), tmp_path / "captures"
+    capture, _ = capture_of(studio, folder)
+    capture.check_rig()
+    n_before = len(studio.sent)
+
+    def stop(name):
+        if len(studio.sent) > n_before + 20:
+            raise Interrupted
+
+    studio.before_each = stop
+    with pytest.raises(Interrupted):
+        capture.take_light()
+    other = FlatStudio()
+    other.ambient = 0.06
+    done, lines = light_of(other, folder)
+    assert any("the sheet or the room's light is not as it was" in line for line in lines)
+    assert measure_radiometry(CapturedFolder(done, NAMES)).ambient.min() > 0.05
+
+
+class Fading(FlatStudio):
+    """Its lamp loses an eighth of its light in the first 25 s; later it is steady."""
+
+    def frame(self, picture):
+        self.light = 0.8 - 0.1 * min(self.time_s, 25) / 25
+        return super().frame(picture)
+
+
+def test_light_that_changes_meanwhile_is_found_and_taken_again(tmp_path):
+    folder, lines = light_of(Fading(), tmp_path / "captures")
+    assert any("changed by -" in line and "all pictures of the light are taken again" in line for line in lines)
+    assert measure_radiometry(CapturedFolder(folder, NAMES)).additivity < 0.01
+
+
+class Drifting(FlatStudio):
+    def frame(self, picture):
+        self.light *= 0.9997
+        return super().frame(picture)
+
+
+def test_light_that_never_rests_ends_it_with_what_to_do(tmp_path):
+    with pytest.raises(CalibrationError, match="changed by -.* of the projector's .*: let the projector warm up"):
+        light_of(Drifting(), tmp_path / "captures")
+    assert not (tmp_path / "captures" / LIGHT).exists()
+
+
+def test_captures_of_another_camera_are_not_mixed(tmp_path):
+    capture_of(FlatStudio(), tmp_path / "captures", {"camera": "one"})
+    capture_of(FlatStudio(), tmp_path / "captures", {"camera": "one", "board": "mine"})
+    with pytest.raises(OutputError, match="holds captures with another board .*: choose another folder"):
+        capture_of(FlatStudio(), tmp_path / "captures", {"board": "other"})
+    assert json.loads((tmp_path / "captures" / "session.json").read_text())["camera"] == "one"
+    (tmp_path / "captures" / "session.json").write_text("[")
+    with pytest.raises(OutputError, match=r"session\.json cannot be read"):
+        capture_of(FlatStudio(), tmp_path / "captures")
+
+
+@pytest.mark.parametrize(
+    ("faults", "exposure_s", "message"),
+    [
+        (StudioFaults(mirrored=True), 1 / 60, "the picture is mirrored: "),
+        (StudioFaults(scale=0.93), 1 / 60, "does not show the picture pixel for pixel"),
+        (StudioFaults(keystone=0.08), 1 / 60, "does not show the picture pixel for pixel"),
+        (StudioFaults(swapped=True), 1 / 60, "the camera's frames are B, G, R"),
+        (StudioFaults(colour_cycle_s=1 / 119), 1 / 47, "white flickers by .* from frame to frame: the exposure is no"),
+    ],
+)
+def test_a_fault_of_the_rig_is_named_within_a_minute(tmp_path, faults, exposure_s, message):
+    studio = SimulatedStudio(None, exposure_s, truth=SMALL, faults=faults, seed=1)
+    capture, _ = capture_of(studio, tmp_path / "captures")
+    with pytest.raises(CalibrationError, match=message):
+        capture.check_rig()
+    assert studio.now_s() < 60
+
+
+@pytest.mark.parametrize("faults", [StudioFaults(), StudioFaults(colour_cycle_s=1 / 120)])
+def test_a_rig_without_faults_passes(tmp_path, faults):
+    studio = SimulatedStudio(None, 1 / 60, truth=SMALL, faults=faults, seed=1)
+    capture_of(studio, tmp_path / "captures")[0].check_rig()
+    assert studio.now_s() < 60
+
+
+def test_a_camera_that_sees_no_light_or_too_much_is_told_what_to_do(tmp_path):
+    dark, bright = FlatStudio(), FlatStudio()
+    dark.light, bright.light = 0.01, 1.4
+    for studio, message in ((dark, "hardly any light of the projector"), (bright, "saturated by white: expose short")):
+        with pytest.raises(CalibrationError, match=message):
+            capture_of(studio, tmp_path / "captures")[0].check_rig()
+
+
+class Restless(SimulatedStudio):
+    """Its operator moves the second board while its pictures are taken."""
+
+    shown = 0
+
+    def show(self, picture):
+        self.shown += 1
+        if self.n_acts == 2 and self.shown == 40:
+            before, to, since_s = self._way
+            self._way = (before, to + np.array([0, 0, 0, 3.0, 0, 0]), since_s)
+        super().show(picture)
+
+
+def test_poses_are_taken_where_the_guide_says_and_again_where_the_board_moved(tmp_path):
+    """Three poses, of which one moves; then another process goes on with them."""
+    guide = PoseGuide(BOARD, (320, 240), (1024, 768), PATTERN)
+    studio = Restless(BOARD, truth=SMALL, seed=3)
+    capture, lines = capture_of(studio, tmp_path)
+    capture.check_rig()
+    type(guide).enough = property(lambda self: len(self.poses) >= 3)
+    try:
+        folder = capture.take_poses(BOARD, guide)
+        assert [path.name for path in sorted(folder.iterdir())] == ["pose-01", "pose-02", "pose-03"]
+        assert sum(line.startswith("again: pose-02: ") for line in lines) == 1
+        assert [pose.name for pose in guide.poses] == ["pose-01", "pose-02", "pose-03"]
+        again = PoseGuide(BOARD, (320, 240), (1024, 768), PATTERN)
+        assert capture_of(studio, tmp_path)[0].take_poses(BOARD, again) == tmp_path / POSES
+        np.testing.assert_array_equal(again.poses[2].camera_px, guide.poses[2].camera_px)
+    finally:
+        del type(guide).enough
