@@ -310,8 +310,8 @@ def measure_poses(
     Parameters
     ----------
     place : Path
-        A folder with the captures of `multishot_sequence` of one pose in each of its folders, or footage with all poses;
-        see `find_poses`.
+        A folder with a folder per pose, each with the captures of `multishot_sequence`, or footage with all poses; see
+        `find_poses`.
     board : Board
         What stands there.
     projector_size_px : (width, height)

@@ -40,6 +40,8 @@ _MAX_UNEVEN = 0.06
 # Steps of a ramp differ from those of the others by this part, or by this part of its top: primaries' gammas differ by
 # a few tenths, a picture that is missing doubles a step, and the darkest step is 0.007 of the top or more.
 _UNLIKE, _UNLIKE_TOP = 0.5, 0.004
+# Of each step of a primary its own channel sees more than this part: of light that only brightens it sees a third.
+_OWN_PART = 0.4
 # Fewer still pictures than this part of a pose that begin like one are anything, as a screen that goes dark.
 _MIN_POSE_PART = 0.5
 _ADVICE = "show each picture for half a second or longer, in order, or capture one frame per picture"
@@ -234,11 +236,12 @@ def _is_fields(light: FloatArray, n_ramps: int) -> bool:
     if top < _MIN_SIGNAL:
         return False
     ramps = rise[:, brightest > _LIT_PART * top].mean(axis=1).reshape(n_ramps, -1, 3)
-    sizes = ramps.sum(axis=-1)
-    if sizes[:, -1].min() < _MIN_SIGNAL:
+    tops = ramps[:, -1].sum(axis=-1)
+    if tops.min() < _MIN_SIGNAL:
         return False
-    steps = np.diff(sizes, axis=1, prepend=0.0) / sizes[:, -1:]
-    usual = np.median(steps, axis=0)
-    alike = np.abs(steps - usual) <= np.maximum(_UNLIKE * usual, _UNLIKE_TOP)
-    # Each channel sees most of its own primary.
-    return bool(alike.all() and (steps > 0).all() and (np.argmax(ramps[:3, -1], axis=0) == range(3)).all())
+    steps = np.diff(ramps, axis=1, prepend=0.0) / tops[:, None, None]
+    sizes = steps.sum(axis=-1)
+    usual = np.median(sizes, axis=0)
+    alike = np.abs(sizes - usual) <= np.maximum(_UNLIKE * usual, _UNLIKE_TOP)
+    colored = all((steps[k, :, k] > _OWN_PART * sizes[k]).all() for k in range(3))
+    return bool(alike.all() and (sizes > 0).all() and colored)

@@ -17,8 +17,6 @@ class InMemory:
 
     def __init__(self, images, format=None, name="film"):
         self.name, self._images, self.format = name, images, format or PixelFormat("rgb")
-        height, width = images[0].shape[:2]
-        self.size_px = (width, height)
 
     def __len__(self):
         return len(self._images)
@@ -75,7 +73,7 @@ def film(
             share = np.clip((np.minimum(begin + exposure, end) - np.maximum(begin, start)) / exposure, 0, 1)
             if share.any():
                 light += share * picture
-            if share.min() == 1:
+            if share.min() > 1 - 1e-9:
                 alone[-1] = which
         light *= 1 + drift * rng.standard_normal()
         sigma = np.sqrt(noise**2 + shot**2 * np.clip(light, 0, 255) / 255)
