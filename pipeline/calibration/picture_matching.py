@@ -44,7 +44,7 @@ _UNLIKE, _UNLIKE_TOP = 0.5, 0.004
 _OWN_PART = 0.4
 # Fewer still pictures than this part of a pose that begin like one are anything, as a screen that goes dark.
 _MIN_POSE_PART = 0.5
-_ADVICE = "show each picture for half a second or longer, in order, or capture one frame per picture"
+_ADVICE = "show each picture for half a second or longer, in order, or name one capture of each as in the sequence"
 
 
 class CapturedFrames(Mapping[str, ImageArray]):
@@ -151,7 +151,9 @@ def match_pictures(source: Source, sequence: PictureSequence) -> list[CapturedFr
         except CalibrationError as error:
             reason = reason or str(error)
     if not best:
-        raise CalibrationError(reason)
+        damaged = len(source) - len(numbers)
+        frames = f"{len(numbers)} frames" + (f", {damaged} more are damaged" if damaged else "")
+        raise CalibrationError(f"{source.name} ({frames}): {reason}")
     return [_named(source, sequence, group) for group in best]
 
 
@@ -173,8 +175,8 @@ def _find_groups(source: Source, sequence: PictureSequence, stills: list[Still])
             if _fits(source, sequence, stills[start : start + count]):
                 return [stills[start : start + count]]
         raise CalibrationError(
-            f"{source.name} holds {len(stills)} still pictures, but no {count} in a row that are black and then ramps "
-            f"of red, green and blue, as the sequence: {_ADVICE}"
+            f"{len(stills)} still pictures, but no {count} in a row that are black and then ramps of red, green and "
+            f"blue, as the sequence: {_ADVICE}"
         )
     least = int(count * _MIN_POSE_PART)
     starts = [k for k in range(len(stills) - least + 1) if _is_pose(stills[k : k + least])]
@@ -183,15 +185,14 @@ def _find_groups(source: Source, sequence: PictureSequence, stills: list[Still])
         group = stills[start : start + count]
         if after - start < count or not _fits(source, sequence, group):
             raise CalibrationError(
-                f"{source.name}: the {min(count, after - start)} still pictures from frame {group[0].first} on begin "
-                f"with white and black, but are not the {count} of a pose: one is missing, shown twice or out of "
-                f"order: {_ADVICE}"
+                f"the {min(count, after - start)} still pictures from frame {group[0].first} on begin with white and "
+                f"black, but are not the {count} of a pose; one is missing, shown twice or out of order: {_ADVICE}"
             )
         found.append(group)
     if not found:
         raise CalibrationError(
-            f"{source.name} holds {len(stills)} still pictures, but none white with black and then {count - 2} others "
-            f"behind it, as each pose: {_ADVICE}"
+            f"{len(stills)} still pictures, but none is white and followed by black and {count - 2} others, as in each "
+            f"pose: {_ADVICE}"
         )
     return found
 

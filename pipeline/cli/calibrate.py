@@ -197,7 +197,7 @@ def _write_fields(folder: Path, sequence: PictureSequence, codes: Callable[[str]
     """Write full fields to project, given each one's (3,) projector codes, 0..1."""
     width, height = sequence.size_px
     write_sequence(folder, sequence, lambda name: np.broadcast_to(codes(name), (height, width, 3)))
-    say(f"{len(sequence.names)} pictures in {folder}: project each on {target}, and capture it under the same name")
+    say(f"{len(sequence.names)} pictures in {folder}: project each on {target}, in order, and capture it")
 
 
 def _show_crosstalk(found: Radiometry) -> None:
