@@ -20,10 +20,10 @@ from pipeline.calibration.still_pictures import (
     read_frame,
     single_picture,
 )
-from pipeline.errors import CalibrationError
+from pipeline.errors import CalibrationError, FootageError
 from pipeline.footage.image_folder import natural_key
 from pipeline.footage.opening import open_source
-from pipeline.footage.source import Source
+from pipeline.footage.source import GREY, Source
 from pipeline.models import FloatArray, ImageArray
 
 #: The recording in a folder that `colorphase capture` has made.
@@ -69,9 +69,7 @@ class CapturedFrames(Mapping[str, ImageArray]):
         FootageError
             It cannot be read.
         """
-        # What a mosaic lacks is taken from along the stripes.
-        stripes = "vertical" if "-column-" in name else "horizontal"
-        return developed(read_frame(self._source, self.numbers[name]), stripes)
+        return developed(read_frame(self._source, self.numbers[name]))
 
     def __iter__(self) -> Iterator[str]:
         """Iterate over the names in order."""
@@ -106,7 +104,13 @@ def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Map
     """
     if place.is_dir() and captured_files(place).keys() & set(sequence.names):
         return [(place.name, CapturedFolder(place, sequence.names))]
-    found = match_pictures(open_source(place / _RECORDING if (place / _RECORDING).is_dir() else place), sequence)
+    try:
+        source = open_source(place / _RECORDING if (place / _RECORDING).is_dir() else place)
+    except FootageError as error:
+        if GREY not in str(error):
+            raise
+        raise FootageError(f"{place} holds grey pictures: convert mosaics to RGB, or record them as Zarr") from None
+    found = match_pictures(source, sequence)
     if len(found) == 1:
         return [(place.name, found[0])]
     named: list[tuple[str, Mapping[str, ImageArray]]] = []

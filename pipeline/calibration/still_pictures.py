@@ -75,12 +75,15 @@ def read_frame(source: Source, number: int) -> StoredFrame:
     return stored
 
 
-def developed(stored: StoredFrame, stripes: str = "horizontal") -> ImageArray:
-    """Return a frame as RGB whose full scale is its type's, (H, W, 3) uint8, uint16 or float32."""
+def developed(stored: StoredFrame) -> ImageArray:
+    """Return a frame as RGB whose full scale is its type's, (H, W, 3) uint8, uint16 or float32.
+
+    Mosaics of all pictures are interpolated the same way, whatever their stripes: the white picture divides the others.
+    """
     # RGB of a complete type is taken as it is; a few frames of other kinds are no work for a GPU.
     if stored.format.rgb_dtype != stored.format.dtype and not runtime.is_started():
         runtime.init("cpu")
-    image: ImageArray = runtime.to_host(develop(stored.planes, stored.format, stripes=stripes))
+    image: ImageArray = runtime.to_host(develop(stored.planes, stored.format))
     return image
 
 

@@ -104,6 +104,26 @@ def test_poses_in_a_slide_show(show):
     assert shown(found, alone, GEOMETRY) == [list(range(2, 14)), list(range(16, 28))]
 
 
+@pytest.mark.parametrize("carried", [40, 250])
+def test_a_board_that_is_carried_most_of_the_time(carried):
+    """Its moves are more frequent than what noise changes."""
+    first, second = pose(1), pose(2)
+    on_the_way = [np.roll(first[0], 3 * k, axis=k // 10 % 2) for k in range(1, carried)]
+    frames, alone = film(first, 1)
+    moving, _ = film([first[11], *on_the_way, second[0]], 2, dwell=(1.0, 1.0))
+    later, alone_later = film(second, 3)
+    found = match_pictures(InMemory([*frames, *moving, *later]), GEOMETRY)
+    alone += [-1] * len(moving) + [12 + which if which >= 0 else -1 for which in alone_later]
+    assert shown(found, alone, GEOMETRY) == [list(range(12)), list(range(12, 24))]
+
+
+def test_grey_pictures_are_refused_with_what_to_do(tmp_path):
+    for number in range(4):
+        write_png(tmp_path / f"{number}.png", np.full((9, 9), 9, np.uint8))
+    with pytest.raises(FootageError, match="holds grey pictures: convert mosaics to RGB, or record them as Zarr"):
+        find_captures(tmp_path, CHART)
+
+
 def test_a_webcams_jpeg():
     encoded = fields(RADIOMETRY, transfer=1 / 2.2)
     for sequence, pictures in ((RADIOMETRY, encoded), (GEOMETRY, pose(1))):
