@@ -33,10 +33,10 @@ _READ_PX = 640 * 480
 _LEVELS, _MIN_VALUES = 16, 5
 # Noise at least, of full scale: of a pixel what rounding to 8 bits makes, of a cell what codecs leave of it.
 _LEAST_PIXEL_NOISE, _LEAST_CELL_NOISE = 0.4 / 255, 0.1 / 255
-# At least this part of all neighbours see the same picture: one in three where pictures are alone in two frames.
-_STILL_PART = 0.25
+# At least this part of all neighbours see the same picture: a board may be carried about most of the time.
+_STILL_PART = 0.1
 # A frame belongs to a picture while it differs by less than so many times the noise; more if light flickers.
-_THRESHOLDS = (3.0, 4.5, 7.0)
+_THRESHOLDS = (3.0, 4.5, 7.0, 10.0)
 # Frames of a still picture, at least. Two may also be mixed ones of pictures that differ little.
 _SHORTEST = (2, 3)
 
@@ -128,7 +128,7 @@ def find_stills(source: Source, changes: Changes) -> list[list[Still]]:
     for rule, (threshold, shortest) in enumerate(rules):
         for run in _runs(changes, threshold):
             if len(run) >= shortest:
-                middles.setdefault(run[(len(run) - 1) // 2], []).append((rule, run))
+                middles.setdefault(run[len(run) // 2], []).append((rule, run))
     for stored in source.frames(min(middles, default=0), max(middles, default=-1) + 1):
         if not isinstance(stored, StoredFrame) or stored.number not in middles:
             continue
