@@ -48,8 +48,12 @@ _FLICKER_TAKES, _BAND_PX, _MAX_FLICKER = 12, 32, 0.01
 _MAX_RESAMPLED = 0.04
 # Two frames of one picture differ by their noise; by this many times as much where the picture was changing.
 _NOISE_TIMES = 2.0
-# Pictures whose codes differ by less in the mean may look alike.
-_OTHER_CODES = 0.2
+# Cells of a frame whose means are compared, too: they show what is less than a pixel's noise. Between two frames of one
+# picture they differ by less than this part of full scale, and so many times as much as white flickers.
+_CELLS, _CELL_DIFFERS, _FLICKER_TIMES = (8, 6), 0.5 / 255, 4.0
+# Pictures whose light differs by less in every channel's mean may look alike, given a gamma of 2: the least steps of
+# the ramps are .016, from black, and .047.
+_OTHER_LIGHT = 0.03
 #: The first bright picture of the light: what it has changed by at the end, everything may have.
 _EARLY_BRIGHT = "08-red-255"
 # The light of it and of black may change by this part of the projector's from the first picture to the last.
@@ -115,6 +119,7 @@ class GuidedCapture:
         self._camera_px = (0, 0)
         self._delay_s = _SURE_S
         self._noise = 0.0  # RMS difference of two frames of one picture, of full scale
+        self._flicker = 0.0  # of bands of white, as a part of them
         _continue_session(folder, identity | {"projector_px": list(studio.projector_px)})
 
     def check_rig(self) -> None:
@@ -194,10 +199,10 @@ class GuidedCapture:
             noise.append(_rms(frames[0] - frames[-1]))
         self._noise = float(np.median(noise))
         series = np.array(means)
-        varies = float(np.nanmax(series.std(axis=0) / series.mean(axis=0)))
-        if varies > _MAX_FLICKER:
+        self._flicker = float(np.nanmax(series.std(axis=0) / series.mean(axis=0)))
+        if self._flicker > _MAX_FLICKER:
             raise CalibrationError(
-                f"white flickers by {varies:.1%} from frame to frame: the exposure is no whole number of the "
+                f"white flickers by {self._flicker:.1%} from frame to frame: the exposure is no whole number of the "
                 "projector's cycles (1/60 s or 1/50 s, or the colour wheel's), or the camera's exposure is automatic"
             )
 
@@ -267,12 +272,12 @@ class GuidedCapture:
             self._show(codes)
             self._studio.sleep(self._delay_s)
             first, *_, frame = self._studio.take()
-            if not self._alike(_shares(first), _shares(frame)):
+            if self._differs(_shares(first), _shares(frame)):
                 reason = "two frames of it differ: something moves, or the light flickers"
             elif (
                 before is not None
-                and np.abs(before.codes - codes).mean() > _OTHER_CODES
-                and self._alike(_shares(before.frame), _shares(frame))
+                and np.abs(before.codes**2 - codes**2).mean(axis=(0, 1)).max() > _OTHER_LIGHT
+                and not self._differs(_shares(before.frame), _shares(frame))
             ):
                 reason = "the camera still sees the picture before it: nothing may cover the projector's picture"
             else:
@@ -456,8 +461,14 @@ class GuidedCapture:
         return None
 
     def _alike(self, before: FloatArray, now: FloatArray) -> bool:
-        """Whether two frames of one picture differ by noise only."""
+        """Whether the pixels of two frames of one picture differ by noise only."""
         return _rms(before - now) <= _NOISE_TIMES * max(self._noise, _LEAST_NOISE)
+
+    def _differs(self, before: FloatArray, now: FloatArray) -> bool:
+        """Whether two frames show different pictures: in their pixels, or in the means of cells."""
+        cells = [cv2.resize(frame, _CELLS, interpolation=cv2.INTER_AREA) for frame in (before, now)]
+        allowed = _CELL_DIFFERS + _FLICKER_TIMES * self._flicker * np.asarray(cells[0])
+        return not self._alike(before, now) or _rms((np.asarray(cells[1]) - cells[0]) / allowed) > 1
 
 
 def _continue_session(folder: Path, identity: dict[str, Any]) -> None:

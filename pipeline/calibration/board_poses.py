@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 
 from pipeline.calibration.board import Board
-from pipeline.calibration.captures import CapturedFolder
 from pipeline.calibration.multishot import ProjectorMap, decode_multishot, fringe_groups, multishot_sequence
+from pipeline.calibration.picture_matching import find_poses
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray, ImageArray
 from pipeline.robust import robust_sigma
@@ -299,7 +299,7 @@ class MeasuredPoses:
 
 
 def measure_poses(
-    folder: Path,
+    place: Path,
     board: Board,
     projector_size_px: tuple[int, int],
     white_level: float | None = None,
@@ -309,8 +309,9 @@ def measure_poses(
 
     Parameters
     ----------
-    folder : Path
-        With one folder per pose, each with the captures of `multishot_sequence` under the pictures' names.
+    place : Path
+        A folder with a folder per pose, each with the captures of `multishot_sequence`, or footage with all poses; see
+        `find_poses`.
     board : Board
         What stands there.
     projector_size_px : (width, height)
@@ -323,25 +324,25 @@ def measure_poses(
     Raises
     ------
     CalibrationError
-        The folder lacks captures, they differ in size, or the board is found in too few of them.
+        Captures are missing, they differ in size, or the board is found in too few of them.
+    FootageError
+        They cannot be read.
     """
-    if not folder.is_dir():
-        raise CalibrationError(f"{folder} is no folder: give the one with one folder per pose")
-    names = multishot_sequence(projector_size_px).names
+    sequence = multishot_sequence(projector_size_px)
     poses: list[BoardPose] = []
     refused: list[str] = []
     camera_px = None
-    for place in sorted(entry for entry in folder.iterdir() if entry.is_dir()):
-        captures = CapturedFolder(place, names)
-        height, width = captures[names[0]].shape[:2]
+    for name, captures in find_poses(place, sequence):
+        height, width = captures[sequence.names[0]].shape[:2]
         if camera_px is not None and camera_px != (width, height):
-            raise CalibrationError(f"{place} is {width}x{height}, the poses before are {camera_px[0]}x{camera_px[1]}")
+            raise CalibrationError(f"{name} is {width}x{height}, the poses before are {camera_px[0]}x{camera_px[1]}")
         camera_px = (width, height)
         try:
-            poses.append(measure_pose(place.name, captures, board, projector_size_px, white_level))
+            # Read once and in order, as videos are read fastest.
+            poses.append(measure_pose(name, dict(captures), board, projector_size_px, white_level))
         except CalibrationError as error:
             refused.append(str(error))
     if camera_px is None or len(poses) < least:
-        reason = refused[0] if refused else f"{folder} holds {len(poses)} folders of captures"
+        reason = refused[0] if refused else f"{place} holds {len(poses)}"
         raise CalibrationError(f"{len(poses)} usable poses, at least {least} are needed: {reason}")
     return MeasuredPoses(poses, tuple(refused), camera_px)

@@ -11,11 +11,12 @@ from rich.table import Table
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import measure_poses
-from pipeline.calibration.captures import CapturedFolder, PictureSequence, refuse_other_camera, write_sequence
+from pipeline.calibration.captures import PictureSequence, refuse_other_camera, write_sequence
 from pipeline.calibration.color_chart import chart_codes, chart_sequence, measure_wavelengths, read_spectra
 from pipeline.calibration.figures import geometry_figure, radiometry_figure, write_figure
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Uncertainty
 from pipeline.calibration.multishot import multishot_codes, multishot_sequence
+from pipeline.calibration.picture_matching import find_captures
 from pipeline.calibration.radiometry import (
     PRIMARIES,
     Radiometry,
@@ -89,7 +90,8 @@ def radiometry(
     Parameters
     ----------
     captures
-        Folder with the captures, under the names that the pictures have.
+        Folder with the captures, under the names that the pictures have or in the order of projection; or a recording
+        or a video of the pictures, each shown for half a second or longer.
     out
         The calibration to write; a picture of light and crosstalk is written next to it.
     calibration
@@ -111,7 +113,7 @@ def radiometry(
     known = read_calibration(calibration)
     values = {"exposure_s": exposure_s, "gain": gain, "white_balance": white_balance}
     camera = build(CameraState, values, SettingsError, "capture")
-    ramps = CapturedFolder(folder, radiometry_sequence(size_of(size)).names)
+    ((_, ramps),) = find_captures(folder, radiometry_sequence(size_of(size)))
     if known is not None:
         height, width = next(iter(ramps.values())).shape[:2]
         refuse_other_camera(known, (width, height), str(folder))
@@ -153,7 +155,8 @@ def wavelengths(
     Parameters
     ----------
     captures
-        Folder with the captures, in linear light, under the names that the pictures have.
+        Folder with the captures, in linear light, under the names that the pictures have or in the order of projection;
+        or a recording or a video of the pictures, each shown for half a second or longer.
     calibration
         The calibration that they are added to; it holds the crosstalk.
     spectra
@@ -180,7 +183,7 @@ def wavelengths(
         return
     if captures is None or spectra is None or corners is None:
         raise SettingsError("give a folder of captures, --spectra and --corners, or the nine wavelengths with --nm")
-    fields = CapturedFolder(captures, chart_sequence(size_of(size)).names)
+    ((_, fields),) = find_captures(captures, chart_sequence(size_of(size)))
     found = measure_wavelengths(fields, np.reshape(corners, (4, 2)), read_spectra(spectra), white_level)
     found.add_to(known).write(out, force=force)
     table = Table(title="wavelengths at which each camera channel sees the projector's light, nm", show_header=True)
@@ -196,7 +199,7 @@ def _write_fields(folder: Path, sequence: PictureSequence, codes: Callable[[str]
     """Write full fields to project, given each one's (3,) projector codes, 0..1."""
     width, height = sequence.size_px
     write_sequence(folder, sequence, lambda name: np.broadcast_to(codes(name), (height, width, 3)))
-    say(f"{len(sequence.names)} pictures in {folder}: project each on {target}, and capture it under the same name")
+    say(f"{len(sequence.names)} pictures in {folder}: project each on {target}, in order, and capture it")
 
 
 def _show_crosstalk(found: Radiometry) -> None:
@@ -235,7 +238,8 @@ def geometry(
     Parameters
     ----------
     captures
-        Folder with one folder per pose, each with the captures under the names that the pictures have.
+        Folder with one folder per pose, each with the captures under the names that the pictures have or in the order
+        of projection, or with a recording; or one such folder, recording or video with all poses.
     board
         What the board is.
     out
@@ -243,7 +247,7 @@ def geometry(
     baseline_mm
         The distance between camera and projector where it is known; a wrong square size shows in it.
     second_board
-        Folder with one pose or more of the same board printed in another size; a wrong square size shows in it.
+        One pose or more of the same board printed in another size, likewise; a wrong square size shows in it.
     second_square_mm
         The side of its squares, measured by itself.
     calibration

@@ -123,10 +123,10 @@ def test_a_scene_that_is_another_one_is_taken_from_the_start(tmp_path):
 
 
 class Fading(FlatStudio):
-    """Its lamp loses an eighth of its light in the first 25 s; later it is steady."""
+    """Its lamp loses a twentieth of its light in the first 20 s; later it is steady."""
 
     def frame(self, picture):
-        self.light = 0.8 - 0.1 * min(self.time_s, 25) / 25
+        self.light = 0.8 - 0.04 * min(self.time_s, 20) / 20
         return super().frame(picture)
 
 

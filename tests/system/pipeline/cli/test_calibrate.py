@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.posed_boards import CAMERA_PX, exact_poses
+from support.slide_shows import film
 
 from pipeline.acquisition import practice_set
 from pipeline.acquisition.practice_set import practice_rig
@@ -20,7 +21,9 @@ from pipeline.cli.project import BoardOptions
 from pipeline.errors import SettingsError
 from pipeline.footage.image_file import read_image
 from pipeline.output.range_image import write_png
+from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from tikernels.raw.pixel_format import PixelFormat
 
 ARGUMENTS = ("calibrate", "geometry", "poses", "--board", "chessboard", "--squares", "10x7", "--code", "none")
 SECOND = ("--second-board", "second", "--second-square-mm", "20")
@@ -61,6 +64,43 @@ def test_radiometry_command(folder, command):
     assert done.returncode == 1 and "07-red-224.png" in done.stderr and not (folder / "other.json").exists()
     done = command("pattern", "board.pdf", "--board", "charuco", "--squares", "9x6", cwd=folder)
     assert done.returncode == 0 and (folder / "board.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_captures_without_names(folder, command):
+    """A recording of a slide show, and pictures under names of a camera, tell of the light what named captures do."""
+    done = command("calibrate", "radiometry", "--make", "shown", "--size", "64x48", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    paths = sorted((folder / "shown").glob("*.png"))
+    crosstalk = np.array([[0.6, 0.06, 0.01], [0.08, 0.55, 0.1], [0.01, 0.12, 0.6]])
+    lights = [255 * ((read_image(path) / 255) ** 2 @ crosstalk.T) + 10 for path in paths]
+    frames, alone = film([lights[20], *lights, lights[5]], 1)
+    with Recorder(folder / "show.zarr", PixelFormat("rgb")) as recorder:
+        for frame in frames:
+            recorder.add(frame)
+    for place in ("named", "camera"):
+        (folder / place).mkdir()
+    for number, path in enumerate(paths):
+        image = frames[alone.index(number + 1) + 1]
+        write_png(folder / "named" / path.name, image)
+        write_png(folder / "camera" / f"IMG_{number + 95}.png", image)
+    found = {}
+    for place in ("named", "camera", "show.zarr"):
+        done = command("calibrate", "radiometry", place, "--out", f"{place}.json", cwd=folder)
+        assert done.returncode == 0, done.stderr
+        found[place] = json.loads((folder / f"{place}.json").read_text())
+    assert found["camera"]["crosstalk_matrix"] == found["named"]["crosstalk_matrix"]
+    for key, tolerance in (("crosstalk_matrix", 0.001), ("response", 0.001)):
+        # Noise of a level in 3072 pixels makes 0.0001 of full scale.
+        np.testing.assert_allclose(found["show.zarr"][key], found["named"][key], atol=tolerance)
+        assert found["show.zarr"][key] != found["named"][key]
+    (folder / "camera" / "IMG_101.png").unlink()
+    for words, message in (
+        (("radiometry", "camera"), "camera (32 frames): "),
+        (("geometry", "show.zarr", *ARGUMENTS[3:]), "but are not the 12 of a pose"),
+    ):
+        done = command("calibrate", *words, "--out", "none.json", cwd=folder)
+        assert done.returncode == 1 and message in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1 and not (folder / "none.json").exists()
 
 
 def test_wavelengths_command(folder, command):

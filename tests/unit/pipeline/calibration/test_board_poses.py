@@ -5,13 +5,16 @@ import numpy as np
 import pytest
 from support.board_rig import MovedCaptures
 from support.posed_boards import CHARUCO, CHESSBOARD, PROJECTOR_PX, captured, rig
+from support.slide_shows import film
 
 from pipeline.calibration import board_poses
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import PictureEvidence, edge_blur_px, measure_pose, measure_poses
 from pipeline.calibration.multishot import multishot_sequence
-from pipeline.errors import CalibrationError
+from pipeline.errors import CalibrationError, FootageError
 from pipeline.output.range_image import write_png
+from pipeline.recording.recorder import Recorder
+from tikernels.raw.pixel_format import PixelFormat
 
 SIZE = (64, 48)
 BOARD = Board(kind="chessboard", squares=(9, 6), square_mm=20.0)
@@ -114,9 +117,9 @@ def test_each_folder_is_a_pose_in_the_order_of_their_names(tmp_path, monkeypatch
 
 
 def test_too_few_poses_are_refused_with_the_first_reason(tmp_path):
-    with pytest.raises(CalibrationError, match=r"none is no folder: give the one with one folder per pose"):
+    with pytest.raises(FootageError, match=r"cannot read .*none: there is no such file"):
         measure_poses(tmp_path / "none", BOARD, SIZE)
-    with pytest.raises(CalibrationError, match=r"0 usable poses, at least 8 .* holds 0 folders of captures"):
+    with pytest.raises(FootageError, match="holds no pictures"):
         measure_poses(tmp_path, BOARD, SIZE)
     capture(tmp_path / "black")
     with pytest.raises(CalibrationError, match="0 usable poses, at least 8 are needed: black"):
@@ -126,3 +129,22 @@ def test_too_few_poses_are_refused_with_the_first_reason(tmp_path):
     capture(tmp_path / "other", (32, 24))
     with pytest.raises(CalibrationError, match="other is 32x24, the poses before are 64x48"):
         measure_poses(tmp_path, BOARD, SIZE)
+
+
+def test_a_pose_in_a_recording_is_the_one_in_a_folder(tmp_path, of_chessboard):
+    """In a recording without names, with other things before and after, to what noise moves corners."""
+    pictures = list(of_chessboard.values())
+    (tmp_path / "named").mkdir()
+    for name, picture in of_chessboard.items():
+        write_png(tmp_path / "named" / f"{name}.png", picture)
+    frames, _ = film([pictures[7], *pictures, pictures[3]], 1, dwell=(3.5, 5.0), noise=1.0)
+    with Recorder(tmp_path / "show.zarr", PixelFormat("rgb")) as recorder:
+        for frame in frames:
+            recorder.add(frame)
+    named, recorded = (
+        measure_poses(tmp_path / place, CHESSBOARD, PROJECTOR_PX, least=1).poses[0] for place in ("named", "show.zarr")
+    )
+    assert (named.name, recorded.name) == ("named", "show.zarr")
+    assert len(named.camera_px) == len(CHESSBOARD.corners_mm())
+    np.testing.assert_allclose(recorded.camera_px, named.camera_px, atol=0.1)
+    np.testing.assert_allclose(recorded.projector_px, named.projector_px, atol=0.3)
