@@ -6,7 +6,7 @@ own. The calibration is to be found from the pictures alone.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -113,7 +113,7 @@ class SimulatedStudio:
         self._sent: list[tuple[float, npt.NDArray[np.uint8]]] = []  # when each picture comes on, newest last
         self._outline: FloatArray | None = None
         self._way: tuple[FloatArray, FloatArray, float] = (_START, _START, 0.0)  # from, to, since
-        self._view_of = cache(self._look)
+        self._view_of = lru_cache(maxsize=1)(self._look)
         self._light_of: tuple[tuple[object, ...], npt.NDArray[np.float32]] | None = None
 
     @property

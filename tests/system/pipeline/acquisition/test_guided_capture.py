@@ -123,11 +123,16 @@ def test_a_scene_that_is_another_one_is_taken_from_the_start(tmp_path):
 
 
 class Fading(FlatStudio):
-    """Its lamp loses a twentieth of its light in the first 20 s; later it is steady."""
+    """Its lamp loses a twentieth of its light once, while the pictures are taken."""
 
     def frame(self, picture):
-        self.light = 0.8 - 0.04 * min(self.time_s, 20) / 20
+        if len(self.lines) and self.light == 0.8 and len(self.sent) - self.before > 20:
+            self.light = 0.76
         return super().frame(picture)
+
+    def guide(self, guidance):
+        super().guide(guidance)
+        self.before = len(self.sent)
 
 
 def test_light_that_changes_meanwhile_is_found_and_taken_again(tmp_path):
