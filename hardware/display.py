@@ -78,8 +78,11 @@ class Display:
     def __init__(self, number: int | None = None) -> None:
         self._pygame = _started()
         self._picture: pygame.Surface | None = None
+        self._aside: pygame.Window | None = None
+        self._entered = False
         try:
             sizes = self._pygame.display.get_desktop_sizes()
+            self._others = [other for other in range(len(sizes)) if other != _chosen(number, sizes)]
             self.number = _chosen(number, sizes)
             # SDL's way to name a display: in the middle of the one of this number.
             middle = self._pygame.WINDOWPOS_CENTERED | self.number
@@ -141,8 +144,32 @@ class Display:
         self._picture = self._pygame.image.frombuffer(np.ascontiguousarray(picture).tobytes(), size_px, "RGB")
         self._draw()
 
-    def wait(self, seconds: float | None = None) -> None:
-        """Return when Esc or q is pressed, or after `seconds`.
+    def show_aside(self, picture: npt.NDArray[np.uint8]) -> bool:
+        """Show a picture in a window on another display than this one; False: there is no other.
+
+        Parameters
+        ----------
+        picture : (height, width, 3) uint8
+            R, G, B; the window has the size of the first one.
+        """
+        if not self._others:
+            return False
+        pygame, size_px = self._pygame, (picture.shape[1], picture.shape[0])
+        if self._aside is None:
+            middle = pygame.WINDOWPOS_CENTERED | self._others[0]
+            self._aside = pygame.Window("colorphase: for the operator", size_px, (middle, middle))
+        shown = pygame.image.frombuffer(np.ascontiguousarray(picture).tobytes(), size_px, "RGB")
+        self._aside.get_surface().blit(shown, (0, 0))
+        self._aside.flip()
+        return True
+
+    def entered(self) -> bool:
+        """Return whether Enter or Space was pressed in a window since the last call."""
+        entered, self._entered = self._entered, False
+        return entered
+
+    def wait(self, seconds: float | None = None) -> bool:
+        """Return True when Esc or q is pressed or a window closed, and False after `seconds`.
 
         Raises
         ------
@@ -154,11 +181,14 @@ class Display:
         while (left_s := end_s - time.monotonic()) > 0:
             event = pygame.event.wait(max(1, round(1000 * min(left_s, _POLL_S))))
             if event.type in (pygame.QUIT, pygame.WINDOWCLOSE):
-                return
+                return True
             if event.type == pygame.KEYDOWN and event.key in (pygame.K_ESCAPE, pygame.K_q):
-                return
+                return True
+            if event.type == pygame.KEYDOWN and event.key in (pygame.K_RETURN, pygame.K_KP_ENTER, pygame.K_SPACE):
+                self._entered = True
             if event.type in (pygame.WINDOWEXPOSED, pygame.WINDOWSIZECHANGED, pygame.WINDOWDISPLAYCHANGED):
                 self._draw()
+        return False
 
     def close(self) -> None:
         """Give the display back; idempotent."""

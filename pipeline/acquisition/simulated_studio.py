@@ -29,6 +29,8 @@ _LATENCY_S, _LATENCY_JITTER_S = 0.06, 0.02
 # Somebody brings a board to its place in this time, in steps, and is off it by so much: deg, mm, part of the distance.
 _MOVE_S, _MOVE_STEPS = 8.0, 4
 _HAND_DEG, _HAND_MM, _HAND_PART = 4.0, 6.0, 0.02
+# What is not seen whole is held nearer to the middle.
+_HAND_TRIES = 20
 # The least distance from a view's rim, px, at which a board is seen whole.
 _RIM_PX = 3.0
 # The sheet is larger than what the camera sees.
@@ -178,17 +180,18 @@ class SimulatedStudio:
     def _hands(self, outline: FloatArray) -> FloatArray:
         """Return where a board is held, (6,) rotation vector and mm, that is to fill an outline."""
         board, lens = self._held(), self._truth.geometry().camera
-        _, turn, place = cv2.solvePnP(board_outline_mm(board), outline, lens.matrix, lens.distortion)
-        rng = np.random.default_rng(None if self._seed is None else [self._seed, *np.rint(outline).astype(int).ravel() % 4096])
-        while True:
-            stands = np.concatenate(
-                [
-                    turn.ravel() + np.radians(_HAND_DEG) * rng.standard_normal(3),
-                    place.ravel() * (1 + _HAND_PART * rng.standard_normal()) + _HAND_MM * rng.standard_normal(3),
-                ]
-            )
+        found = cv2.solvePnP(board_outline_mm(board), outline, lens.matrix, lens.distortion)
+        turn, place = (each.ravel() for each in found[1:])
+        # The same hands at the same suggestion: a capture that was stopped finds the board where it was.
+        rng = np.random.default_rng([self._seed or 0, *np.rint(outline).astype(int).ravel() % 4096])
+        for inwards in np.linspace(1.0, 0.0, _HAND_TRIES):
+            stands = np.concatenate([turn, place * (inwards, inwards, 1.0)])
+            stands[:3] += np.radians(_HAND_DEG) * rng.standard_normal(3)
+            stands[3:] *= 1 + _HAND_PART * rng.standard_normal()
+            stands[3:] += _HAND_MM * rng.standard_normal(3)
             if self._is_seen(stands):
-                return stands
+                break
+        return stands
 
     def _is_seen(self, stands: FloatArray) -> bool:
         """Whether camera and projector see a whole board."""

@@ -104,6 +104,7 @@ class RigStudio:
         self._picture, self._tell = picture, tell
         self._display = Display(display)
         try:
+            self._projector_px = self._display.size_px
             timing = settings.timing.model_copy(update={"frames": FRAMES})
             projector = settings.projector.model_copy(update={"alternating": False})
             self._rig = Rig(
@@ -118,7 +119,7 @@ class RigStudio:
     @property
     def projector_px(self) -> tuple[int, int]:
         """Width and height of the projector's pictures."""
-        return self._display.size_px
+        return self._projector_px
 
     def now_s(self) -> float:
         """Return the time."""
@@ -126,7 +127,8 @@ class RigStudio:
 
     def sleep(self, seconds: float) -> None:
         """Let time pass."""
-        self._display.wait(seconds)
+        if self._display.wait(seconds):
+            raise KeyboardInterrupt("stopped: run the command again to go on")
 
     def show(self, picture: npt.NDArray[np.uint8]) -> None:
         """Send a picture to the projector; see `Studio`."""
@@ -141,26 +143,34 @@ class RigStudio:
     def guide(self, guidance: Guidance) -> None:
         """Write the operator's picture; see `Studio`."""
         self._tell(guidance.line)
-        if guidance.frame is not None:
-            write_atomically(self._picture, cv2.imencode(".png", draw_guidance(guidance)[..., ::-1])[1].tobytes())
+        if guidance.frame is None:
+            return
+        drawn = draw_guidance(guidance)
+        self._display.show_aside(drawn)
+        write_atomically(self._picture, cv2.imencode(".png", drawn[..., ::-1])[1].tobytes())
 
     def key_pressed(self) -> bool:
-        """Whether Enter was pressed in the terminal; see `Studio`."""
-        if not sys.stdin.isatty():
-            return False
-        if sys.platform == "win32":
-            import msvcrt
-
-            return msvcrt.kbhit() and msvcrt.getch() in (b"\r", b"\n", b" ")
-        pressed = bool(select.select([sys.stdin], [], [], 0)[0])
-        if pressed:
-            sys.stdin.readline()
-        return pressed
+        """Whether Enter was pressed in the operator's window or in the terminal; see `Studio`."""
+        return self._display.entered() or _enter_in_terminal()
 
     def close(self) -> None:
         """Let go of everything; idempotent."""
         self._rig.close()
         self._display.close()
+
+
+def _enter_in_terminal() -> bool:
+    """Whether Enter was pressed in the terminal, if there is one."""
+    if not sys.stdin.isatty():
+        return False
+    if sys.platform == "win32":
+        import msvcrt
+
+        return msvcrt.kbhit() and msvcrt.getch() in (b"\r", b"\n")
+    pressed = bool(select.select([sys.stdin], [], [], 0)[0])
+    if pressed:
+        sys.stdin.readline()
+    return pressed
 
 
 def draw_guidance(guidance: Guidance) -> npt.NDArray[np.uint8]:
