@@ -7,6 +7,7 @@ own. The calibration is to be found from the pictures alone.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -19,6 +20,8 @@ from pipeline.calibration.simulated_board import BoardView, CaptureLight
 from pipeline.models import FloatArray, ImageArray
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
 
+#: The rig's calibration, as it has found it itself (`tests/benchmarks/simulated_calibration.py`).
+CALIBRATION = Path(__file__).with_name("simulated_calibration.json")
 #: The camera's frames.
 FRAME_S = 1 / 30
 # k1 k2 p1 p2 k3 of ordinary lenses: a picture's corner lies nearly a hundredth beside where a pinhole shows it.
@@ -63,6 +66,11 @@ class _Sheet(BoardView):
     def drawing(self, board: Board) -> npt.NDArray[np.uint8]:
         """Return what is printed: nothing."""
         return np.full_like(super().drawing(board), 255)
+
+
+def own_calibration() -> Calibration:
+    """Return the simulated rig's calibration as it has found it itself, from its own pictures."""
+    return Calibration.read(CALIBRATION)
 
 
 def simulated_truth() -> Calibration:
