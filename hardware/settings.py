@@ -116,6 +116,9 @@ class FieldSettings(_Section):
 class ProjectorSettings(_Section):
     """The projector, how it makes colours, and how it is spoken to."""
 
+    display: Annotated[int, Field(ge=0, lt=100)] | None = None
+    """Which display it is, as `colorphase devices` numbers them: this program then shows the pattern on it; None:
+    something else shows it."""
     colour_cycle_s: Positive | None = None
     """How long R, G and B take together, where the projector shows them one after another; None: it does not."""
     fields: FieldSettings | None = None

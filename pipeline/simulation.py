@@ -1,6 +1,7 @@
 """Simulated frames with exact truth: a rig, a scene, and everything that goes wrong between projector and camera."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 
 import cv2
@@ -20,6 +21,11 @@ _FOCAL_FRACTION = 1232 / 640
 _PROJECTOR_FOCAL_PX = 1792.0
 _BASELINE_MM = 180.0
 _DISTANCE_MM = 900.0
+
+# k1 k2 p1 p2 k3 of ordinary lenses: a picture's corner lies nearly a hundredth beside where a pinhole shows it.
+_CAMERA_LENS, _PROJECTOR_LENS = (-0.12, 0.08, 0.001, -0.0008, 0.0), (-0.06, 0.05, -0.001, 0.0005, 0.0)
+#: The simulated rig's calibration, as it has found it itself (`tests/benchmarks/simulated_calibration.py`).
+OWN_CALIBRATION = Path(__file__).with_name("simulated_calibration.json")
 
 #: Crosstalk of a single-chip projector with a colour camera; camera = matrix @ projector in linear light.
 TYPICAL_CROSSTALK = ((0.92, 0.10, 0.02), (0.12, 0.85, 0.16), (0.02, 0.20, 0.90))
@@ -129,6 +135,16 @@ def simulated_rig(
         translation_mm=-rotation @ centre,
         pattern=Pattern(period_px=period_px, stripes=stripes, code=code),
     )
+
+
+def simulated_truth() -> Calibration:
+    """Return the true geometry of the simulated rig, by which results are judged, and never decoded."""
+    return simulated_rig(camera_distortion=_CAMERA_LENS, projector_distortion=_PROJECTOR_LENS, code="contrast")
+
+
+def own_calibration() -> Calibration:
+    """Return that rig's calibration as it has found it itself, from pictures of a sheet and a board."""
+    return Calibration.read(OWN_CALIBRATION)
 
 
 def simulate_frame(

@@ -1,12 +1,15 @@
 """The rig that a capture is to use: what it says of itself, what opens its instruments, and whether it is ready."""
 
 import tomllib
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
+from hardware.display import Display
 from hardware.drivers import SIMULATED
 from hardware.errors import ProjectorError, RigError
 from hardware.instruments import open_instruments
@@ -14,8 +17,12 @@ from hardware.projector import open_projector
 from hardware.protocols import Camera, Trigger
 from hardware.settings import RigSettings
 from pipeline.calibration import Calibration
+from pipeline.calibration.model import choose_pattern
 from pipeline.models import read_file
+from pipeline.pattern import make_pattern
 
+# Time in which a pattern is on the screen for certain; and that is given to the display between two bursts.
+_SETTLE_S, _POLL_S = 1.0, 1e-3
 # The exposure may differ from the calibration's by this fraction.
 _SAME_EXPOSURE = 1e-3
 
@@ -27,6 +34,35 @@ class ChosenRig:
     settings: RigSettings
     open_instruments: Callable[[], tuple[Trigger, Camera]]
     calibration: Calibration | None
+
+    @contextmanager
+    def showing_pattern(self) -> Iterator[Callable[[], None]]:
+        """Show the calibrated pattern where the projector is a display of this computer.
+
+        What is yielded is to be called now and then, and keeps the picture there.
+
+        Raises
+        ------
+        ProjectorError
+            The display cannot be used.
+        RigError
+            The projector is to alternate two pictures by itself.
+        """
+        if self.settings.projector.display is None:
+            yield lambda: None
+            return
+        if self.settings.projector.alternating:
+            raise RigError("projector.display shows one pattern, and projector.alternating needs two: leave one out")
+        known = self.calibration or Calibration()
+        with Display(self.settings.projector.display) as screen:
+            codes = make_pattern(screen.size_px, choose_pattern(known, None, None), known.response)
+            screen.show(np.rint(255 * codes).astype(np.uint8))
+            screen.wait(_SETTLE_S)
+
+            def keep() -> None:
+                screen.wait(_POLL_S)
+
+            yield keep
 
     def differences(self) -> list[str]:
         """Say where the camera stands otherwise than at calibration."""
@@ -91,6 +127,10 @@ def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:
     if settings.trigger.driver == settings.camera.driver == SIMULATED:
         return ChosenRig(settings, *simulated_instruments(settings, arch, tell))
     calibration = None if settings.calibration is None else Calibration.read(settings.calibration)
+    if calibration is not None and calibration.response is not None and settings.projector.display is not None:
+        # The response is undone in what this program shows.
+        shown = choose_pattern(calibration, None, None).model_copy(update={"compensated": True})
+        calibration = calibration.model_copy(update={"pattern": shown})
     check_projector(settings, rig)
     return ChosenRig(settings, partial(open_instruments, settings), calibration)
 

@@ -140,7 +140,7 @@ class GuidedCapture:
                 f"the camera sees hardly any light of the projector: white is {brightest:.1%} of full scale brighter "
                 "than black. Look whether the projector shows it, and expose longer"
             )
-        lit = gain > _LIT * brightest
+        lit = np.asarray(gain > _LIT * brightest)
         self._measure_delay(lit, float(gain[lit].mean()), float(black.mean(axis=-1)[lit].mean()))
         self._check_flicker(lit)
         saturated = float((white >= _SATURATED).any(axis=-1)[lit].mean())
@@ -421,9 +421,7 @@ class GuidedCapture:
             self._studio.sleep(_LOOK_S)
         raise CalibrationError(f"nothing came for {_PATIENCE_S / 60:.0f} minutes: run the command again to go on")
 
-    def _discard_unless_alike(
-        self, work: Path, name: str, codes: npt.NDArray[np.floating], what: str
-    ) -> None:
+    def _discard_unless_alike(self, work: Path, name: str, codes: npt.NDArray[np.floating], what: str) -> None:
         """Take the pictures from the start where an earlier capture's first one shows another scene than now."""
         stored = captured_files(work)
         if not stored:

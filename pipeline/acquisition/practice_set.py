@@ -18,7 +18,7 @@ from pipeline.calibration.simulated_board import BoardCaptures, CaptureLight, bo
 from pipeline.errors import OutputError
 from pipeline.files import explain
 from pipeline.models import FloatArray
-from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
+from pipeline.simulation import TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_truth
 from tikernels import runtime
 
 #: What lies in the folder.
@@ -31,10 +31,8 @@ SECOND_BOARD = Board(kind="chessboard", squares=(10, 7), square_mm=18.0)
 BALL_RADIUS_MM, BALL_MIDDLE_MM = 85.0, (0.0, 0.0, 880.0)
 # Ten poses, two more than are needed, so that one may be left out; of the second board two.
 _N_POSES, _N_SECOND = 10, 2
-# The camera reads out the middle of a sensor of 640x480 px: that keeps 12 px a cycle, and saves half of the disk.
-_SENSOR_PX, _CORNER_PX, _SIZE_PX = (640, 480), (80, 60), (480, 360)
-# k1 k2 p1 p2 k3 of ordinary lenses: a picture's corner lies nearly a hundredth beside where a pinhole shows it.
-_CAMERA_LENS, _PROJECTOR_LENS = (-0.12, 0.08, 0.001, -0.0008, 0.0), (-0.06, 0.05, -0.001, 0.0005, 0.0)
+# The camera reads out the middle of its sensor of 640x480 px: that keeps 12 px a cycle, and saves half of the disk.
+_CORNER_PX, _SIZE_PX = (80, 60), (480, 360)
 # Each pose stands aside in another direction than the ones before: by the golden angle, which fills a circle evenly.
 _TURN_RAD = np.pi * (3 - np.sqrt(5))
 # A board moves aside in such steps, mm, until its squares are so near to the picture's rim, px.
@@ -107,12 +105,9 @@ def write_practice(folder: Path, arch: str, tell: Callable[[str], None]) -> Cali
 
 def practice_rig() -> Calibration:
     """Return the rig to practise on, its light included: an ordinary, imperfect one."""
-    whole = simulated_rig(
-        _SENSOR_PX, camera_distortion=_CAMERA_LENS, projector_distortion=_PROJECTOR_LENS, code="contrast"
-    )
     response = np.tile(np.linspace(0, 1, 256) ** _GAMMA, (3, 1))
     light = {"crosstalk_matrix": np.array(TYPICAL_CROSSTALK), "response": response}
-    return whole.cropped(*_CORNER_PX, _SIZE_PX).model_copy(update=light)
+    return simulated_truth().cropped(*_CORNER_PX, _SIZE_PX).model_copy(update=light)
 
 
 def practice_poses(board: Board, count: int, seed: int) -> Iterator[BoardCaptures]:
@@ -131,13 +126,10 @@ def practice_poses(board: Board, count: int, seed: int) -> Iterator[BoardCapture
 def _towards_rim(rig: Calibration, board: Board, turn: FloatArray, depth_mm: float, direction_rad: float) -> FloatArray:
     """Return the place of a board, mm, that is as near to the picture's rim as it may be to be seen whole."""
     lens = rig.geometry().camera
-    columns, rows = board.squares
-    outline = np.array([[0, 0, 0], [columns, 0, 0], [0, rows, 0], [columns, rows, 0]], np.float64)
-    outline = (outline - outline.mean(axis=0)) * board.square_mm
     place = np.array([0.0, 0.0, depth_mm])
     step = _STEP_MM * np.array([np.cos(direction_rad), np.sin(direction_rad), 0.0])
     while True:
-        pixels, _ = cv2.projectPoints(outline, turn, place + step, lens.matrix, lens.distortion)
+        pixels, _ = cv2.projectPoints(board.outline_mm(), turn, place + step, lens.matrix, lens.distortion)
         if (pixels < _RIM_PX).any() or (pixels > np.array(lens.size_px) - 1 - _RIM_PX).any():
             return place
         place = place + step

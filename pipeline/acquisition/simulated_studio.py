@@ -7,7 +7,6 @@ own. The calibration is to be found from the pictures alone.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -18,20 +17,21 @@ from pipeline.calibration import Calibration
 from pipeline.calibration.board import Board
 from pipeline.calibration.simulated_board import BoardView, CaptureLight
 from pipeline.models import FloatArray, ImageArray
-from pipeline.simulation import TYPICAL_CROSSTALK, simulated_rig
+from pipeline.simulation import TYPICAL_CROSSTALK, simulated_truth
 
-#: The rig's calibration, as it has found it itself (`tests/benchmarks/simulated_calibration.py`).
-CALIBRATION = Path(__file__).with_name("simulated_calibration.json")
 #: The camera's frames.
 FRAME_S = 1 / 30
-# k1 k2 p1 p2 k3 of ordinary lenses: a picture's corner lies nearly a hundredth beside where a pinhole shows it.
-_CAMERA_LENS, _PROJECTOR_LENS = (-0.12, 0.08, 0.001, -0.0008, 0.0), (-0.06, 0.05, -0.001, 0.0005, 0.0)
 # A picture is on the screen this long after it was sent: two frames of the computer and one of the projector, more or
 # less.
 _LATENCY_S, _LATENCY_JITTER_S = 0.06, 0.02
+# Rays per pixel, along either side, at a board that is at rest: with two, their places move its corners by .026 px,
+# with three by no more than corners are found to, .014 px.
+_SAMPLES = 3
 # Somebody brings a board to its place in this time, in steps, and is off it by so much: deg, mm, part of the distance.
 _MOVE_S, _MOVE_STEPS = 8.0, 4
 _HAND_DEG, _HAND_MM, _HAND_PART = 4.0, 6.0, 0.02
+# Where the board is held at first: (6,) rotation vector and place.
+_START = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1100.0])
 # What is not seen whole is held nearer to the middle.
 _HAND_TRIES = 20
 # The least distance from a view's rim, px, at which a board is seen whole.
@@ -66,16 +66,6 @@ class _Sheet(BoardView):
     def drawing(self, board: Board) -> npt.NDArray[np.uint8]:
         """Return what is printed: nothing."""
         return np.full_like(super().drawing(board), 255)
-
-
-def own_calibration() -> Calibration:
-    """Return the simulated rig's calibration as it has found it itself, from its own pictures."""
-    return Calibration.read(CALIBRATION)
-
-
-def simulated_truth() -> Calibration:
-    """Return the simulated rig's true geometry, which only whoever judges the result should ask for."""
-    return simulated_rig(camera_distortion=_CAMERA_LENS, projector_distortion=_PROJECTOR_LENS, code="contrast")
 
 
 class SimulatedStudio:
@@ -188,7 +178,7 @@ class SimulatedStudio:
     def _hands(self, outline: FloatArray) -> FloatArray:
         """Return where a board is held, (6,) rotation vector and mm, that is to fill an outline."""
         board, lens = self._held(), self._truth.geometry().camera
-        found = cv2.solvePnP(board_outline_mm(board), outline, lens.matrix, lens.distortion)
+        found = cv2.solvePnP(board.outline_mm(), outline, lens.matrix, lens.distortion)
         turn, place = (each.ravel() for each in found[1:])
         # The same hands at the same suggestion: a capture that was stopped finds the board where it was.
         rng = np.random.default_rng([self._seed or 0, *np.rint(outline).astype(int).ravel() % 4096])
@@ -204,7 +194,7 @@ class SimulatedStudio:
     def _is_seen(self, stands: FloatArray) -> bool:
         """Whether camera and projector see a whole board."""
         geometry = self._truth.geometry()
-        outline = board_outline_mm(self._held()) @ cv2.Rodrigues(stands[:3])[0].T + stands[3:]
+        outline = self._held().outline_mm() @ cv2.Rodrigues(stands[:3])[0].T + stands[3:]
         here, there = (np.zeros(3), np.zeros(3)), (cv2.Rodrigues(geometry.rotation)[0], geometry.translation_mm)
         for lens, (turn, place) in ((geometry.camera, here), (geometry.projector, there)):
             pixels, _ = cv2.projectPoints(outline, turn, place, lens.matrix, lens.distortion)
@@ -237,7 +227,7 @@ class SimulatedStudio:
         moved = faults.moved_from is not None and self.n_acts >= faults.moved_from
         key = (*stands, at_rest, moved, id(picture))
         if self._light_of is None or self._light_of[0] != key:
-            view = self._view_of(tuple(stands.tolist()), 2 if at_rest else 1, 1.003 if moved else 1.0)
+            view = self._view_of(tuple(stands.tolist()), _SAMPLES if at_rest else 1, 1.003 if moved else 1.0)
             codes = picture.astype(np.float32) / 255
             if (picture == picture[..., :1]).all():
                 codes = np.broadcast_to(codes[..., :1], codes.shape)
@@ -269,17 +259,6 @@ class SimulatedStudio:
 
         def lit_s(until_s: float) -> FloatArray:
             whole, part = divmod(until_s, cycle_s)
-            return whole * cycle_s / 3 + np.clip(part - np.arange(3) * cycle_s / 3, 0, cycle_s / 3)
+            return np.asarray(whole * cycle_s / 3 + np.clip(part - np.arange(3) * cycle_s / 3, 0, cycle_s / 3))
 
         return np.asarray(3 * (lit_s(start_s + self._exposure_s) - lit_s(start_s)) / self._exposure_s, np.float32)
-
-
-# Where the board is held at first: (6,) rotation vector and place.
-_START = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1100.0])
-
-
-def board_outline_mm(board: Board) -> FloatArray:
-    """Return a board's corners about its middle, (4, 3) mm."""
-    columns, rows = board.squares
-    corners = np.array([[0, 0, 0], [columns, 0, 0], [columns, rows, 0], [0, rows, 0]], np.float64)
-    return (corners - corners.mean(axis=0)) * board.square_mm

@@ -77,11 +77,9 @@ class RigStudio:
     Parameters
     ----------
     settings : RigSettings
-        The rig.
+        The rig; where `projector.display` is None, the projector is the only display there is.
     open_instruments : callable
         Opens its trigger source and its camera.
-    display : int, optional
-        Which display the projector is; None: the only one there is.
     picture : Path
         A PNG of what the operator should see, written anew whenever that changes.
     tell : callable
@@ -97,19 +95,16 @@ class RigStudio:
         self,
         settings: RigSettings,
         open_instruments: Callable[[], tuple[Trigger, Camera]],
-        display: int | None,
         picture: Path,
         tell: Callable[[str], None],
     ) -> None:
         self._picture, self._tell = picture, tell
-        self._display = Display(display)
+        self._display = Display(settings.projector.display)
         try:
             self._projector_px = self._display.size_px
             timing = settings.timing.model_copy(update={"frames": FRAMES})
             projector = settings.projector.model_copy(update={"alternating": False})
-            self._rig = Rig(
-                settings.model_copy(update={"timing": timing, "projector": projector}), open_instruments
-            )
+            self._rig = Rig(settings.model_copy(update={"timing": timing, "projector": projector}), open_instruments)
         except BaseException:
             self._display.close()
             raise
@@ -136,9 +131,7 @@ class RigStudio:
 
     def take(self) -> list[ImageArray]:
         """Return frames; see `Studio`."""
-        return [
-            np.array(develop((frame.image,), self._format)) for frame in next(self._bursts).frames
-        ]
+        return [np.array(develop((frame.image,), self._format)) for frame in next(self._bursts).frames]
 
     def guide(self, guidance: Guidance) -> None:
         """Write the operator's picture; see `Studio`."""

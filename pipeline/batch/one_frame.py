@@ -21,7 +21,7 @@ from pipeline.output.render import render_mesh
 from pipeline.output.report import frame_report, measure_against_truth
 from pipeline.output.surface_mesh import MeshOptions, frame_mesh
 from pipeline.settings import DecodeSettings
-from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from pipeline.simulation import SimulationSettings, own_calibration, simulate_frame, simulated_truth
 from tikernels import runtime
 from tikernels.errors import ShapeError
 from tikernels.raw.development import develop
@@ -126,7 +126,7 @@ class SimulatedResult:
 
 
 def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str], None]) -> SimulatedResult:
-    """Simulate a frame of a bust under the coded pattern, decode it with the rig's calibration, draw and measure it.
+    """Simulate a frame of a bust, decode it with the calibration that the rig has found itself, draw and measure it.
 
     Parameters
     ----------
@@ -152,9 +152,8 @@ def decode_simulated(out: Path, arch: str, *, force: bool, tell: Callable[[str],
         runtime.init(arch)
         # As a camera and a projector see it: pixels with an area, and a lens that blurs.
         simulation = SimulationSettings(pixel_rays=3, projector_blur_px=(0.6, 0.6, 0.6))
-        rig = simulated_rig(code="contrast")
-        truth = simulate_frame(rig, simulation)
-        calibration = rig.model_copy(update={"crosstalk_matrix": simulation.crosstalk_matrix})
+        truth = simulate_frame(simulated_truth(), simulation)
+        calibration = own_calibration()
         tell("decoding it")
         settings = DecodeSettings()
         frame = Decoder(settings, calibration, arch=arch).decode(truth.image)

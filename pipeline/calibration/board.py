@@ -297,6 +297,12 @@ class Board(Model):
         x, y = np.meshgrid(np.arange(1, columns + 1), np.arange(1, rows + 1))
         return np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3).astype(np.float64) * self.square_mm
 
+    def outline_mm(self) -> FloatArray:
+        """Return the squares' outer corners about the board's middle, (4, 3) mm, clockwise from the upper left."""
+        columns, rows = self.squares
+        corners = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float64)
+        return np.asarray(corners * (columns, rows, 0) * self.square_mm / 2)
+
     def find(self, image: npt.NDArray[np.floating]) -> tuple[npt.NDArray[np.intp], FloatArray]:
         """Find the inner corners in an image.
 

@@ -153,10 +153,10 @@ class PoseGuide:
             chosen = candidates[len(self.poses) * (_TILT_SIDES // 2 + 1) % _TILT_SIDES]
         else:
             covariance = self.fit.covariance()
-            known = np.linalg.inv(covariance)
+            known = np.asarray(np.linalg.inv(covariance), np.float64)
             slopes = self._depth_slopes(self.fit, covariance)
             left = [
-                _depth_sigma(slopes, np.linalg.inv(known + self._information(self.fit, stands)))
+                _depth_sigma(slopes, np.asarray(np.linalg.inv(known + self._information(self.fit, stands)), np.float64))
                 for stands in candidates
             ]
             chosen = candidates[int(np.argmin(left))]
@@ -197,13 +197,9 @@ class PoseGuide:
         first = self.poses[0]
         matrix = np.array([[rig[0], 0, rig[2]], [0, rig[1], rig[3]], [0, 0, 1]])
         _, turn, place = cv2.solvePnP(first.corners_mm, first.camera_px, matrix, rig[4:9])
-        depth = float((cv2.Rodrigues(turn)[0] @ first.corners_mm.mean(axis=0) + place.ravel())[2])
+        middle = cv2.Rodrigues(turn)[0] @ first.corners_mm.mean(axis=0) + place.ravel()
+        depth = float(middle[2])
         return np.array([0.0, 0.0, depth])
-
-    def _outline(self) -> FloatArray:
-        columns, rows = self._board.squares
-        corners = np.array([[0, 0, 0], [columns, 0, 0], [columns, rows, 0], [0, rows, 0]], np.float64)
-        return (corners - corners.mean(axis=0)) * self._board.square_mm
 
     def _is_seen(self, stands: FloatArray, rig: FloatArray) -> bool:
         """Whether both views hold the whole board."""
@@ -212,7 +208,7 @@ class PoseGuide:
             turn, place, *_ = cv2.composeRT(stands[:3], stands[3:], rig[18:21], rig[21:24])
             views.append((turn.ravel(), place.ravel(), rig[9:18], self._projector_px))
         for turn, place, lens, size_px in views:
-            pixels, _ = project_points(self._outline(), turn, place, lens)
+            pixels, _ = project_points(self._board.outline_mm(), turn, place, lens)
             rim = _RIM * size_px[0]
             if (pixels < rim).any() or (pixels > np.array(size_px) - 1 - rim).any():
                 return False
@@ -221,18 +217,17 @@ class PoseGuide:
     def _information(self, fit: BundleAdjustment, stands: FloatArray) -> FloatArray:
         """Return what a pose would tell of the rig's parameters, (24, 24); see the module."""
         corners = self._board.corners_mm()
-        columns, rows = self._board.squares
-        middle = np.array([columns, rows, 0]) / 2 * self._board.square_mm
+        middle = np.array([*self._board.squares, 0]) / 2 * self._board.square_mm
         nowhere = np.zeros((len(corners), 2))
         pose = replace(self.poses[0], corners_mm=corners - middle, camera_px=nowhere, projector_px=nowhere)
         _, slopes = fit.corner_errors(pose, stands)
-        rows_ = (slopes / fit.sigma_px[None, :, None, None]).reshape(-1, 30)
-        normal = rows_.T @ rows_
+        weighted = (slopes / fit.sigma_px[None, :, None, None]).reshape(-1, 30)
+        normal = weighted.T @ weighted
         rig, own, across = normal[:24, :24], normal[24:, 24:], normal[:24, 24:]
         return np.asarray(rig - across @ np.linalg.solve(own, across.T))
 
     def _suggestion(self, stands: FloatArray, rig: FloatArray) -> Suggestion:
-        pixels, _ = project_points(self._outline(), stands[:3], stands[3:], rig[:9])
+        pixels, _ = project_points(self._board.outline_mm(), stands[:3], stands[3:], rig[:9])
         across, down = pixels.mean(axis=0) / self._camera_px
         place = " ".join(
             word
@@ -276,8 +271,8 @@ def _misfit(fit: BundleAdjustment, pose: BoardPose, devices: Sequence[int]) -> f
         normal = rows.T @ rows
         normal[:24, :24] += known
         step = np.linalg.solve(normal + 1e-9 * np.diag(np.diag(normal)), -rows.T @ start)
-        stands = stands + step[24:]
-        rig = step[:24]
+        stands = np.asarray(stands + step[24:], np.float64)
+        rig = np.asarray(step[:24], np.float64)
     left = start + rows @ step
     cost = float(left @ left + rig @ known @ rig)
     return float(np.sqrt(cost / max(len(left) - 6, 1)))

@@ -117,11 +117,11 @@ class BoardView:
         rays = geometry.camera.rays_through(np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2) - np.array(shift))
         rays = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
         normal = rotation[:, 2]
-        height: FloatArray | float = 0.0
+        bend: FloatArray | float = 0.0
         for _ in range(_BEND_STEPS if self.bow_mm else 1):
-            points = rays * ((origin @ normal + height) / (rays @ normal))[:, None]
+            points = rays * ((origin @ normal + bend) / (rays @ normal))[:, None]
             on_board = (points - origin) @ rotation
-            height = self.bow_mm * (on_board[:, 0] / self._half_mm - 1) ** 2
+            bend = self.bow_mm * (on_board[:, 0] / self._half_mm - 1) ** 2
         shape = (len(y), len(x), 2)
         # The texture has a margin of one square.
         place = (on_board[:, :2] * texels_per_mm + _TEXELS - 0.5).astype(np.float32).reshape(shape)

@@ -38,10 +38,9 @@ class _Capture:
     studio: Studio
     settings: RigSettings
     target: Path  # the calibration to write
-    n_acts: int = 0
 
 
-def radiometry(*, rig: str, out: Path, display: int | None = None) -> None:
+def radiometry(*, rig: str, out: Path) -> None:
     """Show 33 plain pictures on a white sheet, take each, and measure the rig's light.
 
     Stopped at any time, it goes on where it was when it is called again. The calibration is the one that the rig's file
@@ -52,13 +51,12 @@ def radiometry(*, rig: str, out: Path, display: int | None = None) -> None:
     Parameters
     ----------
     rig
-        The rig's TOML file; or "simulated", which needs nothing to be there.
+        The rig's TOML file, whose projector.display shows the pictures; or "simulated", which needs nothing to be
+        there.
     out
         The folder of the captures.
-    display
-        Which display the projector is, as `colorphase devices` numbers them; left out, the only one there is.
     """
-    with _capturing(rig, out, display, None) as capture:
+    with _capturing(rig, out, None) as capture:
         folder = capture.guided.take_light()
     size_px = "{}x{}".format(*capture.studio.projector_px)
     calibrate.radiometry(
@@ -75,7 +73,6 @@ def geometry(
     *,
     rig: str,
     out: Path,
-    display: int | None = None,
     board: Literal["charuco", "chessboard"] = "charuco",
     options: BoardOptions = _BOARD,
     fringes: PatternOptions = _FRINGES,
@@ -93,18 +90,17 @@ def geometry(
     Parameters
     ----------
     rig
-        The rig's TOML file; or "simulated", which needs nothing to be there.
+        The rig's TOML file, whose projector.display shows the pictures; or "simulated", which needs nothing to be
+        there.
     out
         The folder of the captures; guide.png in it shows where to hold the board.
-    display
-        Which display the projector is, as `colorphase devices` numbers them; left out, the only one there is.
     board
         What the board is.
     baseline_mm
         The distance between camera and projector where it is known; a wrong square size shows in it.
     """
     described = options.board(board)
-    with _capturing(rig, out, display, described) as capture:
+    with _capturing(rig, out, described) as capture:
         known = _kept(capture.target, out)
         pattern = fringes.pattern(read_calibration(known))
         camera_px = capture.guided.camera_px
@@ -124,7 +120,7 @@ def geometry(
 
 
 @contextmanager
-def _capturing(rig: str, out: Path, display: int | None, board: Board | None) -> Iterator[_Capture]:
+def _capturing(rig: str, out: Path, board: Board | None) -> Iterator[_Capture]:
     """Open a rig for a guided capture, its faults looked for."""
     settings = SETTINGS if rig == SIMULATED else read_rig(rig)
     target = out / CALIBRATION if settings.calibration is None else Path(settings.calibration)
@@ -136,7 +132,7 @@ def _capturing(rig: str, out: Path, display: int | None, board: Board | None) ->
         else:
             check_projector(settings, rig)
             runtime.init("cpu")
-            studio = RigStudio(settings, lambda: open_instruments(settings), display, out / GUIDE, show)
+            studio = RigStudio(settings, lambda: open_instruments(settings), out / GUIDE, show)
         try:
             identity = {"camera": settings.camera.model_dump(mode="json")}
             if board is not None:

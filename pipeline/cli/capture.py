@@ -68,16 +68,22 @@ def capture(
             for note in chosen.differences():
                 remark(f"note: {note}")
             show("opening trigger source and camera")
-            summary = session.capture_bursts(
-                chosen.settings,
-                chosen.open_instruments,
-                out,
-                plan,
-                calibration=chosen.calibration,
-                decoding=read_settings(settings),
-                stopping=stopping,
-                tell=lambda progress: show(_line(progress)),
-            )
+            with chosen.showing_pattern() as keep:
+
+                def tell(progress: CaptureProgress) -> None:
+                    show(_line(progress))
+                    keep()
+
+                summary = session.capture_bursts(
+                    chosen.settings,
+                    chosen.open_instruments,
+                    out,
+                    plan,
+                    calibration=chosen.calibration,
+                    decoding=read_settings(settings),
+                    stopping=stopping,
+                    tell=tell,
+                )
         _say_summary(summary, out, calibrated=chosen.calibration is not None)
         if not summary.n_frames or (summary.stopped and bursts is not None):
             sys.exit(_STOPPED)

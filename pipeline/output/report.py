@@ -105,7 +105,8 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
         ``phase_rms_rad`` over the lit pixels (brighter than 20 levels, 4 px inside the lit area), one constant, given
         as ``phase_constant_rad``, removed; ``coverage``, the share of those pixels that have a result;
         ``wrong_orders``, pixels whose order is not their region's commonest; and with a calibration, over the same
-        pixels, ``depth_rms_mm`` and ``depth_p999_mm``, RMS and 99.9th percentile of the depth error as it is,
+        pixels, ``depth_rms_mm``, ``depth_bias_mm`` and ``depth_p999_mm``, RMS, mean and 99.9th percentile of the depth
+        error as it is,
         ``absolute``, the share of the lit pixels whose order is said to be absolute, and
         ``depth_rms_order_known_mm``, as if each region's commonest order were its true one.
     """
@@ -137,6 +138,7 @@ def measure_against_truth(frame: DecodedFrame, truth: SimulatedFrame) -> dict[st
         points = runtime.to_host(triangulate(placed, geometry.camera.rays(), geometry.for_triangulation()))
         off, order_known = ((found - truth.points)[valid][:, 2].astype(np.float64) for found in (frame.points, points))
         measured["depth_rms_mm"] = float(np.sqrt(np.nanmean(off**2)))
+        measured["depth_bias_mm"] = float(np.nanmean(off))
         measured["depth_p999_mm"] = float(np.nanquantile(np.abs(off), 0.999))
         measured["depth_rms_order_known_mm"] = float(np.sqrt(np.nanmean(order_known**2)))
         measured["absolute"] = float((lit & frame.absolute).sum() / lit.sum())

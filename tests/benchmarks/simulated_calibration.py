@@ -15,12 +15,13 @@ from calibration_accuracy import depth_error_mm
 
 from pipeline.acquisition import simulated_studio
 from pipeline.acquisition.guided_capture import GuidedCapture
-from pipeline.acquisition.simulated_studio import SimulatedStudio, simulated_truth
+from pipeline.acquisition.simulated_studio import SimulatedStudio
 from pipeline.calibration.board import Board
 from pipeline.calibration.captures import CapturedFolder
 from pipeline.calibration.pose_guide import PoseGuide
 from pipeline.calibration.radiometry import measure_radiometry, radiometry_sequence
 from pipeline.calibration.rig_geometry import solve_geometry
+from pipeline.simulation import OWN_CALIBRATION, simulated_truth
 
 BOARD = Board(kind="chessboard", squares=(11, 8), square_mm=24.0)
 
@@ -48,7 +49,7 @@ def main() -> None:
     print(f"{found.uncertainty.depth_bias_mm:.3f} mm predicted")
     print("crosstalk is off by", np.abs(found.crosstalk_matrix - 0.8 * simulated_studio.LIGHT.crosstalk).max().round(5))
     if options.write:
-        found.write(simulated_studio.CALIBRATION, force=True)
+        found.write(OWN_CALIBRATION, force=True)
 
 
 if __name__ == "__main__":

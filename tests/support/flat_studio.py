@@ -1,4 +1,4 @@
-"""A studio that is one line of mathematics: the camera sees a sheet on which every picture is as the projector shows it."""
+"""A studio that is one line of mathematics: the camera sees each of the projector's pixels as one of its own."""
 
 import numpy as np
 
@@ -21,17 +21,21 @@ class FlatStudio:
         self.ambient, self.light, self.lines, self.pressed = 0.02, 0.8, [], False
 
     def now_s(self):
+        """Return the time."""
         return self.time_s
 
     def sleep(self, seconds):
+        """Let time pass."""
         self.before_each("sleep")
         self.time_s += seconds
 
     def show(self, picture):
+        """Send a picture."""
         self.before_each("show")
         self.sent.append((self.time_s + self.latency_s, picture))
 
     def take(self):
+        """Return frames."""
         self.before_each("take")
         frames = []
         for _ in range(FRAMES):
@@ -41,14 +45,18 @@ class FlatStudio:
         return frames
 
     def frame(self, picture):
+        """Return a frame."""
         light = self.ambient + self.light * (picture / 255) ** 2 @ np.array([[9, 1, 0], [1, 8, 1], [0, 1, 9]]) / 10
         return np.clip(np.rint(255 * light + self.rng.normal(size=light.shape)), 0, 255).astype(np.uint8)
 
     def guide(self, guidance):
+        """Note the line."""
         self.lines.append(guidance.line)
 
     def key_pressed(self):
+        """Return whether a key is said to be pressed."""
         return self.pressed
 
     def close(self):
+        """Let go."""
         pass

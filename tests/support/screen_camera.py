@@ -28,12 +28,15 @@ class ScreenCamera:
         self._asked = []
 
     def arm(self, count):
+        """Get ready."""
         self._asked = []
 
     def trigger(self):
+        """Take a frame."""
         self._asked.append(time.monotonic())
 
     def frame(self, timeout_s):
+        """Return a frame."""
         deadline = time.monotonic() + timeout_s
         while not self._asked:
             if time.monotonic() > deadline:
@@ -46,7 +49,9 @@ class ScreenCamera:
         return CameraFrame(levels.astype(np.uint8), time.monotonic())
 
     def disarm(self):
+        """Stop."""
         self._asked = []
 
     def close(self):
+        """Let go."""
         self._asked = []

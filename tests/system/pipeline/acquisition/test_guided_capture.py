@@ -2,7 +2,6 @@
 
 import json
 
-import cv2
 import numpy as np
 import pytest
 from support.flat_studio import FlatStudio
@@ -56,6 +55,7 @@ class Dropping(FlatStudio):
     n_shown = n_dropped = 0
 
     def show(self, picture):
+        """Send a picture, or not."""
         self.n_shown += 1
         if self.n_shown > 30 and self.n_shown % 9 == 0:
             self.n_dropped += 1
@@ -71,7 +71,7 @@ def test_a_picture_that_is_not_shown_is_repeated(tmp_path):
 
 
 class Interrupted(Exception):
-    pass
+    """Something ends the capture."""
 
 
 @pytest.mark.parametrize("kind", [Interrupted, KeyboardInterrupt, CameraError])
@@ -126,11 +126,13 @@ class Fading(FlatStudio):
     """Its lamp loses a twentieth of its light once, while the pictures are taken."""
 
     def frame(self, picture):
+        """Return a frame in the light that there is now."""
         if len(self.lines) and self.light == 0.8 and len(self.sent) - self.before > 20:
             self.light = 0.76
         return super().frame(picture)
 
     def guide(self, guidance):
+        """Note the line, and when it came."""
         super().guide(guidance)
         self.before = len(self.sent)
 
@@ -142,13 +144,16 @@ def test_light_that_changes_meanwhile_is_found_and_taken_again(tmp_path):
 
 
 class Drifting(FlatStudio):
+    """Its lamp loses light with every frame."""
+
     def frame(self, picture):
+        """Return a frame in the light that there is now."""
         self.light *= 0.9997
         return super().frame(picture)
 
 
 def test_light_that_never_rests_ends_it_with_what_to_do(tmp_path):
-    with pytest.raises(CalibrationError, match="changed by -.* of the projector's .*: let the projector warm up"):
+    with pytest.raises(CalibrationError, match=r"changed by -.* of the projector's .*: let the projector warm up"):
         light_of(Drifting(), tmp_path / "captures")
     assert not (tmp_path / "captures" / LIGHT).exists()
 
@@ -156,7 +161,7 @@ def test_light_that_never_rests_ends_it_with_what_to_do(tmp_path):
 def test_captures_of_another_camera_are_not_mixed(tmp_path):
     capture_of(FlatStudio(), tmp_path / "captures", {"camera": "one"})
     capture_of(FlatStudio(), tmp_path / "captures", {"camera": "one", "board": "mine"})
-    with pytest.raises(OutputError, match="holds captures with another board .*: choose another folder"):
+    with pytest.raises(OutputError, match=r"holds captures with another board .*: choose another folder"):
         capture_of(FlatStudio(), tmp_path / "captures", {"board": "other"})
     assert json.loads((tmp_path / "captures" / "session.json").read_text())["camera"] == "one"
     (tmp_path / "captures" / "session.json").write_text("[")
@@ -203,6 +208,7 @@ class Restless(SimulatedStudio):
     shown = 0
 
     def show(self, picture):
+        """Send a picture, or not."""
         self.shown += 1
         if self.n_acts == 2 and self.shown == 40:
             before, to, since_s = self._way
