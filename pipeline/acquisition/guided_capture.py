@@ -140,10 +140,10 @@ class GuidedCapture:
                 f"the camera sees hardly any light of the projector: white is {brightest:.1%} of full scale brighter "
                 "than black. Look whether the projector shows it, and expose longer"
             )
-        lit = np.asarray(gain > _LIT * brightest)
+        lit = gain > _LIT * brightest
         self._measure_delay(lit, float(gain[lit].mean()), float(black.mean(axis=-1)[lit].mean()))
         self._check_flicker(lit)
-        saturated = float((white >= _SATURATED).any(axis=-1)[lit].mean())
+        saturated = float((white[lit] >= _SATURATED).any(axis=-1).mean())
         if saturated > _MAX_SATURATED:
             raise CalibrationError(f"{saturated:.0%} of the lit pixels are saturated by white: expose shorter")
         self._check_colors(black, lit)

@@ -131,7 +131,7 @@ class RigStudio:
 
     def take(self) -> list[ImageArray]:
         """Return frames; see `Studio`."""
-        return [np.array(develop((frame.image,), self._format)) for frame in next(self._bursts).frames]
+        return [np.array(runtime.to_host(develop((frame.image,), self._format))) for frame in next(self._bursts).frames]
 
     def guide(self, guidance: Guidance) -> None:
         """Write the operator's picture; see `Studio`."""

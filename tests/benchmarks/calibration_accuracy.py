@@ -1,9 +1,9 @@
 """The depth error that calibrations of drawn rigs leave, from captures of a board alone, beside the predicted one.
 
-A 640x480 camera and a 1024x768 projector with lenses, axes and places of their own, some 180 mm apart; a chessboard of
-11x8 squares of 24 mm in the poses that the guide asks for, ten at most, about 900 mm away; a projector's gamma of 1.8 to
-2.4, crosstalk, a blur of half a pixel and noise of 1.5 levels. For each rig: the RMS depth error over the picture 900
-mm away, the predicted one, and the RMS error of its parameters in their standard deviations.
+A 640x480 camera and a 1024x768 projector with lenses, axes and places of their own, 180 mm or so apart; a chessboard of
+11x8 squares of 24 mm in the poses that the guide asks for, ten at most, near 900 mm; a projector's gamma of 1.8 to
+2.4, crosstalk, a blur of half a pixel and noise of 1.5 levels. For each rig: the RMS depth error over the picture
+900 mm away, the predicted one, and the RMS error of its parameters in their standard deviations.
 
 python tests/benchmarks/calibration_accuracy.py [--rigs 20]
 """
