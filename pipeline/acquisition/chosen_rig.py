@@ -48,7 +48,7 @@ class ChosenRig:
         RigError
             The projector is to alternate two pictures by itself.
         """
-        if self.settings.projector.display is None:
+        if self.settings.projector.display is None or self.settings.camera.driver == SIMULATED:
             yield lambda: None
             return
         if self.settings.projector.alternating:
@@ -65,7 +65,9 @@ class ChosenRig:
             yield keep
 
     def differences(self) -> list[str]:
-        """Say where the camera stands otherwise than at calibration."""
+        """Say where the camera stands otherwise than at calibration, or that there is none yet."""
+        if self.calibration is None and self.settings.calibration is not None:
+            return [f"{self.settings.calibration} does not exist yet: colorphase calibrate capture makes it"]
         capture = None if self.calibration is None else self.calibration.capture
         before = None if capture is None else capture.exposure_s
         now = self.settings.camera.exposure_s
@@ -126,7 +128,8 @@ def choose_rig(rig: str, arch: str, tell: Callable[[str], None]) -> ChosenRig:
     settings = SETTINGS if rig == SIMULATED else read_rig(rig)
     if settings.trigger.driver == settings.camera.driver == SIMULATED:
         return ChosenRig(settings, *simulated_instruments(settings, arch, tell))
-    calibration = None if settings.calibration is None else Calibration.read(settings.calibration)
+    there = settings.calibration is not None and Path(settings.calibration).exists()
+    calibration = Calibration.read(settings.calibration) if there and settings.calibration else None
     if calibration is not None and calibration.response is not None and settings.projector.display is not None:
         # The response is undone in what this program shows.
         shown = choose_pattern(calibration, None, None).model_copy(update={"compensated": True})

@@ -132,7 +132,9 @@ def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Ma
     """
     entries: list[Path] = []
     if place.is_dir() and not any((place / name).exists() for name in (_RECORDING, "zarr.json")):
-        entries = [entry for entry in place.iterdir() if entry.is_dir() or entry.suffix.lower() in _VIDEOS]
+        # A name that begins with a dot is a pose that is not complete.
+        there = [entry for entry in place.iterdir() if not entry.name.startswith(".")]
+        entries = [entry for entry in there if entry.is_dir() or entry.suffix.lower() in _VIDEOS]
     for entry in sorted(entries, key=lambda entry: natural_key(entry.name)) or [place]:
         yield from find_captures(entry, sequence)
 

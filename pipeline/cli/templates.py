@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
 from hardware.settings import CameraSettings, ProjectorSettings, RigSettings, TriggerSettings
-from pipeline.cli.console import Replace, check_target, say
+from pipeline.cli.console import Replace, bounded, check_target, say
 from pipeline.errors import SettingsError
 from pipeline.files import write_atomically
 from pipeline.models import build
@@ -76,6 +76,9 @@ def rig(
     projector: Annotated[
         str, Parameter(help=f"What switches the projector: {', '.join(PROJECTORS)}; or none: somebody does.")
     ] = _NO_PROJECTOR,
+    display: Annotated[
+        int | None, Parameter(validator=bounded(0), help="Which display it is, as `colorphase devices` numbers them.")
+    ] = None,
     force: Replace = False,
 ) -> None:
     """Write a rig.toml for some instruments, in which every key is explained, and what is to be filled in is marked.
@@ -90,13 +93,13 @@ def rig(
         The TOML file to make.
     """
     check_target(file, force=force)
-    text = rig_template(trigger, camera, None if projector == _NO_PROJECTOR else projector)
+    text = rig_template(trigger, camera, None if projector == _NO_PROJECTOR else projector, display)
     write_atomically(file, text.encode())
     n_marked = text.count(f"  # {_FILL_IN}\n")
     say(f"wrote {file}: fill in the {n_marked} lines that end in {_FILL_IN}, and capture with --rig {file}")
 
 
-def rig_template(trigger: str, camera: str, control: str | None) -> str:
+def rig_template(trigger: str, camera: str, control: str | None, display: int | None = None) -> str:
     """Return a rig's file in which every key stands below what it means, a comment where it has its default.
 
     Parameters
@@ -105,6 +108,8 @@ def rig_template(trigger: str, camera: str, control: str | None) -> str:
         The drivers, by their names in `hardware.drivers` or as ``module:Class``.
     control : str or None
         The projector's; None: nothing switches it.
+    display : int or None
+        Which display the projector is; None: something else shows the pattern.
 
     Raises
     ------
@@ -112,7 +117,8 @@ def rig_template(trigger: str, camera: str, control: str | None) -> str:
         There is no such driver, or these do not go together.
     """
     _check_drivers(trigger, camera, control)
-    given: dict[str, Any] = {"trigger.driver": trigger, "camera.driver": camera}
+    given: dict[str, Any] = {"trigger.driver": trigger, "camera.driver": camera, "projector.display": display}
+    given["calibration"] = _EXAMPLES["calibration"]
     needed = {"timing.period_s", "camera.exposure_s"}
     if trigger in (SOFTWARE, SIMULATED):
         given["camera.trigger"] = "software" if trigger == SOFTWARE else None

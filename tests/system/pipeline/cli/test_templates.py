@@ -2,6 +2,7 @@
 
 import tomllib
 from itertools import product
+from pathlib import Path
 
 import pytest
 
@@ -27,6 +28,11 @@ def test_the_file_to_begin_with_has_every_setting_and_changes_nothing(command, t
         assert field.description and f"\n# {name} = " in text
     code, _, complained = command("settings", "settings.toml")
     assert code == 1 and "exists already: choose another name, or add --force" in complained
+
+
+def test_the_display_that_the_projector_is():
+    assert "\ndisplay = 1\n" in rig_template("software", "opencv", None, 1)
+    assert "\n# display = (left out)\n" in rig_template("software", "opencv", None)
 
 
 def test_what_is_uncommented_has_its_default():
@@ -78,7 +84,7 @@ def test_the_file_is_read_as_the_rig_that_was_chosen(tmp_path, trigger, camera, 
     assert (rig.projector.port is None) == (control is None)
     assert (rig.camera.trigger == "software") == (trigger == SOFTWARE)  # as `check_timing` asks for
     assert rig.timing.period_s > rig.camera.exposure_s
-    assert rig.calibration is None and rig.projector.fields is None
+    assert Path(rig.calibration) == tmp_path / "calibration.json" and rig.projector.fields is None
 
 
 def test_every_key_is_explained_with_its_unit_and_default():
@@ -116,6 +122,7 @@ def test_what_is_uncommented_is_marked_or_was_chosen():
     marked = [line.split(" = ")[0] for line in lines if line.endswith("  # FILL IN")]
     assert marked == ["port", "period_s", "exposure_s", "port"]
     assert [line for line in lines if not line.endswith("  # FILL IN")] == [
+        'calibration = "calibration.json"',
         'driver = "dg645"',
         'driver = "aravis"',
         'control = "infocus"',
