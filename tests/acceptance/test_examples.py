@@ -1,19 +1,25 @@
 """The examples of the documentation run as they stand."""
 
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
+import pytest
 from support.missing import import_but_fail_in_ci
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "docs" / "examples"
 
 
-def printed(name: str, folder: Path) -> str:
+def printed(name: str, folder: Path, **environment: str) -> str:
     """Run an example as a user does, in a folder of its own, and return what it prints."""
     program = [sys.executable, EXAMPLES / name]
-    done = subprocess.run(program, cwd=folder, capture_output=True, text=True, timeout=240, check=False)
+    done = subprocess.run(
+        program, cwd=folder, capture_output=True, text=True, timeout=240, check=False, env={**os.environ, **environment}
+    )
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -50,3 +56,16 @@ def test_a_frame_becomes_a_mesh(tmp_path):
     assert 700 < near < 900 < far < 1100
     assert 1.8 * points < triangles < 2 * points
     assert (tmp_path / "mesh.ply").stat().st_size > 12 * points
+
+
+@pytest.mark.skipif(os.name == "nt", reason="the stand-in for gphoto2 is a shell script")
+def test_a_dslr_is_a_camera(tmp_path):
+    """A stand-in for gphoto2 that notes how it is called, and sends a JPEG."""
+    cv2.imwrite(str(tmp_path / "grey.jpg"), np.full((48, 64, 3), 90, np.uint8))
+    stand_in = tmp_path / "gphoto2"
+    stand_in.write_text(f'#!/bin/sh\necho "$@" >> {tmp_path}/calls\ncat {tmp_path}/grey.jpg\n')
+    stand_in.chmod(0o755)
+    said = printed("dslr_camera.py", tmp_path, PATH=f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
+    assert said == "64x48 px, 90 of 255 levels in the mean\n"
+    call = "--set-config shutterspeed=1/60 --set-config iso=100 --capture-image-and-download --stdout"
+    assert (tmp_path / "calls").read_text().splitlines() == [call, call]
