@@ -1,10 +1,12 @@
 """A simulated board's captures, against the corners that the rig projects."""
 
+import cv2
 import numpy as np
+import pytest
 from support.posed_boards import CHESSBOARD, PROJECTOR_PX, SEQUENCE, codes, rig
 
 from pipeline.calibration.multishot import BLACK, WHITE
-from pipeline.calibration.simulated_board import BoardCaptures, CaptureLight, board_turns
+from pipeline.calibration.simulated_board import BoardCaptures, BoardView, CaptureLight, _seen_by, board_turns
 
 
 def captures(**light):
@@ -37,3 +39,24 @@ def test_poses_are_tilted_every_way_by_15_to_35_degrees():
 
 def test_the_projector_has_its_own_size():
     assert codes(WHITE).shape == (PROJECTOR_PX[1], PROJECTOR_PX[0], 3)
+
+
+def test_a_lens_sees_points_where_opencv_says():
+    lens = rig().geometry().projector
+    points = np.random.default_rng(0).uniform((-200, -150, 800), (200, 150, 1000), (50, 3))
+    expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, lens.distortion)
+    np.testing.assert_allclose(_seen_by(lens, points), expected[:, 0], atol=1e-3)
+
+
+def test_a_bent_boards_edges_are_farther_away():
+    flat, bent = (
+        BoardView(rig(), CHESSBOARD, (0.0, 0.0, 0.0), (0, 0, 900), CaptureLight(noise=0.0), bow_mm=bow_mm)
+        for bow_mm in (0.0, 30.0)
+    )
+    widths = []
+    for view in (flat, bent):
+        white = view.photograph(codes(WHITE), np.random.default_rng(0))
+        _, corners = CHESSBOARD.find(white.mean(axis=-1) / 255)
+        widths.append(np.ptp(corners[:, 0]))
+    # An edge 30 mm farther than 900 mm is seen smaller by 30/930, its outermost corners, at 0.8 of it, by 0.64 of that.
+    assert widths[1] / widths[0] == pytest.approx(1 - 0.64 * 30 / 930, abs=2e-3)
