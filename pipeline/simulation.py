@@ -32,7 +32,7 @@ Triple = tuple[float, float, float]
 class SimulationSettings(Model):
     """What happens between the pattern and the frame; the defaults are an ordinary, imperfect rig."""
 
-    scene: Literal["bust", "plane", "waves", "objects", "ball"] = "bust"
+    scene: Literal["bust", "plane", "waves", "objects", "ball", "portrait"] = "bust"
     gamma: Positive = 2.0  # the projector's response: light = code ** gamma
     crosstalk_matrix: Matrix3 = np.array(TYPICAL_CROSSTALK)
     reflectance: Triple = SKIN

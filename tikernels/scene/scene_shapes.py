@@ -1,4 +1,4 @@
-"""The scenes as signed distance fields in the camera's frame (mm), and their colour.
+"""The scenes as signed distance fields in the camera's frame (mm).
 
 A distance field is negative inside a surface, positive outside, and nowhere steeper than one, so that a ray may always
 go on by it. Shapes are joined and cut with fillets (I. Quilez, Smooth minimum, 2013,
@@ -10,7 +10,10 @@ from typing import Any
 
 from tikernels._taichi import f32, ti, vec3, vec4
 
-SCENES = ("bust", "plane", "waves", "objects", "ball")
+#: Shapes of one colour, nearly.
+SHAPES = ("bust", "plane", "waves", "objects", "ball")
+#: The portrait is the bust, painted as a person (`scene_colors.py`).
+SCENES = (*SHAPES, "portrait")
 
 # Depth of the upright axis that objects turn about.
 _AXIS_MM = 880.0
@@ -83,19 +86,6 @@ def wall(p: vec3, depth_mm: f32) -> f32:
 
 
 @ti.func
-def surface_color(p: vec3, surface: vec4) -> vec3:
-    """Reflectance that varies slowly by +-texture, with one redder, darker blotch of some 30 mm.
-
-    `surface` is the reflectance in the camera's channels, and the texture.
-    """
-    color, texture = vec3(surface.x, surface.y, surface.z), surface.w
-    slow = ti.sin(0.021 * p.x + 0.4) * ti.cos(0.026 * p.y + 0.011 * p.x)
-    blotch = ti.exp(-((p.x - 35.0) ** 2 + (p.y - 15.0) ** 2) / 800.0)
-    tint = vec3(0.10, 0.35, 0.35) * blotch
-    return color * (1.0 + texture * slow) * (1.0 - ti.min(4.0 * texture, 1.0) * tint)
-
-
-@ti.func
 def at_rest(p: vec3, pose: vec4) -> vec3:
     """Carry a point back to before the objects moved and turned.
 
@@ -109,7 +99,7 @@ def at_rest(p: vec3, pose: vec4) -> vec3:
 @cache
 def scene_distance(scene: str) -> Any:
     """Return a `ti.func`: the distance to a scene whose objects, but not its wall, have moved."""
-    if scene == "bust":
+    if scene in ("bust", "portrait"):
 
         @ti.func
         def distance_to(p: vec3, pose: vec4) -> f32:
