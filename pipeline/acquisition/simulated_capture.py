@@ -49,7 +49,7 @@ _PLACES = 21
 _EXPOSURE = 1.0
 # Levels of a place's pictures: 257 per level of a frame.
 _FINE = 65535 // 255
-# Noise is read from a prepared field at a random place. No two of a thousand frames are likely to begin at the same one.
+# Noise is read from a prepared field at a random place: of a thousand frames hardly two begin at the same one.
 _NOISE_PLACES = 2**20
 # A webcam sharpens by this part of what a blur of this many px takes away, and compresses by this quality of JPEG.
 _SHARPENING, _SHARPENED_PX, _JPEG_QUALITY = 0.3, 1.0, 90
@@ -148,7 +148,9 @@ def through_a_webcam(light: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
 def _srgb_levels() -> npt.NDArray[np.uint8]:
     """Return the sRGB level of each of 65536 levels of light (IEC 61966-2-1)."""
     light = np.linspace(0, 1, 65536)
-    return np.rint(255 * np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)).astype(np.uint8)
+    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    levels: npt.NDArray[np.uint8] = np.rint(255 * encoded).astype(np.uint8)
+    return levels
 
 
 def render_elsewhere(task: SceneTask, step: Callable[[str], None]) -> Scene:

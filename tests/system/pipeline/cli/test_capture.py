@@ -23,9 +23,8 @@ exposure_s = 0.01
 
 @pytest.fixture
 def small(monkeypatch):
-    """Let the simulated rig render less than a real one shows."""
-    monkeypatch.setattr(simulated_capture, "_SIZE_PX", (160, 120))
-    monkeypatch.setattr(simulated_capture, "_POSES", 2)
+    """Let the simulated rig render two places."""
+    monkeypatch.setattr(simulated_capture, "_PLACES", 2)
 
 
 def test_bursts_of_a_simulated_rig_are_recorded_and_the_next_command_is_said(command, small, tmp_path):
