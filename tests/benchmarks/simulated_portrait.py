@@ -3,7 +3,8 @@
 python tests/benchmarks/simulated_portrait.py [--bursts 8] [--frames 3] [--webcam]
 
 Bursts are captured from the simulated rig and decoded by the calibration that it has found by itself; some frames of
-each burst are compared with the true head at the very place that they show.
+each burst are compared with the true head at the very place that they show. Last stands the part of the bias that is the
+calibration's: of depth that is computed by it from the true phase.
 """
 
 import argparse
@@ -12,13 +13,14 @@ from itertools import islice
 
 import _tests_path  # noqa: F401 - puts support on the path
 import numpy as np
-from support.portrait_figures import PortraitFigures, portrait_figures
+from support.portrait_figures import WALL_FROM_MM, PortraitFigures, portrait_figures
 
 from hardware.rig import Rig
 from pipeline import Decoder
 from pipeline.acquisition import simulated_capture
 from pipeline.acquisition.simulated_capture import SETTINGS, WEBCAM, place_at, simulate_place, simulated_instruments
 from tikernels import runtime
+from tikernels.depth.triangulation import triangulate
 
 
 def main() -> None:
@@ -49,6 +51,11 @@ def main() -> None:
     squares = np.sqrt(np.mean(np.square(found), axis=0))
     _show("RMS of all", "", "", PortraitFigures(*squares))
     _show("mean of all", "", "", PortraitFigures(*np.mean(found, axis=0)))
+    truth, geometry = true_place(n_places // 2), calibration.geometry()
+    rays, triangulation = geometry.camera.rays(), geometry.for_triangulation()
+    points = runtime.to_host(triangulate(truth.phase.astype(np.float32), rays, triangulation))
+    head = truth.mask & (truth.points[..., 2] < WALL_FROM_MM)
+    print(f"\nthe calibration's part of the bias: {(points - truth.points)[head, 2].mean():.3f} mm")
 
 
 def _show(burst: str, pulse: str, place: str, figures: PortraitFigures) -> None:
