@@ -2,9 +2,9 @@
 
 python tests/benchmarks/simulated_portrait.py [--bursts 8] [--frames 3] [--webcam]
 
-Bursts are captured from the simulated rig and decoded by the calibration that it has found by itself; some frames of
-each burst are compared with the true head at the very place that they show. Last stands the part of the bias that is the
-calibration's: of depth that is computed by it from the true phase.
+Bursts are captured from the simulated rig and decoded by the calibration that it has found by itself. Some frames of
+each burst are compared with the true head at the very place that they show. The last line is the part of the bias that
+comes from the calibration: the bias of the depth that it computes from the true phase.
 """
 
 import argparse
