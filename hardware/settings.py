@@ -81,7 +81,8 @@ class CameraSettings(_Section):
     driver: Annotated[str, AfterValidator(_one_of([*CAMERAS, SIMULATED]))]
     """A name in `hardware.drivers`, or a driver of the user's own as ``module:Class``."""
     serial: Annotated[str | None, Field(coerce_numbers_to_str=True)] = None
-    """Its serial number, or for opencv its number; None: the only one there."""
+    """Its serial number, or for opencv its number; None: the only one there. A simulated one may be
+    a "webcam", or see a "ball"."""
     exposure_s: Positive
     """How long each frame is exposed; a whole number of colour cycles where the projector shows colours one after
     another."""

@@ -1,6 +1,7 @@
 """Simulated frames with exact truth: a rig, a scene, and everything that goes wrong between projector and camera."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -38,7 +39,7 @@ Triple = tuple[float, float, float]
 class SimulationSettings(Model):
     """What happens between the pattern and the frame; the defaults are an ordinary, imperfect rig."""
 
-    scene: Literal["bust", "plane", "waves", "objects", "ball"] = "bust"
+    scene: Literal["bust", "plane", "waves", "objects", "ball", "portrait"] = "bust"
     gamma: Positive = 2.0  # the projector's response: light = code ** gamma
     crosstalk_matrix: Matrix3 = np.array(TYPICAL_CROSSTALK)
     reflectance: Triple = SKIN
@@ -204,9 +205,10 @@ def _rendered(
     geometry: Geometry, settings: SimulationSettings, light: npt.NDArray[np.float32], place: npt.NDArray[np.float64]
 ) -> projection.SceneTruth:
     """Render what is seen along one ray a pixel, this far (px) from its middle."""
+    lens = geometry.camera.model_dump_json()
     return projection.render_scene(
         settings.scene,
-        np.stack([geometry.camera.rays(shift - place) for shift in _distinct(settings.camera_shift_px)]),
+        np.stack([_rays(lens, *(shift - place)) for shift in _distinct(settings.camera_shift_px)]),
         light,
         crosstalk_matrix=settings.crosstalk_matrix,
         rotation=geometry.rotation,
@@ -223,6 +225,12 @@ def _rendered(
         field_motion_mm=settings.field_motion_mm,
         narrow_band=settings.reflectance_bands == "narrow",
     )
+
+
+@lru_cache(maxsize=9)  # of three rays along either side of a pixel
+def _rays(lens: str, x_px: float, y_px: float) -> npt.NDArray[np.float32]:
+    """Return where every pixel of a lens looks, shifted; frames of one rig share it."""
+    return Lens.model_validate_json(lens).rays(np.array([x_px, y_px]))
 
 
 def _distinct(shift_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

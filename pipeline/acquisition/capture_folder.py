@@ -162,8 +162,11 @@ class CaptureFolder:
                 not_locked=list(rig.camera.unlocked),
                 calibration_sha256=None if calibration is None else calibration.digest(),
             )
-            # A camera that takes frames when told to encodes them as it likes.
+            # A camera that takes frames when told to encodes them as it likes; the calibration may have measured how.
             transfer = "linear" if limits.triggered else None
+            if calibration is not None and calibration.capture is not None and calibration.capture.transfer is not None:
+                measured = calibration.capture.transfer
+                transfer = measured if isinstance(measured, str) else None
             rate_hz = min(Fraction(1 / rig.train.period_s).limit_denominator(10**6), Fraction(MOST_FRAMES_A_SECOND))
             self._recorder = Recorder(self.recording, format, transfer=transfer, rate_hz=rate_hz)
             self._live = None

@@ -1,13 +1,20 @@
-"""A capture without hardware: a simulated rig before a bust that turns to and fro.
+"""A capture without hardware: a simulated rig before somebody who turns to and fro.
+
+The head is rendered once at each of its places. A frame shows one of them, with noise of its own; the exposure is the
+same for all. The rig is that of `simulated_studio`, and is decoded by the calibration that it has found by itself.
 
 Python hears Ctrl-C between two of its own steps, and a kernel that is compiled is one step of up to seconds. So what
 the camera sees is rendered in a process of its own, where kernels hold up nobody.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
+from functools import cache
+from pathlib import Path
+from typing import Literal, cast
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -15,11 +22,19 @@ from hardware.alternating_pictures import DIM
 from hardware.protocols import Camera, FrameFormat, Trigger
 from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
+from pipeline.acquisition.simulated_studio import LIGHT
 from pipeline.calibration import Calibration
 from pipeline.errors import RenderError
-from pipeline.pattern import make_pattern
+from pipeline.models import CameraState
 from pipeline.processes import Child, ChildDied, serve
-from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
+from pipeline.simulation import (
+    TYPICAL_CROSSTALK,
+    SimulatedFrame,
+    SimulationSettings,
+    own_calibration,
+    simulate_frame,
+    simulated_truth,
+)
 from tikernels import runtime
 
 #: `colorphase capture --rig simulated`, as its file would say it.
@@ -31,13 +46,23 @@ SETTINGS = RigSettings.model_validate(
         "projector": {"colour_cycle_s": 1 / 120, "alternating": True},
     }
 )
-_SIZE_PX = (640, 480)
-# The bust turns to one side and back in this time.
-_SWING_S = 2.0
-# Poses that are rendered, from one side to the other.
-_POSES = 6
-# The bust turns by this to either side.
-_SWING_DEG = 5.0
+#: `[camera] serial` of a rig file that makes the simulated camera a webcam.
+WEBCAM = "webcam"
+#: And by which it sees a ball instead of a head.
+BALL = "ball"
+# The head turns by so much to either side: by up to 0.3 deg from one frame to the next.
+_SWING_DEG = 2.0
+# Places of the head that are rendered, one per frame: at 50 frames per second it turns to and fro in 0.8 s. More places
+# would make a slower and longer swing, and the start of a capture as much longer.
+_PLACES = 21
+# The exposure of every frame: the brightest skin reaches 0.9 of full scale where the head is in the middle.
+_EXPOSURE = 1.0
+# Levels of a place's pictures: 257 per level of a frame.
+_FINE = 65535 // 255
+# Noise is read from a prepared field at a random place: of a thousand frames hardly two begin at the same one.
+_NOISE_PLACES = 2**20
+# A webcam sharpens by this part of what a blur of this many px takes away, and compresses by this quality of JPEG.
+_SHARPENING, _SHARPENED_PX, _JPEG_QUALITY = 0.3, 1.0, 90
 
 
 @dataclass(frozen=True)
@@ -45,16 +70,98 @@ class SceneTask:
     """What is to be rendered."""
 
     arch: str
-    size_px: tuple[int, int]
-    n_poses: int  # from one side to the other
+    n_places: int  # from one side to the other
+    scene: Literal["portrait", "ball"]
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What the camera sees: a pose a row, under the bright and under the dim picture; and the rig's calibration."""
+    """The head at each of its places, under the bright and under the dim picture, (H, W, 3) uint16, without noise."""
 
-    poses: tuple[tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]], ...]
-    calibration: Calibration
+    places: tuple[tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16]], ...]
+
+
+class SimulatedCamera:
+    """What the camera sees: the head where it is at the time, and noise of the frame's own.
+
+    Parameters
+    ----------
+    scene : Scene
+        The head at its places.
+    period_s : float
+        From frame to frame. The head is at a place for one period: frames of a burst show one place after another.
+    webcam : bool
+        Whether frames get a tone curve, are sharpened and are compressed as a webcam's are.
+    """
+
+    def __init__(self, scene: Scene, period_s: float, *, webcam: bool) -> None:
+        self._scene, self._period_s, self._webcam = scene, period_s, webcam
+        self._rng = np.random.default_rng()
+        n_levels = scene.places[0][0].size + _NOISE_PLACES
+        noise = self._rng.standard_normal(n_levels, dtype=np.float32)
+        self._noise = np.rint(LIGHT.noise * _FINE * noise).astype(np.int16)
+
+    def expose(self, picture: int, time_s: float) -> npt.NDArray[np.uint8]:
+        """Return a frame, (H, W, 3) RGB, under the bright picture (0) or the dim one (1)."""
+        light = self._scene.places[place_at(time_s, self._period_s, len(self._scene.places))][picture]
+        start = self._rng.integers(_NOISE_PLACES)
+        noise = self._noise[start : start + light.size].reshape(light.shape)
+        noisy = cv2.add(light, noise, dtype=cv2.CV_16U)
+        if self._webcam:
+            return through_a_webcam(noisy)
+        return np.asarray(cv2.convertScaleAbs(noisy, alpha=1 / _FINE), np.uint8)
+
+
+def place_at(time_s: float, period_s: float, n_places: int) -> int:
+    """Return the place that the head is at: to and fro by one per frame."""
+    last = n_places - 1
+    return last - abs(math.floor(time_s / period_s) % (2 * last) - last)
+
+
+def turn_deg(place: int, n_places: int) -> float:
+    """Return how far the head is turned at a place."""
+    return -_SWING_DEG * math.cos(math.pi * place / (n_places - 1))
+
+
+def simulate_place(place: int, n_places: int, scene: Literal["portrait", "ball"] = "portrait") -> SimulatedFrame:
+    """Render the head, or a ball, at a place under the rig's pattern, without noise, in 16 bits."""
+    settings = SimulationSettings(
+        scene=scene,
+        gamma=LIGHT.gamma,
+        crosstalk_matrix=np.array(TYPICAL_CROSSTALK),
+        exposure=_EXPOSURE,
+        camera_blur_px=(LIGHT.blur_px,) * 3,
+        noise_levels=0.0,
+        bits=16,
+        object_turn_deg=turn_deg(place, n_places),
+    )
+    return simulate_frame(simulated_truth(), settings)
+
+
+def through_a_webcam(light: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
+    """Return what a webcam delivers of linear light: a tone curve, sharpening, JPEG with colour at half the resolution.
+
+    Parameters
+    ----------
+    light : (H, W, 3) uint16
+        65535 is full scale.
+    """
+    levels = _srgb_levels()[light]
+    blurred = cv2.GaussianBlur(levels, (0, 0), _SHARPENED_PX)
+    sharpened = cv2.addWeighted(levels, 1 + _SHARPENING, blurred, -_SHARPENING, 0)
+    sampling = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420)
+    options = (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY, *sampling)
+    _, packed = cv2.imencode(".jpg", cv2.cvtColor(sharpened, cv2.COLOR_RGB2BGR), options)
+    return np.asarray(cv2.cvtColor(cv2.imdecode(packed, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), np.uint8)
+
+
+@cache
+def _srgb_levels() -> npt.NDArray[np.uint8]:
+    """Return the sRGB level of each of 65536 levels of light (IEC 61966-2-1)."""
+    light = np.linspace(0, 1, 65536)
+    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    levels: npt.NDArray[np.uint8] = np.rint(255 * encoded).astype(np.uint8)
+    return levels
 
 
 def render_elsewhere(task: SceneTask, step: Callable[[str], None]) -> Scene:
@@ -92,7 +199,7 @@ def render_what_comes() -> None:
 
 
 def render_scene(task: SceneTask, step: Callable[[str], None]) -> Scene:
-    """Render every pose under both pictures; see `render_elsewhere`.
+    """Render every place under both pictures; see `render_elsewhere`.
 
     Raises
     ------
@@ -101,35 +208,32 @@ def render_scene(task: SceneTask, step: Callable[[str], None]) -> Scene:
     """
     step("starting the device")
     runtime.init(task.arch)
-    rig = simulated_rig(task.size_px, code="contrast")
-    geometry = rig.geometry()
-    codes = make_pattern(geometry.projector.size_px, geometry.pattern)
-    settings = SimulationSettings(exposure=1.0)
-    poses = []
-    for pose in range(task.n_poses):
-        step(f"simulating pose {pose + 1} of {task.n_poses}")
-        turn_deg = _SWING_DEG * float(np.sin(np.pi * (pose / (task.n_poses - 1) - 0.5)))
-        bright, dim = (
-            simulate_frame(
-                rig,
-                settings.model_copy(update={"object_turn_deg": turn_deg, "seed": 2 * pose + picture}),
-                codes * np.float32(light ** (1 / settings.gamma)),
-            ).image.astype(np.uint8)
-            for picture, light in enumerate((1.0, DIM))
-        )
-        poses.append((bright, dim))
-    return Scene(tuple(poses), rig.model_copy(update={"crosstalk_matrix": settings.crosstalk_matrix}))
+    places = []
+    for place in range(task.n_places):
+        step(f"simulating place {place + 1} of {task.n_places}")
+        places.append(_under_both_pictures(simulate_place(place, task.n_places, task.scene)))
+    return Scene(tuple(places))
+
+
+def _under_both_pictures(frame: SimulatedFrame) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16]]:
+    """Return a frame under the bright picture, and under the dim one, which leaves the room's light as it is."""
+    bright = frame.image.astype(np.uint16)
+    room = SimulationSettings().ambient * frame.reflectance * np.sum(TYPICAL_CROSSTALK, axis=1, dtype=np.float32)
+    room_levels = _EXPOSURE * frame.white_level * cv2.GaussianBlur(room, (0, 0), LIGHT.blur_px)
+    return bright, np.rint(DIM * bright + (1 - DIM) * room_levels).astype(np.uint16)
 
 
 def simulated_instruments(
     wiring: RigSettings, arch: str, step: Callable[[str], None]
 ) -> tuple[Callable[[], tuple[Trigger, Camera]], Calibration]:
-    """Return what opens the simulated rig, and its calibration.
+    """Return what opens the simulated rig, and the calibration that its frames are decoded by.
+
+    That is the one that the file names, or else the one that the simulated rig has found by itself; never the true one.
 
     Parameters
     ----------
     wiring : RigSettings
-        Its exposure, and which outputs are wired back.
+        Its exposure, its calibration, whether its camera is a webcam, and which outputs are wired back.
     arch : str
         Where the frames are rendered, in a process of its own.
     step : callable
@@ -137,19 +241,28 @@ def simulated_instruments(
 
     Raises
     ------
+    CalibrationError
+        The calibration that the file names cannot be read.
     DeviceNotReady
         The machine lacks the arch.
     RenderError
         The process has died.
     """
-    scene = render_elsewhere(SceneTask(arch, _SIZE_PX, _POSES), step)
-
-    def render(picture: int, time_s: float) -> npt.NDArray[np.uint8]:
-        swing = abs((time_s / _SWING_S) % 1 - 0.5) * 2
-        return scene.poses[round(swing * (len(scene.poses) - 1))][picture]
+    webcam = wiring.camera.serial == WEBCAM
+    if wiring.calibration is not None and Path(wiring.calibration).exists():
+        calibration = Calibration.read(wiring.calibration)
+    else:
+        calibration = own_calibration()
+        if webcam:
+            calibration = calibration.model_copy(update={"capture": CameraState(transfer="srgb")})
+    is_ball = wiring.camera.serial == BALL
+    task = SceneTask(arch, 2, "ball") if is_ball else SceneTask(arch, _PLACES, "portrait")
+    scene = render_elsewhere(task, step)
+    camera = SimulatedCamera(scene, wiring.timing.period_s, webcam=webcam)
+    height, width = scene.places[0][0].shape[:2]
 
     def open_instruments() -> tuple[Trigger, Camera]:
-        devices = SimulatedInstruments.wired(render, _SIZE_PX, FrameFormat("rgb"), wiring)
+        devices = SimulatedInstruments.wired(camera.expose, (width, height), FrameFormat("rgb"), wiring)
         return devices.trigger, devices.camera
 
-    return open_instruments, scene.calibration
+    return open_instruments, calibration

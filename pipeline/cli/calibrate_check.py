@@ -36,7 +36,7 @@ def check(
     Parameters
     ----------
     capture
-        A picture of a smooth surface under the pattern; a folder of frames, one after another, for beat and motion; or
+        A picture of a smooth surface under the pattern, or a capture of one frame; a folder of frames, one after another, for beat and motion; or
         a folder with the captures that geometry is measured from, of anything, for the epipolar error.
     calibration
         The calibration in doubt.
@@ -47,24 +47,27 @@ def check(
     fix
         Write a calibration whose light is corrected by the picture.
     """
+    from pipeline.acquisition.capture_folder import RECORDING
     from pipeline.batch.job import with_transfer_of
     from pipeline.diagnosis.rig_check import check_captures, check_picture, check_sequence, holds_captures
     from pipeline.footage.opening import open_source
 
     if radius_mm is not None and shape != "ball":
         raise SettingsError("--radius-mm is a ball's: add --shape ball")
-    if capture.is_dir() and (shape is not None or fix is not None):
-        raise SettingsError(f"{capture} is a folder: --shape and --fix take one picture")
+    one_picture = shape is not None or fix is not None
     if fix is not None:
         check_target(fix, force=force)
     known = Calibration.read(calibration)
     chosen = read_settings(settings)
     if holds_captures(capture):
+        if one_picture:
+            raise SettingsError(f"{capture} holds captures of a calibration: --shape and --fix take one picture")
         _show_check(check_captures(capture, known, chosen))
         return
-    source = open_source(capture)
+    recorded = capture / RECORDING
+    source = open_source(recorded if recorded.is_dir() else capture)
     chosen, _ = with_transfer_of(source, chosen, known)
-    if capture.is_dir():
+    if capture.is_dir() and not one_picture:
         n_frames, changes = check_sequence(source, known, chosen, arch)
         _say_findings(changes.findings, f"{n_frames} frames: " + ("nothing found" if changes.notes else "fine"))
         for note in changes.notes:

@@ -79,6 +79,7 @@ def rig(
     display: Annotated[
         int | None, Parameter(validator=bounded(0), help="Which display it is, as `colorphase devices` numbers them.")
     ] = None,
+    serial: Annotated[str | None, Parameter(help="The camera's serial number, or a webcam's number.")] = None,
     force: Replace = False,
 ) -> None:
     """Write a rig.toml for some instruments, in which every key is explained, and what is to be filled in is marked.
@@ -93,13 +94,15 @@ def rig(
         The TOML file to make.
     """
     check_target(file, force=force)
-    text = rig_template(trigger, camera, None if projector == _NO_PROJECTOR else projector, display)
+    text = rig_template(trigger, camera, None if projector == _NO_PROJECTOR else projector, display, serial)
     write_atomically(file, text.encode())
     n_marked = text.count(f"  # {_FILL_IN}\n")
     say(f"wrote {file}: fill in the {n_marked} lines that end in {_FILL_IN}, and capture with --rig {file}")
 
 
-def rig_template(trigger: str, camera: str, control: str | None, display: int | None = None) -> str:
+def rig_template(
+    trigger: str, camera: str, control: str | None, display: int | None = None, serial: str | None = None
+) -> str:
     """Return a rig's file in which every key stands below what it means, a comment where it has its default.
 
     Parameters
@@ -110,6 +113,8 @@ def rig_template(trigger: str, camera: str, control: str | None, display: int | 
         The projector's; None: nothing switches it.
     display : int or None
         Which display the projector is; None: something else shows the pattern.
+    serial : str or None
+        The camera's serial number; None: the only camera there is.
 
     Raises
     ------
@@ -118,6 +123,7 @@ def rig_template(trigger: str, camera: str, control: str | None, display: int | 
     """
     _check_drivers(trigger, camera, control)
     given: dict[str, Any] = {"trigger.driver": trigger, "camera.driver": camera, "projector.display": display}
+    given["camera.serial"] = serial
     given["calibration"] = _EXAMPLES["calibration"]
     needed = {"timing.period_s", "camera.exposure_s"}
     if trigger in (SOFTWARE, SIMULATED):

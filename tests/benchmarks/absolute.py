@@ -14,7 +14,7 @@ from pipeline.errors import DecodeWarning
 from pipeline.output.report import measure_against_truth
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
-from tikernels.scene import scene_rendering as projection
+from tikernels.scene.scene_shapes import SHAPES
 
 #: What the frames differ by: surface and response, and blur (px) of the projector and of the camera.
 SURFACES = (("skin, gamma 2", 2.0, SKIN), ("white, gamma 1", 1.0, WHITE))
@@ -33,7 +33,7 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|---|")
     for blur in BLURS:
         for name, gamma, color in SURFACES:
-            for scene in projection.SCENES:
+            for scene in SHAPES:
                 row(scene, name, gamma, color, blur)
 
 

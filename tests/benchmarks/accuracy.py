@@ -9,7 +9,7 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.output.report import measure_against_truth
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
-from tikernels.scene import scene_rendering as projection
+from tikernels.scene.scene_shapes import SHAPES
 
 
 def main() -> None:
@@ -20,7 +20,7 @@ def main() -> None:
     print("| scene | surface | phase error, rad | constant, rad | coverage | wrong orders | depth error, mm |")
     print("|---|---|---|---|---|---|---|")
     for gamma, color, name in ((2.0, SKIN, "skin, gamma 2"), (1.0, WHITE, "white, gamma 1")):
-        for scene in projection.SCENES:
+        for scene in SHAPES:
             settings = SimulationSettings(scene=scene, gamma=gamma, reflectance=color)
             rig = simulated_rig()
             truth = simulate_frame(rig, settings)

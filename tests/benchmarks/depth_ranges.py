@@ -12,7 +12,7 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
-from tikernels.scene import scene_rendering
+from tikernels.scene.scene_shapes import SHAPES
 
 #: Depths that are off by more than this, mm, have another order.
 _OTHER_ORDER_MM = 15.0
@@ -39,7 +39,7 @@ def main() -> None:
     arch = parser.parse_args().arch
     runtime.init(arch)
     print("| scene | range, mm | holds it | absolute | absolute and wrong | told |\n|---|---|---|---|---|---|")
-    for scene in scene_rendering.SCENES:
+    for scene in SHAPES:
         rig, settings = simulated_rig(), SimulationSettings(scene=scene)
         truth = simulate_frame(rig, settings)
         depth = truth.points[..., 2][truth.mask]

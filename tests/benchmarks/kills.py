@@ -36,10 +36,10 @@ frames = {frames}
 driver = "simulated"
 exposure_s = 0.005
 """
-# A small scene, which is rendered at once.
+# Few places, which are rendered soon.
 CAPTURE = (
     "import sys; from pipeline.acquisition import simulated_capture as scene; from pipeline.cli.main import main;"
-    "scene._SIZE_PX, scene._POSES = (160, 120), 2; sys.argv[0] = 'colorphase'; main()"
+    "scene._PLACES = 2; sys.argv[0] = 'colorphase'; main()"
 )
 
 

@@ -25,7 +25,7 @@ from pipeline.simulation import (
     simulated_rig,
 )
 from tikernels import runtime
-from tikernels.scene import scene_rendering as projection
+from tikernels.scene.scene_shapes import SHAPES
 
 #: Bins of fewer pixels say nothing.
 _MIN_PX = 500
@@ -50,7 +50,7 @@ def main() -> None:
     print("| scene | surface | smoothing, px | all | modulation | distance to the edge | phase |")
     print("|---|---|---|---|---|---|---|")
     for gamma, color, name in ((2.0, SKIN, "skin, gamma 2"), (1.0, WHITE, "white, gamma 1")):
-        for scene in projection.SCENES:
+        for scene in SHAPES:
             truth = simulate_frame(
                 simulated_rig(), SimulationSettings(scene=scene, gamma=gamma, reflectance=color, seed=1)
             )
@@ -103,7 +103,7 @@ def random_frames(
     rng = np.random.default_rng(7)
     for _ in range(count):
         settings = SimulationSettings(
-            scene=str(rng.choice(projection.SCENES)),
+            scene=str(rng.choice(SHAPES)),
             gamma=rng.uniform(1, 2.4),
             reflectance=tuple(rng.uniform(0.3, 0.9, 3)),
             texture=rng.uniform(0, 0.3),

@@ -11,7 +11,7 @@ from pipeline import Calibration, DecodedFrame, Decoder, DecodeSettings
 from pipeline.errors import DecodeWarning
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels import runtime
-from tikernels.scene import scene_rendering as projection
+from tikernels.scene.scene_shapes import SHAPES
 
 
 def uncertain_frame(
@@ -22,7 +22,7 @@ def uncertain_frame(
     rig = simulated_rig(period_px=float(rng.uniform(12, 24)), code=code)
     blur, camera_blur = rng.choice([0.0, 0.0, 1.0, 2.0]), rng.choice([0.0, 0.0, 0.7, 1.0])
     settings = SimulationSettings(
-        scene=projection.SCENES[rng.integers(len(projection.SCENES))],
+        scene=SHAPES[rng.integers(len(SHAPES))],
         gamma=float(rng.choice([1.0, 1.6, 2.0, 2.4])),
         reflectance=SKIN if rng.random() < 0.5 else WHITE,
         projector_blur_px=(blur,) * 3,

@@ -34,7 +34,8 @@ from tikernels.errors import ShapeError
 from tikernels.launching import kernel
 from tikernels.scene.projector_light import light_at, projector_pixel
 from tikernels.scene.ray_casting import FAR_MM, ray_casting
-from tikernels.scene.scene_shapes import SCENES, at_rest, surface_color
+from tikernels.scene.scene_colors import scene_color
+from tikernels.scene.scene_shapes import SCENES, at_rest
 
 
 class SceneTruth(NamedTuple):
@@ -117,6 +118,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
     colours one after another, else 1.
     """
     trace, shadowed, normal_at = ray_casting(scene)
+    color_of = scene_color(scene)
 
     @ti.func
     def light_on(p: vec3, pose: vec4, centre: vec3, pixel: vec2, light: F32Array3, falloff: f32):
@@ -166,7 +168,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
                     depth = trace(ray, pose)
                     if depth < FAR_MM:
                         p = ray * depth
-                        reflectance = surface_color(at_rest(p, pose), surface)
+                        reflectance = color_of(at_rest(p, pose), surface)
                         pixel = projector_pixel(p, rotation, translation, optics)
                         lit, shade = light_on(p, pose, centre, pixel, light, falloff_mm)
                         irradiance = vec3(ambient)

@@ -1,4 +1,4 @@
-"""The scenes as signed distance fields in the camera's frame (mm), and their colour.
+"""The scenes as signed distance fields in the camera's frame (mm).
 
 A distance field is negative inside a surface, positive outside, and nowhere steeper than one, so that a ray may always
 go on by it. Shapes are joined and cut with fillets (I. Quilez, Smooth minimum, 2013,
@@ -10,10 +10,15 @@ from typing import Any
 
 from tikernels._taichi import f32, ti, vec3, vec4
 
-SCENES = ("bust", "plane", "waves", "objects", "ball")
+#: Shapes of one colour, nearly.
+SHAPES = ("bust", "plane", "waves", "objects", "ball")
+#: The portrait is the bust, painted as a person (`scene_colors.py`).
+SCENES = (*SHAPES, "portrait")
 
 # Depth of the upright axis that objects turn about.
 _AXIS_MM = 880.0
+# Further than this from what holds the bust its own distance is not worth computing; a film renders a fifth faster.
+_AROUND_MM = 10.0
 
 
 @ti.func
@@ -77,22 +82,16 @@ def bust(p: vec3) -> f32:
 
 
 @ti.func
-def wall(p: vec3, depth_mm: f32) -> f32:
-    """Distance to a wall that leans back a little."""
-    return (depth_mm + 0.06 * p.x - 0.04 * p.y - p.z) / ti.sqrt(1.0 + 0.06 * 0.06 + 0.04 * 0.04)
+def around_bust(p: vec3) -> f32:
+    """Distance to a sphere that holds the head, and to a corner that holds neck and shoulders."""
+    sphere = (p - vec3(0.0, -25.0, 845.0)).norm() - 122.0
+    return ti.min(sphere, ti.max(764.0 - p.z, 85.0 - p.y))
 
 
 @ti.func
-def surface_color(p: vec3, surface: vec4) -> vec3:
-    """Reflectance that varies slowly by +-texture, with one redder, darker blotch of some 30 mm.
-
-    `surface` is the reflectance in the camera's channels, and the texture.
-    """
-    color, texture = vec3(surface.x, surface.y, surface.z), surface.w
-    slow = ti.sin(0.021 * p.x + 0.4) * ti.cos(0.026 * p.y + 0.011 * p.x)
-    blotch = ti.exp(-((p.x - 35.0) ** 2 + (p.y - 15.0) ** 2) / 800.0)
-    tint = vec3(0.10, 0.35, 0.35) * blotch
-    return color * (1.0 + texture * slow) * (1.0 - ti.min(4.0 * texture, 1.0) * tint)
+def wall(p: vec3, depth_mm: f32) -> f32:
+    """Distance to a wall that leans back a little."""
+    return (depth_mm + 0.06 * p.x - 0.04 * p.y - p.z) / ti.sqrt(1.0 + 0.06 * 0.06 + 0.04 * 0.04)
 
 
 @ti.func
@@ -114,6 +113,16 @@ def scene_distance(scene: str) -> Any:
         @ti.func
         def distance_to(p: vec3, pose: vec4) -> f32:
             return ti.min(bust(at_rest(p, pose)), wall(p, 985.0))
+
+    elif scene == "portrait":
+
+        @ti.func
+        def distance_to(p: vec3, pose: vec4) -> f32:
+            q = at_rest(p, pose)
+            distance = around_bust(q)
+            if distance < _AROUND_MM:
+                distance = bust(q)
+            return ti.min(distance, wall(p, 985.0))
 
     elif scene == "plane":
 

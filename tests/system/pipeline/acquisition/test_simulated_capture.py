@@ -5,41 +5,124 @@ from functools import partial
 
 import numpy as np
 import pytest
+import reference
+from support.portrait_figures import WALL_FROM_MM, portrait_figures
 
 from pipeline import Decoder
 from pipeline.acquisition import simulated_capture
 from pipeline.acquisition.simulated_capture import (
     SETTINGS,
+    WEBCAM,
+    Scene,
     SceneTask,
+    SimulatedCamera,
+    place_at,
     render_elsewhere,
     render_scene,
+    simulate_place,
     simulated_instruments,
+    through_a_webcam,
+    turn_deg,
 )
-from pipeline.errors import RenderError
+from pipeline.errors import CalibrationError, RenderError
+from pipeline.simulation import own_calibration, simulated_truth
 from tikernels.errors import DeviceNotReady
 
-SMALL = SceneTask("cpu", (80, 60), 2)
+SMALL = SceneTask("cpu", 2, "portrait")
+PERIOD_S = SETTINGS.timing.period_s
 
 
-@pytest.mark.usefixtures("cpu")
-def test_a_bust_that_turns_before_a_pattern_that_takes_turns(monkeypatch):
+@pytest.fixture
+def rendered_here(monkeypatch):
+    """Let there be two places, rendered in this process."""
+    monkeypatch.setattr(simulated_capture, "_PLACES", 2)
+    monkeypatch.setattr(simulated_capture, "render_elsewhere", render_scene)
+
+
+@pytest.mark.usefixtures("cpu", "rendered_here")
+def test_a_head_that_turns_before_alternating_pictures():
     """The second picture has 0.85 of the light, and decodes to the same phase."""
-    monkeypatch.setattr(simulated_capture, "_SIZE_PX", (320, 240))
-    monkeypatch.setattr(simulated_capture, "_POSES", 2)
     told = []
     open_instruments, calibration = simulated_instruments(SETTINGS, "cpu", told.append)
-    assert told[-2:] == ["simulating pose 1 of 2", "simulating pose 2 of 2"]
+    assert told[-2:] == ["simulating place 1 of 2", "simulating place 2 of 2"]
     trigger, camera = open_instruments()
-    assert trigger.limits.counts_strobes and camera.limits.size_px == (320, 240)
-    bright, dim, turned = (camera._expose(time_s) for time_s in (0.0, 0.0, 1.0))
+    assert trigger.limits.counts_strobes and camera.limits.size_px == (640, 480)
+    bright, again, turned = (camera._expose(time_s) for time_s in (0.0, 2 * PERIOD_S, PERIOD_S))
     trigger.projector(0.0)
     dim = camera._expose(0.0)
-    lit = bright.mean(axis=-1) > 60
+    lit = (bright.mean(axis=-1) > 60) & (bright.max(axis=-1) < 255)
     assert np.median(dim[lit] / bright[lit]) == pytest.approx(0.85, abs=0.02)
     assert np.abs(turned.astype(int) - bright)[lit].mean() > 5
+    # Fresh noise of 1.5 levels in each of two frames, rounded.
+    assert (again.astype(float) - bright)[lit].std() == pytest.approx(np.sqrt(2 * (1.5**2 + 1 / 12)), rel=0.05)
     decoder = Decoder(calibration=calibration, arch="cpu")
     phases = [decoder.decode(image).wrapped_phase for image in (bright, dim)]
     assert np.nanmedian(np.abs(np.angle(np.exp(1j * (phases[0] - phases[1]))))) < 0.05
+
+
+def test_the_head_turns_by_a_place_per_frame():
+    """To and fro, in bursts that begin whenever they like, also where times are rounded."""
+    assert [place_at(number * 1.0, 1.0, 4) for number in range(8)] == [0, 1, 2, 3, 2, 1, 0, 1]
+    times_s = 1234.5678 + PERIOD_S * np.arange(500) + 0.001
+    places = [place_at(time_s, PERIOD_S, 21) for time_s in times_s]
+    assert set(np.abs(np.diff(places))) == {1}
+    assert turn_deg(0, 21) == -turn_deg(20, 21) == -2.0 and turn_deg(10, 21) == pytest.approx(0)
+
+
+@pytest.mark.usefixtures("cpu")
+def test_the_brightest_skin_reaches_nine_tenths():
+    """Half a per cent of the head may be brighter."""
+    frame = simulate_place(1, 3)
+    head = frame.mask & (frame.points[..., 2] < WALL_FROM_MM)
+    brightest = np.quantile(frame.image[head].max(axis=-1), 0.995) / frame.white_level
+    assert brightest == pytest.approx(0.9, abs=0.02)
+
+
+@pytest.mark.usefixtures("cpu")
+def test_depth_by_its_own_calibration():
+    """Within 0.5 mm RMS and 0.3 mm of bias away from silhouettes, of 850 mm; nothing of the truth is known."""
+    place, n_places = 1, 3
+    truth = simulate_place(place, n_places)
+    scene = Scene(((truth.image, truth.image),) * n_places)
+    frame = SimulatedCamera(scene, PERIOD_S, webcam=False).expose(0, 0.0)
+    figures = portrait_figures(Decoder(calibration=own_calibration(), arch="cpu").decode(frame), truth)
+    assert figures.coverage > 0.85 and figures.coverage_inside > 0.93
+    assert figures.right_orders > 0.99
+    assert figures.rms_inside_mm < 0.5 and abs(figures.bias_inside_mm) < 0.3
+
+
+@pytest.mark.usefixtures("cpu", "rendered_here")
+def test_the_calibration_is_its_own_or_the_files(tmp_path):
+    _, calibration = simulated_instruments(SETTINGS, "cpu", lambda step: None)
+    assert calibration.digest() == own_calibration().digest()
+    simulated_truth().write(tmp_path / "other.json")
+    named = SETTINGS.model_copy(update={"calibration": str(tmp_path / "other.json")})
+    _, calibration = simulated_instruments(named, "cpu", lambda step: None)
+    assert calibration.digest() == simulated_truth().digest()
+    missing = SETTINGS.model_copy(update={"calibration": str(tmp_path / "missing.json")})
+    with pytest.raises(CalibrationError, match=r"missing\.json"):
+        simulated_instruments(missing, "cpu", lambda step: None)
+
+
+@pytest.mark.usefixtures("cpu", "rendered_here")
+def test_a_webcam_encodes_light_and_its_calibration_says_so():
+    """Linear light comes back to 3 %, two levels and what JPEG leaves; to 10 % where it was sharpened."""
+    webcam = SETTINGS.model_copy(update={"camera": SETTINGS.camera.model_copy(update={"serial": WEBCAM})})
+    open_instruments, calibration = simulated_instruments(webcam, "cpu", lambda step: None)
+    assert calibration.capture.transfer == "srgb"
+    frame = open_instruments()[1]._expose(0.0)
+    truth = simulate_place(0, 2)
+    lit = reference.eroded(truth.mask, 4) & (truth.image.min(axis=-1) > 0.1 * truth.white_level)
+    light = np.where(frame <= 10.31, frame / 255 / 12.92, ((frame / 255 + 0.055) / 1.055) ** 2.4)
+    off = light[lit] / (truth.image[lit] / truth.white_level) - 1
+    assert abs(np.median(off)) < 0.03 and np.abs(off).mean() < 0.1
+
+
+@pytest.mark.parametrize(("light", "level"), [(0.0, 0), (0.001, 3), (0.214, 127), (1.0, 255)])
+def test_the_tone_curve_of_even_light(light, level):
+    """IEC 61966-2-1, to one level that JPEG may leave."""
+    even = np.full((16, 16, 3), round(light * 65535), np.uint16)
+    np.testing.assert_allclose(through_a_webcam(even), level, atol=1)
 
 
 @pytest.fixture
@@ -59,15 +142,14 @@ def started(monkeypatch):
 def test_it_renders_what_this_process_would():
     told = []
     elsewhere, here = render_elsewhere(SMALL, told.append), render_scene(SMALL, lambda step: None)
-    assert told[0] == "starting the simulation" and told[-1] == "simulating pose 2 of 2"
-    assert elsewhere.calibration.digest() == here.calibration.digest()
-    for there, expected in zip(elsewhere.poses, here.poses, strict=True):
+    assert told[0] == "starting the simulation" and told[-1] == "simulating place 2 of 2"
+    for there, expected in zip(elsewhere.places, here.places, strict=True):
         assert np.array_equal(there, expected)
 
 
 def test_an_error_in_it_is_the_same_here():
     with pytest.raises(DeviceNotReady, match="warp-drive"):
-        render_elsewhere(SceneTask("warp-drive", (80, 60), 2), lambda step: None)
+        render_elsewhere(SceneTask("warp-drive", 2, "ball"), lambda step: None)
 
 
 @pytest.mark.parametrize("death", ["by itself", "interrupted"])

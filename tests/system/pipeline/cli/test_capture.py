@@ -6,7 +6,9 @@ import pytest
 
 from pipeline.acquisition import simulated_capture
 from pipeline.acquisition.capture_folder import CaptureProgress
+from pipeline.calibration import Calibration
 from pipeline.cli.capture import _frames, _line
+from pipeline.footage.opening import open_source
 
 SIMULATED = """
 [trigger]
@@ -23,9 +25,8 @@ exposure_s = 0.01
 
 @pytest.fixture
 def small(monkeypatch):
-    """Let the simulated rig render less than a real one shows."""
-    monkeypatch.setattr(simulated_capture, "_SIZE_PX", (160, 120))
-    monkeypatch.setattr(simulated_capture, "_POSES", 2)
+    """Let the simulated rig render two places."""
+    monkeypatch.setattr(simulated_capture, "_PLACES", 2)
 
 
 def test_bursts_of_a_simulated_rig_are_recorded_and_the_next_command_is_said(command, small, tmp_path):
@@ -39,6 +40,14 @@ def test_bursts_of_a_simulated_rig_are_recorded_and_the_next_command_is_said(com
     )
     events = [json.loads(line) for line in (tmp_path / "face" / "log.jsonl").read_text().splitlines()]
     assert [event["pulse"] for event in events if event["event"] == "frame"] == [0, 1, 2, 0, 1, 2]
+
+
+def test_a_simulated_webcam_is_recorded_with_its_transfer(command, small, tmp_path):
+    (tmp_path / "rig.toml").write_text(SIMULATED + 'serial = "webcam"', encoding="utf-8")
+    ended, _, complained = command("capture", "--rig", "rig.toml", "--out", "face", "--arch", "cpu")
+    assert ended == 0, complained
+    assert open_source(tmp_path / "face" / "recording.zarr").transfer == "srgb"
+    assert Calibration.read(tmp_path / "face" / "calibration.json").capture.transfer == "srgb"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import reference
 from pipeline import Decoder, DecodeSettings, DecodeWarning
 from pipeline.pattern import CHANNEL_PHASES, CONTRASTS, cycle_contrasts
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
-from tikernels.scene import scene_rendering as projection
+from tikernels.scene.scene_shapes import SHAPES
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -40,7 +40,7 @@ def shares(frame, truth):
     return (known & ~wrong).sum() / lit.sum(), wrong.sum() / lit.sum()
 
 
-@pytest.mark.parametrize("scene", projection.SCENES)
+@pytest.mark.parametrize("scene", SHAPES)
 @pytest.mark.parametrize(("gamma", "reflectance"), [(2.0, SKIN), (1.0, WHITE)])
 def test_every_scene(arch, scene, gamma, reflectance):
     size = FULL if scene == "objects" else SIZE
@@ -168,7 +168,7 @@ def test_a_coded_frame_decoded_as_plain():
 
 
 def test_a_plain_frame_shows_no_code():
-    for scene in projection.SCENES:
+    for scene in SHAPES:
         truth, calibration = simulated(scene, code=None)
         decoder = Decoder(DecodeSettings(), calibration, arch="cpu")
         frame = decoder.decode(truth.image)

@@ -8,7 +8,7 @@ import reference
 
 from pipeline.simulation import SKIN, TYPICAL_CROSSTALK, WHITE, SimulatedFrame, SimulationSettings, simulate_frame
 from pipeline.simulation import simulated_rig as rig
-from tikernels.scene.scene_rendering import SCENES
+from tikernels.scene.scene_shapes import SHAPES
 
 #: A rig without a fault: what is left is the light itself.
 IDEAL: dict[str, Any] = {
@@ -41,7 +41,7 @@ def error_harmonics(**faults: Any) -> np.ndarray:
     return reference.harmonics(*phase_error(photograph(**faults)))
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", SHAPES)
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
 def test_an_ideal_frame_shows_its_phase(arch, scene, stripes):
     """The plain arctangent is right to 0.003 rad, 0.02 mm; exposed so that nothing clips."""
@@ -52,7 +52,7 @@ def test_an_ideal_frame_shows_its_phase(arch, scene, stripes):
     assert np.abs(error).max() < 0.003
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", SHAPES)
 @pytest.mark.parametrize("stripes", ["horizontal", "vertical"])
 def test_points_project_to_the_phase(arch, scene, stripes):
     """Through both lenses, tilted and distorted, in float64: 1e-3 rad is 7 um."""

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tikernels._taichi import F32Array1, F32Array2, ti, vec3, vec4
-from tikernels.scene.scene_shapes import SCENES, at_rest, scene_distance, surface_color
+from tikernels.scene.scene_shapes import SCENES, scene_distance
 
 
 def distances(scene: str, points: np.ndarray, pose=(0.0, 0.0, 0.0, 0.0)) -> np.ndarray:
@@ -65,20 +65,3 @@ def test_objects_move_and_turn_about_their_axis(arch):
     x, y, z = centred.T
     moved = np.column_stack([c * x + s * z + 5, y - 3, c * z - s * x + 880 + 7])
     np.testing.assert_allclose(distances("objects", moved, (5, -3, 7, angle)), distances("objects", points), atol=2e-3)
-
-
-@ti.kernel
-def color_kernel(texture: ti.f32, out: F32Array2):
-    for i in range(out.shape[0]):
-        p = at_rest(vec3(3.0 * i, 2.0 * i, 880.0), vec4(0.0))
-        color = surface_color(p, vec4(0.6, 0.5, 0.4, texture))
-        for k in ti.static(range(3)):
-            out[i, k] = color[k]
-
-
-def test_colour_without_texture_is_even(arch):
-    colors = np.empty((50, 3), np.float32)
-    color_kernel(0.0, colors)
-    np.testing.assert_allclose(colors, np.tile([0.6, 0.5, 0.4], (50, 1)), rtol=1e-6)
-    color_kernel(0.1, colors)
-    assert 0.05 < np.ptp(colors[:, 0]) / 0.6 < 0.25
