@@ -36,8 +36,9 @@ def check(
     Parameters
     ----------
     capture
-        A picture of a smooth surface under the pattern, or a capture of one frame; a folder of frames, one after another, for beat and motion; or
-        a folder with the captures that geometry is measured from, of anything, for the epipolar error.
+        A picture of a smooth surface under the pattern, or a capture of one frame; a folder of frames, one after
+        another, for beat and motion; or a folder with the captures that geometry is measured from, of anything, for the
+        epipolar error.
     calibration
         The calibration in doubt.
     shape
