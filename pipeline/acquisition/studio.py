@@ -49,6 +49,17 @@ class Studio(Protocol):
     def projector_px(self) -> tuple[int, int]:
         """Width and height of the projector's pictures."""
 
+    @property
+    def exposures_s(self) -> tuple[float, float]:
+        """Shortest and longest exposure at the present frame rate."""
+
+    @property
+    def is_mosaic(self) -> bool:
+        """Whether frames are developed from a Bayer mosaic, whose pixels see one colour each."""
+
+    def set_camera(self, exposure_s: float, gain_db: float) -> float:
+        """Set exposure and gain, and return the exposure as read back; the camera starts afresh."""
+
     def now_s(self) -> float:
         """Return the time."""
 
@@ -79,7 +90,7 @@ class RigStudio:
     settings : RigSettings
         The rig.
     open_instruments : callable
-        Opens its trigger source and its camera.
+        Opens the trigger source and the camera of a rig's settings.
     display : int, optional
         Which display the projector is; None: the only one there is.
     picture : Path
@@ -96,22 +107,26 @@ class RigStudio:
     def __init__(
         self,
         settings: RigSettings,
-        open_instruments: Callable[[], tuple[Trigger, Camera]],
+        open_instruments: Callable[[RigSettings], tuple[Trigger, Camera]],
         display: int | None,
         picture: Path,
         tell: Callable[[str], None],
     ) -> None:
         self._picture, self._tell = picture, tell
+        timing = settings.timing.model_copy(update={"frames": FRAMES})
+        projector = settings.projector.model_copy(update={"alternating": False})
+        self._settings = settings.model_copy(update={"timing": timing, "projector": projector})
+        self._open_instruments = open_instruments
         self._display = Display(display)
         try:
-            timing = settings.timing.model_copy(update={"frames": FRAMES})
-            projector = settings.projector.model_copy(update={"alternating": False})
-            self._rig = Rig(
-                settings.model_copy(update={"timing": timing, "projector": projector}), open_instruments
-            )
+            self._open()
         except BaseException:
             self._display.close()
             raise
+
+    def _open(self) -> None:
+        settings = self._settings
+        self._rig = Rig(settings, lambda: self._open_instruments(settings))
         self._bursts = self._rig.bursts()
         self._format = pixel_format(self._rig.camera.limits.format)
 
@@ -119,6 +134,32 @@ class RigStudio:
     def projector_px(self) -> tuple[int, int]:
         """Width and height of the projector's pictures."""
         return self._display.size_px
+
+    @property
+    def exposures_s(self) -> tuple[float, float]:
+        """Shortest and longest exposure; see `Studio`."""
+        camera = self._rig.camera
+        shortest_s, longest_s = camera.limits.exposure_s
+        readout_s = camera.limits.min_period_s - camera.exposure_s
+        return shortest_s, min(longest_s, self._settings.timing.period_s - readout_s)
+
+    @property
+    def is_mosaic(self) -> bool:
+        """Whether frames are developed from a mosaic; see `Studio`."""
+        return self._rig.camera.limits.format.layout == "bayer"
+
+    def set_camera(self, exposure_s: float, gain_db: float) -> float:
+        """Set exposure and gain; see `Studio`.
+
+        Drivers set a camera up when they open it, so it is opened again. Exposures off the colour cycle are allowed
+        here, because the cycle is found by them.
+        """
+        camera = self._settings.camera.model_copy(update={"exposure_s": exposure_s, "gain_db": gain_db})
+        projector = self._settings.projector.model_copy(update={"colour_cycle_s": None})
+        self._settings = self._settings.model_copy(update={"camera": camera, "projector": projector})
+        self._rig.close()
+        self._open()
+        return self._rig.camera.exposure_s
 
     def now_s(self) -> float:
         """Return the time."""
@@ -134,9 +175,7 @@ class RigStudio:
 
     def take(self) -> list[ImageArray]:
         """Return frames; see `Studio`."""
-        return [
-            np.array(develop((frame.image,), self._format)) for frame in next(self._bursts).frames
-        ]
+        return [np.array(develop((frame.image,), self._format)) for frame in next(self._bursts).frames]
 
     def guide(self, guidance: Guidance) -> None:
         """Write the operator's picture; see `Studio`."""

@@ -136,7 +136,7 @@ def _capturing(rig: str, out: Path, display: int | None, board: Board | None) ->
         else:
             check_projector(settings, rig)
             runtime.init("cpu")
-            studio = RigStudio(settings, lambda: open_instruments(settings), display, out / GUIDE, show)
+            studio = RigStudio(settings, open_instruments, display, out / GUIDE, show)
         try:
             identity = {"camera": settings.camera.model_dump(mode="json")}
             if board is not None:
