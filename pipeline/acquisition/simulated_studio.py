@@ -5,7 +5,7 @@ own. The calibration is to be found from the pictures alone.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 
 import cv2
@@ -50,7 +50,7 @@ class StudioFaults:
     focus_px: float = 0.0  # sigma of the projector's blur, of its own px
     light: float = 1.0  # part of the projector's light that the exposure at the start sees
     room: float = 0.0  # room light, of full scale at the exposure at the start; it flickers at 100 Hz
-    camera: CameraFaults = CameraFaults()
+    camera: CameraFaults = field(default_factory=CameraFaults)
     bow_mm: float = 0.0  # of the board
     dims: float = 0.0  # part of the projector's light that is lost in a minute
     moved_from: int | None = None  # from which pose on the camera's lens has another focal length, by three thousandths

@@ -19,7 +19,6 @@ from hardware.settings import RigSettings
 from pipeline.acquisition.capture_folder import pixel_format
 from pipeline.files import write_atomically
 from pipeline.models import FloatArray, ImageArray
-from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import WHITE_LEVELS
 

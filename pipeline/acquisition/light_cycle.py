@@ -1,0 +1,173 @@
+"""Measure with which period a projector's light repeats, and whether its colours come one after another.
+
+Light w(t) of period T, exposed for e from the time t on, makes L(t, e), the integral of w. Where e is a whole number of
+periods L is the same for every t. Elsewhere it varies from frame to frame, by an amount that depends on e modulo T
+only. So the range of L over frames that begin at any time, as a function of the exposure, has the period T and its
+zeros at whole numbers of it.
+
+The picture is of vertical bars. Light of the room falls on the dark bars as on the lit ones, so it is subtracted frame
+by frame, and its own variation is measured at the same time.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.acquisition.rig_faults import RigProbe, shares
+from pipeline.acquisition.studio import Studio
+from pipeline.models import FloatArray
+
+# Width of a bar, projector px: wide enough that most of its pixels see no other bar, even out of focus.
+_BAR_PX = 64
+# Pixels of lit and dark bars have more and less than these parts of the brightest pixels' light.
+_IN_BAR, _BETWEEN = 0.5, 0.15
+# Bands of rows: with a rolling shutter each sees another time.
+_BANDS = 4
+# A camera that runs freely may keep its time to the projector, so it is started anew this often per exposure, and takes
+# frames this often from then on; and how often where the period is refined: of an alternation that is dark for a fifth
+# of the time one frame in 200 series misses it.
+_STARTS, _TAKES, _MORE_STARTS = 3, 2, 6
+# Exposures that are tried, evenly spread; and the shortest one and the longest period, s: colour wheels of 12 cycles
+# per picture at 60 Hz, and video of 48 Hz.
+_EXPOSURES, _SHORTEST_S, _LONGEST_S = 48, 0.0012, 0.021
+# Step of the periods that are compared: the longest exposure has at most 30 of them, whose phase it moves by less than
+# a twentieth.
+_STEP = 0.0015
+# The light repeats where the period explains this part of the range's variance; of noise the best of all periods
+# explains a half.
+_EXPLAINED = 0.7
+# Parts of a period, before and after a whole number of them, at which the zero between is found by proportion.
+_ASIDE = (0.1, 0.03)
+# Light that varies less than this, of its mean, is constant: a thousandth makes a phase error of 0.002 rad.
+_CONSTANT = 0.001
+
+
+@dataclass(frozen=True)
+class Variation:
+    """Variation of the light from frame to frame, as parts of the projector's mean light."""
+
+    projector: FloatArray  # (3,) range of each channel
+    sigma: float  # standard deviation of the channel that varies most
+    room: float  # standard deviation of the light on dark bars
+    correlation: float  # least one of two channels
+    light: float  # mean of the projector's light on lit bars, of full scale
+
+
+@dataclass(frozen=True)
+class LightCycle:
+    """Period of a projector's light."""
+
+    period_s: float
+    in_turns: bool  # the colours come one after another
+
+    def nearest_s(self, exposure_s: float) -> float:
+        """Return the whole number of periods nearest to an exposure."""
+        return max(1, round(exposure_s / self.period_s)) * self.period_s
+
+
+class FlashMeter:
+    """Measures how the light of bars varies from frame to frame.
+
+    Parameters
+    ----------
+    probe : RigProbe
+        Projector and camera; `look` was called.
+    code : float
+        Of the lit bars; no exposure may saturate them.
+    exposure_s, gain_db : float
+        Of the camera while bars are told apart.
+    to_light : callable
+        The inverse of the camera's tone curve.
+    """
+
+    def __init__(
+        self,
+        probe: RigProbe,
+        code: float,
+        exposure_s: float,
+        gain_db: float,
+        to_light: Callable[[FloatArray], FloatArray],
+    ) -> None:
+        self._studio: Studio = probe.studio
+        self._to_light = to_light
+        self._gain_db = gain_db
+        width, height = self._studio.projector_px
+        bars = (np.arange(width) // _BAR_PX % 2)[None, :, None] * np.full(3, code)
+        self._studio.set_camera(exposure_s, gain_db)
+        frames = probe.frames(np.broadcast_to(bars, (height, width, 3)), 2)
+        light = np.mean(frames, axis=0).mean(axis=-1)
+        low, high = np.percentile(light[probe.lit], (1, 99))
+        self._bright = probe.lit & (light > low + _IN_BAR * (high - low))
+        self._dark = probe.lit & (light < low + _BETWEEN * (high - low))
+
+    def variation(self, exposure_s: float, starts: int = _STARTS) -> Variation:
+        """Return the variation at an exposure."""
+        series = []
+        for _ in range(starts):
+            self._studio.set_camera(exposure_s, self._gain_db)
+            self._studio.sleep(0.5)
+            for _ in range(_TAKES):
+                series += [self._bands(self._to_light(shares(frame))) for frame in self._studio.take()]
+        bright, dark = np.moveaxis(np.array(series), 1, 0)  # each (frames, bands, 3)
+        light = bright - dark
+        mean = light.mean(axis=0)
+        relative = (light / mean - 1).reshape(-1, 3)
+        room = ((dark - dark.mean(axis=0)) / mean).mean(axis=-1)
+        correlation = np.corrcoef(relative.T)
+        return Variation(
+            projector=np.ptp(relative, axis=0),
+            sigma=float(relative.std(axis=0).max()),
+            room=float(room.std()),
+            correlation=float(correlation[np.triu_indices(3, 1)].min()),
+            light=float(light.mean()),
+        )
+
+    def _bands(self, frame: FloatArray) -> FloatArray:
+        """Return the mean levels of lit and dark bars, (2, bands, 3), of bands of rows with equally many lit pixels."""
+        rows = np.cumsum(self._bright.sum(axis=1))
+        edges = np.searchsorted(rows, rows[-1] * np.arange(1, _BANDS) / _BANDS)
+        bands = zip(*(np.split(values, edges) for values in (frame, self._bright, self._dark)), strict=True)
+        return np.array([[part[lit].mean(axis=0), part[dark].mean(axis=0)] for part, lit, dark in bands]).swapaxes(0, 1)
+
+    def cycle(self, tell: Callable[[str], None] = lambda line: None) -> LightCycle | None:
+        """Return the cycle of the light; None: the light is constant, or repeats with no period that cameras see."""
+        shortest_s, longest_s = self._studio.exposures_s
+        exposures_s = np.linspace(max(shortest_s, _SHORTEST_S), longest_s, _EXPOSURES)
+        found = []
+        for number, exposure_s in enumerate(exposures_s, start=1):
+            tell(f"exposure {number} of {_EXPOSURES}")
+            found.append(self.variation(float(exposure_s)))
+        ranges = np.array([each.projector.max() for each in found])
+        if np.percentile(ranges, 75) < _CONSTANT:
+            return None
+        period_s = _period(exposures_s, exposures_s * ranges)
+        if period_s is None:
+            return None
+        varies = [each for each in found if each.projector.max() > np.median(ranges)]
+        in_turns = float(np.median([each.correlation for each in varies])) < 0.5
+        for aside in _ASIDE:
+            period_s = self._refined(period_s, aside)
+        return LightCycle(period_s, in_turns)
+
+    def _refined(self, period_s: float, aside: float) -> float:
+        """Return a period whose whole number lies where the range, which grows in proportion on both sides, is zero."""
+        whole = max(1, int((self._studio.exposures_s[1] / period_s) - aside))
+        below_s, above_s = (whole - aside) * period_s, (whole + aside) * period_s
+        below, above = (
+            exposure_s * self.variation(exposure_s, _MORE_STARTS).projector.max() for exposure_s in (below_s, above_s)
+        )
+        return float(below_s + (above_s - below_s) * below / (below + above)) / whole
+
+
+def _period(exposures_s: FloatArray, ranges: FloatArray) -> float | None:
+    """Return the period of a function of the exposure, by its first two harmonics; None: it has none."""
+    best = 1 - _EXPLAINED, None
+    total = ((ranges - ranges.mean()) ** 2).sum()
+    for period_s in np.exp(np.arange(np.log(_SHORTEST_S), np.log(_LONGEST_S), _STEP)):
+        angle = 2 * np.pi * exposures_s / period_s
+        model = np.stack([np.ones_like(angle), np.cos(angle), np.cos(2 * angle)], axis=1)
+        part = ((ranges - model @ np.linalg.lstsq(model, ranges, rcond=None)[0]) ** 2).sum() / total
+        if part < best[0]:
+            best = part, float(period_s)
+    return best[1]
