@@ -4,6 +4,7 @@ Each test compares two pictures, or two parts of one, that an unprocessed camera
 them in a known direction, and processing in the other one, so that most limits are as low as the noise allows.
 """
 
+from itertools import pairwise
 from math import expm1, log, pi, sqrt
 
 import cv2
@@ -20,6 +21,8 @@ _PATCH = 0.45
 # light makes it brighter, and more like its surroundings, never less; what remains is noise of 0.001 and a projector's
 # supply that gives way to a bright picture.
 _MAX_CHANGE = 0.02
+# Pixels within half of this part of the picture's width from others may see both: lenses out of focus mix them.
+_RIM = 0.06
 # Parts of the light on both sides of an edge: both leave room for levels beyond them.
 _EDGE = (0.25, 0.6)
 # Width of the bars whose edges are seen, projector px; distances from an edge, camera px, at which overshoot is sought;
@@ -32,13 +35,14 @@ _MAX_OVERSHOOT = 0.02
 _MIN_CORRELATION = -0.03
 # Noise below this variance, of full scale, is that of levels: a fifth of 8 bits.
 _LEAST_VARIANCE = (0.2 / 255) ** 2
-# Steps across the borders of blocks of 8 px are larger than others by this part: of noise alone they are by 0.01.
-_BLOCK_PX, _MAX_BLOCKS = 8, 0.1
+# Steps of the noise across the borders of blocks of 8 px are larger than others by this part, in frames taken so often;
+# those of a sensor are by 0.01.
+_BLOCK_PX, _MAX_BLOCKS, _NOISE_TAKES = 8, 0.1, 3
 # Steps of colour between pixels 2n and 2n+1 against those between 2n+1 and 2n+2: alike, but where colour is stored for
 # every second pixel. JPEG of full chroma makes a difference of 0.02.
 _MAX_PAIRS = 0.06
-# A step where there is no noise at all, of full scale: a tenth of a level of 8 bits.
-_LEAST_STEP = 0.1 / 255
+# A step where there is no noise at all, of full scale: a thousandth of a level of 8 bits.
+_LEAST_STEP = 0.001 / 255
 # Camera px per spot of colour: the finest that the camera resolves.
 _SPOT_PX = 2.0
 # Fringes of the working period have this part of the contrast of coarse ones, where noise is 1.4 times that in focus.
@@ -83,8 +87,10 @@ class CameraEffects:
 
     def auto_exposure(self) -> RigFault | None:
         """Return the fault that a patch becomes darker when its surroundings become bright."""
-        among_black, patch = self._patch_among(0.0)
-        among_white, _ = self._patch_among(1.0)
+        patch = self._patch()
+        if not patch.any():
+            return None
+        among_black, among_white = self._patch_among(0.0), self._patch_among(1.0)
         change = float(among_white[patch].mean() / among_black[patch].mean()) - 1
         if change >= -_MAX_CHANGE:
             return None
@@ -97,8 +103,10 @@ class CameraEffects:
 
     def auto_white_balance(self) -> RigFault | None:
         """Return the fault that a grey patch loses red when its surroundings become red."""
-        among_white, patch = self._patch_among(1.0)
-        among_red, _ = self._patch_among(np.array([1.0, 0.0, 0.0]))
+        patch = self._patch()
+        if not patch.any():
+            return None
+        among_white, among_red = self._patch_among(1.0), self._patch_among(np.array([1.0, 0.0, 0.0]))
         before, after = (
             seen[patch].mean(axis=0)[0] / seen[patch].mean(axis=0)[1:].mean() for seen in (among_white, among_red)
         )
@@ -125,10 +133,13 @@ class CameraEffects:
         )
 
     def compression(self) -> RigFault | None:
-        """Return the fault that steps are larger where blocks of 8 px meet."""
-        frame = self._probe.frames(self._probe.field(0.7 * self._code), 1)[-1].mean(axis=-1)
+        """Return the fault that the noise has larger steps where blocks of 8 px meet; the scene is subtracted."""
+        frames = [
+            frame.mean(axis=-1) for frame in self._probe.frames(self._probe.field(0.7 * self._code), _NOISE_TAKES)
+        ]
+        noise = [second - first for first, second in pairwise(frames)]
         excess = 0.0
-        for steps in _steps(frame, self._probe.lit):
+        for steps in np.mean([_steps(each, self._probe.lit) for each in noise], axis=0):
             # Of a mosaic, steps after even pixels differ from those after odd ones.
             alike = np.array([np.delete(steps[n % 2 :: 2], n // 2).mean() for n in range(_BLOCK_PX)])
             excess = max(excess, float((steps / np.maximum(alike, _LEAST_STEP)).max()) - 1)
@@ -136,7 +147,7 @@ class CameraEffects:
             return None
         return RigFault(
             "compression",
-            f"steps between blocks of 8 px are {min(excess, 9.99):.0%} larger than within: choose an uncompressed "
+            f"the noise's steps between blocks of 8 px are {min(excess, 9.99):.0%} larger than within: choose an uncompressed "
             "format (raw, RGB8, YUV), not MJPEG or H.264",
             RAD_PER_PART * 0.01,
         )
@@ -194,17 +205,22 @@ class CameraEffects:
             total = total + np.exp(-1j * shift) * self._light(codes, 1)
         return np.asarray(np.abs(total)[self._probe.lit].mean(axis=0))
 
-    def _patch_among(self, code: float | FloatArray) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Return the light of a grey patch among a plain colour, and which pixels see nothing but the patch."""
+    def _patch_among(self, code: float | FloatArray) -> FloatArray:
+        """Return the light of a grey patch among a plain colour."""
         width, height = self._probe.studio.projector_px
-        place = np.s_[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
-        mask = np.zeros((height, width, 3))
-        mask[place] = 1
-        codes = np.where(mask, _PATCH, np.asarray(code)) * self._code
-        seen = self._light(codes, 3)
-        grey = seen.mean(axis=-1)
-        patch = self._probe.lit & (grey > grey[self._probe.lit].max() / 2)
-        return seen, cv2.erode(patch.astype(np.uint8), np.ones((15, 15), np.uint8)).astype(bool)
+        codes = np.broadcast_to(np.asarray(code, np.float64), (height, width, 3)).copy()
+        codes[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3] = _PATCH
+        return self._light(self._code * codes, 3)
+
+    def _patch(self) -> npt.NDArray[np.bool_]:
+        """Return the pixels that see the patch, and nothing but it."""
+        lit = self._probe.lit
+        light = (self._patch_among(0.0) / np.maximum(self._curve.to_light(self._probe.white), _LEAST_STEP)).mean(
+            axis=-1
+        )
+        others = lit & (light < np.percentile(light[lit], 99) / 2)
+        side = round(_RIM * lit.shape[1])
+        return lit & (cv2.dilate(others.astype(np.uint8), np.ones((side, side), np.uint8)) == 0)
 
     def _overshoot(self) -> float:
         """Return how far levels near an edge lie beyond those further away, as a part of the edge's height."""

@@ -150,7 +150,7 @@ class ExposureFinder:
             self._note(RigFault("too bright", words, RAD_PER_PART * max(1 - 1 / light, 0.02) / 2))
         elif light < _DARK:
             words = (
-                f"white has {light:.0%} of the light of full scale, so noise is {_TARGET / light:.1f} times as large as "
+                f"white has {light:.0%} of full scale's light, so noise is {_TARGET / light:.1f} times as large as "
                 "it could be: expose longer, open the aperture, then raise the gain"
             )
             self._note(RigFault("too dark", words, RAD_PER_PART / 255 / light))
@@ -178,19 +178,19 @@ class ExposureFinder:
 
     def _set_brightness(self, curve: ToneCurve, light: float, cycle: LightCycle | None) -> None:
         """Set exposure and gain so that the brightest lit pixels have the target level."""
-        per_s = light / self._exposure_s / 10 ** (self._gain_db / 20)  # light per s of exposure, without gain
+        target = float(curve.to_light(np.array(_TARGET)))
+        needed_s = target / light * self._exposure_s * 10 ** (self._gain_db / 20)  # without gain
         for _ in range(_TRIES):
-            needed_s = float(curve.to_light(np.array(_TARGET))) / per_s
+            before = self._exposure_s, self._gain_db
             exposure_s = self._allowed_s(needed_s, cycle)
             gain_db = min(max(0.0, 20 * log10(needed_s / exposure_s)), _MOST_GAIN_DB)
-            gain_db = int(gain_db / _GAIN_STEP_DB) * _GAIN_STEP_DB
-            self._exposure_s, self._gain_db = self._studio.set_camera(exposure_s, gain_db), round(gain_db, 2)
+            self._gain_db = round(int(gain_db / _GAIN_STEP_DB) * _GAIN_STEP_DB, 2)
+            self._exposure_s = self._studio.set_camera(exposure_s, self._gain_db)
             level = self._brightest(self._probe.settled(1.0))
-            seen = 1.2 if level >= SATURATED else float(curve.to_light(np.array(level)))
-            found_per_s = seen / self._exposure_s / 10 ** (self._gain_db / 20)
-            if abs(level - _TARGET) < _NEAR or abs(found_per_s / per_s - 1) < _NEAR:
+            if abs(level - _TARGET) < _NEAR or (self._exposure_s, self._gain_db) == before:
                 return
-            per_s = found_per_s
+            seen = 1.2 if level >= SATURATED else float(curve.to_light(np.array(level)))
+            needed_s = target / seen * self._exposure_s * 10 ** (self._gain_db / 20)
 
     def _allowed_s(self, needed_s: float, cycle: LightCycle | None) -> float:
         """Return the longest exposure up to one that is needed: a whole number of cycles, and short enough."""

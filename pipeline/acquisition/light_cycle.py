@@ -13,8 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from pipeline.acquisition.rig_faults import RigProbe, shares
+from pipeline.acquisition.rig_faults import MAX_SATURATED, SATURATED, SURE_S, RigProbe, shares
 from pipeline.acquisition.studio import Studio
 from pipeline.models import FloatArray
 
@@ -27,16 +28,21 @@ _BANDS = 4
 # A camera that runs freely may keep its time to the projector, so it is started anew this often per exposure, and takes
 # frames this often from then on; and how often where the period is refined: of an alternation that is dark for a fifth
 # of the time one frame in 200 series misses it.
-_STARTS, _TAKES, _MORE_STARTS = 3, 2, 6
+_STARTS, _TAKES, _MORE_STARTS = 4, 2, 8
 # Exposures that are tried, evenly spread; and the shortest one and the longest period, s: colour wheels of 12 cycles
 # per picture at 60 Hz, and video of 48 Hz.
 _EXPOSURES, _SHORTEST_S, _LONGEST_S = 48, 0.0012, 0.021
 # Step of the periods that are compared: the longest exposure has at most 30 of them, whose phase it moves by less than
 # a twentieth.
 _STEP = 0.0015
-# The light repeats where the period explains this part of the range's variance; of noise the best of all periods
-# explains a half.
-_EXPLAINED = 0.7
+# The light repeats with a period where its range at a whole number of them is less than this part of the usual one.
+_LEFT = 0.25
+# The longest exposure is shortened by this factor until bars are not saturated.
+_SHORTER = 0.8
+# Pixels of each band: their noise leaves a few thousandths of a level.
+_PIXELS = 4000
+# From a start of the camera to frames that are exposed as it is set, s, once its automatics have settled.
+_SETTLES_S = 0.2
 # Parts of a period, before and after a whole number of them, at which the zero between is found by proportion.
 _ASIDE = (0.1, 0.03)
 # Light that varies less than this, of its mean, is constant: a thousandth makes a phase error of 0.002 rad.
@@ -94,25 +100,44 @@ class FlashMeter:
         self._gain_db = gain_db
         width, height = self._studio.projector_px
         bars = (np.arange(width) // _BAR_PX % 2)[None, :, None] * np.full(3, code)
+        self._show = lambda: probe.show(np.broadcast_to(bars, (height, width, 3)))
         self._studio.set_camera(exposure_s, gain_db)
         frames = probe.frames(np.broadcast_to(bars, (height, width, 3)), 2)
+        self._longest_s = self._unsaturated_s(probe)
         light = np.mean(frames, axis=0).mean(axis=-1)
         low, high = np.percentile(light[probe.lit], (1, 99))
-        self._bright = probe.lit & (light > low + _IN_BAR * (high - low))
-        self._dark = probe.lit & (light < low + _BETWEEN * (high - low))
+        bright = probe.lit & (light > low + _IN_BAR * (high - low))
+        dark = probe.lit & (light < low + _BETWEEN * (high - low))
+        rows = np.cumsum(bright.sum(axis=1))
+        edges = [0, *np.searchsorted(rows, rows[-1] * np.arange(1, _BANDS) / _BANDS), len(rows)]
+        self._places = [[_some(mask, edges[n], edges[n + 1]) for n in range(_BANDS)] for mask in (bright, dark)]
+
+    def _unsaturated_s(self, probe: RigProbe) -> float:
+        """Return the longest exposure at which the bars are not saturated, or about that of the longest cycle."""
+        longest_s = self._studio.exposures_s[1]
+        while longest_s > _LONGEST_S:
+            self._studio.set_camera(longest_s, self._gain_db)
+            self._studio.sleep(SURE_S)
+            frame = shares(self._studio.take()[-1])
+            if (frame >= SATURATED).any(axis=-1)[probe.lit].mean() < MAX_SATURATED:
+                break
+            longest_s *= _SHORTER
+        return longest_s
 
     def variation(self, exposure_s: float, starts: int = _STARTS) -> Variation:
         """Return the variation at an exposure."""
+        self._show()
         series = []
-        for _ in range(starts):
+        for start in range(starts):
             self._studio.set_camera(exposure_s, self._gain_db)
-            self._studio.sleep(0.5)
+            self._studio.sleep(_SETTLES_S if start else SURE_S)
             for _ in range(_TAKES):
-                series += [self._bands(self._to_light(shares(frame))) for frame in self._studio.take()]
+                series += [self._bands(shares(frame)) for frame in self._studio.take()]
         bright, dark = np.moveaxis(np.array(series), 1, 0)  # each (frames, bands, 3)
         light = bright - dark
-        mean = light.mean(axis=0)
-        relative = (light / mean - 1).reshape(-1, 3)
+        # Of all channels together: short exposures may see none of one of them.
+        mean = light.mean(axis=(0, 2))[:, None]
+        relative = ((light - light.mean(axis=0)) / mean).reshape(-1, 3)
         room = ((dark - dark.mean(axis=0)) / mean).mean(axis=-1)
         correlation = np.corrcoef(relative.T)
         return Variation(
@@ -124,16 +149,13 @@ class FlashMeter:
         )
 
     def _bands(self, frame: FloatArray) -> FloatArray:
-        """Return the mean levels of lit and dark bars, (2, bands, 3), of bands of rows with equally many lit pixels."""
-        rows = np.cumsum(self._bright.sum(axis=1))
-        edges = np.searchsorted(rows, rows[-1] * np.arange(1, _BANDS) / _BANDS)
-        bands = zip(*(np.split(values, edges) for values in (frame, self._bright, self._dark)), strict=True)
-        return np.array([[part[lit].mean(axis=0), part[dark].mean(axis=0)] for part, lit, dark in bands]).swapaxes(0, 1)
+        """Return the mean light of lit and dark bars, (2, bands, 3), of bands of rows."""
+        return np.array([[self._to_light(frame[place]).mean(axis=0) for place in places] for places in self._places])
 
     def cycle(self, tell: Callable[[str], None] = lambda line: None) -> LightCycle | None:
         """Return the cycle of the light; None: the light is constant, or repeats with no period that cameras see."""
-        shortest_s, longest_s = self._studio.exposures_s
-        exposures_s = np.linspace(max(shortest_s, _SHORTEST_S), longest_s, _EXPOSURES)
+        shortest_s = max(self._studio.exposures_s[0], _SHORTEST_S)
+        exposures_s = np.linspace(shortest_s, self._longest_s, _EXPOSURES)
         found = []
         for number, exposure_s in enumerate(exposures_s, start=1):
             tell(f"exposure {number} of {_EXPOSURES}")
@@ -142,17 +164,18 @@ class FlashMeter:
         if np.percentile(ranges, 75) < _CONSTANT:
             return None
         period_s = _period(exposures_s, exposures_s * ranges)
-        if period_s is None:
-            return None
-        varies = [each for each in found if each.projector.max() > np.median(ranges)]
-        in_turns = float(np.median([each.correlation for each in varies])) < 0.5
         for aside in _ASIDE:
             period_s = self._refined(period_s, aside)
-        return LightCycle(period_s, in_turns)
+        usual = float(np.median(ranges))
+        whole = LightCycle(period_s, in_turns=False).nearest_s(0.6 * self._longest_s)
+        if self.variation(whole, _MORE_STARTS).projector.max() > max(_CONSTANT, _LEFT * usual):
+            return None
+        correlations = [each.correlation for each in found if each.projector.max() > usual]
+        return LightCycle(period_s, in_turns=float(np.median(correlations)) < 0.5)
 
     def _refined(self, period_s: float, aside: float) -> float:
         """Return a period whose whole number lies where the range, which grows in proportion on both sides, is zero."""
-        whole = max(1, int((self._studio.exposures_s[1] / period_s) - aside))
+        whole = max(1, int(self._longest_s / period_s - aside))
         below_s, above_s = (whole - aside) * period_s, (whole + aside) * period_s
         below, above = (
             exposure_s * self.variation(exposure_s, _MORE_STARTS).projector.max() for exposure_s in (below_s, above_s)
@@ -160,14 +183,20 @@ class FlashMeter:
         return float(below_s + (above_s - below_s) * below / (below + above)) / whole
 
 
-def _period(exposures_s: FloatArray, ranges: FloatArray) -> float | None:
-    """Return the period of a function of the exposure, by its first two harmonics; None: it has none."""
-    best = 1 - _EXPLAINED, None
-    total = ((ranges - ranges.mean()) ** 2).sum()
+def _some(mask: npt.NDArray[np.bool_], first: int, end: int) -> tuple[npt.NDArray[np.intp], ...]:
+    """Return the rows and columns of some of the pixels of a mask that lie in a band of rows."""
+    y, x = np.nonzero(mask[first:end])
+    step = max(1, len(y) // _PIXELS)
+    return y[::step] + first, x[::step]
+
+
+def _period(exposures_s: FloatArray, ranges: FloatArray) -> float:
+    """Return the period of a function of the exposure, by its first two harmonics."""
+    best, found_s = np.inf, _SHORTEST_S
     for period_s in np.exp(np.arange(np.log(_SHORTEST_S), np.log(_LONGEST_S), _STEP)):
         angle = 2 * np.pi * exposures_s / period_s
         model = np.stack([np.ones_like(angle), np.cos(angle), np.cos(2 * angle)], axis=1)
-        part = ((ranges - model @ np.linalg.lstsq(model, ranges, rcond=None)[0]) ** 2).sum() / total
-        if part < best[0]:
-            best = part, float(period_s)
-    return best[1]
+        residual = float(((ranges - model @ np.linalg.lstsq(model, ranges, rcond=None)[0]) ** 2).sum())
+        if residual < best:
+            best, found_s = residual, float(period_s)
+    return found_s

@@ -194,11 +194,16 @@ class SimulatedStudio:
         faults = self._faults
         if faults.mirrored:
             picture = np.ascontiguousarray(picture[:, ::-1])
+        if faults.scale != 1 or faults.keystone:
+            picture = self._resampled(picture)
         if faults.focus_px:
             light = cv2.GaussianBlur((picture / np.float32(255)) ** self._path.gamma, (0, 0), faults.focus_px)
             picture = np.rint(255 * light ** (1 / self._path.gamma)).astype(np.uint8)
-        if faults.scale == 1 and not faults.keystone:
-            return picture
+        return picture
+
+    def _resampled(self, picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Return a picture that is scaled, or has the form of a trapezium."""
+        faults = self._faults
         height, width = picture.shape[:2]
         corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
         middle = np.array([width, height], np.float32) / 2
