@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.acquisition.focus import FocusMeter
 from pipeline.acquisition.rig_faults import RAD_PER_PART, RigFault, RigProbe
 from pipeline.acquisition.tone_curve import ToneCurve
 from pipeline.models import FloatArray
@@ -47,9 +48,6 @@ _LEAST_STEP = 0.001 / 255
 _SPOT_PX = 2.0
 # Fringes of the working period have this part of the contrast of coarse ones, where noise is 1.4 times that in focus.
 _MIN_FOCUS = 0.7
-# Shifts of a fringe, which separate its first harmonic from the second; and the period of coarse ones, in periods: blur
-# that leaves a tenth of the fine ones leaves 0.97 of them.
-_SHIFTS, _COARSE = 4, 8
 
 
 class CameraEffects:
@@ -67,11 +65,18 @@ class CameraEffects:
         The pattern's, of projector px.
     axis : {0, 1}
         Along which the phase grows: 0 is down the picture's rows.
+
+    Attributes
+    ----------
+    contrast : (3,) or None
+        Of the fringes, once `defocus` was called.
     """
 
     def __init__(self, probe: RigProbe, curve: ToneCurve, code: float, period_px: float, axis: int) -> None:
         self._probe, self._curve, self._code = probe, curve, code
-        self._period_px, self._axis = period_px, axis
+        self._period_px = period_px
+        self._focus = FocusMeter(probe, curve.to_light, code, period_px, axis)
+        self.contrast: FloatArray | None = None
 
     def find(self) -> list[RigFault]:
         """Return the faults that are found."""
@@ -147,8 +152,8 @@ class CameraEffects:
             return None
         return RigFault(
             "compression",
-            f"the noise's steps between blocks of 8 px are {min(excess, 9.99):.0%} larger than within: choose an uncompressed "
-            "format (raw, RGB8, YUV), not MJPEG or H.264",
+            f"the noise's steps between blocks of 8 px are {min(excess, 9.99):.0%} larger than within: choose an "
+            "uncompressed format (raw, RGB8, YUV), not MJPEG or H.264",
             RAD_PER_PART * 0.01,
         )
 
@@ -178,32 +183,16 @@ class CameraEffects:
 
     def defocus(self) -> RigFault | None:
         """Return the fault that fringes of the working period have lost their contrast."""
-        contrast = self.focus()
+        contrast = self.contrast = self._focus.contrast()
         if contrast.min() >= _MIN_FOCUS:
             return None
         return RigFault(
             "focus",
             "fringes have lost contrast: R {:.2f}, G {:.2f}, B {:.2f} of 1. Focus the projector, then the camera, with "
-            "--focus; stop down the camera if both are sharp".format(*contrast),
+            "--focus-s; stop down the camera if both are sharp".format(*contrast),
             # Noise of a level of 8 bits, over the contrast that is left.
             RAD_PER_PART * 2 / 255 / max(float(contrast.min()), 0.02),
         )
-
-    def focus(self) -> FloatArray:
-        """Return the contrast of fringes of the working period, (3,), compared with coarse ones."""
-        return self._amplitude(1) / self._amplitude(_COARSE)
-
-    def _amplitude(self, times: int) -> FloatArray:
-        """Return the mean amplitude, (3,), of fringes of some times the working period."""
-        width, height = self._probe.studio.projector_px
-        along = np.arange(height)[:, None, None] if self._axis == 0 else np.arange(width)[None, :, None]
-        turns = 2 * pi * along / (times * self._period_px)
-        total: npt.NDArray[np.complexfloating] = np.zeros((1, 1, 3), complex)
-        for n in range(_SHIFTS):
-            shift = 2 * pi * n / _SHIFTS
-            codes = self._code * (0.5 + 0.5 * np.cos(turns + shift)) * np.ones((height, width, 3))
-            total = total + np.exp(-1j * shift) * self._light(codes, 1)
-        return np.asarray(np.abs(total)[self._probe.lit].mean(axis=0))
 
     def _patch_among(self, code: float | FloatArray) -> FloatArray:
         """Return the light of a grey patch among a plain colour."""
@@ -220,7 +209,7 @@ class CameraEffects:
         )
         others = lit & (light < np.percentile(light[lit], 99) / 2)
         side = round(_RIM * lit.shape[1])
-        return lit & (cv2.dilate(others.astype(np.uint8), np.ones((side, side), np.uint8)) == 0)
+        return np.asarray(lit & (cv2.dilate(others.astype(np.uint8), np.ones((side, side), np.uint8)) == 0))
 
     def _overshoot(self) -> float:
         """Return how far levels near an edge lie beyond those further away, as a part of the edge's height."""

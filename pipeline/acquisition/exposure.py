@@ -12,7 +12,15 @@ import numpy as np
 
 from pipeline.acquisition.camera_effects import CameraEffects
 from pipeline.acquisition.light_cycle import FlashMeter, LightCycle
-from pipeline.acquisition.rig_faults import MAX_FLICKER, MAX_SATURATED, RAD_PER_PART, SATURATED, RigFault, RigProbe
+from pipeline.acquisition.rig_faults import (
+    MAX_FLICKER,
+    MAX_SATURATED,
+    RAD_PER_PART,
+    SATURATED,
+    RigFault,
+    RigProbe,
+    saturated_part,
+)
 from pipeline.acquisition.studio import Studio
 from pipeline.acquisition.tone_curve import MAX_CLIPPED, MAX_CURVE, ToneCurve, measure_tone_curve
 from pipeline.models import FloatArray
@@ -122,7 +130,7 @@ class ExposureFinder:
         code = 1.0
         for _ in range(_TRIES):
             white = self._probe.settled(code)
-            if (white >= SATURATED).any(axis=-1)[self._probe.lit].mean() <= MAX_SATURATED:
+            if saturated_part(white, self._probe.lit) <= MAX_SATURATED:
                 break
             code *= _DIMMER
         return code
@@ -135,7 +143,7 @@ class ExposureFinder:
         level = self._brightest(self._probe.white)
         if automatic:
             return float(curve.to_light(np.array(level)))
-        saturated = float((self._probe.white >= SATURATED).any(axis=-1)[self._probe.lit].mean())
+        saturated = saturated_part(self._probe.white, self._probe.lit)
         times = 1
         for _ in range(_TRIES):
             if level < SATURATED:
@@ -236,4 +244,4 @@ class ExposureFinder:
         if "automatic white balance" not in self._faults:
             self._note(probe.swapped_colors())
         level = self._brightest(probe.white)
-        return self._report(level, cycle, curve.transfer if curve.error <= MAX_CURVE else "linear", effects.focus())
+        return self._report(level, cycle, curve.transfer if curve.error <= MAX_CURVE else "linear", effects.contrast)

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.acquisition.rig_faults import MAX_SATURATED, SATURATED, SURE_S, RigProbe, shares
-from pipeline.acquisition.studio import Studio
+from pipeline.acquisition.rig_faults import MAX_SATURATED, SURE_S, RigProbe, saturated_part, shares
 from pipeline.models import FloatArray
 
 # Width of a bar, projector px: wide enough that most of its pixels see no other bar, even out of focus.
@@ -95,14 +94,14 @@ class FlashMeter:
         gain_db: float,
         to_light: Callable[[FloatArray], FloatArray],
     ) -> None:
-        self._studio: Studio = probe.studio
+        self._probe, self._studio = probe, probe.studio
         self._to_light = to_light
         self._gain_db = gain_db
         width, height = self._studio.projector_px
         bars = (np.arange(width) // _BAR_PX % 2)[None, :, None] * np.full(3, code)
-        self._show = lambda: probe.show(np.broadcast_to(bars, (height, width, 3)))
+        self._bars = np.broadcast_to(bars, (height, width, 3))
         self._studio.set_camera(exposure_s, gain_db)
-        frames = probe.frames(np.broadcast_to(bars, (height, width, 3)), 2)
+        frames = probe.frames(self._bars, 2)
         self._longest_s = self._unsaturated_s(probe)
         light = np.mean(frames, axis=0).mean(axis=-1)
         low, high = np.percentile(light[probe.lit], (1, 99))
@@ -119,14 +118,14 @@ class FlashMeter:
             self._studio.set_camera(longest_s, self._gain_db)
             self._studio.sleep(SURE_S)
             frame = shares(self._studio.take()[-1])
-            if (frame >= SATURATED).any(axis=-1)[probe.lit].mean() < MAX_SATURATED:
+            if saturated_part(frame, probe.lit) < MAX_SATURATED:
                 break
             longest_s *= _SHORTER
         return longest_s
 
     def variation(self, exposure_s: float, starts: int = _STARTS) -> Variation:
         """Return the variation at an exposure."""
-        self._show()
+        self._probe.show(self._bars)
         series = []
         for start in range(starts):
             self._studio.set_camera(exposure_s, self._gain_db)

@@ -163,7 +163,7 @@ class RigProbe:
 
     def saturated(self) -> RigFault | None:
         """Return the fault that too many pixels are saturated by white."""
-        part = float((self.white >= SATURATED).any(axis=-1)[self.lit].mean())
+        part = saturated_part(self.white, self.lit)
         if part <= MAX_SATURATED:
             return None
         # Levels that are cut off above full scale are off by at least the part of the range that is cut off.
@@ -255,6 +255,11 @@ class RigProbe:
 def shares(frame: ImageArray) -> FloatArray:
     """Return a frame as shares of full scale."""
     return np.asarray(frame / np.float32(WHITE_LEVELS[frame.dtype.name]), np.float64)
+
+
+def saturated_part(frame: FloatArray, lit: npt.NDArray[np.bool_]) -> float:
+    """Return which part of the lit pixels is saturated in a channel."""
+    return float((frame[lit] >= SATURATED).any(axis=-1).mean())
 
 
 def rms(values: FloatArray) -> float:

@@ -106,4 +106,4 @@ def _compressed(levels: npt.NDArray[np.uint8], quality: int) -> npt.NDArray[np.u
     full = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
     how = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, full]
     stored = cv2.imencode(".jpg", levels[..., ::-1], how)[1]
-    return np.ascontiguousarray(cv2.imdecode(stored, cv2.IMREAD_COLOR)[..., ::-1])
+    return np.ascontiguousarray(np.asarray(cv2.imdecode(stored, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])
