@@ -10,6 +10,8 @@ import numpy.typing as npt
 # Automatic exposure aims at this mean of a frame, of full scale, and reaches it with this time constant, as automatic
 # white balance does; both change the picture by at most these factors.
 _AIM, _SETTLES_S, _MOST_GAIN, _MOST_BALANCE = 0.3, 0.2, 4.0, 2.0
+# Mean of a frame without light, for ratios.
+_LEAST_MEAN = 1e-6
 # Sharpening and the S-curve: sigma of the unsharp mask, px.
 _MASK_PX = 1.0
 
@@ -74,9 +76,9 @@ class SimulatedCamera:
         """Bring the automatics' gains nearer to those that the present light calls for."""
         aims = np.ones(3)
         if self._faults.auto_exposure:
-            aims *= np.clip(_AIM / means.mean(), 1 / _MOST_GAIN, _MOST_GAIN)
+            aims *= np.clip(_AIM / max(means.mean(), _LEAST_MEAN), 1 / _MOST_GAIN, _MOST_GAIN)
         if self._faults.auto_white_balance:
-            aims *= np.clip(means[1] / means, 1 / _MOST_BALANCE, _MOST_BALANCE)
+            aims *= np.clip(means[1] / np.maximum(means, _LEAST_MEAN), 1 / _MOST_BALANCE, _MOST_BALANCE)
         passed_s = np.inf if self._time_s is None else time_s - self._time_s
         self._gains += (aims - self._gains) * (1 - np.exp(-passed_s / _SETTLES_S))
         self._time_s = time_s

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from math import inf, isinf
+from math import inf, isclose, isinf
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +28,8 @@ from tikernels import runtime
 
 # Digits of an exposure: cameras set theirs in steps of 1 us.
 _EXPOSURE_DIGITS = 6
+# Values that differ by less than this part are the same: an exposure may be off its cycle by 0.002 (colour_cycle.py).
+_SAME = 1e-3
 # A live figure changes with this delay of the picture at least, s: a shorter one shows the picture before.
 _LIVE_S = 0.2
 
@@ -71,9 +73,10 @@ def expose(
     for line in _in_words(report, mm_per_rad, source):
         say(line)
     if rig != SIMULATED:
-        _change(Path(rig), report)
-        if calibration is not None:
-            remark("calibrate the light anew if the exposure or the gain changed: colorphase calibrate radiometry")
+        if _change(Path(rig), settings, report) and calibration is not None:
+            remark(
+                "calibrate the light anew, because the camera is set to other values: colorphase calibrate radiometry"
+            )
 
 
 @contextmanager
@@ -160,17 +163,28 @@ def _priced(fault: RigFault, mm_per_rad: float) -> str:
     return f"{fault.cost_rad * mm_per_rad:.2f} mm ({fault.cost_rad:.3f} rad): {fault.key}: {fault.words}"
 
 
-def _change(rig: Path, report: ExposureReport) -> None:
-    """Write exposure, gain and cycle into the rig's file."""
+def _change(rig: Path, settings: RigSettings, report: ExposureReport) -> bool:
+    """Write exposure, gain and cycle into the rig's file where they differ from it; return whether they do."""
     if not report.level:
-        return
-    values = {"camera.exposure_s": round(report.exposure_s, _EXPOSURE_DIGITS), "camera.gain_db": report.gain_db}
+        return False
+    present = {
+        "camera.exposure_s": settings.camera.exposure_s,
+        "camera.gain_db": settings.camera.gain_db,
+        "projector.colour_cycle_s": settings.projector.colour_cycle_s,
+    }
+    found = {"camera.exposure_s": round(report.exposure_s, _EXPOSURE_DIGITS), "camera.gain_db": report.gain_db}
     if report.cycle is not None and report.cycle.in_turns:
-        values["projector.colour_cycle_s"] = round(report.cycle.period_s, _EXPOSURE_DIGITS + 2)
+        found["projector.colour_cycle_s"] = round(report.cycle.period_s, _EXPOSURE_DIGITS + 2)
+    values = {
+        key: value
+        for key, value in found.items()
+        if (before := present[key]) is None or not isclose(value, before, rel_tol=_SAME)
+    }
     kept, difference = change_file(rig, values)
     if kept is None:
         say(f"{rig} is as it should be")
-        return
+        return False
     for line in difference:
         say(line)
     say(f"changed {rig}, the old one is {kept}")
+    return True

@@ -2,10 +2,10 @@
 
 python tests/benchmarks/exposure_faults.py [FIRST_SEED [RIGS [PROCESSES]]]
 
-A row for each fault: on how many rigs it is, on how many of these it is named, and on how many others. Then on how many
-rigs every fault is named, and how many faults are named on rigs without. A rig is drawn from its seed: gamma, crosstalk,
-noise, refresh rate, the way in which colours are lit, the camera's curve (linear or sRGB), brightness, and whether a
-sheet or a board is before it. Faults that hide each other are not drawn together (`HIDING`).
+A row for each fault: the rigs that have it, those of them on which it is named, and the others on which it is named.
+Then the rigs on which every fault is named, and the rigs without faults on which one is named. A rig is drawn from its
+seed: gamma, crosstalk, noise, refresh rate, the way in which colours are lit, the camera's curve (linear or sRGB),
+brightness, and whether a sheet or a board is before it. Faults that hide each other are not drawn together (`HIDING`).
 """
 
 import sys
@@ -48,7 +48,7 @@ FAULTS = (
     "mirrored picture",
     "resampled picture",
 )
-#: Automatic exposure sets the brightness itself; an S-curve makes black darker; a tone curve is measured by single pixels.
+#: Automatic exposure sets the brightness itself; an S-curve makes black darker; a tone curve needs single pixels.
 HIDING = (
     {"automatic exposure", "too dark"},
     {"automatic exposure", "too bright"},
