@@ -107,7 +107,6 @@ class ExposureFinder:
         meter, cycle = self._measure_cycle(curve, light, automatic=automatic)
         if automatic:
             self._exposure_s = self._exposure_s if cycle is None else cycle.nearest_s(self._exposure_s)
-            self._studio.set_camera(self._exposure_s, self._gain_db)
         else:
             self._set_brightness(curve, light, cycle)
         self._check_room(meter.variation(self._exposure_s, _STARTS).room * self._bars_share)
@@ -189,7 +188,6 @@ class ExposureFinder:
         target = float(curve.to_light(np.array(_TARGET)))
         needed_s = target / light * self._exposure_s * 10 ** (self._gain_db / 20)  # without gain
         if cycle is None and abs(target / light - 1) < _NEAR:
-            self._studio.set_camera(self._exposure_s, self._gain_db)
             return
         for _ in range(_TRIES):
             before = self._exposure_s, self._gain_db
@@ -221,6 +219,7 @@ class ExposureFinder:
     def _test_camera(self, cycle: LightCycle | None) -> ExposureReport:
         """Test the rig with the camera as it is set now."""
         probe = self._probe
+        self._studio.set_camera(self._exposure_s, self._gain_db)
         self._tell("testing the projector's picture")
         if self._note(probe.look()):
             return self._report(0.0, cycle, "linear", None)

@@ -160,18 +160,19 @@ def main(first_seed: int = 100, rigs: int = 30, processes: int = 1) -> None:
     """Print the table."""
     seeds = range(first_seed, first_seed + rigs)
     jobs = [(seed, faulty) for faulty in (True, False) for seed in seeds]
-    with ProcessPoolExecutor(processes) as pool:
-        results = list(pool.map(named_on, *zip(*jobs, strict=True)))
     present, named, besides, complete, alarms = Counter[str](), Counter[str](), Counter[str](), 0, 0
-    for (seed, faulty), (faults, found, seen) in zip(jobs, results, strict=True):
-        missed, more = faults - set(found), set(found) - faults
-        complete += faulty and not missed
-        alarms += not faulty and bool(found)
-        present.update(faults)
-        named.update(faults & set(found))
-        besides.update(more)
-        mark = "" if not missed and not more else f"  MISSED {sorted(missed)} BESIDES {sorted(more)}"
-        print(f"{seed} {'faulty' if faulty else 'clean '} {sorted(faults)}{mark}\n      {seen}")
+    with ProcessPoolExecutor(processes) as pool:
+        for (seed, faulty), (faults, found, seen) in zip(
+            jobs, pool.map(named_on, *zip(*jobs, strict=True)), strict=True
+        ):
+            missed, more = faults - set(found), set(found) - faults
+            complete += faulty and not missed
+            alarms += not faulty and bool(found)
+            present.update(faults)
+            named.update(faults & set(found))
+            besides.update(more)
+            mark = "" if not missed and not more else f"  MISSED {sorted(missed)} BESIDES {sorted(more)}"
+            print(f"{seed} {'faulty' if faulty else 'clean '} {sorted(faults)}{mark}\n      {seen}", flush=True)
     print(f"\n{'fault':<26}{'present':>8}{'named':>8}{'besides':>9}")
     for fault in sorted({*FAULTS, *besides}):
         print(f"{fault:<26}{present[fault]:>8}{named[fault]:>8}{besides[fault]:>9}")

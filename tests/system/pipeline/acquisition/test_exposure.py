@@ -110,8 +110,8 @@ def test_the_cycle_of_the_light(at_once):
     studio = rig(colour_cycle_s=1 / 143.7, at_once=at_once, room=0.1)
     meter = FlashMeter(probed(studio), 0.6, EXPOSURE_S, 0.0, lambda values: values)
     cycle = meter.cycle()
-    # A tenth of what an exposure may be off.
-    assert cycle.period_s == pytest.approx(1 / 143.7, rel=2e-4)
+    # A quarter of what an exposure may be off (colour_cycle.py).
+    assert cycle.period_s == pytest.approx(1 / 143.7, rel=5e-4)
     assert cycle.in_turns is not at_once
     assert meter.variation(cycle.nearest_s(EXPOSURE_S)).sigma < 0.001
     assert meter.variation(2.4 * cycle.period_s).sigma > 0.02
