@@ -76,6 +76,7 @@ class RigProbe:
         self.white: FloatArray = np.ones((1, 1, 3))
         self.lit: npt.NDArray[np.bool_] = np.ones((1, 1), bool)
         self.delay_s, self.noise, self.px_per_px = SURE_S, 0.0, 1.0
+        self._shown_codes: npt.NDArray[np.floating] | None = None
 
     def faults(self) -> Iterator[RigFault]:
         """Look for every fault in this file, and yield each that is found; without light it ends.
@@ -107,8 +108,10 @@ class RigProbe:
         return np.broadcast_to(np.asarray(code, np.float64) * np.ones(3), (height, width, 3))
 
     def show(self, codes: npt.NDArray[np.floating]) -> None:
-        """Send codes, 0..1, to the projector."""
-        self.studio.show(np.rint(255 * codes).astype(np.uint8))
+        """Send codes, 0..1, to the projector, where it does not show them already."""
+        if codes is not self._shown_codes:
+            self.studio.show(np.rint(255 * codes).astype(np.uint8))
+        self._shown_codes = codes
 
     def frames(self, codes: npt.NDArray[np.floating], takes: int) -> list[FloatArray]:
         """Return frames of a picture, of full scale, when it and all automatics of the camera have settled."""

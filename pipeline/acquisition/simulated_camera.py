@@ -48,6 +48,7 @@ class SimulatedCamera:
 
     def __init__(self, faults: CameraFaults, noise: float, rng: np.random.Generator) -> None:
         self._faults, self._noise, self._rng = faults, noise, rng
+        self._series = np.zeros(0, np.float32)
         self._gains = np.ones(3)  # of the automatics
         self._time_s: float | None = None
 
@@ -60,7 +61,7 @@ class SimulatedCamera:
             self._adapt(light.mean(axis=(0, 1), dtype=np.float64), time_s)
             light = light * self._gains.astype(np.float32)
         values = light + np.float32(faults.black_levels / 255)
-        values += np.float32(self._noise / 255) * self._rng.standard_normal(light.shape, dtype=np.float32)
+        values += np.float32(self._noise / 255) * self._drawn(light.shape)
         values = _curved(values, faults.curve, faults.curve_strength)
         if faults.sharpening:
             values = np.clip(values, 0, 1)
@@ -71,6 +72,14 @@ class SimulatedCamera:
         if faults.jpeg_quality is not None:
             levels = _compressed(levels, faults.jpeg_quality)
         return levels
+
+    def _drawn(self, shape: tuple[int, ...]) -> _Light:
+        """Return noise: a part of a long series, which begins anywhere."""
+        size = int(np.prod(shape))
+        if len(self._series) < 2 * size:
+            self._series = self._rng.standard_normal(3 * size, dtype=np.float32)
+        begin = int(self._rng.integers(len(self._series) - size))
+        return self._series[begin : begin + size].reshape(shape)
 
     def _adapt(self, means: npt.NDArray[np.float64], time_s: float) -> None:
         """Bring the automatics' gains nearer to those that the present light calls for."""

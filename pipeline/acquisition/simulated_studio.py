@@ -278,16 +278,20 @@ class SimulatedStudio:
         for n, (_, picture) in enumerate(self._sent):
             ends_s = self._sent[n + 1][0] if n + 1 < len(self._sent) else np.inf
             share = (min(ends_s, start_s + self._exposure_s) - since_s) / self._exposure_s
+            if share >= 1:
+                light = self._light(start_s, picture)
+                break
             if share > 0:
                 light = light + np.float32(share) * self._light(start_s, picture)
                 since_s = ends_s
         width, height = self._truth.geometry().camera.size_px
-        light = np.broadcast_to(light * self._shares_of_cycle(start_s), (height, width, 3))
-        seen = self._exposure_s / self._first_exposure_s * self._gain  # compared with the start
         faults = self._faults
-        light = light * np.float32(seen * faults.light * (1 - faults.dims * start_s / 60))
-        light = light + np.float32(seen * faults.room * self._room(start_s))
-        levels = self._camera.develop(light.astype(np.float32, copy=False), start_s)
+        seen = self._exposure_s / self._first_exposure_s * self._gain  # compared with the start
+        parts = seen * faults.light * (1 - faults.dims * start_s / 60) * self._shares_of_cycle(start_s)
+        light = np.broadcast_to(light, (height, width, 3)) * parts.astype(np.float32)
+        if faults.room:
+            light += np.float32(seen * faults.room * self._room(start_s))
+        levels = self._camera.develop(light, start_s)
         return np.ascontiguousarray(levels[..., ::-1]) if faults.swapped else levels
 
     def _room(self, start_s: float) -> float:
