@@ -96,6 +96,8 @@ class ExposureFinder:
         ------
         CameraError, TriggerError, RigError
             An instrument fails.
+        CalibrationError
+            The camera does not see wide bars.
         """
         self._tell("looking at black and white")
         if self._note(self._probe.look()) or self._note(self._probe.measure_delay()):

@@ -11,11 +11,13 @@ by frame, and its own variation is measured at the same time.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.acquisition.rig_faults import MAX_SATURATED, SURE_S, RigProbe, saturated_part, shares
+from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
 
 # Width of a bar, projector px: wide enough that most of its pixels see no other bar, even out of focus.
@@ -52,6 +54,7 @@ _CONSTANT = 0.001
 class Variation:
     """Variation of the light from frame to frame, as parts of the projector's mean light."""
 
+    exposure_s: float  # as read back
     projector: FloatArray  # (3,) range of each channel
     sigma: float  # standard deviation of the channel that varies most
     room: float  # standard deviation of the light on dark bars
@@ -84,6 +87,11 @@ class FlashMeter:
         Of the camera while bars are told apart.
     to_light : callable
         The inverse of the camera's tone curve.
+
+    Raises
+    ------
+    CalibrationError
+        The bars cannot be seen.
     """
 
     def __init__(
@@ -109,7 +117,10 @@ class FlashMeter:
         dark = probe.lit & (light < low + _BETWEEN * (high - low))
         rows = np.cumsum(bright.sum(axis=1))
         edges = [0, *np.searchsorted(rows, rows[-1] * np.arange(1, _BANDS) / _BANDS), len(rows)]
-        self._places = [[_some(mask, edges[n], edges[n + 1]) for n in range(_BANDS)] for mask in (bright, dark)]
+        bands = [(first, end) for first, end in pairwise(edges) if bright[first:end].any() and dark[first:end].any()]
+        if not bands:
+            raise CalibrationError("the camera does not see bars of 64 px: put up a bright surface, and focus")
+        self._places = [[_some(mask, *band) for band in bands] for mask in (bright, dark)]
 
     def _unsaturated_s(self, probe: RigProbe) -> float:
         """Return the longest exposure at which the bars are not saturated, or about that of the longest cycle."""
@@ -128,7 +139,7 @@ class FlashMeter:
         self._probe.show(self._bars)
         series = []
         for start in range(starts):
-            self._studio.set_camera(exposure_s, self._gain_db)
+            real_s = self._studio.set_camera(exposure_s, self._gain_db)
             self._studio.sleep(_SETTLES_S if start else SURE_S)
             for _ in range(_TAKES):
                 series += [self._bands(shares(frame)) for frame in self._studio.take()]
@@ -140,6 +151,7 @@ class FlashMeter:
         room = ((dark - dark.mean(axis=0)) / mean).mean(axis=-1)
         correlation = np.corrcoef(relative.T)
         return Variation(
+            exposure_s=real_s,
             projector=np.ptp(relative, axis=0),
             sigma=float(relative.std(axis=0).max()),
             room=float(room.std()),
@@ -162,7 +174,8 @@ class FlashMeter:
         ranges = np.array([each.projector.max() for each in found])
         if np.percentile(ranges, 75) < _CONSTANT:
             return None
-        period_s = _period(exposures_s, exposures_s * ranges)
+        real_s = np.array([each.exposure_s for each in found])
+        period_s = _period(real_s, real_s * ranges)
         for aside in _ASIDE:
             period_s = self._refined(period_s, aside)
         usual = float(np.median(ranges))
@@ -175,11 +188,13 @@ class FlashMeter:
     def _refined(self, period_s: float, aside: float) -> float:
         """Return a period whose whole number lies where the range, which grows in proportion on both sides, is zero."""
         whole = max(1, int(self._longest_s / period_s - aside))
-        below_s, above_s = (whole - aside) * period_s, (whole + aside) * period_s
+        longest_s = self._studio.exposures_s[1]
         below, above = (
-            exposure_s * self.variation(exposure_s, _MORE_STARTS).projector.max() for exposure_s in (below_s, above_s)
+            self.variation(min((whole + part) * period_s, longest_s), _MORE_STARTS) for part in (-aside, aside)
         )
-        return float(below_s + (above_s - below_s) * below / (below + above)) / whole
+        ranges = [each.exposure_s * each.projector.max() for each in (below, above)]
+        zero_s = below.exposure_s + (above.exposure_s - below.exposure_s) * ranges[0] / sum(ranges)
+        return float(zero_s) / whole
 
 
 def _some(mask: npt.NDArray[np.bool_], first: int, end: int) -> tuple[npt.NDArray[np.intp], ...]:

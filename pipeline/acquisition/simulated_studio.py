@@ -323,4 +323,4 @@ def board_outline_mm(board: Board) -> FloatArray:
     """Return a board's corners about its middle, (4, 3) mm."""
     columns, rows = board.squares
     corners = np.array([[0, 0, 0], [columns, 0, 0], [columns, rows, 0], [0, rows, 0]], np.float64)
-    return (corners - corners.mean(axis=0)) * board.square_mm
+    return np.asarray((corners - corners.mean(axis=0)) * board.square_mm)
