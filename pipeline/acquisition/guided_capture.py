@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.acquisition.rig_faults import LIT, RigProbe, rms, shares
 from pipeline.acquisition.studio import Guidance, Studio
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import measure_pose
@@ -26,26 +27,11 @@ from pipeline.calibration.radiometry import radiometry_codes, radiometry_sequenc
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain, write_atomically
 from pipeline.models import FloatArray, ImageArray
-from tikernels.raw.linearization import WHITE_LEVELS
 
 #: The folders of the captures.
 LIGHT, POSES, SESSION = "light", "poses", "session.json"
 # How often a picture is taken, and a pose or the light from the start, before it is given up.
 _TRIES = 3
-# Time in which every projector and camera shows and sees a picture, s; and flashes by which the true time is measured.
-_SURE_S, _FLASHES = 1.0, 4
-# A flash is on the screen when a frame has this part of its light.
-_ON = 0.98
-# White must be brighter than black by this part of full scale; and in no more pixels than this part be saturated.
-_MIN_LIGHT, _SATURATED, _MAX_SATURATED = 0.06, 0.99, 0.02
-# Pixels count that are this part as bright as the brightest: the projector lights them fully.
-_LIT = 0.3
-# Frames of white by which flicker is seen, in bands of so many rows, and how much of it a phase bears: a channel off by
-# a hundredth makes .013 rad (verdict.py), as much as a frame's noise.
-_FLICKER_TAKES, _BAND_PX, _MAX_FLICKER = 12, 32, 0.01
-# Stripes of one px are this part darker than those of two where a picture is resampled: interpolation mixes codes, and
-# light is a power of them.
-_MAX_RESAMPLED = 0.04
 # Two frames of one picture differ by their noise; by this many times as much where the picture was changing.
 _NOISE_TIMES = 2.0
 # Cells of a frame whose means are compared, too: they show what is less than a pixel's noise. Between two frames of one
@@ -116,10 +102,7 @@ class GuidedCapture:
     ) -> None:
         self._studio, self._folder, self._tell, self._report = studio, folder, tell, report
         self._shown: _Shown | None = None
-        self._camera_px = (0, 0)
-        self._delay_s = _SURE_S
-        self._noise = 0.0  # RMS difference of two frames of one picture, of full scale
-        self._flicker = 0.0  # of bands of white, as a part of them
+        self._probe = RigProbe(studio)
         _continue_session(folder, identity | {"projector_px": list(studio.projector_px)})
 
     def check_rig(self) -> None:
@@ -131,126 +114,23 @@ class GuidedCapture:
             A fault is found; the message names it.
         """
         self._tell("looking for faults of the rig")
-        black, white = self._settled(0.0), self._settled(1.0)
-        self._camera_px = (white.shape[1], white.shape[0])
-        gain = white.mean(axis=-1) - black.mean(axis=-1)
-        brightest = float(np.percentile(gain, 99))
-        if brightest < _MIN_LIGHT:
-            raise CalibrationError(
-                f"the camera sees hardly any light of the projector: white is {brightest:.1%} of full scale brighter "
-                "than black. Look whether the projector shows it, and expose longer"
-            )
-        lit = gain > _LIT * brightest
-        self._measure_delay(lit, float(gain[lit].mean()), float(black.mean(axis=-1)[lit].mean()))
-        self._check_flicker(lit)
-        saturated = float((white[lit] >= _SATURATED).any(axis=-1).mean())
-        if saturated > _MAX_SATURATED:
-            raise CalibrationError(f"{saturated:.0%} of the lit pixels are saturated by white: expose shorter")
-        self._check_colors(black, lit)
-        self._check_resampling(black, lit)
-        self._check_mirrored(black, white, lit)
+        for fault in self._probe.faults():
+            raise CalibrationError(fault.words)
 
     @property
     def camera_px(self) -> tuple[int, int]:
         """Width and height of the camera's frames, once the rig was looked at."""
-        return self._camera_px
-
-    def _settled(self, code: float | FloatArray) -> FloatArray:
-        """Return the frame of a plain picture, 0..1, when it is on the screen for certain."""
-        self._show(self._field(code))
-        self._studio.sleep(_SURE_S)
-        return _shares(self._studio.take()[-1])
-
-    def _field(self, code: float | FloatArray) -> npt.NDArray[np.floating]:
-        width, height = self._studio.projector_px
-        return np.broadcast_to(np.asarray(code, np.float64) * np.ones(3), (height, width, 3))
+        height, width = self._probe.white.shape[:2]
+        return width, height
 
     def _show(self, codes: npt.NDArray[np.floating]) -> None:
         self._studio.show(np.rint(255 * codes).astype(np.uint8))
         self._shown = None
 
-    def _measure_delay(self, lit: npt.NDArray[np.bool_], gain: float, dark: float) -> None:
-        """Find by flashes how long a picture takes to the screen: the longest of some, and one frame more."""
-        longest = 0.0
-        for _ in range(_FLASHES):
-            self._settled(0.0)
-            start_s = self._studio.now_s()
-            self._show(self._field(1.0))
-            while True:
-                began_s = self._studio.now_s()
-                frames = self._studio.take()
-                level = _shares(frames[0]).mean(axis=-1)[lit].mean()
-                if level > dark + _ON * gain:
-                    break
-                if began_s - start_s > 3 * _SURE_S:
-                    raise CalibrationError(
-                        "white took longer than 3 s to the screen, or shows for a moment only: switch off what the "
-                        "projector does to its picture (dynamic iris, eco blanking, signal search)"
-                    )
-            longest = max(longest, began_s - start_s)
-            frame_s = (self._studio.now_s() - began_s) / len(frames)
-        self._delay_s = longest + frame_s
-
-    def _check_flicker(self, lit: npt.NDArray[np.bool_]) -> None:
-        means, noise = [], []
-        for _ in range(_FLICKER_TAKES):
-            frames = [_shares(frame) for frame in self._studio.take()]
-            means += [_band_means(frame, lit) for frame in frames]
-            noise.append(_rms(frames[0] - frames[-1]))
-        self._noise = float(np.median(noise))
-        series = np.array(means)
-        self._flicker = float(np.nanmax(series.std(axis=0) / series.mean(axis=0)))
-        if self._flicker > _MAX_FLICKER:
-            raise CalibrationError(
-                f"white flickers by {self._flicker:.1%} from frame to frame: the exposure is no whole number of the "
-                "projector's cycles (1/60 s or 1/50 s, or the colour wheel's), or the camera's exposure is automatic"
-            )
-
-    def _check_colors(self, black: FloatArray, lit: npt.NDArray[np.bool_]) -> None:
-        seen = np.array([(self._settled(color) - black)[lit].mean(axis=0) for color in np.eye(3)])
-        shares = seen / np.maximum(seen.sum(axis=0), 1e-9)  # [primary, channel]
-        most = shares.argmax(axis=0)
-        if tuple(most) == (2, 1, 0):
-            raise CalibrationError("the camera's frames are B, G, R instead of R, G, B: set its pixel format")
-        if tuple(most) != (0, 1, 2):
-            raise CalibrationError(
-                "the camera's channels see other colours of the projector more than their own: switch off the "
-                "projector's colour modes and the camera's colour effects, and correct its white balance"
-            )
-
-    def _check_resampling(self, black: FloatArray, lit: npt.NDArray[np.bool_]) -> None:
-        width, height = self._studio.projector_px
-        for axis, positions in (("columns", np.arange(width)[None]), ("rows", np.arange(height)[:, None])):
-            light = []
-            for wide in (1, 2):
-                stripes = np.broadcast_to((positions // wide % 2)[..., None], (height, width, 3))
-                self._show(stripes.astype(np.float64))
-                self._studio.sleep(self._delay_s)
-                light.append(float((_shares(self._studio.take()[-1]) - black)[lit].mean()))
-            darker = 1 - light[0] / light[1]
-            if darker > _MAX_RESAMPLED:
-                raise CalibrationError(
-                    f"the projector does not show the picture pixel for pixel: {axis} of one px are {darker:.0%} "
-                    "darker than those of two. Switch off keystone, zoom, overscan and sharpness, set its own "
-                    "resolution, and do not mirror it to a display of another size"
-                )
-
-    def _check_mirrored(self, black: FloatArray, white: FloatArray, lit: npt.NDArray[np.bool_]) -> None:
-        width, height = self._studio.projector_px
-        y, x = np.nonzero(lit)
-        places = np.column_stack([np.ones(len(x)), x, y])
-        slopes = []
-        for ramp in (np.linspace(0, 1, width)[None], np.linspace(0, 1, height)[:, None]):
-            self._show(np.broadcast_to(ramp[..., None], (height, width, 3)))
-            self._studio.sleep(self._delay_s)
-            seen = (_shares(self._studio.take()[-1]) - black)[lit].mean(axis=-1)
-            share = seen / (white - black)[lit].mean(axis=-1)
-            slopes.append(np.linalg.lstsq(places, share, rcond=None)[0][1:])
-        if np.linalg.det(np.array(slopes)) < 0:
-            raise CalibrationError(
-                "the picture is mirrored: switch off the projector's rear projection or ceiling mode, or the camera's "
-                "mirroring, whichever is on"
-            )
+    def _settled(self, code: float) -> FloatArray:
+        """Return the frame of a plain picture, 0..1, when it is on the screen for certain."""
+        self._shown = None
+        return self._probe.settled(code)
 
     def photograph(self, name: str, codes: npt.NDArray[np.floating]) -> ImageArray:
         """Return the frame of a picture that is checked to be on the screen, and still.
@@ -270,14 +150,14 @@ class GuidedCapture:
         before = self._shown
         for _ in range(_TRIES):
             self._show(codes)
-            self._studio.sleep(self._delay_s)
+            self._studio.sleep(self._probe.delay_s)
             first, *_, frame = self._studio.take()
-            if self._differs(_shares(first), _shares(frame)):
+            if self._differs(shares(first), shares(frame)):
                 reason = "two frames of it differ: something moves, or the light flickers"
             elif (
                 before is not None
                 and np.abs(before.codes**2 - codes**2).mean(axis=(0, 1)).max() > _OTHER_LIGHT
-                and not self._differs(_shares(before.frame), _shares(frame))
+                and not self._differs(shares(before.frame), shares(frame))
             ):
                 reason = "the camera still sees the picture before it: nothing may cover the projector's picture"
             else:
@@ -302,7 +182,7 @@ class GuidedCapture:
         names = radiometry_sequence(self._studio.projector_px).names
 
         def codes(name: str) -> npt.NDArray[np.floating]:
-            return self._field(radiometry_codes(name))
+            return self._probe.field(radiometry_codes(name))
 
         self._wait_for_sheet()
         self._discard_unless_alike(work, names[0], codes(names[0]), "the sheet or the room's light")
@@ -377,7 +257,7 @@ class GuidedCapture:
         line = "put up a white sheet that fills the picture"
         last, since_s = None, self._studio.now_s()
         for frame in self._looks(line):
-            now = _shares(frame)
+            now = shares(frame)
             if last is None or not self._alike(last, now) or not _is_sheet(now - black):
                 since_s = self._studio.now_s()
             last = now
@@ -397,7 +277,7 @@ class GuidedCapture:
         for frame in self._looks(line):
             width = frame.shape[1]
             try:
-                numbers, found = board.find(_shares(frame).mean(axis=-1))
+                numbers, found = board.find(shares(frame).mean(axis=-1))
                 seen, problem = _by_corner(board, board.corners_mm()[numbers], found), ""
             except CalibrationError as error:
                 seen, problem = {}, f" ({error})"
@@ -427,8 +307,8 @@ class GuidedCapture:
         if not stored:
             return
         if name in stored:
-            before = _shares(CapturedFolder(work, (name,))[name])
-            now = _shares(self.photograph(name, codes))
+            before = shares(CapturedFolder(work, (name,))[name])
+            now = shares(self.photograph(name, codes))
             if before.shape == now.shape and self._alike(before, now):
                 return
         self._report(f"{what} is not as it was: the pictures are taken from the start")
@@ -448,9 +328,9 @@ class GuidedCapture:
 
     def _change(self, captures: CapturedFolder, pictures: dict[str, npt.NDArray[np.floating]]) -> str | None:
         """Say what has changed since a bright picture and black were taken; None: nothing."""
-        bright = _shares(captures[next(iter(pictures))]).mean()
+        bright = shares(captures[next(iter(pictures))]).mean()
         for name, codes in pictures.items():
-            before, now = _shares(captures[name]), _shares(self.photograph(name, codes))
+            before, now = shares(captures[name]), shares(self.photograph(name, codes))
             change = float((now - before).mean() / bright)
             if abs(change) > _MAX_CHANGE:
                 return f"the light of {name} changed by {change:+.1%} of the projector's while the pictures were taken"
@@ -460,13 +340,13 @@ class GuidedCapture:
 
     def _alike(self, before: FloatArray, now: FloatArray) -> bool:
         """Whether the pixels of two frames of one picture differ by noise only."""
-        return _rms(before - now) <= _NOISE_TIMES * max(self._noise, _LEAST_NOISE)
+        return rms(before - now) <= _NOISE_TIMES * max(self._probe.noise, _LEAST_NOISE)
 
     def _differs(self, before: FloatArray, now: FloatArray) -> bool:
         """Whether two frames show different pictures: in their pixels, or in the means of cells."""
         cells = [cv2.resize(frame, _CELLS, interpolation=cv2.INTER_AREA) for frame in (before, now)]
-        allowed = _CELL_DIFFERS + _FLICKER_TIMES * self._flicker * np.asarray(cells[0])
-        return not self._alike(before, now) or _rms((np.asarray(cells[1]) - cells[0]) / allowed) > 1
+        allowed = _CELL_DIFFERS + _FLICKER_TIMES * self._probe.variation * np.asarray(cells[0])
+        return not self._alike(before, now) or rms((np.asarray(cells[1]) - cells[0]) / allowed) > 1
 
 
 def _continue_session(folder: Path, identity: dict[str, Any]) -> None:
@@ -512,29 +392,12 @@ def _write_picture(path: Path, frame: ImageArray) -> None:
     write_atomically(path, cv2.imencode(".png", frame[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 1])[1].tobytes())
 
 
-def _shares(frame: ImageArray) -> FloatArray:
-    """Return a frame as shares of full scale."""
-    return np.asarray(frame / np.float32(WHITE_LEVELS[frame.dtype.name]), np.float64)
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt((values**2).mean()))
-
-
-def _band_means(frame: FloatArray, lit: npt.NDArray[np.bool_]) -> FloatArray:
-    """Return the mean of the lit pixels of bands of rows, (bands, 3); NaN where a band has few."""
-    starts = np.arange(0, len(frame), _BAND_PX)
-    counts = np.add.reduceat(lit.sum(axis=1), starts)
-    sums = np.add.reduceat((frame * lit[..., None]).sum(axis=1), starts)
-    return np.where(counts[:, None] < _BAND_PX**2, np.nan, sums / np.maximum(counts, 1)[:, None])
-
-
 def _is_sheet(gain: FloatArray) -> bool:
     """Whether the light that the projector adds falls on one even colour in most of the picture."""
     total = gain.sum(axis=-1)
-    lit = total > _LIT * np.percentile(total, 99)
-    shares = gain[lit] / total[lit][:, None]
-    return bool(lit.mean() > _SHEET and np.percentile(np.abs(shares - np.median(shares, axis=0)), 95) < _ONE_COLOR)
+    lit = total > LIT * np.percentile(total, 99)
+    colors = gain[lit] / total[lit][:, None]
+    return bool(lit.mean() > _SHEET and np.percentile(np.abs(colors - np.median(colors, axis=0)), 95) < _ONE_COLOR)
 
 
 def _by_corner(board: Board, corners_mm: FloatArray, places_px: FloatArray) -> _Corners:

@@ -5,13 +5,14 @@ own. The calibration is to be found from the pictures alone.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.acquisition.simulated_camera import CameraFaults, SimulatedCamera
 from pipeline.acquisition.studio import FRAMES, Guidance
 from pipeline.calibration import Calibration
 from pipeline.calibration.board import Board
@@ -49,13 +50,22 @@ class StudioFaults:
     scale: float = 1.0  # of its picture, about its middle
     keystone: float = 0.0  # how much narrower its top is, as a part of its width
     swapped: bool = False  # the camera sends B, G, R
-    colour_cycle_s: float | None = None  # the projector shows its colours one after another; None: at once
+    colour_cycle_s: float | None = None  # the projector's light repeats after this time; None: it is constant
+    at_once: bool = False  # in a cycle all colours are lit together, and then none is; else one after another
+    focus_px: float = 0.0  # sigma of the projector's blur, of its own px
+    light: float = 1.0  # part of the projector's light that the exposure at the start sees
+    room: float = 0.0  # room light, of full scale at the exposure at the start; it flickers at 100 Hz
+    camera: CameraFaults = field(default_factory=CameraFaults)
     bow_mm: float = 0.0  # of the board
     dims: float = 0.0  # part of the projector's light that is lost in a minute
     moved_from: int | None = None  # from which pose on the camera's lens has another focal length, by three thousandths
 
 
 _NO_FAULTS = StudioFaults()
+# Part of a cycle in which colours are lit that come together; and frequency and depth of the room light's flicker.
+_LIT_PART, _ROOM_HZ, _ROOM_DEPTH = 0.8, 100.0, 0.6
+# Shortest exposure of the simulated camera.
+_SHORTEST_S = 2e-5
 #: The path of light of the simulated rig.
 LIGHT = CaptureLight(gamma=2.0, crosstalk=np.array(TYPICAL_CROSSTALK), blur_px=0.5, noise=1.5)
 
@@ -109,6 +119,8 @@ class SimulatedStudio:
         self._board, self._exposure_s, self._tell, self._faults, self._seed = board, exposure_s, tell, faults, seed
         self._truth, self._path = simulated_truth() if truth is None else truth, light
         self._rng = np.random.default_rng(seed)
+        self._camera = SimulatedCamera(faults.camera, light.noise, self._rng)
+        self._first_exposure_s, self._gain, self._phase_s = exposure_s, 1.0, 0.0
         self._time_s = 0.0
         self._sent: list[tuple[float, npt.NDArray[np.uint8]]] = []  # when each picture comes on, newest last
         self._outline: FloatArray | None = None
@@ -120,6 +132,22 @@ class SimulatedStudio:
     def projector_px(self) -> tuple[int, int]:
         """Width and height of the projector's pictures."""
         return self._truth.geometry().projector.size_px
+
+    @property
+    def exposures_s(self) -> tuple[float, float]:
+        """Shortest and longest exposure; see `Studio`."""
+        return _SHORTEST_S, FRAME_S
+
+    @property
+    def is_mosaic(self) -> bool:
+        """Whether frames are developed from a mosaic: they are not."""
+        return False
+
+    def set_camera(self, exposure_s: float, gain_db: float) -> float:
+        """Have the camera start afresh with an exposure and a gain; see `Studio`."""
+        self._exposure_s, self._gain = exposure_s, 10 ** (gain_db / 20)
+        self._phase_s = float(self._rng.uniform(0, FRAME_S))
+        return exposure_s
 
     def now_s(self) -> float:
         """Return the time."""
@@ -137,9 +165,9 @@ class SimulatedStudio:
     def take(self) -> list[ImageArray]:
         """Return frames; see `Studio`."""
         # The camera runs freely: an exposure begins with every whole frame.
-        number = int(np.ceil(self._time_s / FRAME_S))
+        number = int(np.ceil((self._time_s - self._phase_s) / FRAME_S))
         frames = []
-        for start_s in FRAME_S * (number + np.arange(FRAMES)):
+        for start_s in self._phase_s + FRAME_S * (number + np.arange(FRAMES)):
             frames.append(self._exposed(float(start_s)))
             self._time_s = float(start_s) + FRAME_S
         return frames
@@ -166,8 +194,16 @@ class SimulatedStudio:
         faults = self._faults
         if faults.mirrored:
             picture = np.ascontiguousarray(picture[:, ::-1])
-        if faults.scale == 1 and not faults.keystone:
-            return picture
+        if faults.scale != 1 or faults.keystone:
+            picture = self._resampled(picture)
+        if faults.focus_px:
+            light = cv2.GaussianBlur((picture / np.float32(255)) ** self._path.gamma, (0, 0), faults.focus_px)
+            picture = np.rint(255 * light ** (1 / self._path.gamma)).astype(np.uint8)
+        return picture
+
+    def _resampled(self, picture: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+        """Return a picture that is scaled, or has the form of a trapezium."""
+        faults = self._faults
         height, width = picture.shape[:2]
         corners = np.array([[0, 0], [width, 0], [width, height], [0, height]], np.float32)
         middle = np.array([width, height], np.float32) / 2
@@ -241,24 +277,38 @@ class SimulatedStudio:
         for n, (_, picture) in enumerate(self._sent):
             ends_s = self._sent[n + 1][0] if n + 1 < len(self._sent) else np.inf
             share = (min(ends_s, start_s + self._exposure_s) - since_s) / self._exposure_s
+            if share >= 1:
+                light = self._light(start_s, picture)
+                break
             if share > 0:
                 light = light + np.float32(share) * self._light(start_s, picture)
                 since_s = ends_s
         width, height = self._truth.geometry().camera.size_px
-        light = np.broadcast_to(light * self._shares_of_cycle(start_s), (height, width, 3))
-        light = light * np.float32(1 - self._faults.dims * start_s / 60)
-        noise = self._rng.standard_normal(light.shape, dtype=np.float32)
-        levels = np.clip(np.rint(255 * light + self._path.noise * noise), 0, 255).astype(np.uint8)
-        return np.ascontiguousarray(levels[..., ::-1]) if self._faults.swapped else levels
+        faults = self._faults
+        seen = self._exposure_s / self._first_exposure_s * self._gain  # compared with the start
+        parts = seen * faults.light * (1 - faults.dims * start_s / 60) * self._shares_of_cycle(start_s)
+        light = np.broadcast_to(light, (height, width, 3)) * parts.astype(np.float32)
+        if faults.room:
+            light += np.float32(seen * faults.room * self._room(start_s))
+        levels = self._camera.develop(light, start_s)
+        return np.ascontiguousarray(levels[..., ::-1]) if faults.swapped else levels
+
+    def _room(self, start_s: float) -> float:
+        """Return the room light during an exposure, 1 in the mean."""
+        turn = 2 * np.pi * _ROOM_HZ
+        swing = np.cos(turn * start_s) - np.cos(turn * (start_s + self._exposure_s))
+        return float(1 + _ROOM_DEPTH * swing / (turn * self._exposure_s))
 
     def _shares_of_cycle(self, start_s: float) -> npt.NDArray[np.float32]:
         """Return how much of each colour an exposure sees, (3,), 1 where it is a whole number of cycles."""
         cycle_s = self._faults.colour_cycle_s
         if cycle_s is None:
             return np.ones(3, np.float32)
+        part = _LIT_PART if self._faults.at_once else 1 / 3
+        begins_s = np.zeros(3) if self._faults.at_once else np.arange(3) * cycle_s / 3
 
         def lit_s(until_s: float) -> FloatArray:
-            whole, part = divmod(until_s, cycle_s)
-            return np.asarray(whole * cycle_s / 3 + np.clip(part - np.arange(3) * cycle_s / 3, 0, cycle_s / 3))
+            whole, rest = divmod(until_s, cycle_s)
+            return np.asarray(whole * cycle_s * part + np.clip(rest - begins_s, 0, cycle_s * part))
 
-        return np.asarray(3 * (lit_s(start_s + self._exposure_s) - lit_s(start_s)) / self._exposure_s, np.float32)
+        return np.asarray((lit_s(start_s + self._exposure_s) - lit_s(start_s)) / (part * self._exposure_s), np.float32)

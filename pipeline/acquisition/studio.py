@@ -49,6 +49,17 @@ class Studio(Protocol):
     def projector_px(self) -> tuple[int, int]:
         """Width and height of the projector's pictures."""
 
+    @property
+    def exposures_s(self) -> tuple[float, float]:
+        """Shortest and longest exposure at the present frame rate."""
+
+    @property
+    def is_mosaic(self) -> bool:
+        """Whether frames are developed from a Bayer mosaic, whose pixels see one colour each."""
+
+    def set_camera(self, exposure_s: float, gain_db: float) -> float:
+        """Set exposure and gain, and return the exposure as read back; the camera starts afresh."""
+
     def now_s(self) -> float:
         """Return the time."""
 
@@ -79,7 +90,7 @@ class RigStudio:
     settings : RigSettings
         The rig; where `projector.display` is None, the projector is the only display there is.
     open_instruments : callable
-        Opens its trigger source and its camera.
+        Opens the trigger source and the camera of a rig's settings.
     picture : Path
         A PNG of what the operator should see, written anew whenever that changes.
     tell : callable
@@ -94,27 +105,63 @@ class RigStudio:
     def __init__(
         self,
         settings: RigSettings,
-        open_instruments: Callable[[], tuple[Trigger, Camera]],
+        open_instruments: Callable[[RigSettings], tuple[Trigger, Camera]],
         picture: Path,
         tell: Callable[[str], None],
     ) -> None:
         self._picture, self._tell = picture, tell
+        timing = settings.timing.model_copy(update={"frames": FRAMES})
+        projector = settings.projector.model_copy(update={"alternating": False})
+        self._settings = settings.model_copy(update={"timing": timing, "projector": projector})
+        self._open_instruments = open_instruments
         self._display = Display(settings.projector.display)
         try:
             self._projector_px = self._display.size_px
-            timing = settings.timing.model_copy(update={"frames": FRAMES})
-            projector = settings.projector.model_copy(update={"alternating": False})
-            self._rig = Rig(settings.model_copy(update={"timing": timing, "projector": projector}), open_instruments)
+            self._open()
         except BaseException:
             self._display.close()
             raise
+
+    def _open(self) -> None:
+        settings = self._settings
+        self._rig = Rig(settings, lambda: self._open_instruments(settings))
+        try:
+            self._format = pixel_format(self._rig.camera.limits.format)
+        except BaseException:
+            self._rig.close()
+            raise
         self._bursts = self._rig.bursts()
-        self._format = pixel_format(self._rig.camera.limits.format)
 
     @property
     def projector_px(self) -> tuple[int, int]:
         """Width and height of the projector's pictures."""
         return self._projector_px
+
+    @property
+    def exposures_s(self) -> tuple[float, float]:
+        """Shortest and longest exposure; see `Studio`."""
+        camera = self._rig.camera
+        shortest_s, longest_s = camera.limits.exposure_s
+        readout_s = camera.limits.min_period_s - camera.exposure_s
+        return shortest_s, min(longest_s, self._settings.timing.period_s - readout_s)
+
+    @property
+    def is_mosaic(self) -> bool:
+        """Whether frames are developed from a mosaic; see `Studio`."""
+        return self._rig.camera.limits.format.layout == "bayer"
+
+    def set_camera(self, exposure_s: float, gain_db: float) -> float:
+        """Set exposure and gain; see `Studio`.
+
+        Drivers set a camera up when they open it, so it is opened again. Exposures off the colour cycle are allowed
+        here, because the cycle is found by them.
+        """
+        camera = self._settings.camera.model_copy(update={"exposure_s": exposure_s, "gain_db": gain_db})
+        projector = self._settings.projector.model_copy(update={"colour_cycle_s": None})
+        self._settings = self._settings.model_copy(update={"camera": camera, "projector": projector})
+        self._rig.close()
+        self._open()
+        return self._rig.camera.exposure_s
 
     def now_s(self) -> float:
         """Return the time."""

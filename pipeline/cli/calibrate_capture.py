@@ -132,7 +132,7 @@ def _capturing(rig: str, out: Path, board: Board | None) -> Iterator[_Capture]:
         else:
             check_projector(settings, rig)
             runtime.init("cpu")
-            studio = RigStudio(settings, lambda: open_instruments(settings), out / GUIDE, show)
+            studio = RigStudio(settings, open_instruments, out / GUIDE, show)
         try:
             identity = {"camera": settings.camera.model_dump(mode="json")}
             if board is not None:

@@ -15,6 +15,7 @@ _COMMANDS = {
     "demo": ("demo", "Simulate a colour frame, decode it, and compare the result with the truth."),
     "plan": ("plan", "Predict what a rig will measure, before it is bought."),
     "calibrate": ("calibrate", "Measure the rig: its light, its geometry, and later whether both still hold."),
+    "expose": ("expose", "Set the camera's exposure to the projector's light, and name what is wrong with the rig."),
     "capture": ("capture", "Fire projector and camera, and record every frame with its pulse."),
     "project": ("project", "Show a picture full-screen, pixel for pixel."),
     "projector": ("project", "Switch the rig's projector."),

@@ -1,0 +1,97 @@
+"""Change values in a rig's TOML file: its comments stay, and the file that was is kept."""
+
+from collections.abc import Mapping
+from difflib import unified_diff
+from pathlib import Path
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+
+from hardware.errors import RigError
+from pipeline.errors import OutputError
+from pipeline.files import explain, write_atomically
+
+
+def with_values(text: str, values: Mapping[str, float]) -> str:
+    """Return a TOML text with other values, everything else as it is.
+
+    Parameters
+    ----------
+    text : str
+        The file's.
+    values : mapping
+        Numbers by section and key, as ``camera.exposure_s``; a missing one is added to its section.
+
+    Raises
+    ------
+    RigError
+        The text is no TOML, or a section is not one.
+
+    Examples
+    --------
+    >>> with_values("camera = {exposure_s = 0.02}  # ours", {"camera.exposure_s": 0.016667})
+    'camera = {exposure_s = 0.016667}  # ours'
+    """
+    try:
+        document = tomlkit.parse(text)
+        for name, value in values.items():
+            section, key = name.split(".")
+            if section not in document:
+                document.add(section, tomlkit.table())
+            table = document[section]
+            if not isinstance(table, Mapping):
+                raise RigError(f"{section} is not a section: write [{section}]")
+            if table.get(key) != value:
+                document[section][key] = value
+    except TOMLKitError as error:
+        raise RigError(f"it is no TOML: {error}") from None
+    return tomlkit.dumps(document)
+
+
+def change_file(path: Path, values: Mapping[str, float]) -> tuple[Path | None, list[str]]:
+    """Write other values into a file, and keep the old one beside it.
+
+    Parameters
+    ----------
+    path : Path
+        The TOML file.
+    values : mapping
+        As for `with_values`.
+
+    Returns
+    -------
+    Path or None
+        The file that the old text is kept in; None: nothing had to be changed, and nothing is written.
+    list of str
+        The lines of the difference.
+
+    Raises
+    ------
+    RigError
+        The file cannot be read.
+    OutputError
+        It cannot be written.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:  # line ends stay as they are
+            before = file.read()
+    except (OSError, ValueError) as error:
+        reason = explain(error) if isinstance(error, OSError) else "it is no text file"
+        raise RigError(f"cannot read {path}: {reason}") from None
+    after = with_values(before, values)
+    if after == before:
+        return None, []
+    kept = _unused_name(path)
+    write_atomically(kept, before.encode())
+    write_atomically(path, after.encode())
+    lines = unified_diff(before.splitlines(), after.splitlines(), kept.name, path.name, n=0, lineterm="")
+    return kept, list(lines)
+
+
+def _unused_name(path: Path) -> Path:
+    """Return the first of rig.toml.old, rig.toml.old-2, ... that is not there."""
+    for number in range(1, 1000):
+        kept = path.with_name(f"{path.name}.old" + (f"-{number}" if number > 1 else ""))
+        if not kept.exists():
+            return kept
+    raise OutputError(f"cannot keep {path}: there are 999 old ones beside it: delete some")

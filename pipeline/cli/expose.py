@@ -1,0 +1,187 @@
+"""`colorphase expose`: exposure and gain of the camera are measured and set, and faults of the rig are named."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from math import inf, isclose, isinf
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from hardware.drivers import SIMULATED
+from hardware.instruments import open_instruments
+from hardware.settings import RigSettings
+from pipeline.acquisition.chosen_rig import check_projector, read_rig
+from pipeline.acquisition.exposure import ExposureFinder, ExposureReport
+from pipeline.acquisition.focus import FocusMeter
+from pipeline.acquisition.rig_faults import RigFault, RigProbe
+from pipeline.acquisition.rig_file import change_file
+from pipeline.acquisition.session import Stopping
+from pipeline.acquisition.simulated_capture import SETTINGS
+from pipeline.acquisition.simulated_studio import SimulatedStudio
+from pipeline.acquisition.studio import RigStudio, Studio
+from pipeline.calibration import Calibration
+from pipeline.calibration.model import DEFAULT_PERIOD_PX
+from pipeline.cli.console import bounded, remark, say, steps
+from pipeline.planning.rig_plan import plan_rig
+from tikernels import runtime
+
+# Digits of an exposure: cameras set theirs in steps of 1 us.
+_EXPOSURE_DIGITS = 6
+# Values that differ by less than this part are the same: an exposure may be off its cycle by 0.002 (colour_cycle.py).
+_SAME = 1e-3
+# A live figure changes with this delay of the picture at least, s: a shorter one shows the picture before.
+_LIVE_S = 0.2
+
+
+def expose(
+    *,
+    rig: str,
+    focus_s: Annotated[float, Parameter(validator=bounded(0, 3600))] = 0.0,
+) -> None:
+    """Measure the projector's light, set the camera's exposure and gain to it, and name what is wrong with the rig.
+
+    Put a still, bright surface before the rig, as a sheet of paper. It takes some minutes. The rig's file is changed,
+    with its comments kept, and the old one is kept beside it.
+
+    Example: colorphase expose --rig rig.toml --focus-s 60
+
+    Parameters
+    ----------
+    rig
+        The rig's TOML file; or "simulated", which needs nothing to be there.
+    focus_s
+        Show how sharp projector and camera are before, for so many seconds or until Enter is pressed.
+    """
+    settings = SETTINGS if rig == SIMULATED else read_rig(rig)
+    calibration = None
+    if settings.calibration is not None and Path(settings.calibration).exists():
+        calibration = Calibration.read(settings.calibration)
+    pattern = None if calibration is None else calibration.pattern
+    period_px = DEFAULT_PERIOD_PX if pattern is None else pattern.period_px
+    axis = 1 if pattern is not None and pattern.stripes == "vertical" else 0
+    with _studio_of(settings, rig) as (studio, show):
+        if focus_s:
+            show("focus")
+            say(_watch_focus(studio, period_px, axis, focus_s, show))
+        camera = settings.camera
+        report = ExposureFinder(studio, camera.exposure_s, camera.gain_db, period_px, axis, show).find()
+    mm_per_rad, source = _mm_per_rad(calibration)
+    for line in _in_words(report, mm_per_rad, source):
+        say(line)
+    if rig != SIMULATED:
+        if _change(Path(rig), settings, report) and calibration is not None:
+            remark(
+                "calibrate the light anew, because the camera is set to other values: colorphase calibrate radiometry"
+            )
+
+
+@contextmanager
+def _studio_of(settings: RigSettings, rig: str) -> Iterator[tuple[Studio, Callable[[str], None]]]:
+    """Open a rig; what is yielded second hears what is being done."""
+    with Stopping().listening(), steps() as show:
+        show("opening the rig")
+        if settings.trigger.driver == settings.camera.driver == SIMULATED:
+            studio: Studio = SimulatedStudio(None, settings.camera.exposure_s, tell=show)
+        else:
+            check_projector(settings, rig)
+            runtime.init("cpu")
+            # Whether the exposure is a whole number of cycles is measured here, not refused.
+            projector = settings.projector.model_copy(update={"colour_cycle_s": None})
+            opened = settings.model_copy(update={"projector": projector})
+            studio = RigStudio(opened, open_instruments, Path(rig).with_name("guide.png"), show)
+        try:
+            yield studio, show
+        finally:
+            studio.close()
+
+
+def _watch_focus(studio: Studio, period_px: float, axis: int, seconds: float, show: Callable[[str], None]) -> str:
+    """Show the figures of the focus until a key is pressed or the time is over; return the last of them."""
+    probe = RigProbe(studio)
+    for fault in (probe.look(), probe.measure_delay()):
+        if fault is not None:
+            return f"no focus: {fault.words}"
+    meter = FocusMeter(probe, lambda values: values, 1.0, period_px, axis)
+    settle_s = max(probe.delay_s, _LIVE_S)
+    until_s, sharpest, line = studio.now_s() + seconds, 0.0, "focus: no time to measure it"
+    while studio.now_s() < until_s and not studio.key_pressed():
+        contrast, scene = meter.contrast(settle_s), meter.scene_sharpness(settle_s)
+        sharpest = max(sharpest, scene)
+        line = (
+            "focus: fringes R {:.2f} G {:.2f} B {:.2f} (projector and camera), ".format(*contrast)
+            + f"the surface's own edges {scene / max(sharpest, 1e-9):.0%} of the best so far (camera)"
+        )
+        show(line)
+    return line
+
+
+def _mm_per_rad(calibration: Calibration | None) -> tuple[float, str]:
+    """Return how much depth a radian of phase is, and where that comes from."""
+    if calibration is not None and calibration.camera is not None and calibration.pattern is not None:
+        geometry = calibration.geometry()
+        distance_mm = geometry.working_distance_mm()
+        if distance_mm is not None:
+            return 1 / geometry.rad_per_mm(distance_mm), f"by the calibration, {distance_mm:.0f} mm away"
+    plan = plan_rig()
+    return plan.fringe.depth_per_rad_mm, "of a usual rig (colorphase plan): this one has no geometry yet"
+
+
+def _in_words(report: ExposureReport, mm_per_rad: float, source: str) -> Iterator[str]:
+    """Yield the lines of a report."""
+    cycle = report.cycle
+    if cycle is not None:
+        hz = 1 / cycle.period_s
+        how = f"one colour after another, {3 * hz:.1f} fields per s" if cycle.in_turns else "all colours at once"
+        yield f"the projector's light repeats every {1e3 * cycle.period_s:.4f} ms ({hz:.2f} Hz), {how}"
+    elif report.level:
+        yield "the projector's light is constant, so any exposure sees all of it"
+    if report.level:
+        cycles = "" if cycle is None else f" ({report.exposure_s / cycle.period_s:.0f} cycles)"
+        yield (
+            f"exposure {1e3 * report.exposure_s:.4f} ms{cycles}, gain {report.gain_db:.1f} dB: the brightest lit "
+            f"pixels have {report.level:.0%} of full scale"
+        )
+    if report.contrast is not None:
+        yield "contrast of the fringes: R {:.2f}, G {:.2f}, B {:.2f}".format(*report.contrast)
+    if report.transfer != "linear":
+        yield f'levels are not proportional to light: calibrate and decode with transfer = "{report.transfer}"'
+    yield from (_priced(fault, mm_per_rad) for fault in report.faults)
+    if not report.faults:
+        yield "no fault was found"
+    elif min(fault.cost_rad for fault in report.faults) < inf:
+        yield f"mm are RMS, at {mm_per_rad:.2f} mm per rad {source}"
+
+
+def _priced(fault: RigFault, mm_per_rad: float) -> str:
+    """Return a fault with its cost."""
+    if isinf(fault.cost_rad):
+        return f"nothing can be measured: {fault.key}: {fault.words}"
+    return f"{fault.cost_rad * mm_per_rad:.2f} mm ({fault.cost_rad:.3f} rad): {fault.key}: {fault.words}"
+
+
+def _change(rig: Path, settings: RigSettings, report: ExposureReport) -> bool:
+    """Write exposure, gain and cycle into the rig's file where they differ from it; return whether they do."""
+    if not report.level:
+        return False
+    present = {
+        "camera.exposure_s": settings.camera.exposure_s,
+        "camera.gain_db": settings.camera.gain_db,
+        "projector.colour_cycle_s": settings.projector.colour_cycle_s,
+    }
+    found = {"camera.exposure_s": round(report.exposure_s, _EXPOSURE_DIGITS), "camera.gain_db": report.gain_db}
+    if report.cycle is not None and report.cycle.in_turns:
+        found["projector.colour_cycle_s"] = round(report.cycle.period_s, _EXPOSURE_DIGITS + 2)
+    values = {
+        key: value
+        for key, value in found.items()
+        if (before := present[key]) is None or not isclose(value, before, rel_tol=_SAME)
+    }
+    kept, difference = change_file(rig, values)
+    if kept is None:
+        say(f"{rig} is as it should be")
+        return False
+    for line in difference:
+        say(line)
+    say(f"changed {rig}, the old one is {kept}")
+    return True
