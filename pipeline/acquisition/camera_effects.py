@@ -34,6 +34,8 @@ _MAX_OVERSHOOT = 0.02
 # Correlation of the noise of neighbouring pixels: 0 on a sensor, above where pixels are interpolated or compressed.
 # Only sharpening makes it negative, -0.06 where it adds half of the difference to the mean.
 _MIN_CORRELATION = -0.03
+# Parts of R, G and B in the brightness (Rec. ITU-R BT.601), which is sharpened, and stored for every pixel.
+_LUMA = np.array([0.299, 0.587, 0.114])
 # Noise below this variance, of full scale, is that of levels: a fifth of 8 bits.
 _LEAST_VARIANCE = (0.2 / 255) ** 2
 # Steps of the noise across the borders of blocks of 8 px are larger than others by this part, in frames taken so often;
@@ -235,8 +237,8 @@ class CameraEffects:
     def _noise_correlation(self) -> float:
         """Return the correlation of the noise of neighbouring pixels, 0 where there is hardly any noise."""
         first, second = self._probe.frames(self._probe.field(0.7 * self._code), 1)[:2]
-        noise = first - second
-        noise = noise - noise[self._probe.lit].mean(axis=0)
+        noise = (first - second) @ _LUMA
+        noise = noise - noise[self._probe.lit].mean()
         lit = self._probe.lit
         variance = (noise[lit] ** 2).mean()
         if variance < _LEAST_VARIANCE:
