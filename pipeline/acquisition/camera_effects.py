@@ -42,8 +42,8 @@ _LEAST_VARIANCE = (0.2 / 255) ** 2
 # those of a sensor are by 0.01.
 _BLOCK_PX, _MAX_BLOCKS, _NOISE_TAKES = 8, 0.1, 3
 # Steps of colour between pixels 2n and 2n+1 against those between 2n+1 and 2n+2: alike, but where colour is stored for
-# every second pixel. JPEG of full chroma makes a difference of 0.02.
-_MAX_PAIRS = 0.06
+# every second pixel. JPEG of full chroma makes a difference of 0.06, of half chroma 0.14.
+_MAX_PAIRS = 0.1
 # A step where there is no noise at all, of full scale: a thousandth of a level of 8 bits.
 _LEAST_STEP = 0.001 / 255
 # Camera px per spot of colour: the finest that the camera resolves.
