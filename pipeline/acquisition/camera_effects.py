@@ -34,14 +34,16 @@ _MAX_OVERSHOOT = 0.02
 # Correlation of the noise of neighbouring pixels: 0 on a sensor, above where pixels are interpolated or compressed.
 # Only sharpening makes it negative, -0.06 where it adds half of the difference to the mean.
 _MIN_CORRELATION = -0.03
+# Parts of R, G and B in the brightness (Rec. ITU-R BT.601), which is sharpened, and stored for every pixel.
+_LUMA = np.array([0.299, 0.587, 0.114])
 # Noise below this variance, of full scale, is that of levels: a fifth of 8 bits.
 _LEAST_VARIANCE = (0.2 / 255) ** 2
 # Steps of the noise across the borders of blocks of 8 px are larger than others by this part, in frames taken so often;
 # those of a sensor are by 0.01.
 _BLOCK_PX, _MAX_BLOCKS, _NOISE_TAKES = 8, 0.1, 3
 # Steps of colour between pixels 2n and 2n+1 against those between 2n+1 and 2n+2: alike, but where colour is stored for
-# every second pixel. JPEG of full chroma makes a difference of 0.02.
-_MAX_PAIRS = 0.06
+# every second pixel. JPEG of full chroma makes a difference of 0.06, of half chroma 0.14.
+_MAX_PAIRS = 0.1
 # A step where there is no noise at all, of full scale: a thousandth of a level of 8 bits.
 _LEAST_STEP = 0.001 / 255
 # Camera px per spot of colour: the finest that the camera resolves.
@@ -235,8 +237,8 @@ class CameraEffects:
     def _noise_correlation(self) -> float:
         """Return the correlation of the noise of neighbouring pixels, 0 where there is hardly any noise."""
         first, second = self._probe.frames(self._probe.field(0.7 * self._code), 1)[:2]
-        noise = first - second
-        noise = noise - noise[self._probe.lit].mean(axis=0)
+        noise = (first - second) @ _LUMA
+        noise = noise - noise[self._probe.lit].mean()
         lit = self._probe.lit
         variance = (noise[lit] ** 2).mean()
         if variance < _LEAST_VARIANCE:

@@ -17,6 +17,7 @@ from pipeline.acquisition.rig_faults import (
     MAX_SATURATED,
     RAD_PER_PART,
     SATURATED,
+    SURE_S,
     RigFault,
     RigProbe,
     saturated_part,
@@ -157,12 +158,13 @@ class ExposureFinder:
             words = f"white saturates {saturated:.0%} of the lit pixels: expose shorter, or close the aperture"
             # A channel loses what is above full scale, in the bright half of the fringe.
             self._note(RigFault("too bright", words, RAD_PER_PART * max(1 - 1 / light, 0.02) / 2))
-        elif light < _DARK:
+        elif (projected := light - float(curve.to_light(self._probe.black)[self._probe.lit].mean())) < _DARK:
             words = (
-                f"white has {light:.0%} of full scale's light, so noise is {_TARGET / light:.1f} times as large as "
-                "it could be: expose longer, open the aperture, then raise the gain"
+                f"white is brighter than black by {projected:.0%} of full scale's light, so noise is "
+                f"{_TARGET / projected:.1f} times as large as it could be: expose longer, open the aperture, then "
+                "raise the gain"
             )
-            self._note(RigFault("too dark", words, RAD_PER_PART / 255 / light))
+            self._note(RigFault("too dark", words, RAD_PER_PART / 255 / projected))
         return light
 
     def _measure_cycle(
@@ -225,6 +227,7 @@ class ExposureFinder:
         self._tell("testing the projector's picture")
         if self._note(probe.look()):
             return self._report(0.0, cycle, "linear", None)
+        probe.delay_s = SURE_S  # which automatics of the camera may need
         resampled = self._note(probe.resampled())
         self._note(probe.mirrored())
         self._tell("testing the camera's processing")
