@@ -94,6 +94,8 @@ def _studio_of(settings: RigSettings, rig: str) -> Iterator[tuple[Studio, Callab
             yield studio, show
         finally:
             studio.close()
+    if isinstance(studio, SimulatedStudio):
+        say(f"simulated: {studio.n_acts} manual acts, {studio.now_s():.0f} s by the rig's clock")
 
 
 def _watch_focus(studio: Studio, period_px: float, axis: int, seconds: float, show: Callable[[str], None]) -> str:
