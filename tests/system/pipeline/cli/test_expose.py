@@ -44,6 +44,7 @@ def test_the_file_is_changed_and_the_old_one_kept(command, tmp_path, found):
     assert (ended, complained) == (0, "")
     per_rad = plan_rig().fringe.depth_per_rad_mm
     assert said.splitlines() == [
+        "simulated: 1 manual acts, 0 s by the rig's clock",
         "the projector's light repeats every 8.3333 ms (120.00 Hz), one colour after another, 360.0 fields per s",
         "exposure 16.6667 ms (2 cycles), gain 2.5 dB: the brightest lit pixels have 90% of full scale",
         "contrast of the fringes: R 0.90, G 0.95, B 0.92",
