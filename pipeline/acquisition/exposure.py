@@ -41,6 +41,8 @@ _MOST_GAIN_DB, _GAIN_STEP_DB = 24.0, 0.1
 _BAR_LIGHT, _LEAST_GAMMA = 0.7, 1.8
 # Codes become darker by this factor, and exposures by a half, until white is not saturated; so often at most.
 _DIMMER, _TRIES = 0.8, 6
+# How often frames are taken that are averaged where the room's light flickers: two fifths of its 1 % are left then.
+_FLICKER_TAKES = 6
 # Frames by which a flicker is measured come from this many starts of the camera.
 _STARTS = 6
 
@@ -219,6 +221,7 @@ class ExposureFinder:
                 "room by direct current"
             )
             self._note(RigFault("room light", words, RAD_PER_PART * varies))
+            self._probe.takes = _FLICKER_TAKES
 
     def _test_camera(self, cycle: LightCycle | None) -> ExposureReport:
         """Test the rig with the camera as it is set now."""
@@ -232,7 +235,7 @@ class ExposureFinder:
         self._note(probe.mirrored())
         self._tell("testing the camera's processing")
         code = self._white_code()
-        curve = measure_tone_curve(probe, code)
+        curve = measure_tone_curve(probe, code, 3 * probe.takes)
         if not resampled and not curve.is_named:
             words = (
                 f"the tone curve is none that is known (light is off by {curve.error:.1%} of the range): set the "

@@ -70,6 +70,10 @@ class _Shown:
     frame: ImageArray
 
 
+class NobodyCameError(CalibrationError):
+    """Whoever was to hold a thing before the rig has not come."""
+
+
 class GuidedCapture:
     """Takes the pictures of a calibration with a projector and a camera.
 
@@ -218,7 +222,7 @@ class GuidedCapture:
             try:
                 self._take_pose(folder / f"pose-{len(guide.poses) + 1:02d}", board, guide)
                 failures = 0
-            except BentBoardError:
+            except (BentBoardError, NobodyCameError):
                 raise
             except CalibrationError as error:
                 failures += 1
@@ -299,7 +303,7 @@ class GuidedCapture:
         while self._studio.now_s() - start_s < _PATIENCE_S:
             yield self._studio.take()[-1]
             self._studio.sleep(_LOOK_S)
-        raise CalibrationError(f"nothing came for {_PATIENCE_S / 60:.0f} minutes: run the command again to go on")
+        raise NobodyCameError(f"nothing came for {_PATIENCE_S / 60:.0f} minutes: run the command again to go on")
 
     def _discard_unless_alike(self, work: Path, name: str, codes: npt.NDArray[np.floating], what: str) -> None:
         """Take the pictures from the start where an earlier capture's first one shows another scene than now."""

@@ -70,6 +70,8 @@ class RigProbe:
         Of white from frame to frame, as a part of it, once `flicker` was called.
     px_per_px : float
         Projector px per camera px, once `mirrored` was called.
+    takes : int
+        How often frames are taken whose mean is compared: more where the room's light flickers.
     """
 
     def __init__(self, studio: Studio) -> None:
@@ -78,6 +80,7 @@ class RigProbe:
         self.white: FloatArray = np.ones((1, 1, 3))
         self.lit: npt.NDArray[np.bool_] = np.ones((1, 1), bool)
         self.delay_s, self.noise, self.variation, self.px_per_px = SURE_S, 0.0, 0.0, 1.0
+        self.takes = 1
         self._shown_codes: npt.NDArray[np.floating] | None = None
 
     def faults(self) -> Iterator[RigFault]:
@@ -123,7 +126,7 @@ class RigProbe:
 
     def settled(self, code: float | FloatArray) -> FloatArray:
         """Return the frame of a plain picture, 0..1, when it is on the screen for certain."""
-        return self.frames(self.field(code), 1)[-1]
+        return self._last_or_mean(self.frames(self.field(code), self.takes))
 
     def look(self) -> RigFault | None:
         """Photograph black and white; return the fault that hardly any light is seen."""
@@ -254,7 +257,11 @@ class RigProbe:
         """Return a frame of a picture as soon as it is on the screen."""
         self.show(codes)
         self.studio.sleep(self.delay_s)
-        return shares(self.studio.take()[-1])
+        frames = [shares(frame) for _ in range(self.takes) for frame in self.studio.take()]
+        return self._last_or_mean(frames)
+
+    def _last_or_mean(self, frames: list[FloatArray]) -> FloatArray:
+        return frames[-1] if self.takes == 1 else np.asarray(np.mean(frames, axis=0))
 
 
 def shares(frame: ImageArray) -> FloatArray:

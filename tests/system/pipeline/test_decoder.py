@@ -15,7 +15,7 @@ from pipeline.errors import CalibrationError, FootageError, SettingsError
 from pipeline.output.report import measure_against_truth
 from pipeline.simulation import SKIN, WHITE, SimulationSettings, simulate_frame, simulated_rig
 from tikernels.errors import DeviceNotReady, ShapeError
-from tikernels.scene import scene_rendering as projection
+from tikernels.scene.scene_shapes import SHAPES
 from tikernels.traffic import traffic
 
 pytestmark = pytest.mark.usefixtures("cpu")
@@ -52,7 +52,7 @@ def test_a_gpu_is_asked_little(arch):
         assert traffic.read_bytes < results + 1_700_000
 
 
-@pytest.mark.parametrize("scene", projection.SCENES)
+@pytest.mark.parametrize("scene", SHAPES)
 @pytest.mark.parametrize(("gamma", "reflectance"), [(2.0, SKIN), (1.0, WHITE)])
 def test_accuracy_on_every_scene(arch, scene, gamma, reflectance):
     truth, calibration = simulated(scene, gamma=gamma, reflectance=reflectance)

@@ -243,7 +243,7 @@ def test_check_and_fix(folder, command):
         ("plane.png", "swapped.json", (), "camera and projector are swapped"),
         ("plane.png", "calibration.json", (), "plane.png is 400x300 px but the calibration is for a camera of 320x240"),
         ("plane.png", "old.json", ("--radius-mm", "40"), "add --shape ball"),
-        ("many", "old.json", ("--shape", "plane"), "take one picture"),
+        ("many", "old.json", ("--shape", "plane"), "give one picture"),
         ("empty", "old.json", (), "holds no pictures"),
     ):
         done = command(*arguments[:2], what, "--calibration", rig, *options, cwd=folder)
