@@ -228,8 +228,8 @@ def simulated_instruments(
 ) -> tuple[Callable[[], tuple[Trigger, Camera]], Calibration]:
     """Return what opens the simulated rig, and the calibration that its frames are decoded by.
 
-    That is the one that the file names, if it is there, or else the one that the rig has found by itself; never the true
-    one.
+    That is the one that the file names, if it is there, or else the one that the rig has found by itself; it is never
+    the true one.
 
     Parameters
     ----------
