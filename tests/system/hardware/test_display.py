@@ -64,6 +64,28 @@ def test_a_key_ends_it(dummy, key):
         assert 0.1 < time.monotonic() - start_s < 30
 
 
+def test_enter_is_noted_and_esc_ends_the_wait(dummy):
+    with Display(0) as shown:
+        pygame = shown._pygame
+        assert not shown.entered()
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_RETURN))
+        assert shown.wait(0.2) is False
+        assert shown.entered() and not shown.entered()
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE))
+        assert shown.wait(60) is True
+
+
+def test_the_operator_sees_a_picture_where_there_is_another_display(dummy):
+    picture = noise((64, 48))
+    with Display(0) as shown:
+        assert shown.show_aside(picture) is False
+        shown._others = [0]  # as if there were two
+        assert shown.show_aside(picture) is True
+        drawn = np.frombuffer(shown._pygame.image.tobytes(shown._aside.get_surface(), "RGB"), np.uint8)
+        np.testing.assert_array_equal(drawn.reshape(picture.shape), picture)
+        assert shown.size_px != (64, 48)
+
+
 def test_another_size_is_refused_and_so_is_another_display(dummy):
     with Display() as shown:
         width, height = shown.size_px
