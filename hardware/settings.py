@@ -118,7 +118,7 @@ class ProjectorSettings(_Section):
     """The projector, how it makes colours, and how it is spoken to."""
 
     display: Annotated[int, Field(ge=0, lt=100)] | None = None
-    """Which display it is, as `colorphase devices` numbers them: this program then shows the pattern on it; None:
+    """The number of its display, as `colorphase devices` lists them: this program then shows the pattern on it; None:
     something else shows it."""
     colour_cycle_s: Positive | None = None
     """How long R, G and B take together, where the projector shows them one after another; None: it does not."""

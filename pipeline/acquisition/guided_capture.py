@@ -71,7 +71,7 @@ class _Shown:
 
 
 class NobodyCameError(CalibrationError):
-    """Whoever was to hold a thing before the rig has not come."""
+    """Nothing was held before the rig in time."""
 
 
 class GuidedCapture:
@@ -343,11 +343,11 @@ class GuidedCapture:
         return None
 
     def _alike(self, before: FloatArray, now: FloatArray) -> bool:
-        """Whether the pixels of two frames of one picture differ by noise only."""
+        """Return whether the pixels of two frames of one picture differ by noise only."""
         return rms(before - now) <= _NOISE_TIMES * max(self._probe.noise, _LEAST_NOISE)
 
     def _differs(self, before: FloatArray, now: FloatArray) -> bool:
-        """Whether two frames show different pictures: in their pixels, or in the means of cells."""
+        """Return whether two frames show different pictures: in their pixels, or in the means of cells."""
         cells = [cv2.resize(frame, _CELLS, interpolation=cv2.INTER_AREA) for frame in (before, now)]
         allowed = _CELL_DIFFERS + _FLICKER_TIMES * self._probe.variation * np.asarray(cells[0])
         return not self._alike(before, now) or rms((np.asarray(cells[1]) - cells[0]) / allowed) > 1
@@ -397,7 +397,7 @@ def _write_picture(path: Path, frame: ImageArray) -> None:
 
 
 def _is_sheet(gain: FloatArray) -> bool:
-    """Whether the light that the projector adds falls on one even colour in most of the picture."""
+    """Return whether the light that the projector adds falls on one even colour in most of the picture."""
     total = gain.sum(axis=-1)
     lit = total > LIT * np.percentile(total, 99)
     colors = gain[lit] / total[lit][:, None]

@@ -82,7 +82,7 @@ class Scene:
 
 
 class SimulatedCamera:
-    """What the camera sees: the head where it is at the time, and noise of the frame's own.
+    """Frames of the simulated camera: the head where it is at the time, with noise of the frame's own.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ _SHEET_TURN, _SHEET_MM = (0.05, 0.1, 0.0), (0.0, 0.0, 900.0)
 
 @dataclass(frozen=True)
 class StudioFaults:
-    """What is wrong with the simulated rig."""
+    """Faults of the simulated rig."""
 
     mirrored: bool = False  # the projector's picture
     scale: float = 1.0  # of its picture, about its middle
@@ -57,7 +57,6 @@ class StudioFaults:
     room: float = 0.0  # room light, of full scale at the exposure at the start; it flickers at 100 Hz
     camera: CameraFaults = field(default_factory=CameraFaults)
     bow_mm: float = 0.0  # of the board
-    dims: float = 0.0  # part of the projector's light that is lost in a minute
     moved_from: int | None = None  # from which pose on the camera's lens has another focal length, by three thousandths
 
 
@@ -140,7 +139,7 @@ class SimulatedStudio:
 
     @property
     def is_mosaic(self) -> bool:
-        """Whether frames are developed from a mosaic: they are not."""
+        """Return False: frames come from no mosaic."""
         return False
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
@@ -228,7 +227,7 @@ class SimulatedStudio:
         return stands
 
     def _is_seen(self, stands: FloatArray) -> bool:
-        """Whether camera and projector see a whole board."""
+        """Return whether camera and projector see a whole board."""
         geometry = self._truth.geometry()
         outline = self._held().outline_mm() @ cv2.Rodrigues(stands[:3])[0].T + stands[3:]
         here, there = (np.zeros(3), np.zeros(3)), (cv2.Rodrigues(geometry.rotation)[0], geometry.translation_mm)
@@ -286,7 +285,7 @@ class SimulatedStudio:
         width, height = self._truth.geometry().camera.size_px
         faults = self._faults
         seen = self._exposure_s / self._first_exposure_s * self._gain  # compared with the start
-        parts = seen * faults.light * (1 - faults.dims * start_s / 60) * self._shares_of_cycle(start_s)
+        parts = seen * faults.light * self._shares_of_cycle(start_s)
         light = np.broadcast_to(light, (height, width, 3)) * parts.astype(np.float32)
         if faults.room:
             light += np.float32(seen * faults.room * self._room(start_s))

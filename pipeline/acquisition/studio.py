@@ -33,7 +33,7 @@ _SHOWN_PX, _BAND_PX = 960, 48
 
 @dataclass(frozen=True)
 class Guidance:
-    """What whoever holds the board should know now."""
+    """Instructions for the operator who holds the board."""
 
     line: str
     frame: ImageArray | None = None  # (H, W, 3) RGB, as the camera sees it
@@ -55,7 +55,7 @@ class Studio(Protocol):
 
     @property
     def is_mosaic(self) -> bool:
-        """Whether frames are developed from a Bayer mosaic, whose pixels see one colour each."""
+        """True where frames are developed from a Bayer mosaic."""
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
         """Set exposure and gain, and return the exposure as read back; the camera starts afresh."""
@@ -76,7 +76,7 @@ class Studio(Protocol):
         """Show whoever holds the board what to do."""
 
     def key_pressed(self) -> bool:
-        """Whether a key was pressed since the last call: the board is where it should be."""
+        """Return whether a key was pressed since the last call: the board is where it should be."""
 
     def close(self) -> None:
         """Let go of everything; idempotent."""
@@ -147,7 +147,7 @@ class RigStudio:
 
     @property
     def is_mosaic(self) -> bool:
-        """Whether frames are developed from a mosaic; see `Studio`."""
+        """True where frames are developed from a mosaic; see `Studio`."""
         return self._rig.camera.limits.format.layout == "bayer"
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
@@ -190,7 +190,7 @@ class RigStudio:
         write_atomically(self._picture, cv2.imencode(".png", drawn[..., ::-1])[1].tobytes())
 
     def key_pressed(self) -> bool:
-        """Whether Enter was pressed in the operator's window or in the terminal; see `Studio`."""
+        """Return whether Enter was pressed in the operator's window or in the terminal; see `Studio`."""
         return self._display.entered() or _enter_in_terminal()
 
     def close(self) -> None:
@@ -200,7 +200,7 @@ class RigStudio:
 
 
 def _enter_in_terminal() -> bool:
-    """Whether Enter was pressed in the terminal, if there is one."""
+    """Return whether Enter was pressed in the terminal, if there is one."""
     if not sys.stdin.isatty():
         return False
     if sys.platform == "win32":

@@ -50,7 +50,7 @@ class ToneCurve:
 
     @property
     def is_named(self) -> bool:
-        """Whether a named curve fits."""
+        """True where a named curve fits."""
         return self.resolved or self.error <= MAX_CURVE
 
     def to_light(self, values: FloatArray) -> FloatArray:

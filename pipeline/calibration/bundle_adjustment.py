@@ -37,7 +37,7 @@ _MAX_STEPS, _LEAST_GAIN = 60, 1e-9
 
 @dataclass(frozen=True)
 class BoardBow:
-    """How far a board that is taken for flat is bent."""
+    """Bow of a board that is assumed to be flat."""
 
     height_mm: float  # from its middle to its farthest corner, positive where the middle is nearer to the camera
     sigma_mm: float

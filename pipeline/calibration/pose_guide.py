@@ -1,4 +1,4 @@
-"""Where to hold a calibration board next, and whether its poses are enough and fit together.
+"""Choose the next pose of a calibration board, and decide whether its poses suffice and agree.
 
 Every pose adds to the normal matrix of the bundle adjustment. Its own place, six parameters, is eliminated (Schur's
 complement), so that the rest is what the pose tells of the lenses and of the step between them:
@@ -84,7 +84,7 @@ class PoseGuide:
 
     @property
     def enough(self) -> bool:
-        """Whether another pose would hardly lower the uncertainty of depth."""
+        """True where another pose would hardly lower the uncertainty of depth."""
         if len(self.poses) < MIN_POSES or len(self.depth_mm) < 2:
             return False
         return len(self.poses) >= MOST_POSES or self.depth_mm[-1] > (1 - _LEAST_GAIN) * self.depth_mm[-2]
@@ -128,7 +128,7 @@ class PoseGuide:
         elif projector > _CONTRADICTS:
             moved = "the projector's lens or picture has changed (focus, zoom, keystone)"
         else:
-            moved = "camera and projector have moved against each other"
+            moved = "a lens has changed (focus, zoom), or camera and projector have moved against each other"
         raise CalibrationError(
             f"{pose.name} contradicts the poses before it ({both:.0f} standard deviations): {moved}. If nothing was "
             "touched, show the board again; else begin in a new folder"
@@ -202,7 +202,7 @@ class PoseGuide:
         return np.array([0.0, 0.0, depth])
 
     def _is_seen(self, stands: FloatArray, rig: FloatArray) -> bool:
-        """Whether both views hold the whole board."""
+        """Return whether both views hold the whole board."""
         views = [(stands[:3], stands[3:], rig[:9], self._camera_px)]
         if self.fit is not None:
             turn, place, *_ = cv2.composeRT(stands[:3], stands[3:], rig[18:21], rig[21:24])

@@ -10,20 +10,17 @@ from typing import Literal
 from cyclopts import App
 
 from hardware.drivers import SIMULATED
-from hardware.instruments import open_instruments
 from hardware.settings import RigSettings
-from pipeline.acquisition.chosen_rig import check_projector, read_rig
+from pipeline.acquisition.chosen_rig import read_rig
 from pipeline.acquisition.guided_capture import GuidedCapture
-from pipeline.acquisition.session import Stopping
 from pipeline.acquisition.simulated_capture import SETTINGS
-from pipeline.acquisition.simulated_studio import SimulatedStudio
-from pipeline.acquisition.studio import RigStudio, Studio
+from pipeline.acquisition.studio import Studio
 from pipeline.calibration.board import Board
 from pipeline.calibration.pose_guide import PoseGuide
 from pipeline.cli import calibrate
-from pipeline.cli.console import read_calibration, remark, say, steps
+from pipeline.cli.console import read_calibration, remark
+from pipeline.cli.opened_studio import opened_studio
 from pipeline.cli.project import BoardOptions, PatternOptions
-from tikernels import runtime
 
 _BOARD, _FRINGES = BoardOptions(), PatternOptions()
 #: The picture for whoever holds the board, and the calibration where the rig's file names none.
@@ -124,26 +121,13 @@ def _capturing(rig: str, out: Path, board: Board | None) -> Iterator[_Capture]:
     """Open a rig for a guided capture, its faults looked for."""
     settings = SETTINGS if rig == SIMULATED else read_rig(rig)
     target = out / CALIBRATION if settings.calibration is None else Path(settings.calibration)
-    stopping = Stopping()
-    with stopping.listening(), steps() as show:
-        show("opening the rig")
-        if settings.trigger.driver == settings.camera.driver == SIMULATED:
-            studio: Studio = SimulatedStudio(board, settings.camera.exposure_s, tell=show)
-        else:
-            check_projector(settings, rig)
-            runtime.init("cpu")
-            studio = RigStudio(settings, open_instruments, out / GUIDE, show)
-        try:
-            identity = {"camera": settings.camera.model_dump(mode="json")}
-            if board is not None:
-                identity["board"] = board.model_dump(mode="json")
-            guided = GuidedCapture(studio, out, identity, show, remark)
-            guided.check_rig()
-            yield _Capture(guided, studio, settings, target)
-        finally:
-            studio.close()
-    if isinstance(studio, SimulatedStudio):
-        say(f"simulated: {studio.n_acts} manual acts, {studio.now_s():.0f} s by the rig's clock")
+    with opened_studio(settings, rig, board, out / GUIDE) as (studio, show):
+        identity = {"camera": settings.camera.model_dump(mode="json")}
+        if board is not None:
+            identity["board"] = board.model_dump(mode="json")
+        guided = GuidedCapture(studio, out, identity, show, remark)
+        guided.check_rig()
+        yield _Capture(guided, studio, settings, target)
 
 
 def _kept(target: Path, out: Path) -> Path | None:

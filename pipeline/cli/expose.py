@@ -1,7 +1,6 @@
 """`colorphase expose`: exposure and gain of the camera are measured and set, and faults of the rig are named."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from math import inf, isclose, isinf
 from pathlib import Path
 from typing import Annotated
@@ -9,22 +8,19 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from hardware.drivers import SIMULATED
-from hardware.instruments import open_instruments
 from hardware.settings import RigSettings
-from pipeline.acquisition.chosen_rig import check_projector, read_rig
+from pipeline.acquisition.chosen_rig import read_rig
 from pipeline.acquisition.exposure import ExposureFinder, ExposureReport
 from pipeline.acquisition.focus import FocusMeter
 from pipeline.acquisition.rig_faults import RigFault, RigProbe
 from pipeline.acquisition.rig_file import change_file
-from pipeline.acquisition.session import Stopping
 from pipeline.acquisition.simulated_capture import SETTINGS
-from pipeline.acquisition.simulated_studio import SimulatedStudio
-from pipeline.acquisition.studio import RigStudio, Studio
+from pipeline.acquisition.studio import Studio
 from pipeline.calibration import Calibration
 from pipeline.calibration.model import DEFAULT_PERIOD_PX
-from pipeline.cli.console import bounded, remark, say, steps
+from pipeline.cli.console import bounded, remark, say
+from pipeline.cli.opened_studio import opened_studio
 from pipeline.planning.rig_plan import plan_rig
-from tikernels import runtime
 
 # Digits of an exposure: cameras set theirs in steps of 1 us.
 _EXPOSURE_DIGITS = 6
@@ -60,7 +56,10 @@ def expose(
     pattern = None if calibration is None else calibration.pattern
     period_px = DEFAULT_PERIOD_PX if pattern is None else pattern.period_px
     axis = 1 if pattern is not None and pattern.stripes == "vertical" else 0
-    with _studio_of(settings, rig) as (studio, show):
+    # Whether the exposure is a whole number of cycles is measured here, not refused.
+    projector = settings.projector.model_copy(update={"colour_cycle_s": None})
+    opened = settings.model_copy(update={"projector": projector})
+    with opened_studio(opened, rig, None, Path(rig).with_name("guide.png")) as (studio, show):
         if focus_s:
             show("focus")
             say(_watch_focus(studio, period_px, axis, focus_s, show))
@@ -72,30 +71,9 @@ def expose(
     if rig != SIMULATED:
         if _change(Path(rig), settings, report) and calibration is not None:
             remark(
-                "calibrate the light anew, because the camera is set to other values: colorphase calibrate radiometry"
+                "calibrate the light anew, because the camera is set to other values: colorphase calibrate capture "
+                "radiometry"
             )
-
-
-@contextmanager
-def _studio_of(settings: RigSettings, rig: str) -> Iterator[tuple[Studio, Callable[[str], None]]]:
-    """Open a rig; what is yielded second hears what is being done."""
-    with Stopping().listening(), steps() as show:
-        show("opening the rig")
-        if settings.trigger.driver == settings.camera.driver == SIMULATED:
-            studio: Studio = SimulatedStudio(None, settings.camera.exposure_s, tell=show)
-        else:
-            check_projector(settings, rig)
-            runtime.init("cpu")
-            # Whether the exposure is a whole number of cycles is measured here, not refused.
-            projector = settings.projector.model_copy(update={"colour_cycle_s": None})
-            opened = settings.model_copy(update={"projector": projector})
-            studio = RigStudio(opened, open_instruments, Path(rig).with_name("guide.png"), show)
-        try:
-            yield studio, show
-        finally:
-            studio.close()
-    if isinstance(studio, SimulatedStudio):
-        say(f"simulated: {studio.n_acts} manual acts, {studio.now_s():.0f} s by the rig's clock")
 
 
 def _watch_focus(studio: Studio, period_px: float, axis: int, seconds: float, show: Callable[[str], None]) -> str:

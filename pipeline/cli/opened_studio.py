@@ -1,0 +1,54 @@
+"""The projector, camera and operator that `calibrate capture` and `expose` work with."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from hardware.drivers import SIMULATED
+from hardware.instruments import open_instruments
+from hardware.settings import RigSettings
+from pipeline.acquisition.chosen_rig import check_projector
+from pipeline.acquisition.session import Stopping
+from pipeline.acquisition.simulated_studio import SimulatedStudio
+from pipeline.acquisition.studio import RigStudio, Studio
+from pipeline.calibration.board import Board
+from pipeline.cli.console import say, steps
+from tikernels import runtime
+
+
+@contextmanager
+def opened_studio(
+    settings: RigSettings, rig: str, board: Board | None, picture: Path
+) -> Iterator[tuple[Studio, Callable[[str], None]]]:
+    """Open a rig, or the simulated one; yield it, and the callable that shows the step being done.
+
+    Parameters
+    ----------
+    settings : RigSettings
+        The rig.
+    rig : str
+        Its file, for messages.
+    board : Board or None
+        The board that the simulated operator holds; None: a white sheet.
+    picture : Path
+        The PNG that shows the operator of a real rig what to do.
+
+    Raises
+    ------
+    ProjectorError, TriggerError, CameraError, RigError
+        An instrument cannot be reached or used.
+    """
+    with Stopping().listening(), steps() as show:
+        show("opening the rig")
+        if settings.trigger.driver == settings.camera.driver == SIMULATED:
+            studio: Studio = SimulatedStudio(board, settings.camera.exposure_s, tell=show)
+        else:
+            check_projector(settings, rig)
+            runtime.init("cpu")
+            studio = RigStudio(settings, open_instruments, picture, show)
+        try:
+            yield studio, show
+        finally:
+            studio.close()
+    if isinstance(studio, SimulatedStudio):
+        say(f"simulated: {studio.n_acts} manual acts, {studio.now_s():.0f} s by the rig's clock")
