@@ -1,4 +1,4 @@
-"""A simulated camera whose automatics and processing change its picture."""
+"""A simulated camera, whose automatics and processing may change its picture."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -31,6 +31,12 @@ class CameraFaults:
     chroma: Literal["replicated", "interpolated"] | None = None  # 4:2:0, and how it is brought back to full size
     black_levels: float = 0.0  # level of no light, of 255; below zero it is clipped
     blur_px: float = 0.0  # sigma of the defocused lens
+
+
+#: `[camera] serial` of a rig file that makes the simulated camera a webcam.
+WEBCAM_NAME = "webcam"
+#: What that does: sRGB, mild sharpening, and MJPEG with colour at half the resolution.
+WEBCAM = CameraFaults(curve="srgb", sharpening=0.3, chroma="interpolated", jpeg_quality=90)
 
 
 class SimulatedCamera:
