@@ -33,7 +33,9 @@ def main() -> None:
     options = parser.parse_args()
     settings = SETTINGS
     if options.webcam:
-        settings = SETTINGS.model_copy(update={"camera": SETTINGS.camera.model_copy(update={"serial": WEBCAM_NAME})})
+        camera = SETTINGS.camera.model_copy(update={"serial": WEBCAM_NAME})
+        timing = SETTINGS.timing.model_copy(update={"period_s": 0.05})  # by a webcam's 30 frames a second
+        settings = SETTINGS.model_copy(update={"camera": camera, "timing": timing})
     open_instruments, calibration = simulated_instruments(settings, "cpu", lambda step: None)
     with Rig(settings, open_instruments) as rig:
         bursts = list(islice(rig.bursts(), options.bursts))
