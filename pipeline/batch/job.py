@@ -1,13 +1,13 @@
 """What is to be decoded and how: all that a process needs in order to do some of it, the same everywhere."""
 
 import hashlib
+import os
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
-
-import numpy as np
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
@@ -15,6 +15,7 @@ from pipeline.decoding.doubts import CODE_SHOWN
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
+from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
@@ -102,6 +103,8 @@ class Job:
     fields: tuple[str, ...]
     store: str
     arch: str
+    listed: tuple[str, ...] | None = None  # names of a folder's pictures; None: all that are there
+    files_sha256: str | None = None  # of all that the footage is made of; None: not known yet
 
     def open(self) -> Source:
         """Open the footage.
@@ -111,7 +114,7 @@ class Job:
         FootageError, CalibrationError, SettingsError
             It cannot be read, or the calibration or the region of interest does not fit it.
         """
-        source = open_source(self.footage, **vars(self.says))
+        source = open_source(self.footage, listed=self.listed, **vars(self.says))
         if self.calibration is not None and self.calibration.camera is not None:
             expected = self.calibration.camera.size_px
             if expected != source.size_px:
@@ -125,9 +128,17 @@ class Job:
         """Return width and height of what is decoded of a frame."""
         return source.size_px if self.crop is None else (self.crop.width, self.crop.height)
 
-    def with_transfer_of(self, source: Source) -> "Job":
-        """Return the same with the light as the footage says that it is encoded, where nobody knows better."""
-        return replace(self, settings=with_transfer_of(source, self.settings, self.calibration)[0])
+    def pinned(self, source: Source) -> "Job":
+        """Return the same for the footage as it is now: which pictures, what they hold, and how light is encoded.
+
+        All of it is read. The light is the footage's word where nobody knows better.
+        """
+        return replace(
+            self,
+            settings=with_transfer_of(source, self.settings, self.calibration)[0],
+            listed=tuple(source.names) if isinstance(source, ImageFolder) else None,
+            files_sha256=_digest(source),
+        )
 
     def identity(self, source: Source) -> dict[str, Any]:
         """Return all that a frame's result depends on, except its number, as JSON."""
@@ -138,7 +149,7 @@ class Job:
                 "frames": len(source),
                 "size_px": list(source.size_px),
                 "stored_as": asdict(source.format),
-                "first_frame_sha256": _fingerprint(source),
+                "files_sha256": self.files_sha256,
             },
             "region_of_interest": None if self.crop is None else asdict(self.crop),
             "step": self.step,
@@ -281,12 +292,13 @@ def join_ranges(ranges: Sequence[range]) -> Iterator[range]:
         yield joined
 
 
-def _fingerprint(source: Source) -> str | None:
-    """Return a SHA-256 of the first good frame's values."""
-    for stored in source.frames():
-        if isinstance(stored, StoredFrame):
-            digest = hashlib.sha256()
-            for plane in stored.planes:
-                digest.update(np.ascontiguousarray(plane).tobytes())
-            return digest.hexdigest()
-    return None
+def _digest(source: Source) -> str:
+    """Return a SHA-256 of the names and contents of the files of footage."""
+    whole = hashlib.sha256()
+    for path in source.files():
+        whole.update(os.fsencode(path.name) + b"\0")
+        with suppress(OSError):  # such a frame is bad
+            if path.is_file():
+                with path.open("rb") as file:
+                    whole.update(hashlib.file_digest(file, "sha256").digest())
+    return whole.hexdigest()

@@ -93,8 +93,9 @@ def decode_footage(
     """
     source = job.open()
     try:
-        job = job.with_transfer_of(source)
         wanted = _wanted(source, start, stop, job.step)
+        step("reading the footage")
+        job = job.pinned(source)
         with _one_writer(job.store):
             telling = _Telling(tell, step, remark)
             return _decode_missing(job, source, wanted, telling, strict=strict, workers=workers, cluster=cluster)

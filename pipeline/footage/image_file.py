@@ -9,9 +9,11 @@ ISO/IEC 23008-12 (HEIF), 6.5.10 for how a picture is turned, and 10.2 for the br
 """
 
 import io
+import re
 import struct
 import zlib
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,25 +24,37 @@ import numpy.typing as npt
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import caught_messages
 from pipeline.footage.picture_tags import (
-    CMYK,
+    JPEG,
+    PNG,
     PictureTags,
+    picture_end,
     picture_size,
+    png_chunks,
     read_tags,
+    several,
+    stored_bits,
     unfit_colors,
     upright,
     with_colors,
+)
+from pipeline.footage.tiff_file import (
+    TIFF_MARKS,
+    as_stored,
+    first_page_place,
+    page_fault,
+    page_places,
+    pages_elsewhere,
+    read_directory,
+    select_page,
 )
 from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels
 from pipeline.models import ImageArray
 
 _BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 _INSTALL = "it is a picture in HEIC: pip install 'colorphase[heic]' to read it, or save it as PNG, TIFF or JPEG"
-# What FFmpeg makes of a JPEG in cyan, magenta, yellow and black.
-_FOUR_COLOURS = ("gbrap", "yuva444p", "cmyk")
-# How each kind of file begins and how a whole one ends; OpenCV decodes the rest of a truncated one as grey.
-_PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG = b"\xff\xd8\xff"
-_ENDS = {_PNG: b"IEND\xaeB`\x82", _JPEG: b"\xff\xd9"}
+# What FFmpeg says of a JPEG that is whole, but of a kind that it does not know.
+_UNKNOWN_KIND = re.compile("unhandled|unsupported", re.IGNORECASE)
+_NONSENSE = (struct.error, ValueError)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -68,17 +82,50 @@ def read_bytes(path: Path) -> bytes:
         raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
 
 
-def check_whole(path: Path, data: bytes) -> None:
-    """Check that an image file's end is there.
+def read_picture(path: Path) -> bytes:
+    """Return a file's picture: what holds one that is complete, without what other programs put behind it.
 
     Raises
     ------
     FootageError
-        It is not.
+        It cannot be read, is truncated, or has several pages.
     """
-    for start, end in _ENDS.items():
-        if data.startswith(start) and end not in data[-1024:]:
-            raise FootageError(f"{path} is truncated: copy it again")
+    data = read_bytes(path)
+    end = picture_end(data)
+    if end is None:
+        raise FootageError(f"{path} is truncated: copy it again")
+    pages = tiff_pages(path, data)
+    if len(pages) > 1:
+        raise FootageError(
+            f"{path} has {len(pages)} pages: save each as a file of its own, or decode the file by itself"
+        )
+    if pages and pages != [first_page_place(data)]:  # behind a smaller version
+        file = bytearray(data)
+        select_page(file, pages[0])
+        return bytes(file)
+    return data[:end]
+
+
+def tiff_pages(path: Path, data: bytes) -> list[int]:
+    """Return where the directories of a TIFF file's pages begin; of another file none.
+
+    Raises
+    ------
+    FootageError
+        It is damaged, or not all of its pages can be found.
+    """
+    if data[:4] not in TIFF_MARKS:
+        return []
+    try:
+        places = page_places(data)
+        lost = pages_elsewhere(read_directory(data), len(places))
+    except _NONSENSE:
+        raise FootageError(f"{path} is truncated or damaged: copy it again") from None
+    if lost:
+        raise FootageError(
+            f"{path} is a stack by ImageJ, {lost} of whose pages are not listed: save it in parts of less than 4 GB"
+        )
+    return places
 
 
 def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
@@ -94,22 +141,33 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
     size_px = picture_size(data)
     if size_px is not None:
         check_size(str(path), *size_px)
-        if data.startswith(_PNG):
+        if data.startswith(PNG):
             data = _only_pixels(path, data)
-        elif data.startswith(_JPEG):
+        elif data.startswith(JPEG):
             _check_jpeg(path, data)
+        elif data[:4] in TIFF_MARKS:
+            data = _checked_page(path, data)
         with suppress(cv2.error):  # the message below says it in one line
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or size_px is None:
         raise FootageError(f"{path} is not a picture that can be read: give a PNG, TIFF or JPEG file")
-    # OpenCV turns TIFF by its orientation.
-    turned = size_px[::-1] if data[:2] in (b"II", b"MM") else size_px
-    if image.shape[1::-1] not in (size_px, turned):
+    if image.shape[1::-1] != size_px:
         raise FootageError(f"{path} is damaged: copy it again")
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         raise FootageError(f"{path} holds {image.dtype} values: save it with 8 or 16 bits")
     levels: npt.NDArray[Any] = image
     return levels
+
+
+def _checked_page(path: Path, data: bytes) -> bytes:
+    """Return a TIFF whose page OpenCV decodes as it is stored; of what is damaged there it makes black."""
+    try:
+        fault = page_fault(data, read_directory(data))
+        if fault is None:
+            return as_stored(data)
+    except _NONSENSE:
+        fault = "damaged"
+    raise FootageError(f"{path} is {fault}: copy it again")
 
 
 def _check_jpeg(path: Path, data: bytes) -> None:
@@ -131,17 +189,13 @@ def _only_pixels(path: Path, data: bytes) -> bytes:
     FootageError
         A checksum is wrong.
     """
-    kept: list[bytes | memoryview] = [_PNG]
-    begin, kind = len(_PNG), b""
+    kept: list[bytes | memoryview] = [PNG]
     view = memoryview(data)
-    while kind != b"IEND" and begin + 12 <= len(data):
-        size, kind = struct.unpack_from(">I4s", data, begin)
-        end = begin + 12 + size
-        if end > len(data) or zlib.crc32(view[begin + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+    for kind, begin, end in png_chunks(data):
+        if end > len(data) or zlib.crc32(view[begin - 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
             raise FootageError(f"{path} is damaged: copy it again")
         if kind[:1].isupper() or kind == b"tRNS":
-            kept.append(view[begin:end])
-        begin = end
+            kept.append(view[begin - 8 : end])
     return b"".join(kept)
 
 
@@ -159,10 +213,9 @@ def read_codes(path: str | Path) -> npt.NDArray[np.uint8]:
         The file cannot be read, is truncated, is no PNG, or is none of 8 bits without transparency.
     """
     path = Path(path)
-    data = read_bytes(path)
-    if not data.startswith(_PNG):
+    data = read_picture(path)
+    if not data.startswith(PNG):
         raise FootageError(f"{path} is no PNG: make one with colorphase pattern; other formats change colours")
-    check_whole(path, data)
     image = decode_levels(path, data)
     if image.dtype != np.uint8:
         raise FootageError(f"{path} has 16 bits a colour, and displays take 8: save it with 8 bits")
@@ -187,8 +240,7 @@ def read_image(path: str | Path) -> ImageArray:
         The file cannot be read, is truncated, is no image, or has no three colours.
     """
     path = Path(path)
-    data = read_bytes(path)
-    check_whole(path, data)
+    data = read_picture(path)
     if is_heic(data[:12]):
         try:
             return cast(ImageArray, read_heic(data)[0])
@@ -201,6 +253,8 @@ def read_image(path: str | Path) -> ImageArray:
         raise FootageError(f"{path} is grey: the phase is in the colours, give a colour picture")
     if image.shape[2] != 3:
         raise FootageError(f"{path} has {image.shape[2]} channels: save it without transparency")
+    if (bits := stored_bits(data)) is not None:  # full scale is that of their type
+        image = image << (8 * image.itemsize - bits)
     upright_image = upright(image[..., ::-1], read_tags(data).orientation)
     return cast(ImageArray, np.ascontiguousarray(upright_image))
 
@@ -233,9 +287,9 @@ class JpegDecoder:
             frames = self._context.decode(av.Packet(data))
         if said or not frames:
             self._context = None  # what it made of this one may stay in its state
+            if said and _UNKNOWN_KIND.search(said[0]):
+                raise FootageError(f"it is a JPEG of a kind that is not read ({said[0]}): save it as PNG")
             raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
-        if frames[0].format.name in _FOUR_COLOURS:
-            raise FootageError(CMYK)
         return frames[0]
 
 
@@ -247,7 +301,8 @@ def is_heic(data: bytes) -> bool:
 def read_heic(data: bytes) -> tuple[npt.NDArray[Any], PictureTags]:
     """Return a picture's levels, (H, W, 3) RGB, uint8 or uint16 of 16 bits, and what the file says of them.
 
-    It is turned as the camera was held, by the file's own turns; what Exif repeats of these does not count.
+    It is turned as the camera was held, by the file's own turns; what Exif repeats of these does not count. Of several
+    pictures it is the one that the file calls its first.
 
     Raises
     ------
@@ -269,4 +324,6 @@ def read_heic(data: bytes) -> tuple[npt.NDArray[Any], PictureTags]:
     tags = PictureTags(1, "srgb", "a HEIC picture that says nothing else is sRGB")
     marked = picture.info.get("nclx_profile") or {}
     tags = with_colors(tags, picture.info.get("icc_profile"), marked.get("transfer_characteristics"))
+    if len(picture) > 1:
+        tags = replace(tags, notes=(*tags.notes, several(len(picture))))
     return np.ascontiguousarray(levels[..., :3]), tags

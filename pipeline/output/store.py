@@ -351,9 +351,10 @@ def _refuse_mixing(name: str, found: dict[str, Any], identity: dict[str, Any]) -
     for key in {**here, **there}:  # what is null on one side has no key of its own on the other
         if there.get(key) != here.get(key):
             was, now = json.dumps(there.get(key)), json.dumps(here.get(key))
+            other = "of other footage, or it has changed" if key.startswith("footage.") else "made otherwise"
             raise OutputError(
-                f"{name} holds frames made otherwise ({key} is {was} there, {now} here): choose another folder, or run "
-                "as before"
+                f"{name} holds frames {other} ({key} is {was} there, {now} here): choose another folder, or run as "
+                "before"
             )
 
 
