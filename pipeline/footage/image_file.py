@@ -9,7 +9,6 @@ ISO/IEC 23008-12 (HEIF), 6.5.10 for how a picture is turned, and 10.2 for the br
 """
 
 import io
-import re
 import struct
 import zlib
 from contextlib import suppress
@@ -52,8 +51,6 @@ from pipeline.models import ImageArray
 
 _BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 _INSTALL = "it is a picture in HEIC: pip install 'colorphase[heic]' to read it, or save it as PNG, TIFF or JPEG"
-# What FFmpeg says of a JPEG that is whole, but of a kind that it does not know.
-_UNKNOWN_KIND = re.compile("unhandled|unsupported", re.IGNORECASE)
 _NONSENSE = (struct.error, ValueError)
 
 
@@ -287,8 +284,6 @@ class JpegDecoder:
             frames = self._context.decode(av.Packet(data))
         if said or not frames:
             self._context = None  # what it made of this one may stay in its state
-            if said and _UNKNOWN_KIND.search(said[0]):
-                raise FootageError(f"it is a JPEG of a kind that is not read ({said[0]}): save it as PNG")
             raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
         return frames[0]
 

@@ -43,6 +43,8 @@ PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 _JPEG_FRAMES = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 # Of these, what is not read: frames of several resolutions, and arithmetic coding.
 _HIERARCHICAL, _ARITHMETIC = range(0xC5, 0xC8), range(0xC9, 0xD0)
+# Pixels of a chroma sample of JPEG, across and down, that FFmpeg knows.
+_SUBSAMPLING = ((1, 1), (2, 1), (1, 2), (2, 2), (4, 1))
 # Markers of JPEG: one that stands for itself, begin and end of a picture, and applications' data.
 _ALONE, _BEGIN, _END, _APP1, _APP2 = 0x01, 0xD8, 0xD9, 0xE1, 0xE2
 # In coded data FF is followed by 0, or by the number of a restart.
@@ -61,7 +63,7 @@ _MOST_PROFILE = 2**22
 _ALIKE = 0.015
 _H273 = {1: "bt709", 6: "bt709", 8: "linear", 13: "srgb"}
 _OTHER_CURVES, _UNSPECIFIED = {4: "gamma 2.2", 16: "PQ", 18: "HLG"}, 2
-_ODD = (struct.error, zlib.error, ValueError, IndexError, KeyError)
+_ODD = (struct.error, zlib.error, ValueError, IndexError, KeyError, ZeroDivisionError)
 
 
 @dataclass(frozen=True)
@@ -215,6 +217,10 @@ def _unfit_jpeg(frame: "_JpegFrame") -> str | None:
         return f"it is a JPEG {kind}, which is not read: save it as PNG, or as a common JPEG"
     if frame.bits != 8:
         return f"it is a JPEG of {frame.bits} bits, which is not read: save it as a PNG or TIFF of 16 bits"
+    if frame.channels == 3:
+        (across, down), *chroma = frame.samples
+        if chroma[0] != chroma[1] or (across / chroma[0][0], down / chroma[0][1]) not in _SUBSAMPLING:
+            return "its colours are sampled in a way that is not read: save it as PNG, or with chroma 4:2:0 or 4:4:4"
     return None
 
 
@@ -432,12 +438,16 @@ class _JpegFrame:
     height: int
     width: int
     channels: int
+    samples: tuple[tuple[int, int], ...]  # of each channel, across and down
 
 
 def _jpeg_frame(data: bytes) -> _JpegFrame | None:
-    for kind, begin, _ in _jpeg_segments(data):
+    for kind, begin, end in _jpeg_segments(data):
         if kind in _JPEG_FRAMES:
-            return _JpegFrame(kind, *struct.unpack_from(">BHHB", data, begin))
+            factors = data[begin + 7 : end : 3]
+            samples = tuple((factor >> 4, factor & 15) for factor in factors)
+            bits, height, width, channels = struct.unpack_from(">BHHB", data, begin)
+            return _JpegFrame(kind, bits, height, width, channels, samples)
     return None
 
 

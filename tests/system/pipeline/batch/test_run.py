@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import zarr
@@ -216,6 +217,7 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
     steps, remarks = [], []
     decode_footage(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
     assert list(dict.fromkeys(step.partition(" to about ")[0] for step in steps)) == [
+        "reading the footage",
         "looking at what is there",
         "compiling kernels, and asking the footage for its light",
         "compiling kernels",
@@ -227,7 +229,7 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
     assert expected_kb == pytest.approx(found_kb, rel=0.2)  # three frames are as large as three times the first
     steps.clear()
     decode_footage(job, workers=1, step=steps.append, remark=remarks.append)
-    assert steps[:2] == ["looking at what is there", "compiling kernels"] and "will grow by about" in remarks[1]
+    assert steps[1:3] == ["looking at what is there", "compiling kernels"] and "will grow by about" in remarks[1]
 
 
 def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_decoded(job, undisturbed, monkeypatch):
@@ -294,6 +296,60 @@ def test_other_footage_and_other_rigs_do_not_mix(job, rig, tmp_path):
     record(tmp_path / "other" / "film.zarr", 3)
     with pytest.raises(OutputError, match=r"footage\.frames is 14 there, 3 here"):
         decode_footage(replace(job, footage=str(tmp_path / "other" / "film.zarr")))
+
+
+@pytest.fixture
+def pictures(folder, tmp_path, job):
+    """Return a folder of pictures that all have one size, and a job that decodes it."""
+    (tmp_path / "pictures").mkdir()
+    for number, image in enumerate(zarr.open_group(folder / "film.zarr", mode="r")["frames"][:5]):
+        cv2.imwrite(str(tmp_path / "pictures" / f"{number}.bmp"), image[..., ::-1])
+    return tmp_path / "pictures", replace(job, footage=str(tmp_path / "pictures"))
+
+
+def replace_one(pictures):
+    shutil.copy(pictures / "4.bmp", pictures / "2.bmp")
+
+
+def remove_one_and_add_another(pictures):
+    (pictures / "2.bmp").rename(pictures / "9.bmp")
+
+
+@pytest.mark.parametrize("change", [replace_one, remove_one_and_add_another])
+def test_a_result_is_never_another_pictures(pictures, change):
+    """Number, sizes and the first picture stay as they are."""
+    there, job = pictures
+    decode_footage(job, stop=3)
+    before = contents(Path(job.store))
+    change(there)
+    with pytest.raises(
+        OutputError, match=r"holds frames of other footage, or it has changed \(footage\.files_sha256 is"
+    ):
+        decode_footage(job)
+    assert contents(Path(job.store)) == before
+
+
+def test_a_recording_that_was_cut_anew(job, folder, tmp_path):
+    film = tmp_path / "film.zarr"
+    shutil.copytree(folder / "film.zarr", film)
+    job = replace(job, footage=str(film))
+    decode_footage(job, stop=4)
+    shutil.copy(film / "frames" / "c.9.0.0.0", film / "frames" / "c.3.0.0.0")
+    with pytest.raises(OutputError, match="frames of other footage, or it has changed"):
+        decode_footage(job)
+
+
+def test_a_folder_that_grows_is_decoded_as_it_was_listed(pictures):
+    there, job = pictures
+
+    def add_one(step):
+        if step == "compiling kernels":  # before the worker opens the folder
+            shutil.copy(there / "4.bmp", there / "5.bmp")
+
+    summary = decode_footage(job, workers=1, step=add_one)
+    assert (there / "5.bmp").exists()
+    assert (summary.n_frames, summary.bad) == (5, [])
+    assert marked(job.store) == set(range(5))
 
 
 def test_something_else_in_its_place(job):

@@ -15,6 +15,7 @@ from support.missing import import_but_fail_in_ci
 from pipeline.errors import FootageError
 from pipeline.footage.image_file import JpegDecoder, is_heic, read_heic, read_image
 from pipeline.footage.opening import open_source
+from pipeline.footage.source import StoredFrame
 from pipeline.limits import MAX_PIXELS
 
 
@@ -56,7 +57,12 @@ def test_a_small_file_of_a_picture_larger_than_any_cameras(tmp_path, monkeypatch
     head = b"IHDR" + struct.pack(">IIBBBBB", 16000, 16000, 8, 2, 0, 0, 0)
     image = np.random.default_rng(0).integers(0, 255, (40, 60, 3)).astype(np.uint8)
     (tmp_path / "bomb.png").write_bytes(
-        b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head)) + b"IEND\xaeB`\x82"
+        b"\x89PNG\r\n\x1a\n"
+        + struct.pack(">I", 13)
+        + head
+        + struct.pack(">I", zlib.crc32(head))
+        + bytes(4)
+        + b"IEND\xaeB`\x82"
     )
     with pytest.raises(FootageError, match=r"bomb\.png has 16000x16000 px, .* set COLORPHASE_MAX_PIXELS to a larger"):
         read_image(tmp_path / "bomb.png")
@@ -124,11 +130,68 @@ def test_larger_pictures_than_cameras_take_are_refused(monkeypatch):
         JpegDecoder().decode(DATA)
 
 
-def test_the_colours_of_a_printer_are_named():
-    file = io.BytesIO()
-    Image.fromarray(np.full((48, 64, 3), 90, np.uint8)).convert("CMYK").save(file, "JPEG")
-    with pytest.raises(FootageError, match="it is in CMYK, the colours of a printer: save it in RGB"):
-        JpegDecoder().decode(file.getvalue())
+TAIL, ZEROS = b"MotionPhoto_Data" * 300, bytes(5000)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif", ".bmp", ".webp", ".ppm"])
+def test_bytes_behind_a_picture_are_ignored(tmp_path, suffix):
+    """As phones, padded buffers and copying programs leave them."""
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    data = cv2.imencode(suffix, image)[1].tobytes()
+    (tmp_path / f"a{suffix}").write_bytes(data)
+    expected = read_image(tmp_path / f"a{suffix}")
+    for tail in (TAIL, ZEROS, data):
+        (tmp_path / f"a{suffix}").write_bytes(data + tail)
+        np.testing.assert_array_equal(read_image(tmp_path / f"a{suffix}"), expected)
+        (frame,) = open_source(tmp_path / f"a{suffix}").frames()
+        assert isinstance(frame, StoredFrame)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+@pytest.mark.parametrize("tail", [TAIL, ZEROS, "itself"])
+def test_a_truncated_picture_is_told_whatever_is_behind_it(tmp_path, suffix, tail):
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    data = cv2.imencode(suffix, image)[1].tobytes()
+    for length in (len(data) // 3, len(data) - 20, len(data) - 1):
+        (tmp_path / f"a{suffix}").write_bytes(data[:length] + (data if tail == "itself" else tail))
+        with pytest.raises(FootageError, match=r"is (truncated|damaged): copy it again"):
+            read_image(tmp_path / f"a{suffix}")
+
+
+def with_frame(**changes):
+    """Return a JPEG whose frame's head says otherwise."""
+    data, begin = bytearray(DATA), DATA.index(b"\xff\xc0")
+    for name, value in changes.items():
+        data[begin + {"kind": 1, "bits": 4, "luma": 11, "blue": 14}[name]] = value
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"kind": 0xC9}, "it is a JPEG with arithmetic coding, which is not read"),
+        ({"kind": 0xC5}, r"it is a JPEG of several resolutions \(hierarchical\), which is not read"),
+        ({"luma": 0x31}, "its colours are sampled in a way that is not read: save it as PNG"),
+        ({"blue": 0x12}, "its colours are sampled in a way that is not read"),
+        ({"bits": 12}, "it is a JPEG of 12 bits, which is not read: save it as a PNG or TIFF of 16 bits"),
+    ],
+)
+def test_rare_kinds_of_jpeg_are_named(tmp_path, changes, reason):
+    (tmp_path / "a.jpg").write_bytes(with_frame(**changes))
+    with pytest.raises(FootageError, match=reason):
+        read_image(tmp_path / "a.jpg")
+    with pytest.raises(FootageError, match=reason):
+        open_source(tmp_path / "a.jpg")
+
+
+def test_levels_that_end_early_are_scaled(tmp_path):
+    """Of 12 bits in PNM: white is that of the type, as read_image says nothing else."""
+    levels = np.random.default_rng(0).integers(0, 4096, (8, 16, 3)).astype(np.uint16)
+    (tmp_path / "a.ppm").write_bytes(b"P6 # a camera\n16 8\n4095\n" + levels.astype(">u2").tobytes())
+    np.testing.assert_array_equal(read_image(tmp_path / "a.ppm"), levels << 4)
+    (frame,) = open_source(tmp_path / "a.ppm").frames()
+    assert frame.format.bits == 12
+    np.testing.assert_array_equal(frame.planes[0], levels)
 
 
 pillow_heif = import_but_fail_in_ci("pillow_heif")
