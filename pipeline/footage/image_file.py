@@ -1,18 +1,12 @@
 """Read a colour image, or say in one line why it is none.
 
-JPEG is decoded by FFmpeg, which says what is wrong with a picture where other decoders fill it up with grey; HEIC, as
-phones store pictures, by libheif, which the extra `heic` brings; all else by OpenCV.
-
-References
-----------
-ISO/IEC 23008-12 (HEIF), 6.5.10 for how a picture is turned, and 10.2 for the brands.
+JPEG is decoded by FFmpeg, which says what is wrong with a picture where other decoders fill it up with grey, and so are
+the planes of WebP; HEIC by libheif; all else by OpenCV.
 """
 
-import io
 import struct
 import zlib
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -22,19 +16,17 @@ import numpy.typing as npt
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import caught_messages
+from pipeline.footage.heic_file import is_heic, read_heic
 from pipeline.footage.picture_tags import (
     JPEG,
     PNG,
-    PictureTags,
     picture_end,
     picture_size,
     png_chunks,
     read_tags,
-    several,
     stored_bits,
     unfit_colors,
     upright,
-    with_colors,
 )
 from pipeline.footage.tiff_file import (
     TIFF_MARKS,
@@ -49,8 +41,6 @@ from pipeline.footage.tiff_file import (
 from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels
 from pipeline.models import ImageArray
 
-_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
-_INSTALL = "it is a picture in HEIC: pip install 'colorphase[heic]' to read it, or save it as PNG, TIFF or JPEG"
 _NONSENSE = (struct.error, ValueError)
 
 
@@ -170,7 +160,7 @@ def _checked_page(path: Path, data: bytes) -> bytes:
 def _check_jpeg(path: Path, data: bytes) -> None:
     """Check a JPEG for damage, which OpenCV only prints, past everything that could catch it."""
     try:
-        JpegDecoder().decode(data)
+        PlaneDecoder("mjpeg").decode(data)
     except FootageError as error:
         raise FootageError(f"{path}: {error}") from None
 
@@ -240,9 +230,14 @@ def read_image(path: str | Path) -> ImageArray:
     data = read_picture(path)
     if is_heic(data[:12]):
         try:
-            return cast(ImageArray, read_heic(data)[0])
+            planes, format, _ = read_heic(data)
         except FootageError as error:
             raise FootageError(f"{path}: {error}") from None
+        if format.layout != "rgb":
+            raise FootageError(
+                f"{path}: its colours have half the resolution: open_source and develop interpolate them"
+            )
+        return planes[0]
     if (unfit := unfit_colors(data)) is not None:
         raise FootageError(f"{path}: {unfit}")
     image = decode_levels(path, data)
@@ -256,14 +251,15 @@ def read_image(path: str | Path) -> ImageArray:
     return cast(ImageArray, np.ascontiguousarray(upright_image))
 
 
-class JpegDecoder:
-    """Decode pictures one after another."""
+class PlaneDecoder:
+    """Decode pictures one after another, by a codec of FFmpeg; see `plane_codec`."""
 
-    def __init__(self) -> None:
+    def __init__(self, codec: str) -> None:
+        self._codec = codec
         self._context: Any = None
 
     def decode(self, data: bytes) -> Any:
-        """Return FFmpeg's frame of a JPEG file.
+        """Return FFmpeg's frame of a file.
 
         Raises
         ------
@@ -277,7 +273,7 @@ class JpegDecoder:
             raise FootageError("it is damaged (it does not say how large it is): copy it again")
         check_size("it", *size_px)
         if self._context is None:
-            self._context = av.CodecContext.create("mjpeg", "r")
+            self._context = av.CodecContext.create(self._codec, "r")
             self._context.options = ffmpeg_limits()
         frames = []
         with caught_messages() as said, suppress(av.error.FFmpegError):
@@ -286,39 +282,3 @@ class JpegDecoder:
             self._context = None  # what it made of this one may stay in its state
             raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
         return frames[0]
-
-
-def is_heic(data: bytes) -> bool:
-    """Return whether a file that begins like this (12 bytes) is one."""
-    return data[4:8] == b"ftyp" and data[8:12] in _BRANDS
-
-
-def read_heic(data: bytes) -> tuple[npt.NDArray[Any], PictureTags]:
-    """Return a picture's levels, (H, W, 3) RGB, uint8 or uint16 of 16 bits, and what the file says of them.
-
-    It is turned as the camera was held, by the file's own turns; what Exif repeats of these does not count. Of several
-    pictures it is the one that the file calls its first.
-
-    Raises
-    ------
-    FootageError
-        It is damaged, grey or too large, or the extra is not installed.
-    """
-    try:
-        import pillow_heif
-    except ImportError:
-        raise FootageError(_INSTALL) from None
-    try:
-        picture = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
-        check_size("the picture", *picture.size)
-        levels = np.asarray(picture)
-    except (ValueError, RuntimeError, EOFError, SyntaxError) as error:
-        raise FootageError("it is damaged: copy it again") from error
-    if levels.ndim != 3:
-        raise FootageError("it is grey, but the phase is in the colours: give a colour picture")
-    tags = PictureTags(1, "srgb", "a HEIC picture that says nothing else is sRGB")
-    marked = picture.info.get("nclx_profile") or {}
-    tags = with_colors(tags, picture.info.get("icc_profile"), marked.get("transfer_characteristics"))
-    if len(picture) > 1:
-        tags = replace(tags, notes=(*tags.notes, several(len(picture))))
-    return np.ascontiguousarray(levels[..., :3]), tags

@@ -13,16 +13,24 @@ import numpy as np
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import stored_planes
+from pipeline.footage.heic_file import is_heic, read_heic
 from pipeline.footage.image_file import (
-    JpegDecoder,
+    PlaneDecoder,
     decode_levels,
-    is_heic,
     read_bytes,
-    read_heic,
     read_picture,
     tiff_pages,
 )
-from pipeline.footage.picture_tags import JPEG, PictureTags, picture_end, read_tags, unfit_colors, upright
+from pipeline.footage.picture_tags import (
+    TRANSPARENT,
+    PictureTags,
+    is_transparent,
+    picture_end,
+    plane_codec,
+    read_tags,
+    unfit_colors,
+    upright,
+)
 from pipeline.footage.picture_tags import stored_bits as pnm_bits
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
 from pipeline.footage.tiff_file import TIFF_MARKS, read_directory, select_page, stored_bits
@@ -36,7 +44,6 @@ IMAGE_SUFFIXES = (".png", *_TIFF_SUFFIXES, ".bmp", ".ppm", ".pgm", ".pnm", ".web
 _DIGITS = re.compile(r"(\d+)")
 # Full scale of most cameras with more than 8 bits, levels.
 _TWELVE_BITS = 2**12 - 1
-_TRANSPARENT = "it is transparent in parts, which is not used: its colours are taken as they are stored"
 
 
 def natural_key(name: str) -> tuple[list[int | str], str]:
@@ -76,7 +83,7 @@ class ImageFolder:
         self.names = names
         self._says = says
         self._stack = stack
-        self._jpeg_decoder = JpegDecoder()
+        self._decoders = {codec: PlaneDecoder(codec) for codec in ("mjpeg", "webp")}
         reason = ""
         for number in range(len(names)):
             try:
@@ -153,12 +160,15 @@ class ImageFolder:
         try:
             data = read_picture(path) if self._stack is None else self._stack.page(number)
             if is_heic(data[:12]):
-                levels, tags = read_heic(data)
-                bits = 8 if levels.dtype == np.uint8 else 16
-                return (levels,), self._says.applied_to(PixelFormat("rgb", bits)), tags
+                planes, format, tags = read_heic(data)
+                return planes, self._says.applied_to(format), tags
             if (unfit := unfit_colors(data)) is not None:
                 raise FootageError(unfit)
-            planes, format, tags = (self._read_jpeg if data.startswith(JPEG) else self._read_levels)(path, data)
+            if (codec := plane_codec(data)) is None:
+                planes, format, tags = self._read_levels(path, data)
+            else:  # libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)
+                planes, format, _ = stored_planes(self._decoders[codec].decode(data), codec, self._says)
+                tags = read_tags(data)
             return (*_turned(planes, format, tags.orientation), tags)
         except (FootageError, ShapeError) as error:
             text = str(error)
@@ -177,15 +187,10 @@ class ImageFolder:
             if self._says.bayer is None:
                 raise FootageError(GREY)
             return (image,), self._says.applied_to(PixelFormat("bayer", bits, shift)), tags
-        if image.shape[2] == 4 and image[..., 3].min() < image[..., 3].max(initial=0):
-            tags = replace(tags, notes=(*tags.notes, _TRANSPARENT))
+        if is_transparent(image):
+            tags = replace(tags, notes=(*tags.notes, TRANSPARENT))
         image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
         return (image,), self._says.applied_to(PixelFormat("rgb", bits, shift)), tags
-
-    def _read_jpeg(self, path: Path, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat, PictureTags]:
-        """Read a JPEG's planes: libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)."""
-        planes, format, _ = stored_planes(self._jpeg_decoder.decode(data), "mjpeg", self._says)
-        return planes, format, read_tags(data)
 
 
 @dataclass(frozen=True)

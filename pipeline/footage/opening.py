@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
-from pipeline.footage.image_file import is_heic
+from pipeline.footage.heic_file import is_heic
 from pipeline.footage.image_folder import IMAGE_SUFFIXES, ImageFolder
 from pipeline.footage.source import Source, StoredAs
 from pipeline.footage.tiff_file import RAW

@@ -56,6 +56,8 @@ _SRGB = 1  # of the colour space
 # Layouts of BMP: as they are, and by masks, of which one order is read.
 _PLAIN, _MASKS, _BMP_ORDER = 0, (3, 6), (0xFF0000, 0xFF00, 0xFF)
 _GREY_ALPHA = "it is grey with transparency, but the phase is in the colours: save a Bayer mosaic without transparency"
+#: What is said of a picture that is.
+TRANSPARENT = "it is transparent in parts, which is not used: its colours are taken as they are stored"
 _ANIMATION = "it is an animation: save its frames as PNG files in a folder"
 # Profiles of displays and cameras have up to some 100 kB.
 _MOST_PROFILE = 2**22
@@ -124,6 +126,17 @@ def picture_end(data: bytes) -> int | None:
     return end if end is not None and end <= len(data) else None
 
 
+def plane_codec(data: bytes) -> str | None:
+    """Return FFmpeg's name of the codec of a picture that is stored in planes of luma and chroma; None: it is not.
+
+    Transparent WebP is not: FFmpeg gives its planes in a form that no kernel reads.
+    """
+    if data.startswith(JPEG):
+        return "mjpeg"
+    chunks = {kind for kind, _, _ in _webp_chunks(data)} if _is_webp(data) else set()
+    return "webp" if b"VP8 " in chunks and b"ALPH" not in chunks else None
+
+
 def stored_bits(data: bytes) -> int | None:
     """Return how many bits a picture's levels have, where the head of a PNM file says so; None: all of their type."""
     numbers = _PNM.match(data[:4096])
@@ -163,6 +176,11 @@ def with_colors(tags: PictureTags, profile: bytes | None, transfer_code: int | N
         if transfer_code is not None:
             return _with_code(tags, transfer_code, "it is marked so")
     return tags
+
+
+def is_transparent(levels: npt.NDArray[np.generic]) -> bool:
+    """Return whether levels (H, W, 3 or 4) have a fourth channel that is not the same everywhere."""
+    return levels.shape[2] == 4 and bool((levels[..., 3] != levels[0, 0, 3]).any())
 
 
 def several(count: int) -> str:
@@ -362,16 +380,21 @@ def _png_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
             yield name, content
 
 
-def _webp_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
+def _webp_chunks(data: bytes) -> Iterator[tuple[bytes, int, int]]:
+    """Yield the kind of each chunk of a WebP file, and where its content begins and ends."""
     begin = 12
     while begin + 8 <= len(data):
         kind, size = struct.unpack_from("<4sI", data, begin)
-        if kind == b"EXIF":
-            content = data[begin + 8 : begin + 8 + size]
-            yield "exif", content.removeprefix(b"Exif\0\0")
-        elif kind == b"ICCP":
-            yield "profile", data[begin + 8 : begin + 8 + size]
+        yield kind, begin + 8, begin + 8 + size
         begin += 8 + size + size % 2
+
+
+def _webp_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
+    for kind, begin, end in _webp_chunks(data):
+        if kind == b"EXIF":
+            yield "exif", data[begin:end].removeprefix(b"Exif\0\0")
+        elif kind == b"ICCP":
+            yield "profile", data[begin:end]
 
 
 def _bmp_parts(data: bytes) -> Iterator[tuple[str, bytes]]:
