@@ -57,7 +57,7 @@ def read_heic(data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat, Picture
         picture = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
         check_size("the picture", *picture.size)
         levels = np.asarray(picture)
-    except (ValueError, RuntimeError, EOFError, SyntaxError) as error:
+    except (ValueError, RuntimeError, EOFError, SyntaxError, IndexError) as error:
         raise FootageError("it is damaged: copy it again") from error
     if levels.ndim != 3:
         raise FootageError("it is grey, but the phase is in the colours: give a colour picture")

@@ -83,6 +83,7 @@ def read_directory(data: bytes, begin: int | None = None) -> Directory:
     _, order, offset = _first_page_layout(data)
     count, entry_bytes = ("Q", 20) if offset == "Q" else ("H", 12)
     begin = first_page_place(data) if begin is None else begin
+    _check_inside(data, begin)
     (n_entries,) = struct.unpack_from(order + count, data, begin)
     first = begin + struct.calcsize(count)
     end = first + n_entries * entry_bytes
@@ -95,9 +96,15 @@ def read_directory(data: bytes, begin: int | None = None) -> Directory:
         at = entry + 4 + struct.calcsize(offset)
         if n_values * dtype.itemsize > struct.calcsize(offset):
             (at,) = struct.unpack_from(order + offset, data, at)
+        _check_inside(data, at + n_values * dtype.itemsize)
         values[tag], places[tag] = np.frombuffer(data, dtype, n_values, at), at
     following = struct.unpack_from(order + offset, data, end)[0] if end + struct.calcsize(offset) <= len(data) else 0
     return Directory(values, places, following)
+
+
+def _check_inside(data: bytes, place: int) -> None:
+    if place > len(data):  # it may be larger than any place in memory
+        raise ValueError("a place behind the end of the file")
 
 
 def page_places(data: bytes) -> list[int]:

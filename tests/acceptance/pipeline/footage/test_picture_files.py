@@ -229,11 +229,11 @@ def pnm(levels, most=255, kind=6, note=""):
     return f"P{kind}\n{note}{WIDTH} {HEIGHT}\n{most}\n".encode() + body
 
 
-def heic(image):
+def heic(image, **options):
     import pillow_heif
 
     file = io.BytesIO()
-    pillow_heif.from_pillow(Image.fromarray(image)).save(file, quality=-1, chroma=444, matrix_coefficients=0)
+    pillow_heif.from_pillow(Image.fromarray(image)).save(file, quality=-1, **options)
     return file.getvalue()
 
 
@@ -427,7 +427,8 @@ FILES = {
     "odd scale.ppm": File(lambda f: pnm(f.eight // 3, 100), "its levels end at 100"),
     "text.ppm": File(lambda f: b"P3 2 1 255 1 2 3 4 5 6\n", "its levels are written as text"),
     # Others
-    "lossless.heic": File(lambda f: heic(f.srgb), SRGB),
+    "lossless.heic": File(lambda f: heic(f.srgb, chroma=444, matrix_coefficients=0), SRGB),
+    "a phone's.heic": File(lambda f: heic(f.srgb, chroma=420), planes(2, 2)),
     "gif.gif": File(converted("GIF", "P"), "it is a picture in GIF"),
     **{
         f"turned {orientation}{suffix}": File(make, wanted)
@@ -478,3 +479,14 @@ def test_a_file_is_what_it_was_made_of_or_the_cause_is_named(tmp_path, levels, n
         assert not isinstance(frame, BadFrame)
         found = rms_mm(develop(frame.planes, frame.format), source.transfer or "linear", levels)
         assert found <= WITHIN * reference(case.wanted, levels)
+
+
+def test_planes_of_webp_are_better_than_its_rgb(tmp_path, levels):
+    """Its chroma has half the resolution; what OpenCV interpolates costs more."""
+    path = tmp_path / "lossy.webp"
+    path.write_bytes(pil(levels.srgb, "WEBP", quality=100))
+    source = open_source(path)
+    (frame,) = source.frames()
+    rgb = np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
+    found = rms_mm(develop(frame.planes, frame.format), source.transfer, levels)
+    assert found < 0.9 * rms_mm(rgb, source.transfer, levels)

@@ -90,6 +90,14 @@ def test_pages_in_a_circle():
     assert page_places(bytes(data)) == [first, second]
 
 
+@pytest.mark.parametrize("place", [8, 10**6, 2**63 + 5])
+def test_a_directory_behind_the_end(tmp_path, place):
+    data = bytearray(tiff(SMALL, bigtiff=True))
+    struct.pack_into("<Q", data, 8, place if place > 8 else len(data) - 4)
+    with pytest.raises(FootageError, match="is truncated or damaged: copy it again"):
+        open_source(written(tmp_path, data))
+
+
 def test_pages_that_imagej_does_not_list(tmp_path):
     """As in its files of more than 4 GB."""
     words = "ImageJ=1.54f\nimages=300\nslices=300\n"
