@@ -1,13 +1,13 @@
 """What is to be decoded and how: all that a process needs in order to do some of it, the same everywhere."""
 
 import hashlib
-import os
 import warnings
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
+
+import numpy as np
 
 from pipeline.calibration import Calibration
 from pipeline.decoder import Decoder
@@ -104,7 +104,7 @@ class Job:
     store: str
     arch: str
     listed: tuple[str, ...] | None = None  # names of a folder's pictures; None: all that are there
-    files_sha256: str | None = None  # of all that the footage is made of; None: not known yet
+    digests: tuple[bytes, ...] = ()  # of each frame's file, or of the one that holds all
 
     def open(self) -> Source:
         """Open the footage.
@@ -137,8 +137,16 @@ class Job:
             self,
             settings=with_transfer_of(source, self.settings, self.calibration)[0],
             listed=tuple(source.names) if isinstance(source, ImageFolder) else None,
-            files_sha256=_digest(source),
+            digests=tuple(map(_digest, source.files())),
         )
+
+    def made_of(self, number: int) -> str:
+        """Return a digest of what a frame is decoded from: its file, and those before it in its chain."""
+        if len(self.digests) < 2:
+            return b"".join(self.digests).hex()
+        length = CHAIN_FRAMES * self.step
+        begin = self.first + (number - self.first) // length * length
+        return hashlib.sha256(b"".join(self.digests[begin : number + 1 : self.step])).hexdigest()[:32]
 
     def identity(self, source: Source) -> dict[str, Any]:
         """Return all that a frame's result depends on, except its number, as JSON."""
@@ -149,7 +157,7 @@ class Job:
                 "frames": len(source),
                 "size_px": list(source.size_px),
                 "stored_as": asdict(source.format),
-                "files_sha256": self.files_sha256,
+                "first_frame_sha256": _fingerprint(source),
             },
             "region_of_interest": None if self.crop is None else asdict(self.crop),
             "step": self.step,
@@ -292,13 +300,23 @@ def join_ranges(ranges: Sequence[range]) -> Iterator[range]:
         yield joined
 
 
-def _digest(source: Source) -> str:
-    """Return a SHA-256 of the names and contents of the files of footage."""
-    whole = hashlib.sha256()
-    for path in source.files():
-        whole.update(os.fsencode(path.name) + b"\0")
-        with suppress(OSError):  # such a frame is bad
-            if path.is_file():
-                with path.open("rb") as file:
-                    whole.update(hashlib.file_digest(file, "sha256").digest())
-    return whole.hexdigest()
+def _fingerprint(source: Source) -> str | None:
+    """Return a SHA-256 of the first good frame's values."""
+    for stored in source.frames():
+        if isinstance(stored, StoredFrame):
+            digest = hashlib.sha256()
+            for plane in stored.planes:
+                digest.update(np.ascontiguousarray(plane).tobytes())
+            return digest.hexdigest()
+    return None
+
+
+def _digest(path: Path) -> bytes:
+    """Return a digest of a file, of 16 bytes; of one that cannot be read, whose frame is bad, zeros."""
+    try:
+        if path.is_file():
+            with path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").digest()[:16]
+    except OSError:
+        pass
+    return bytes(16)

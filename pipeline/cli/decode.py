@@ -278,7 +278,7 @@ def _say_summary(summary: DecodeSummary, store: str) -> None:
         remark(f"note: {note}")
     if summary.damaged:
         number, fault = min(summary.damaged.items())
-        remark(f"{frames(len(summary.damaged))} damaged and decoded again; frame {number}: {fault}")
+        remark(f"{frames(len(summary.damaged))} decoded again; frame {number}: {fault}")
     for bad in summary.bad[:_SHOWN]:
         remark(f"frame {bad.number} is bad: {bad.reason}")
     if len(summary.bad) > _SHOWN:

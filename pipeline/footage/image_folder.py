@@ -149,7 +149,7 @@ class ImageFolder:
 
     def files(self) -> list[Path]:
         """Return the pictures' files; see `Source`."""
-        return [self._folder / name for name in dict.fromkeys(self.names)]
+        return [self._folder / name for name in (self.names if self._stack is None else self.names[:1])]
 
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""

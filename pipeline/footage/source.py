@@ -1,6 +1,6 @@
 """Frames in the form in which they were stored, and what every source of them can do."""
 
-from collections.abc import Generator, Iterable
+from collections.abc import Generator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
@@ -67,8 +67,8 @@ class Source(Protocol):
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one."""
 
-    def files(self) -> Iterable[Path]:
-        """Return the files that hold the frames, in order; some may be missing."""
+    def files(self) -> list[Path]:
+        """Return the file of each frame, some of which may be missing; or one file, if it holds them all."""
 
     def close(self) -> None:
         """Let go of files; a second call does nothing."""

@@ -142,7 +142,7 @@ class ZarrRecording:
 
     def files(self) -> list[Path]:
         """Return the frames' chunks; see `Source`."""
-        return sorted((self._path / FRAMES).iterdir())
+        return [self._path / FRAMES / chunk_key(number, len(self._shape)) for number in range(len(self))]
 
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""

@@ -76,7 +76,7 @@ def child(tmp_path, cpu):
 def test_frames_are_told_one_by_one(child):
     process, job = child
     decode_footage(job, stop=1)  # makes the store
-    process.send(job.pinned(job.open()))
+    process.send(job)
     assert process.receive() is None
     if os.name == "posix":
         os.kill(process.pid, signal.SIGINT)  # which is not its business

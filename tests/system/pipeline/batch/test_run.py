@@ -28,6 +28,7 @@ from pipeline.output.range_image import write_png
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import StoredResult
 from pipeline.recording.recorder import Recorder
+from pipeline.recording.video_export import export_video
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -315,28 +316,48 @@ def remove_one_and_add_another(pictures):
     (pictures / "2.bmp").rename(pictures / "9.bmp")
 
 
-@pytest.mark.parametrize("change", [replace_one, remove_one_and_add_another])
-def test_a_result_is_never_another_pictures(pictures, change):
-    """Number, sizes and the first picture stay as they are."""
+@pytest.mark.parametrize(
+    ("change", "again"), [(replace_one, {2, 3}), (remove_one_and_add_another, {2, 3, 4})], ids=["replaced", "removed"]
+)
+def test_a_result_is_never_another_pictures(pictures, tmp_path, change, again):
+    """Number, sizes and the first picture stay; what leans on a picture in its chain is decoded anew, too."""
     there, job = pictures
-    decode_footage(job, stop=3)
-    before = contents(Path(job.store))
+    decode_footage(job)
     change(there)
-    with pytest.raises(
-        OutputError, match=r"holds frames of other footage, or it has changed \(footage\.files_sha256 is"
-    ):
-        decode_footage(job)
-    assert contents(Path(job.store)) == before
+    summary = decode_footage(job)
+    assert summary.damaged.keys() == again and summary.n_before == 5 - len(again)
+    assert set(summary.damaged.values()) == {"the footage has changed there since it was decoded"}
+    fresh = replace(job, store=str(tmp_path / "fresh.zarr"))
+    decode_footage(fresh)
+    assert contents(Path(job.store)) == contents(Path(fresh.store))
+    assert decode_footage(job).n_before == 5
 
 
-def test_a_recording_that_was_cut_anew(job, folder, tmp_path):
-    film = tmp_path / "film.zarr"
+def test_a_bad_picture_that_is_copied_again_is_decoded(pictures, tmp_path):
+    there, job = pictures
+    whole = (there / "1.bmp").read_bytes()
+    (there / "1.bmp").write_bytes(whole[:-5000])
+    assert [bad.number for bad in decode_footage(job).bad] == [1]
+    (there / "1.bmp").write_bytes(whole)
+    assert decode_footage(job).bad == []
+    fresh = replace(job, store=str(tmp_path / "fresh.zarr"))
+    decode_footage(fresh)
+    assert contents(Path(job.store)) == contents(Path(fresh.store))
+
+
+def test_a_recording_and_a_video_that_were_cut_anew(job, folder, tmp_path):
+    """Behind their first frame: of a recording the frames that are others, of a video all."""
+    film, video = tmp_path / "film.zarr", tmp_path / "film.mkv"
     shutil.copytree(folder / "film.zarr", film)
-    job = replace(job, footage=str(film))
-    decode_footage(job, stop=4)
-    shutil.copy(film / "frames" / "c.9.0.0.0", film / "frames" / "c.3.0.0.0")
-    with pytest.raises(OutputError, match="frames of other footage, or it has changed"):
-        decode_footage(job)
+    export_video(film, video)
+    of_film, of_video = (replace(job, footage=str(path), store=f"{path}.r", fields=("mask",)) for path in (film, video))
+    for each in (of_film, of_video):
+        decode_footage(each, stop=6)
+    shutil.copy(film / "frames" / "c.9.0.0.0", film / "frames" / "c.5.0.0.0")
+    video.unlink()
+    export_video(film, video)
+    assert decode_footage(of_film, stop=6).damaged.keys() == {5}
+    assert decode_footage(of_video, stop=6).damaged.keys() == set(range(6))
 
 
 def test_a_folder_that_grows_is_decoded_as_it_was_listed(pictures):
