@@ -224,7 +224,8 @@ def read_image(path: str | Path) -> ImageArray:
     Raises
     ------
     FootageError
-        The file cannot be read, is truncated, is no image, or has no three colours.
+        The file cannot be read, is truncated, is no image, or has no three colours, or these are HEIC's of half the
+        resolution.
     """
     path = Path(path)
     data = read_picture(path)
