@@ -12,7 +12,6 @@ import io
 from dataclasses import replace
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -90,13 +89,19 @@ def _planes(levels: npt.NDArray[Any], half: int, matrix: Matrix) -> tuple[tuple[
     down, across = _PAIRED[half]
     if any(_unlike_pairs(part, axis) > _MOST_CUT for part in chroma for axis in range(2) if (down, across)[axis] == 2):
         raise FootageError("its colours have half the resolution, and cannot be told apart again: save it as PNG")
-    height, width = luma.shape
-    samples = (-(-width // across), -(-height // down))
-    planes = (luma, *(cv2.resize(part, samples, interpolation=cv2.INTER_AREA) for part in chroma))
+    planes = (luma, *(_means(part, down, across) for part in chroma))
     rounded = tuple(np.rint(np.clip(plane, 0, _SIXTEEN)).astype(np.uint16) for plane in planes)
     # HEVC's 4:2:2 sits left; encoders of pictures average 4:2:0 in the middle.
     siting: Siting = "centre" if down == 2 else "left"
     return rounded, PixelFormat("yuv", 16, subsampling=(across, down), siting=siting, matrix=matrix, full_range=True)
+
+
+def _means(chroma: npt.NDArray[np.floating], down: int, across: int) -> npt.NDArray[np.floating]:
+    """Return the mean of each cell of pixels; the last ones may be incomplete."""
+    height, width = chroma.shape
+    whole = np.pad(chroma, ((0, -height % down), (0, -width % across)), "edge")
+    cells = whole.reshape(-(-height // down), down, -(-width // across), across)
+    return np.asarray(cells.mean(axis=(1, 3)))
 
 
 def _unlike_pairs(chroma: npt.NDArray[np.floating], axis: int) -> float:

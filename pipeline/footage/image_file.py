@@ -32,7 +32,7 @@ from pipeline.footage.tiff_file import (
     TIFF_MARKS,
     as_stored,
     first_page_place,
-    page_fault,
+    is_damaged,
     page_places,
     pages_elsewhere,
     read_directory,
@@ -148,13 +148,10 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
 
 def _checked_page(path: Path, data: bytes) -> bytes:
     """Return a TIFF whose page OpenCV decodes as it is stored; of what is damaged there it makes black."""
-    try:
-        fault = page_fault(data, read_directory(data))
-        if fault is None:
+    with suppress(*_NONSENSE):
+        if not is_damaged(data, read_directory(data)):
             return as_stored(data)
-    except _NONSENSE:
-        fault = "damaged"
-    raise FootageError(f"{path} is {fault}: copy it again")
+    raise FootageError(f"{path} is damaged: copy it again")
 
 
 def _check_jpeg(path: Path, data: bytes) -> None:

@@ -30,7 +30,7 @@ from pipeline.footage.tiff_file import (
     PROFILE,
     TIFF_MARKS,
     WIDTH,
-    page_fault,
+    is_cut_off,
     read_directory,
     transfer_curve,
     unfit_page,
@@ -114,7 +114,7 @@ def picture_end(data: bytes) -> int | None:
         elif data.startswith(JPEG):
             end = next((end for kind, _, end in _jpeg_segments(data) if kind == _END), None)
         elif data[:4] in TIFF_MARKS:
-            end = None if page_fault(data, read_directory(data)) == "truncated" else len(data)
+            end = None if is_cut_off(data, read_directory(data)) else len(data)
         elif data.startswith(b"BM") and _bmp_layout(data)[1] in (_PLAIN, *_MASKS):
             width, height = _bmp_size(data)
             end = struct.unpack_from("<I", data, 10)[0] + (width * _bmp_layout(data)[0] + 31) // 32 * 4 * abs(height)

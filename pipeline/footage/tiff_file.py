@@ -197,22 +197,21 @@ def pages_elsewhere(page: Directory, n_pages: int) -> int:
     return max(0, int(said[0][:9]) - n_pages) if is_imagej and said else 0
 
 
-def page_fault(data: bytes, page: Directory) -> str | None:
-    """Return what is wrong with a page's strips or tiles: "truncated" or "damaged"; None: nothing that can be told.
+def is_cut_off(data: bytes, page: Directory) -> bool:
+    """Return whether strips or tiles of a page reach beyond the file's end."""
+    return any(end > len(data) for _, end in _strips(page))
 
-    Only deflate has checksums.
-    """
-    for places, sizes in zip(_PLACES, _SIZES, strict=True):
-        if places not in page.values or sizes not in page.values:
-            continue
-        strips = [
-            (int(at), int(at) + int(size)) for at, size in zip(page.values[places], page.values[sizes], strict=False)
-        ]
-        if any(end > len(data) for _, end in strips):
-            return "truncated"
-        if page.first(_COMPRESSION, 1) in _DEFLATE and not all(_is_deflated(data[at:end]) for at, end in strips if at):
-            return "damaged"
-    return None
+
+def is_damaged(data: bytes, page: Directory) -> bool:
+    """Return whether a page's values are not as they were written, where that can be told: deflate has checksums."""
+    is_deflated = page.first(_COMPRESSION, 1) in _DEFLATE
+    return is_deflated and not all(_is_deflated(data[begin:end]) for begin, end in _strips(page) if begin)
+
+
+def _strips(page: Directory) -> list[tuple[int, int]]:
+    """Return where each strip or tile begins and ends, as far as the page says so."""
+    begins, sizes = ([int(value) for tag in tags for value in page.values.get(tag, ())] for tags in (_PLACES, _SIZES))
+    return [(begin, begin + size) for begin, size in zip(begins, sizes, strict=False)]
 
 
 def _is_deflated(strip: bytes) -> bool:
