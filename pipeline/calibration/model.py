@@ -4,12 +4,12 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
@@ -31,10 +31,27 @@ from pipeline.showing import to_html
 from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
-# Long lenses see a tenth of their distance to either side, the sixth power of which k3 counts with.
-Distortion = Annotated[FloatArray, ArrayOf((5,), 1e4)]
 Shift = Annotated[FloatArray, ArrayOf((3, 2))]
 Response = Annotated[FloatArray, ArrayOf((3, 256))]
+# Lengths of OpenCV's lists: radial and tangential, k3, the rational model, thin prisms, a tilted sensor.
+_COEFFICIENTS = (4, 5, 8, 12, 14)
+
+
+def _padded(value: Any) -> Any:
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1):
+        if len(value) not in _COEFFICIENTS:
+            raise ValueError(f"must have 4, 5, 8, 12 or 14 numbers, in OpenCV's order, got {len(value)}")
+        return [*value, *[0.0] * (14 - len(value))]
+    return value
+
+
+def _shortest(coefficients: FloatArray) -> FloatArray:
+    return coefficients if coefficients[5:].any() else coefficients[:5]
+
+
+#: 5 or 14 numbers, whatever the file's list is. Long lenses see a tenth of their distance to either side, the sixth
+# power of which k3 counts with.
+Distortion = Annotated[FloatArray, ArrayOf((14,), 1e4), BeforeValidator(_padded), AfterValidator(_shortest)]
 
 
 #: Crosstalk worse than this cannot be undone: noise grows by it.
@@ -56,7 +73,7 @@ class Lens(Model):
 
     size_px: tuple[_Side, _Side]  # width, height
     matrix: Matrix3  # px
-    distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # k1 k2 p1 p2 k3
+    distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # OpenCV's order: k1 k2 p1 p2 k3 [...]
 
     @model_validator(mode="after")
     def _check(self) -> "Lens":

@@ -47,7 +47,10 @@ def test_a_calibration_survives_its_file(tmp_path):
         ({"crosstalk_matrix": [[1, 0, 0], [1, 0, 0], [0, 0, 1]]}, "crosstalk_matrix cannot be inverted"),
         ({"depth_range_mm": [900, 700]}, "depth_range_mm"),
         ({"response": [[0] * 256] * 3}, "response must rise"),
-        ({"camera": {"size_px": [640, 480], "matrix": np.eye(3).tolist(), "distortion": [0] * 4}}, "camera.distortion"),
+        (
+            {"camera": {"size_px": [640, 480], "matrix": np.eye(3).tolist(), "distortion": [0] * 6}},
+            r"camera\.distortion: must have 4, 5, 8, 12 or 14 numbers, in OpenCV's order, got 6",
+        ),
         ({"camera": {"size_px": [640, -1], "matrix": np.eye(3).tolist()}}, "camera.size_px.1"),
         ({"projector": {"size_px": [640, 480], "matrix": np.diag([-1, 1, 1]).tolist()}}, "projector: matrix must be"),
     ],
@@ -87,13 +90,31 @@ def test_rays_are_the_pixels_of_a_pinhole():
     )
 
 
-def test_a_distorted_ray_comes_back_to_its_pixel():
-    lens = simulated_rig((64, 48), camera_distortion=(-0.2, 0.05, 1e-3, -1e-3, 0.0)).camera
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        (-0.2, 0.05, 1e-3, -1e-3),
+        (-0.2, 0.05, 1e-3, -1e-3, 0.0),
+        (12.1, 40.2, 1e-3, -2e-3, 3.5, 12.2, 41.5, 5.1),
+        (-0.2, 0.05, 1e-3, -1e-3, 0.0, 0, 0, 0, 0.02, -0.03, 0.01, 0.05),
+        (0.3, -0.2, 1e-3, 2e-3, 0.1, 0.4, -0.1, 0.1, 0.02, -0.01, 0.01, 0.03, 0.08, -0.05),
+    ],
+)
+def test_a_distorted_ray_comes_back_to_its_pixel(distortion):
+    lens = simulated_rig((64, 48), camera_distortion=distortion).camera
     rays = lens.rays()[::9, ::9].reshape(-1, 2)
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1).astype(np.float64)
     pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, lens.distortion)
     y, x = np.mgrid[:48:9, :64:9]
     np.testing.assert_allclose(pixels[:, 0], np.stack([x.ravel(), y.ravel()], axis=1), atol=1e-3)
+
+
+def test_coefficients_that_are_zero_change_nothing():
+    """Files of 4, 8 and 14 numbers hold the lens, and the digest, of the same five."""
+    short = simulated_rig(camera_distortion=(-0.2, 0.05, 1e-3, -1e-3))
+    for zeros in (1, 4, 8, 10):
+        longer = simulated_rig(camera_distortion=(-0.2, 0.05, 1e-3, -1e-3, *[0.0] * zeros))
+        assert longer.camera.distortion.shape == (5,) and longer.digest() == short.digest()
 
 
 def test_the_axes_meet_where_the_rig_is_turned_to():
