@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
+from pipeline.errors import CalibrationError, Cause, FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
 from pipeline.limits import check_size
 from pipeline.models import (
@@ -211,6 +211,44 @@ class Geometry:
         near, far = self.pattern_cycles(np.array([[0, 0, depth_mm - 0.5], [0, 0, depth_mm + 0.5]]))
         return float(2 * np.pi * abs(far - near))
 
+    def check_frame(self, size_px: tuple[int, int], what: str = "frame") -> None:
+        """Refuse a frame of another size than the camera's, and name what its size can be.
+
+        Parameters
+        ----------
+        size_px : (width, height)
+            The frame's.
+        what : str
+            What the message calls it.
+
+        Raises
+        ------
+        CalibrationError
+            It has another size.
+        """
+        here, there = (int(size_px[0]), int(size_px[1])), self.camera.size_px
+        if here == there:
+            return
+        smaller, larger = np.divide(there, here), np.divide(here, there)
+        factors = "{:.0f}x{:.0f}".format(*np.maximum(smaller, larger))
+        convert = "convert the calibration: colorphase calibrate import"
+        causes = (
+            ("on its side", here == there[::-1], "turn it as the camera stood at calibration"),
+            ("swapped", here == self.projector.size_px, "that is the projector's size: if the two are swapped in the "
+             "calibration, calibrate geometry again"),
+            ("binned", (smaller % 1 == 0).all(), f"its sides are {factors} times smaller: if the camera bins, "
+             f"{convert} --binning {factors}; if it shows a part of its sensor, --region"),
+            ("calibrated binned", (larger % 1 == 0).all(), f"its sides are {factors} times larger: set the binning and "
+             "resolution of the calibration"),
+            ("cropped", (smaller >= 1).all(), f"if the camera shows a part of its sensor, {convert} --region; a "
+             "picture that was cut or scaled afterwards is of no use: cut by --roi"),
+            ("another camera", True, "set the camera's resolution as at calibration, or calibrate it as it is now"),
+        )  # fmt: skip
+        key, cause = next((key, cause) for key, holds, cause in causes if holds)
+        raise CalibrationError(
+            Cause(key, "{} is {}x{} but the calibration is for {}x{}: {}".format(what, *here, *there, cause))
+        )
+
     def working_distance_mm(self) -> float | None:
         """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.
 
@@ -314,6 +352,28 @@ class Calibration(Model):
         matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
         camera = self.camera.model_copy(update={"size_px": size_px, "matrix": matrix})
         return self.model_copy(update={"camera": camera})
+
+    def binned(self, across: int, down: int) -> "Calibration":
+        """Return the calibration of the same rig whose camera joins so many columns and rows to one.
+
+        A row or column that is left over at the end is not read out.
+        """
+        if self.camera is None:
+            return self
+        factor = np.array([across, down])
+        matrix = self.camera.matrix.copy()
+        matrix[[0, 1], [0, 1]] /= factor
+        matrix[:2, 2] = (matrix[:2, 2] + 0.5) / factor - 0.5  # 0 is the middle of the first pixel
+        width, height = self.camera.size_px
+        lens = {**self.camera.model_dump(), "size_px": (width // across, height // down), "matrix": matrix}
+        shift = self.color_shift_px
+        if shift is not None:
+            shift = shift.model_copy(update={"camera": shift.camera / factor})
+        uncertainty = self.uncertainty
+        if uncertainty is not None:  # without what is in px of the whole frame
+            uncertainty = uncertainty.model_copy(update={"camera": None, "reprojection_px": None})
+        update = {"camera": Lens.model_validate(lens), "color_shift_px": shift, "uncertainty": uncertainty}
+        return self.model_copy(update=update)
 
     @classmethod
     def read(cls, path: str | Path) -> "Calibration":

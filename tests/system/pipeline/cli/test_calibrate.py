@@ -240,8 +240,8 @@ def test_check_and_fix(folder, command):
     swapped.write(folder / "swapped.json")
     (folder / "empty").mkdir()
     for what, rig, options, message in (
-        ("plane.png", "swapped.json", (), "camera and projector are swapped"),
-        ("plane.png", "calibration.json", (), "plane.png is 400x300 px but the calibration is for a camera of 320x240"),
+        ("plane.png", "swapped.json", (), "the two are swapped"),
+        ("plane.png", "calibration.json", (), "plane.png is 400x300 but the calibration is for 320x240"),
         ("plane.png", "old.json", ("--radius-mm", "40"), "add --shape ball"),
         ("many", "old.json", ("--shape", "plane"), "give one picture"),
         ("empty", "old.json", (), "holds no pictures"),
