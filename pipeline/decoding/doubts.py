@@ -1,11 +1,13 @@
 """What a frame gives reason to doubt, each in one line that says what to do."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
+from pipeline.errors import Cause
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure_frame
@@ -15,8 +17,8 @@ from tikernels.transposing import transpose
 CODE_SHOWN = 'the frame shows a contrast code, which is used: set code = "none" (--code none) to decode it as plain'
 # Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
 _MIN_CONTRAST = 0.12
-# A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
-_MAX_MISMATCH = 0.12
+#: A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
+MAX_MISMATCH = 0.12
 # A share of the surface that is lost unnoticed at edges.
 _MAX_TOO_FAST = 0.05
 
@@ -30,6 +32,15 @@ _BRIGHTEST, _DIM = 0.999, 0.15
 # From this share of what is lit on, clipped channels cost more than noise does: simulated planes, balls and busts are
 # off by 1.2 times as much at .05, twice as much at .15 and ten times as much at .4.
 _CLIPPED_LIT = 0.1
+
+# Of a frame that is as calibrated the code is read on nearly all of its surfaces, of others on hardly any. Colours fit
+# that are not this much worse than those that fit best.
+_MOST_READ, _MISMATCH, _WORSE = 0.5, 0.02, 3.0
+# What a frame is that fits the calibration when it is changed so.
+_REVERSED = {
+    "turned over": "turned over it fits: the camera's or the projector's picture is upside down or mirrored; turn it",
+    "colours swapped": "its colours are stored in the order B, G, R, and exchanged they fit: exchange red and blue",
+}
 
 # Columns of a frame that are looked at for a fringe that is too fine, the share of their changes that one has, and how
 # far its frequency differs from place to place, as a fraction: white noise has a sixth of its power in such a band.
@@ -49,6 +60,40 @@ def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
         other = "vertical" if stripes == "horizontal" else "horizontal"
         return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
     return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
+
+
+class Changed(NamedTuple):
+    """A frame that was turned over, or whose red and blue were exchanged, decoded as such; None: nothing shows it."""
+
+    read: float | None  # share of its surfaces whose code is read
+    mismatch: float | None  # how far its colours are from what the crosstalk makes of them, as a fraction
+
+
+def reversed_doubt(changed: dict[str, Changed]) -> Cause:
+    """Say why a frame's phase runs against the calibrated rig's, by what became of it when it was changed."""
+    least = min((found.mismatch for found in changed.values() if found.mismatch is not None), default=0.0)
+    most = min(MAX_MISMATCH, _MISMATCH + _WORSE * least)
+    fits = [
+        key
+        for key, found in changed.items()
+        if (found.read is None or found.read > _MOST_READ) and (found.mismatch is None or found.mismatch < most)
+    ]
+    if len(fits) == 1:
+        key, words = fits[0], _REVERSED[fits[0]]
+    elif fits:
+        key, words = (
+            "reversed",
+            (
+                "it is upside down or mirrored, or its colours are stored in the order B, G, R, which only a code or a "
+                "calibrated crosstalk can distinguish: turn it, or exchange red and blue"
+            ),
+        )
+    else:
+        key, words = (
+            "reversed for another reason",
+            ("it fits neither turned over nor with red and blue exchanged: check that the calibration is this rig's"),
+        )
+    return Cause(key, f"the phase runs against the calibrated rig's, so that no depth can be told: {words}")
 
 
 def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -> str | None:
@@ -125,7 +170,7 @@ def light_doubts(
             f"the fringe's contrast is only {contrast:.0%}: less motion blur, a sharper focus or less other "
             "light would make it certain"
         )
-    if constant_known and mismatch > _MAX_MISMATCH:
+    if constant_known and mismatch > MAX_MISMATCH:
         doubts.append(
             f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases "
             f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase calibrate check says what is wrong"
