@@ -384,4 +384,7 @@ def _next_commands(out: Path, board: Board, second: Board) -> list[str]:
 calibrate = App(name="calibrate", help="Measure the rig: its light, its geometry, and later whether both still hold.")
 for command in (simulate, radiometry, wavelengths, geometry, check):
     calibrate.command(command)
+calibrate.command(
+    "pipeline.cli.calibrate_import:import_calibration", name="import", help="Read other programs' calibrations."
+)
 calibrate.command("pipeline.cli.calibrate_capture:capture", name="capture", help="Show and take the pictures, guided.")
