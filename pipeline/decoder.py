@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
+from pipeline.causes import Cause
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.doubts import (
     CODE_SHOWN,
@@ -28,7 +29,7 @@ from pipeline.decoding.self_calibration import LightEstimate, estimate_light
 from pipeline.decoding.surface_search import FoundSurfaces, NoModelFits, OnlyColor
 from pipeline.decoding.thresholds import frame_levels
 from pipeline.decoding.workspace import Workspace
-from pipeline.errors import CalibrationError, Cause, DecodeWarning
+from pipeline.errors import CalibrationError, DecodeWarning
 from pipeline.linear_algebra import one_thread
 from pipeline.orders.order_finder import OrderFinder, SeenPhase
 from pipeline.settings import DecodeSettings

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from pipeline.errors import CalibrationError, Cause, FootageError, OutputError, SettingsError
+from pipeline.causes import Cause
+from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
 from pipeline.limits import check_size
 from pipeline.models import (

@@ -19,7 +19,8 @@ from pipeline.calibration.board_poses import MIN_POSES, BoardPose
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
 from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, ScaleProof, Uncertainty
 from pipeline.calibration.verdict import GeometryVerdict, corners_off, depth_bias_mm, judge_geometry, pose_causes
-from pipeline.errors import CalibrationError, Cause
+from pipeline.causes import Cause
+from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
 
 # A measured baseline that differs from the user's by a greater part shows a wrong square size: by hand, from lens to

@@ -28,7 +28,7 @@ from pipeline.calibration.bundle_adjustment import BundleAdjustment, project_poi
 from pipeline.calibration.model import Geometry, Pattern
 from pipeline.calibration.multishot import multishot_sequence
 from pipeline.calibration.radiometry import Radiometry
-from pipeline.errors import Cause
+from pipeline.causes import Cause
 from pipeline.models import FloatArray
 
 #: "good": a frame's noise limits a measurement; "usable": the calibration does; "poor": calibrate again.

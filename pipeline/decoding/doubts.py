@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pipeline.causes import Cause
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
-from pipeline.errors import Cause
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure_frame

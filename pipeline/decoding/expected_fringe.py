@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
-from pipeline.errors import Cause
+from pipeline.causes import Cause
 from pipeline.models import FloatArray
 
 # Places in the camera's picture along either side, and depths from which the bounds come; more change nothing.
@@ -69,14 +69,14 @@ class ExpectedFringe:
         """Say why the size of a frame's usual change from row to row is none of this rig's; None: it may be."""
         if rate_rad == 0 or self.possible[0] <= rate_rad <= self.possible[1]:
             return None
-        return Cause("impossible period", f"{self._sizes(rate_rad, self.possible)}, so that no depth can be told")
+        return Cause("impossible period", f"no depth can be told: {self._sizes(rate_rad, self.possible)}")
 
     def surprise(self, rate_rad: float) -> Cause | None:
         """Say that a usual surface of this rig shows another period; None: it shows this one."""
         if rate_rad == 0 or self.usual[0] <= rate_rad <= self.usual[1]:
             return None
-        words = "unless the surface is steep, depths are wrong by as much"
-        return Cause("unusual period", f"{self._sizes(rate_rad, self.usual)}; {words}")
+        words = "depths are wrong, unless the surface is steep"
+        return Cause("unusual period", f"{words}: {self._sizes(rate_rad, self.usual)}")
 
     def _sizes(self, rate_rad: float, expected: Bounds) -> str:
         seen, *bounds = (2 * np.pi / abs(rate) for rate in (rate_rad, *expected))
