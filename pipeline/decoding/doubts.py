@@ -14,7 +14,10 @@ from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure
 from tikernels.transposing import transpose
 
 #: Said once, by the frame that shows it.
-CODE_SHOWN = 'the frame shows a contrast code, which is used: set code = "none" (--code none) to decode it as plain'
+CODE_SHOWN = Cause(
+    "code shown",
+    'the frame shows a contrast code, which is used: set code = "none" (--code none) to decode it as plain',
+)
 # Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
 _MIN_CONTRAST = 0.12
 #: A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
@@ -47,19 +50,22 @@ _REVERSED = {
 _COLUMNS, _FRINGE_SHARE, _FRINGE_BAND = 32, 0.25, 0.08
 
 
-def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
+def fringe_doubt(frame: LinearFrame, stripes: str) -> Cause:
     """Say why no fringe was found in a frame."""
     # First, for what is too fine to be seen beats with the pixels, and may then pass for stripes the other way.
     finest = finest_fringe(frame.image)
     if finest is not None:
-        return (
+        return Cause(
+            "too fine",
             f"the fringe has {finest:.1f} px a cycle in this frame, and {MIN_PERIOD_PX:g} are the least: go nearer, "
-            "take more pixels, or project a longer period"
+            "take more pixels, or project a longer period",
         )
     if measure_frame(transpose(frame.image), frame.white).period_px is not None:
         other = "vertical" if stripes == "horizontal" else "horizontal"
-        return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
-    return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
+        words = f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
+        return Cause("other stripes", words)
+    words = "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
+    return Cause("no fringe", words)
 
 
 class Changed(NamedTuple):
@@ -96,7 +102,7 @@ def reversed_doubt(changed: dict[str, Changed]) -> Cause:
     return Cause(key, f"the phase runs against the calibrated rig's, so that no depth can be told: {words}")
 
 
-def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -> str | None:
+def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -> Cause | None:
     """Say what a frame with a fringe lacks of which next to nothing was measured; None: enough was."""
     height, width = frame.shape
     if n_measured >= _FEW * height * width:
@@ -108,20 +114,23 @@ def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -
     clipped = float((image.max(axis=2) >= levels.clipped).mean())
     brightest = float(np.quantile(image, _BRIGHTEST)) / frame.white
     if clipped > _MOST_CLIPPED:
-        cause = f"{clipped:.0%} of it is over-exposed: expose it shorter"
+        key, cause = "over-exposed", f"{clipped:.0%} of it is over-exposed: expose it shorter"
     elif brightest < _DIM:
+        key = "under-exposed"
         cause = f"its brightest places reach {brightest:.0%} of full scale only: expose it longer, or open the aperture"
     else:
+        key = "weak fringe"
         cause = "elsewhere the fringe is too weak: focus both lenses, shut out other light, or project a longer period"
     share = "nothing" if n_measured == 0 else f"only {n_measured / (height * width):.1%}"
-    return f"{share} of this frame could be measured: {cause}"
+    return Cause(key, f"{share} of this frame could be measured: {cause}")
 
 
-def over_exposure_doubt(clipped: float) -> str | None:
+def over_exposure_doubt(clipped: float) -> Cause | None:
     """Say that a share of what is lit has a channel at full scale; None: too little of it to matter."""
     if clipped < _CLIPPED_LIT:
         return None
-    return f"{clipped:.0%} of what is lit has a colour at full scale, which bends its phase: expose it shorter"
+    words = f"{clipped:.0%} of what is lit has a colour at full scale, which bends its phase: expose it shorter"
+    return Cause("over-exposed", words)
 
 
 def finest_fringe(light: LevelsImage) -> float | None:
@@ -146,7 +155,7 @@ def light_doubts(
     mm_per_rad: Callable[[], float | None],
     *,
     constant_known: bool,
-) -> tuple[str, ...]:
+) -> tuple[Cause, ...]:
     """Say where the light is not as decoding assumes.
 
     Parameters
@@ -164,29 +173,29 @@ def light_doubts(
     constant_known : bool
         Whether the crosstalk is known, so that a mismatch means that it has changed.
     """
-    doubts = []
+    doubts = {}
     if contrast < _MIN_CONTRAST:
-        doubts.append(
+        doubts["low contrast"] = (
             f"the fringe's contrast is only {contrast:.0%}: less motion blur, a sharper focus or less other "
             "light would make it certain"
         )
     if constant_known and mismatch > MAX_MISMATCH:
-        doubts.append(
+        doubts["other crosstalk"] = (
             f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases "
             f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase calibrate check says what is wrong"
         )
     elif odd is not None:
-        doubts.append(
+        doubts["odd colours"] = (
             f"no matrix explains the colours of {odd.share:.0%} of the surface, {odd.color} above all, where phases "
             f"may be off by some {_in_depth(odd.phase_rad, mm_per_rad)}: look for other light, paint that fluoresces, "
             "light that scatters or too fine a print (colorphase calibrate check says whether the calibration fits)"
         )
     if too_fast > _MAX_TOO_FAST:
-        doubts.append(
+        doubts["too fast"] = (
             f"{too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its colours, one "
             "after another, cannot be put together there; take frames faster"
         )
-    return tuple(doubts)
+    return tuple(Cause(key, words) for key, words in doubts.items())
 
 
 def _in_depth(phase_rad: float, mm_per_rad: Callable[[], float | None]) -> str:

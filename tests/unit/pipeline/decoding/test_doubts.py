@@ -100,6 +100,9 @@ def test_the_light(contrast, mismatch, misfit, fast, known, said):
     assert len(doubts) == len(said)
     for doubt, part in zip(doubts, said, strict=True):
         assert part in doubt
+    held = {"low contrast": contrast < 0.1, "other crosstalk": known and mismatch > 0.2, "too fast": fast > 0.1}
+    held["odd colours"] = odd is not None and not held["other crosstalk"]
+    assert {doubt.key for doubt in doubts} == {key for key, holds in held.items() if holds}
 
 
 def test_what_it_costs_is_said_in_mm(cpu):
