@@ -173,7 +173,7 @@ class Decoder:
             with nullcontext() if out is None else out.emptied_on_error():
                 if statistics.period_px is None or period_px is None:
                     clear_buffers(*buffers)
-                    measured = Measured(*buffers, order_doubt=fringe_doubt(frame, self._setup.stripes))
+                    measured = Measured(*buffers, order_doubt=fringe_doubt(frame, self._setup.stripes, levels.clipped))
                 else:
                     measured = self._measure(frame, levels, period_px, memory, *buffers)
                     if self._learn_light(frame, period_px, measured.surface):

@@ -1,9 +1,10 @@
 """What a frame gives reason to doubt, each in one line that says what to do."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from pipeline.causes import Cause
 from pipeline.decoding.frame_reader import LinearFrame
@@ -50,8 +51,8 @@ _REVERSED = {
 _COLUMNS, _FRINGE_SHARE, _FRINGE_BAND = 32, 0.25, 0.08
 
 
-def fringe_doubt(frame: LinearFrame, stripes: str) -> Cause:
-    """Say why no fringe was found in a frame."""
+def fringe_doubt(frame: LinearFrame, stripes: str, clipped: float) -> Cause:
+    """Say why no fringe was found in a frame; from `clipped` levels on its light counts as full scale."""
     # First, for what is too fine to be seen beats with the pixels, and may then pass for stripes the other way.
     finest = finest_fringe(frame.image)
     if finest is not None:
@@ -64,8 +65,21 @@ def fringe_doubt(frame: LinearFrame, stripes: str) -> Cause:
         other = "vertical" if stripes == "horizontal" else "horizontal"
         words = f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
         return Cause("other stripes", words)
-    words = "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
-    return Cause("no fringe", words)
+    badly = _badly_exposed(runtime.to_host(frame.image), frame.white, clipped)
+    key, cause = badly or ("no fringe", "its exposure is right: check that the pattern is projected and in focus")
+    return Cause(key, f"no fringe stands out of this frame: {cause}")
+
+
+def _badly_exposed(image: npt.NDArray[Any], white: float, clipped: float) -> tuple[str, str] | None:
+    """Return the key and words of a frame that is over- or under-exposed; None: it is neither."""
+    share = float((image.max(axis=2) >= clipped).mean())
+    brightest = float(np.quantile(image, _BRIGHTEST)) / white
+    if share > _MOST_CLIPPED:
+        return "over-exposed", f"{share:.0%} of it is over-exposed: expose it shorter"
+    if brightest < _DIM:
+        words = f"its brightest places reach {brightest:.0%} of full scale only: expose it longer, or open the aperture"
+        return "under-exposed", words
+    return None
 
 
 class Changed(NamedTuple):
@@ -111,16 +125,10 @@ def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -
     lit = int((image.sum(axis=2, dtype=np.float64) >= 3 * levels.intensity).sum())
     if 0 < n_measured and n_measured >= _MOST_OF_LIT * lit:  # a small thing before a black curtain
         return None
-    clipped = float((image.max(axis=2) >= levels.clipped).mean())
-    brightest = float(np.quantile(image, _BRIGHTEST)) / frame.white
-    if clipped > _MOST_CLIPPED:
-        key, cause = "over-exposed", f"{clipped:.0%} of it is over-exposed: expose it shorter"
-    elif brightest < _DIM:
-        key = "under-exposed"
-        cause = f"its brightest places reach {brightest:.0%} of full scale only: expose it longer, or open the aperture"
-    else:
-        key = "weak fringe"
-        cause = "elsewhere the fringe is too weak: focus both lenses, shut out other light, or project a longer period"
+    key, cause = _badly_exposed(image, frame.white, levels.clipped) or (
+        "weak fringe",
+        "elsewhere the fringe is too weak: focus both lenses, shut out other light, or project a longer period",
+    )
     share = "nothing" if n_measured == 0 else f"only {n_measured / (height * width):.1%}"
     return Cause(key, f"{share} of this frame could be measured: {cause}")
 
