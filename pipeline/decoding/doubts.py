@@ -45,6 +45,11 @@ _REVERSED = {
     "turned over": "turned over it fits: the camera's or the projector's picture is upside down or mirrored; turn it",
     "colours swapped": "its colours are stored in the order B, G, R, and exchanged they fit: exchange red and blue",
 }
+_UNDECIDED = (
+    "it is upside down or mirrored, or its colours are stored in the order B, G, R, which only a code or a calibrated "
+    "crosstalk can distinguish: turn it, or exchange red and blue"
+)
+_NEITHER = "it fits neither turned over nor with red and blue exchanged: check that the calibration is this rig's"
 
 # Columns of a frame that are looked at for a fringe that is too fine, the share of their changes that one has, and how
 # far its frequency differs from place to place, as a fraction: white noise has a sixth of its power in such a band.
@@ -100,19 +105,9 @@ def reversed_doubt(changed: dict[str, Changed]) -> Cause:
     ]
     if len(fits) == 1:
         key, words = fits[0], _REVERSED[fits[0]]
-    elif fits:
-        key, words = (
-            "reversed",
-            (
-                "it is upside down or mirrored, or its colours are stored in the order B, G, R, which only a code or a "
-                "calibrated crosstalk can distinguish: turn it, or exchange red and blue"
-            ),
-        )
     else:
-        key, words = (
-            "reversed for another reason",
-            ("it fits neither turned over nor with red and blue exchanged: check that the calibration is this rig's"),
-        )
+        key = "reversed" if fits else "reversed for another reason"
+        words = _UNDECIDED if fits else _NEITHER
     return Cause(key, f"the phase runs against the calibrated rig's, so that no depth can be told: {words}")
 
 
