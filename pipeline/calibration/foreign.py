@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from pipeline.calibration.model import Calibration, Pattern
@@ -23,6 +22,13 @@ _OPENCV = (
     ("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"),
     ("M1", "D1", "M2", "D2"),
     ("cam_K", "cam_kc", "proj_K", "proj_kc"),
+)
+_YAML_MATRIX = re.compile(
+    r"^(\w+):\s*!!opencv-matrix\s+rows:\s*(\d+)\s+cols:\s*(\d+)\s+dt:\s*\w+\s+data:\s*\[([^\]]*)\]", re.MULTILINE
+)
+_XML_MATRIX = re.compile(
+    r"<(\w+) type_id=\"opencv-matrix\">\s*<rows>(\d+)</rows>\s*<cols>(\d+)</cols>\s*<dt>\w+</dt>\s*"
+    r"<data>([^<]*)</data>"
 )
 # MATLAB's names of units, in mm.
 _UNITS_MM = {"mm": 1.0, "millimeters": 1.0, "cm": 10.0, "centimeters": 10.0, "m": 1000.0, "meters": 1000.0, "in": 25.4}
@@ -109,19 +115,19 @@ def read_foreign(
 
 
 def _opencv(text: str) -> _Rig:
-    """Read OpenCV's storage of matrices."""
-    try:
-        storage = cv2.FileStorage(text, cv2.FILE_STORAGE_READ | cv2.FILE_STORAGE_MEMORY)
-        known = set(storage.root().keys())
-        if "camera_matrix" in known:
-            raise ValueError("it holds one lens, and a rig has two and a step between them: calibrate them as a pair")
-        names = next((names for names in _OPENCV if known.issuperset((*names, "R", "T"))), None)
-        if names is None:
-            raise ValueError(f"it lacks two lenses with R and T ({', '.join(_OPENCV[0])}, R, T)")
-        first, bent, second, other, rotation, translation = (storage.getNode(name).mat() for name in (*names, "R", "T"))
-    except cv2.error:
-        raise ValueError("no calibration of OpenCV, Kalibr or MATLAB that can be read") from None
-    return _Rig(_Lens(first, bent.ravel()), _Lens(second, other.ravel()), rotation, translation.ravel(), None)
+    """Read OpenCV's storage of matrices, YAML or XML; its own reader ends the program on some damaged files."""
+    found = {}
+    for pattern in (_YAML_MATRIX, _XML_MATRIX):
+        for name, rows, columns, numbers in pattern.findall(text):
+            values = np.array(re.split(r"[\s,]+", numbers.strip(" \n,")), np.float64)
+            found[name] = values.reshape(int(rows), int(columns))
+    if "camera_matrix" in found:
+        raise ValueError("it holds one lens, and a rig has two and a step between them: calibrate them as a pair")
+    names = next((names for names in _OPENCV if found.keys() >= {*names, "R", "T"}), None)
+    if names is None:
+        raise ValueError(f"it holds no calibration of OpenCV ({', '.join(_OPENCV[0])}, R, T), Kalibr or MATLAB")
+    first, bent, second, other = (found[name] for name in names)
+    return _Rig(_Lens(first, bent.ravel()), _Lens(second, other.ravel()), found["R"], found["T"].ravel(), None)
 
 
 def _kalibr(text: str) -> _Rig:
