@@ -7,6 +7,7 @@ own. The calibration is to be found from the pictures alone.
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
+from zlib import crc32
 
 import cv2
 import numpy as np
@@ -33,8 +34,8 @@ _MOVE_S, _MOVE_STEPS = 8.0, 4
 _HAND_DEG, _HAND_MM, _HAND_PART = 4.0, 6.0, 0.02
 # Where the board is held at first: (6,) rotation vector and place.
 _START = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1100.0])
-# What is not seen whole is held nearer to the middle.
-_HAND_TRIES = 20
+# What is not seen whole is held nearer to the middle and farther away, by this part of its distance at most.
+_HAND_TRIES, _AWAY = 20, 0.3
 # The least distance from a view's rim, px, at which a board is seen whole.
 _RIM_PX = 3.0
 # The sheet is larger than what the camera sees.
@@ -122,7 +123,7 @@ class SimulatedStudio:
         self._first_exposure_s, self._gain, self._phase_s = exposure_s, 1.0, 0.0
         self._time_s = 0.0
         self._sent: list[tuple[float, npt.NDArray[np.uint8]]] = []  # when each picture comes on, newest last
-        self._outline: FloatArray | None = None
+        self._pose = ""
         self._way: tuple[FloatArray, FloatArray, float] = (_START, _START, -_MOVE_S)  # from, to, since
         self._view_of = lru_cache(maxsize=1)(self._look)
         self._light_of: tuple[tuple[object, ...], npt.NDArray[np.float32]] | None = None
@@ -174,12 +175,12 @@ class SimulatedStudio:
     def guide(self, guidance: Guidance) -> None:
         """Have the operator go where the guidance says; see `Studio`."""
         self._tell(guidance.line)
-        outline = guidance.outline_px
-        if outline is None or (self._outline is not None and np.array_equal(outline, self._outline)):
+        pose = guidance.line.partition(":")[0]
+        if guidance.outline_px is None or pose == self._pose:
             return
         self.n_acts += 1
-        self._outline = outline
-        self._way = (self._stands(self._time_s)[0], self._hands(outline), self._time_s)
+        self._pose = pose
+        self._way = (self._stands(self._time_s)[0], self._hands(pose, guidance.outline_px), self._time_s)
 
     def key_pressed(self) -> bool:
         """Return False: this operator holds things still."""
@@ -210,15 +211,15 @@ class SimulatedStudio:
         places[:2, 0] += np.float32(faults.keystone * width / 2) * np.array([1, -1], np.float32)
         return np.asarray(cv2.warpPerspective(picture, cv2.getPerspectiveTransform(corners, places), (width, height)))
 
-    def _hands(self, outline: FloatArray) -> FloatArray:
+    def _hands(self, pose: str, outline: FloatArray) -> FloatArray:
         """Return where a board is held, (6,) rotation vector and mm, that is to fill an outline."""
         board, lens = self._held(), self._truth.geometry().camera
         found = cv2.solvePnP(board.outline_mm(), outline, lens.matrix, lens.distortion)
         turn, place = (each.ravel() for each in found[1:])
-        # The same hands at the same suggestion: a capture that was stopped finds the board where it was.
-        rng = np.random.default_rng([self._seed or 0, *np.rint(outline).astype(int).ravel() % 4096])
+        # The same hands at the same pose: a capture that was stopped finds the board where it was.
+        rng = np.random.default_rng([self._seed or 0, crc32(pose.encode())])
         for inwards in np.linspace(1.0, 0.0, _HAND_TRIES):
-            stands = np.concatenate([turn, place * (inwards, inwards, 1.0)])
+            stands = np.concatenate([turn, place * (inwards, inwards, 1 + _AWAY * (1 - inwards))])
             stands[:3] += np.radians(_HAND_DEG) * rng.standard_normal(3)
             stands[3:] *= 1 + _HAND_PART * rng.standard_normal()
             stands[3:] += _HAND_MM * rng.standard_normal(3)

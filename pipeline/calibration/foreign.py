@@ -77,7 +77,7 @@ def read_foreign(
         It is none of these, lacks something, or holds a lens of another model.
     """
     try:
-        text = read_text(path, "utf-8-sig")
+        text = read_text(path)
         if text.lstrip().startswith("{"):
             values = json.loads(text)
             if "CameraParameters1" not in values:
