@@ -3,9 +3,7 @@
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import cast
 
 import cv2
 import numpy as np
@@ -13,11 +11,11 @@ import numpy as np
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import stored_planes
 from pipeline.footage.image_file import JpegDecoder, check_whole, decode_levels, is_heic, read_bytes, read_heic
-from pipeline.footage.picture_tags import PictureTags, read_tags, unfit_colors, upright
-from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from pipeline.footage.picture_tags import PictureTags, read_tags, unfit_colors
+from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
-from tikernels.raw.pixel_format import FLOAT_BITS, Bayer, PixelFormat
+from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 
 _JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
 #: How the names of image files end.
@@ -125,7 +123,7 @@ class ImageFolder:
             return (levels,), self._says.applied_to(PixelFormat("rgb", bits)), tags
         tags = read_tags(data)
         planes, format = self._read_stored(path, data)
-        return (*_turned(planes, format, tags.orientation), tags)
+        return (*turned(planes, format, tags.orientation), tags)
 
     def _read_stored(self, path: Path, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat]:
         try:
@@ -149,22 +147,3 @@ class ImageFolder:
         """Read a JPEG's planes: libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)."""
         planes, format, _ = stored_planes(self._jpeg_decoder.decode(data), "mjpeg", self._says)
         return planes, format
-
-
-def _turned(
-    planes: tuple[ImageArray, ...], format: PixelFormat, orientation: int
-) -> tuple[tuple[ImageArray, ...], PixelFormat]:
-    """Return planes as they are to be seen, and how they are stored then."""
-    if orientation == 1:
-        return planes, format
-    across, down = format.subsampling
-    if orientation in (5, 6, 7, 8):
-        format = replace(format, subsampling=(down, across))
-    if format.layout == "bayer":
-        height, width = planes[0].shape
-        # A mosaic of as many pixels more than two as the picture has more than an even number.
-        mosaic = np.tile(np.array(list(format.bayer)).reshape(2, 2), (2, 2))[: 2 + height % 2, : 2 + width % 2]
-        corner = upright(mosaic, orientation)[:2, :2]
-        format = replace(format, bayer=cast(Bayer, "".join(corner.ravel())))
-    turned = tuple(np.ascontiguousarray(upright(plane, orientation)) for plane in planes)
-    return cast(tuple[ImageArray, ...], turned), format

@@ -35,7 +35,7 @@ _SRGB = 1  # of the colour space
 _APP1, _APP2, _SCAN = 0xE1, 0xE2, 0xDA
 #: What is said of pictures whose colours are not those that the camera saw.
 CMYK = "it is in CMYK, the colours of a printer: save it in RGB"
-_PALETTE = "it is stored with a palette, whose few colours hold no phase: save it with all its colours"
+PALETTE = "it is stored with a palette, whose few colours hold no phase: save it with all its colours"
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 7: 1, 16: 8}  # of the types of values that are read here
 # Profiles of displays and cameras have up to some 100 kB.
 _MOST_PROFILE = 2**22
@@ -126,12 +126,12 @@ def unfit_colors(data: bytes) -> str | None:
     reason = None
     with suppress(*_ODD):
         if data[12:16] == b"IHDR" and data[25] == 3:
-            reason = _PALETTE
+            reason = PALETTE
         elif data.startswith(b"BM") and struct.unpack_from("<H", data, 28)[0] <= 8:
-            reason = _PALETTE
+            reason = PALETTE
         elif data[:4] in _TIFF:
             stored = dict(_tiff_values(data)).get(_COLORS, b"")
-            reason = {3: _PALETTE, 5: CMYK}.get(int.from_bytes(stored, "little"))
+            reason = {3: PALETTE, 5: CMYK}.get(int.from_bytes(stored, "little"))
         elif data[:4] == b"RIFF" and data[12:16] == b"VP8X" and data[20] & 2:
             reason = "it is an animation: save its frames as PNG files in a folder"
     return reason
