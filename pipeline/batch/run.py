@@ -196,6 +196,12 @@ def _ready_store(
         How large a new store will be, which has been told.
     """
     notes, learnt, size = source.notes, Learnt(), None
+    if source.transfer not in (None, job.settings.transfer):
+        taken = job.settings.transfer or "a measured curve"
+        notes += (
+            f"its light is taken for {taken}, as settings or calibration say, not for {source.transfer} "
+            f"({source.transfer_because})",
+        )
     damaged = False
     try:
         there = is_there(job.store)

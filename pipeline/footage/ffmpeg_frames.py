@@ -25,7 +25,7 @@ _MATRICES: dict[int, Matrix] = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
 _UNKNOWN_MATRIX = 2
 _TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 8: "linear", 13: "srgb"}
 _OTHER_TRANSFERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SMPTE 428", 9: "logarithmic"}
-_FULL_RANGE, _UNKNOWN_RANGE = 2, 0
+_LIMITED_RANGE, _FULL_RANGE = 1, 2
 # Codecs whose chroma sits in the middle of its pixels (JFIF, MPEG-1); all others' sits left, as H.264's does.
 _CENTRED = ("mjpeg", "mjpegb", "mpeg1video")
 # Rows from which on players take BT.709 where a frame says nothing of its matrix; with fewer, BT.601.
@@ -108,7 +108,7 @@ def transfer_of(frame: Any) -> tuple[str | None, str | None]:
 def stored_planes(
     frame: Any, codec: str, says: StoredAs
 ) -> tuple[tuple[ImageArray, ...], PixelFormat, tuple[str, ...]]:
-    """Return views of a frame's planes, how they are stored, and what of that had to be assumed.
+    """Return views of a frame's planes, how they are stored, and what of that is assumed or overruled, for the user.
 
     Raises
     ------
@@ -124,9 +124,11 @@ def stored_planes(
     if names is None:
         raise FootageError(f"its pixel format {name} is not supported: {_advice(frame.format)}")
     format = names.format
-    assumed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if format.layout == "yuv":
-        format, assumed = _with_colors(format, frame, codec, says)
+        format, notes = _with_colors(format, frame, codec, says)
+    if any(part.is_alpha for part in frame.format.components):
+        notes += ("its transparency is left out",)
     format = says.applied_to(format)
     shapes = format.plane_shapes(frame.height, frame.width)
     if len(names.places) != len(shapes):  # RGB in three planes
@@ -141,7 +143,22 @@ def stored_planes(
         top = buffer.buffer_ptr - np.frombuffer(buffer, np.uint8).ctypes.data
         view = np.ndarray(shape, stored_type, buffer, top + first * size, strides)
         views.append(view.astype(format.dtype, copy=False))
-    return tuple(views), format, assumed
+    return tuple(views), format, notes
+
+
+def views_of(frame: Any) -> tuple[str, ...]:
+    """Say where a frame shows something else than one flat picture of square pixels, for the user."""
+    from av.sidedata.sidedata import Type
+
+    notes = []
+    if frame.interlaced_frame:
+        notes.append("it is interlaced: the two fields of a frame show different moments")
+    stereo = frame.side_data.get(Type.STEREO3D)
+    if stereo is not None and np.frombuffer(stereo, np.int32)[0] != 0:  # 0: one view
+        notes.append("it is stereoscopic, with two views in a frame or in turns: cut out one with --roi, or record one")
+    if frame.side_data.get(Type.SPHERICAL) is not None:
+        notes.append("it is marked as a spherical picture; here it is taken as a flat one")
+    return tuple(notes)
 
 
 def orientation_of(frame: Any) -> int | None:
@@ -174,22 +191,28 @@ def _advice(format: Any) -> str:
 
 
 def _with_colors(format: PixelFormat, frame: Any, codec: str, says: StoredAs) -> tuple[PixelFormat, tuple[str, ...]]:
-    matrix, number = says.matrix, int(frame.colorspace)
-    assumed = []
-    if matrix is None and number == _UNKNOWN_MATRIX:
-        matrix = "bt601" if frame.height < _HD_ROWS else "bt709"
-        assumed.append(f"matrix {matrix}")
-    elif matrix is None:
-        matrix = _MATRICES.get(number)
-        if matrix is None:
-            raise FootageError(f"its colour matrix (number {number} of ITU-T H.273) is not supported: give the nearest")
-    full_range = says.full_range
-    if full_range is None:
-        full_range = frame.color_range == _FULL_RANGE or "yuvj" in frame.format.name
-        if not full_range and frame.color_range == _UNKNOWN_RANGE:
-            assumed.append("limited range (16 to 235)")
+    number = int(frame.colorspace)
+    tagged = _MATRICES.get(number)
+    if tagged is None and number != _UNKNOWN_MATRIX and says.matrix is None:
+        raise FootageError(f"its colour matrix (number {number} of ITU-T H.273) is not supported: give the nearest")
+    matrix = says.matrix or tagged or ("bt601" if frame.height < _HD_ROWS else "bt709")
+    full_tagged = {_FULL_RANGE: True, _LIMITED_RANGE: False}.get(frame.color_range)
+    if "yuvj" in frame.format.name:
+        full_tagged = True
+    full_range = bool(full_tagged) if says.full_range is None else says.full_range
+    ranges = {False: "limited range (16 to 235)", True: "full range"}
+    known = ((f"matrix {matrix}", tagged, says.matrix), (ranges[full_range], full_tagged, says.full_range))
+    assumed = ", ".join(name for name, by_file, by_user in known if by_file is None and by_user is None)
+    overruled = ", ".join(
+        name for name, by_file, by_user in known if by_file is not None and by_user not in (None, by_file)
+    )
+    notes = []
+    if assumed:
+        notes.append(f"the file does not say it, so this is assumed: {assumed}")
+    if overruled:
+        notes.append(f"the file says otherwise, but this is taken, as you say: {overruled}")
     siting: Siting = "centre" if codec in _CENTRED else "left"
-    return replace(format, matrix=matrix, full_range=full_range, siting=siting), tuple(assumed)
+    return replace(format, matrix=matrix, full_range=full_range, siting=siting), tuple(notes)
 
 
 def _bayer(pattern: str) -> Bayer:

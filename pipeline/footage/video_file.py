@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.errors import FootageError
-from pipeline.footage.ffmpeg_frames import caught_messages, orientation_of, stored_planes, transfer_of
+from pipeline.footage.ffmpeg_frames import caught_messages, orientation_of, stored_planes, transfer_of, views_of
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.zarr_recording import RecordingTags, rate_of
 from pipeline.limits import check_size, ffmpeg_limits
@@ -78,6 +78,8 @@ class VideoFile:
             others = sum(other is not stream for other in films(container))
             if others:
                 self.notes += (f"it holds {others + 1} videos, of which the first is read: the others are left out",)
+            if stream.sample_aspect_ratio not in (None, 0, 1):
+                self.notes += ("players stretch it, for its pixels are not square; here it stays as it is stored",)
             shown = sum(number >= 0 for number in self._index.numbers)
             if shown < len(self._index.numbers):
                 hidden = len(self._index.numbers) - shown
@@ -255,7 +257,7 @@ class VideoFile:
         if reason is not None:
             return BadFrame(number, reason)
         try:
-            planes, format, assumed = stored_planes(frame, codec, self._says)
+            planes, format, notes = stored_planes(frame, codec, self._says)
             planes, format = turned(planes, format, orientation_of(frame) or 1)
         except FootageError as error:
             return BadFrame(number, str(error))
@@ -264,28 +266,24 @@ class VideoFile:
         size_px = (planes[0].shape[1], planes[0].shape[0])
         if self.size_px == (0, 0):
             self.size_px, self.format = size_px, format
-            self._learn(frame, assumed)
+            self._learn(frame, notes)
         other = other_than_first(format, size_px, self)
         return StoredFrame(number, planes, format) if other is None else BadFrame(number, other)
 
-    def _learn(self, frame: Any, assumed: tuple[str, ...]) -> None:
+    def _learn(self, frame: Any, notes: tuple[str, ...]) -> None:
         """Note what the first good frame says of all."""
+        self.notes += notes
         transfer, not_undone = transfer_of(frame)
         if self.transfer is None and transfer is not None:
             self.transfer, self.transfer_because = transfer, "the file says so"
-        notes = []
-        if assumed:
-            notes.append(f"the file does not say it, so this is assumed: {', '.join(assumed)}")
         if not_undone is not None:
-            notes.append(f"its light is encoded as {not_undone}, which is not undone: record with another transfer")
-        if frame.interlaced_frame:
-            notes.append("it is interlaced: the two fields of a frame show different moments")
+            self.notes += (f"its light is encoded as {not_undone}, which is not undone: record with another transfer",)
+        self.notes += views_of(frame)
         orientation = orientation_of(frame)
         if orientation is None:
-            notes.append("players turn it by an odd angle; here it stays as the camera stored it")
+            self.notes += ("players turn it by an odd angle; here it stays as the camera stored it",)
         elif orientation != 1:
-            notes.append(f"it is {_TURNS[orientation]}, as its head says and as players show it")
-        self.notes += tuple(notes)
+            self.notes += (f"it is {_TURNS[orientation]}, as its head says and as players show it",)
 
     def _note_missing_end(self, container: Any, stream: Any) -> None:
         index = self._index
@@ -304,10 +302,10 @@ class VideoFile:
 
 
 def films(container: Any) -> Iterator[Any]:
-    """Yield the video streams of an open file that are no cover pictures."""
-    import av  # slow to import, and only needed here
+    """Yield the video streams of an open file that are no cover and no thumbnails."""
+    from av.stream import Disposition  # slow to import, and only needed here
 
-    cover = av.stream.Disposition.attached_pic
+    cover = Disposition.attached_pic | Disposition.timed_thumbnails
     return (stream for stream in container.streams.video if not stream.disposition & cover)
 
 

@@ -73,9 +73,13 @@ SAME = {
 }
 
 
+def converted(frame, pixels):
+    return frame.reformat(format=pixels, threads=1)  # several now and then leave a row out
+
+
 def random_frame(pixels, size=(20, 36)):
     values = np.random.default_rng(0).integers(0, 2**16, (*size, 3)).astype(np.uint16)
-    return av.VideoFrame.from_ndarray(values, "rgb48le").reformat(format=pixels)
+    return converted(av.VideoFrame.from_ndarray(values, "rgb48le"), pixels)
 
 
 def rgb_of(frame):
@@ -88,7 +92,7 @@ def rgb_of(frame):
 @pytest.mark.parametrize(("planar", "other"), [(planar, other) for planar, names in SAME.items() for other in names])
 def test_every_layout_is_read_as_its_planes_are(cpu, planar, other):
     frame = random_frame(planar)
-    np.testing.assert_array_equal(rgb_of(frame.reformat(format=other)), rgb_of(frame))
+    np.testing.assert_array_equal(rgb_of(converted(frame, other)), rgb_of(frame))
 
 
 def test_floats_are_read_as_they_are(cpu):
@@ -104,7 +108,7 @@ def test_rare_subsampling_is_read(cpu, pixels):
     """A smooth slope of colour comes back to a few levels."""
     y, x = np.mgrid[:64, :96] / 96
     slope = np.rint(255 * np.stack([0.2 + 0.5 * y, 0.3 + 0.4 * x, 0.7 - 0.4 * y], axis=-1)).astype(np.uint8)
-    frame = av.VideoFrame.from_ndarray(slope, "rgb24").reformat(format=pixels)
+    frame = converted(av.VideoFrame.from_ndarray(slope, "rgb24"), pixels)
     np.testing.assert_allclose(255 * rgb_of(frame)[8:-8, 8:-8], slope[8:-8, 8:-8], atol=4)
 
 
@@ -128,7 +132,7 @@ def test_what_is_advised_keeps_the_colours(cpu, pixels, advised):
         frame, expected = random_frame(pixels), rgb_of(random_frame("rgb48le"))
     with pytest.raises(FootageError, match=f"{pixels} is not supported: convert it with ffmpeg -pix_fmt {advised} -c"):
         rgb_of(frame)
-    np.testing.assert_allclose(rgb_of(frame.reformat(format=advised)), expected, atol=1 / 255)
+    np.testing.assert_allclose(rgb_of(converted(frame, advised)), expected, atol=1 / 255)
 
 
 def test_what_is_advised_keeps_the_subsampling():
@@ -137,12 +141,22 @@ def test_what_is_advised_keeps_the_subsampling():
 
 
 def test_what_nobody_says_is_assumed_and_told():
-    _, format, assumed = planes_of("yuv420p")
-    assert assumed == ("matrix bt601", "limited range (16 to 235)") and not format.full_range
-    _, format, assumed = planes_of("yuv420p", StoredAs(matrix="bt709", full_range=True))
-    assert assumed == () and format.matrix == "bt709" and format.full_range
-    assert planes_of("yuv420p", size_px=(48, 720))[2][0] == "matrix bt709"
+    _, format, (note,) = planes_of("yuv420p")
+    assert note.endswith("so this is assumed: matrix bt601, limited range (16 to 235)") and not format.full_range
+    _, format, notes = planes_of("yuv420p", StoredAs(matrix="bt709", full_range=True))
+    assert notes == () and format.matrix == "bt709" and format.full_range
+    assert ": matrix bt709," in planes_of("yuv420p", size_px=(48, 720))[2][0]
     assert planes_of("yuvj420p", codec="mjpeg")[1].siting == "centre"
+
+
+def test_what_the_user_says_against_the_file_is_told():
+    tags = {"colorspace": 1, "color_range": 1}
+    _, format, notes = planes_of("yuv420p", StoredAs(matrix="bt601", full_range=True), **tags)
+    assert (format.matrix, format.full_range) == ("bt601", True)
+    assert notes == ("the file says otherwise, but this is taken, as you say: matrix bt601, full range",)
+    assert planes_of("yuv420p", StoredAs(matrix="bt709", full_range=False), **tags)[2] == ()
+    _, _, notes = planes_of("yuvj420p", StoredAs(matrix="bt601", full_range=False))
+    assert notes == ("the file says otherwise, but this is taken, as you say: limited range (16 to 235)",)
 
 
 def test_grey_is_a_mosaic_only_if_somebody_says_which():
