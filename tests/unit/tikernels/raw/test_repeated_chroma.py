@@ -1,5 +1,7 @@
 """Repeated chroma is found in RGB where it is, nowhere else, and undone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import reference
@@ -19,14 +21,13 @@ def fringes(noise=0.006, level=0.75):
     return np.clip(level * color * waves + np.random.default_rng(5).normal(0, noise, waves.shape), 0, 1)
 
 
-def repeated(rgb, pixels, matrix="bt601"):
+def repeated(rgb, pixels, matrix="bt601", **jpeg):
     """Return encoded RGB as a library makes it of the planes, and as interpolation makes it."""
-    format = PixelFormat("yuv", subsampling=pixels, siting="left", matrix=matrix)
+    format = PixelFormat("yuv", subsampling=pixels, matrix=matrix, **jpeg)
     luma, *chroma = reference.subsample_chroma(rgb, format)
     full = [np.repeat(np.repeat(plane, pixels[1], axis=0), pixels[0], axis=1) for plane in chroma]
-    return reference.convert_chroma([luma, *full], PixelFormat("yuv", matrix=matrix)), reference.convert_chroma(
-        [luma, *chroma], format
-    )
+    as_library = reference.convert_chroma([luma, *full], replace(format, subsampling=(1, 1)))
+    return as_library, reference.convert_chroma([luma, *chroma], format)
 
 
 def levels(rgb, dtype):
@@ -54,7 +55,7 @@ def test_it_is_found_and_undone(cpu, pixels, matrix, corner, dtype):
     faulty, right = (rgb[rows:, columns:] for rgb in repeated(fringes(), pixels, matrix))
     image = levels(faulty, dtype)
     found = find_repeated_chroma(image, white(dtype))
-    assert found == RepeatedChroma(pixels, corner, matrix)
+    assert found == RepeatedChroma(pixels, corner, matrix, "left")
     undone = undo_repeated_chroma(image, white(dtype), found)
     assert undone.dtype == dtype
     inside = np.s_[8:-8, 8:-8]
@@ -67,7 +68,13 @@ def test_clipped_values_do_not_hide_it(cpu):
     faulty, _ = repeated(fringes(level=1.6), (2, 2))
     image = levels(faulty, np.uint8)
     assert ((image == 0) | (image == 255)).any(axis=2).mean() > 0.2
-    assert find_repeated_chroma(image, 255.0) == RepeatedChroma((2, 2), (0, 0), "bt601")
+    assert find_repeated_chroma(image, 255.0) == RepeatedChroma((2, 2), (0, 0), "bt601", "left")
+
+
+def test_the_levels_of_luma_show_where_the_samples_sat():
+    """JPEG uses all of 256 and averages about the middle, video 220 of them and about the left pixel."""
+    faulty, _ = repeated(fringes(), (2, 2), full_range=True, siting="centre")
+    assert find_repeated_chroma(levels(faulty, np.uint8), 255.0).siting == "centre"
 
 
 def smooth(rgb):
