@@ -1,7 +1,7 @@
 """Find and undo repeated chroma: RGB that a library made of 4:2:0 or 4:2:2 by using each sample for two pixels.
 
-OpenCV's and FFmpeg's fast conversions do so, which costs 0.26 rad and turns the direction of the phase. What they drop
-nothing of can be undone: R - G and B - G are the same in every pair of neighbours, up to rounding, and change between
+OpenCV's and FFmpeg's fast conversions do so, which costs 0.26 rad and turns the direction of the phase. Nothing is
+lost, so it can be undone: R - G and B - G are the same in every pair of neighbours, up to rounding, and change between
 pairs. Luma is what is smooth across both steps, which shows its weights of red and blue, and with them the samples. Its
 levels were whole ones, of 256 as in JPEG or of 220 as in video, which shows where the samples sat.
 """
@@ -21,10 +21,9 @@ from tikernels.raw.pixel_format import LUMA_WEIGHTS, Matrix, PixelFormat, Siting
 _LINES = 48
 # Chroma is repeated where it changes this many times less, squared, in most pairs than between them; luma is not.
 _CHANGES = 8.0
-# Pairs that are too few to tell, and the mean squared change, levels of 8 bits, that rounding makes.
+# Fewer pairs show nothing; and the mean squared change, levels of 8 bits, that rounding makes.
 _FEWEST, _ROUNDING = 12, 1.0
-
-# Of 256 levels a seventh is left out where luma had 220; noise leaves out a few.
+# Of 256 levels a seventh is missing where luma had 220; noise leaves out a few.
 _GAPS = 0.07
 
 Levels = npt.NDArray[Any]
@@ -104,26 +103,27 @@ def undo_repeated_chroma(image: Levels, white: float, found: RepeatedChroma) -> 
     return (rgb if image.dtype.kind == "f" else np.rint(rgb)).astype(image.dtype)
 
 
+@np.errstate(invalid="ignore")  # of infinities, which are no levels
 def _pairs(lines: Levels, white: float) -> tuple[int, npt.NDArray[np.float64]] | None:
     """Return where pairs begin along the first axis, 0 or 1, and how little each matrix fits; None: there are none."""
     if len(lines) < 2 * _FEWEST:
         return None
     levels = np.ascontiguousarray(np.moveaxis(lines, 2, 0), np.float32) * np.float32(255 / white)
-    uncut = (levels.min(axis=0) > 0) & (levels.max(axis=0) < 255)
+    uncut = (levels.min(axis=0) > 0) & (levels.max(axis=0) < 254.99)  # full scale may be rounded
     levels[::2] -= levels[1]
-    told = uncut[1:] & uncut[:-1]
-    change = np.diff(levels, axis=1) * told
-    red, green, blue = (change**2).sum(axis=2) / np.maximum(told.sum(axis=1), 1)
+    both = uncut[1:] & uncut[:-1]
+    change = np.diff(levels, axis=1) * both
+    red, green, blue = (change**2).sum(axis=2) / np.maximum(both.sum(axis=1), 1)
     chroma = red + blue
     for begin in (0, 1):
         within, between = slice(begin, len(chroma) - 1, 2), slice(begin + 1, None, 2)
-        told = chroma[between] > _CHANGES * _ROUNDING
-        if np.count_nonzero(told) < _FEWEST:
+        clear = chroma[between] > _CHANGES * _ROUNDING
+        if np.count_nonzero(clear) < _FEWEST:
             continue
-        in_pairs = chroma[within][: len(told)][told]
+        in_pairs = chroma[within][: len(clear)][clear]
         # Where all of a picture is repeated its green does not change either.
-        green_too = np.median(green[within][: len(told)][told]) <= np.median(in_pairs)
-        if np.median(in_pairs / chroma[between][told]) * _CHANGES < 1 and not green_too:
+        green_too = np.median(green[within][: len(clear)][clear]) <= np.median(in_pairs)
+        if np.median(in_pairs / chroma[between][clear]) * _CHANGES < 1 and not green_too:
             return begin, _matrix_misfits(change, begin)
     return None
 
@@ -141,7 +141,7 @@ def _siting(lines: Levels, white: float, matrix: Matrix) -> Siting:
 
 
 def _matrix_misfits(change: _Changes, begin: int) -> npt.NDArray[np.float64]:
-    """Return for each matrix what luma changes between pairs otherwise than a cubic through those within foretells."""
+    """Return for each matrix by how much luma's changes between pairs miss a cubic through those within pairs."""
     within, between = change[:, begin::2], change[:, begin + 1 :: 2]
     n = min(within.shape[1] - 3, between.shape[1] - 2)
     luma = within[1]
