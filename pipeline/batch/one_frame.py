@@ -44,7 +44,7 @@ def decode_picture(
     *,
     force: bool,
     tell: Callable[[str], None],
-) -> DecodedFrame:
+) -> tuple[DecodedFrame, tuple[str, ...]]:
     """Decode a picture, and write all that a single frame gives.
 
     Parameters
@@ -67,6 +67,13 @@ def decode_picture(
         Whether the folder may hold other things.
     tell : callable
         Hears what is being done.
+
+    Returns
+    -------
+    DecodedFrame
+        What is written.
+    tuple of str
+        What of the file is not used, for the user.
 
     Raises
     ------
@@ -99,7 +106,7 @@ def decode_picture(
         report["transfer_because"] = transfer_because
         write_frame(folder, frame, settings, calibration, report, part, tell=tell)
         tell(f"moving all into {out}")
-    return frame
+    return frame, source.notes
 
 
 def _compile_kernels(stored: StoredFrame, settings: DecodeSettings, calibration: Calibration | None, arch: str) -> None:

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import FootageError
-from pipeline.footage.picture_tags import PALETTE
 from pipeline.footage.source import GREY, StoredAs
+from pipeline.footage.tiff_file import PALETTE
 from pipeline.models import ImageArray
 from tikernels.raw.pixel_format import BAYER_PATTERNS, FLOAT_BITS, Bayer, Matrix, PixelFormat, Siting
 
@@ -27,7 +27,7 @@ _TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 8: "linear", 13:
 _OTHER_TRANSFERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SMPTE 428", 9: "logarithmic"}
 _LIMITED_RANGE, _FULL_RANGE = 1, 2
 # Codecs whose chroma sits in the middle of its pixels (JFIF, MPEG-1); all others' sits left, as H.264's does.
-_CENTRED = ("mjpeg", "mjpegb", "mpeg1video")
+_CENTRED = ("mjpeg", "mjpegb", "mpeg1video", "webp")
 # Rows from which on players take BT.709 where a frame says nothing of its matrix; with fewer, BT.601.
 _HD_ROWS = 720
 

@@ -442,9 +442,10 @@ class FrameMark:
     warnings: list[str]
     identity: str  # see `identity_digest`
     chunks: dict[str, str]  # the checksum of each field's chunk, in hexadecimal
+    made_of: str  # digest of what it was decoded from; empty: of a single picture
 
     @classmethod
-    def of(cls, frame: DecodedFrame, identity: str, chunks: dict[str, bytes]) -> "FrameMark":
+    def of(cls, frame: DecodedFrame, identity: str, chunks: dict[str, bytes], made_of: str) -> "FrameMark":
         """Return a decoded frame's mark."""
         return cls(
             None if frame.period_px is None else float(frame.period_px),
@@ -453,6 +454,7 @@ class FrameMark:
             list(frame.warnings),
             identity,
             {name: chunk[_CHUNK_CHECKSUM].hex() for name, chunk in chunks.items()},
+            made_of,
         )
 
     def encoded(self) -> bytes:
@@ -527,10 +529,17 @@ def read_chunk(files: StoreFiles, number: int, name: str, mark: FrameMark) -> by
     return chunk
 
 
-def frame_fault(files: StoreFiles, number: int, fields: Sequence[str], identity: str) -> str | None:
-    """Return what is wrong with a frame that has a mark; None: all of it is as it was written."""
+def frame_fault(
+    files: StoreFiles, number: int, fields: Sequence[str], identity: str, made_of: str | None = None
+) -> str | None:
+    """Return what is wrong with a frame that has a mark; None: all of it is as it was written.
+
+    A digest says what the frame must have been decoded from.
+    """
     try:
         mark = read_mark(files, number, identity)
+        if made_of not in (None, mark.made_of):
+            return "the footage has changed there since it was decoded"
         for name in fields:
             read_chunk(files, number, name, mark)
     except DamageError as error:
