@@ -18,6 +18,7 @@ from pipeline.decoding.doubts import (
     fringe_doubt,
     light_doubts,
     over_exposure_doubt,
+    repeated_chroma_doubt,
     reversed_doubt,
 )
 from pipeline.decoding.expected_fringe import ExpectedFringe
@@ -185,6 +186,9 @@ class Decoder:
                     if self._setup.rays is None:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
                         measured = replace(measured, range_sign=sign, front_is_clear=clear)
+            if frame.repeated is not None:
+                doubt = repeated_chroma_doubt(frame.repeated)
+                measured = replace(measured, light_doubts=(*measured.light_doubts, doubt))
             for doubt in measured.doubts:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
             result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)

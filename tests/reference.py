@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tikernels import ProjectorGeometry
 from tikernels.phase.balance_window import SIGMA_ACROSS, SIGMA_ALONG
-from tikernels.raw.pixel_format import PixelFormat
+from tikernels.raw.pixel_format import SITES, PixelFormat
 
 Array = npt.NDArray[Any]
 
@@ -703,20 +703,24 @@ def fit_phase(
     return stepped, precision
 
 
-def chroma_weights(n_pixels: int, subsampling: int, on_site: bool) -> Array:
-    """Return (pixels, samples) weights: the polynomial whose means over two pixels at the nearest samples are those."""
-    n_samples = -(-n_pixels // subsampling)
+def chroma_weights(n_pixels: int, subsampling: int, site: float, missing: int) -> Array:
+    """Return (pixels, samples) weights: the polynomial whose means at the nearest samples are those.
+
+    `missing` pixels of the first sample are not there.
+    """
+    n_samples = -(-(n_pixels + missing) // subsampling)
+    around = np.arange(subsampling) - (subsampling - 1) / 2
     weights = np.zeros((n_pixels, n_samples))
     for pixel in range(n_pixels):
         if subsampling == 1:
             weights[pixel, pixel] = 1
             continue
-        own = pixel // 2
-        place = pixel % 2 - (0.0 if on_site else 0.5)
+        own, place = divmod(pixel + missing, subsampling)
+        place -= site * (subsampling - 1)
         near = range(-2, 3) if place == 0 else range(-3, 3) if place < 0 else range(-2, 4)
         degrees = np.arange(len(near))
-        # Means of the monomials at -1/2 and +1/2 px about each sample, which is 2 px from the next.
-        means = np.array([[np.mean([(2 * k - 0.5) ** d, (2 * k + 0.5) ** d]) for d in degrees] for k in near])
+        # Means of the monomials over the pixels about each sample.
+        means = np.array([[np.mean((subsampling * k + around) ** d) for d in degrees] for k in near])
         for k, weight in zip(near, np.linalg.solve(means.T, float(place) ** degrees), strict=True):
             weights[pixel, np.clip(own + k, 0, n_samples - 1)] += weight
     return weights
@@ -725,11 +729,9 @@ def chroma_weights(n_pixels: int, subsampling: int, on_site: bool) -> Array:
 def convert_chroma(planes: Sequence[Array], format: PixelFormat) -> Array:
     """Return encoded RGB, 0..1, of luma and chroma planes (Rec. ITU-R BT.601-7, BT.709-6 and BT.2020-2, section 3)."""
     luma, *chroma = (plane.astype(np.float64) / 2**format.shift for plane in planes)
-    if format.interleaved:
-        chroma = [chroma[0][:, ::2], chroma[0][:, 1::2]]
-    x, y = format.subsampling
-    rows = chroma_weights(luma.shape[0], y, format.siting == "top-left")
-    columns = chroma_weights(luma.shape[1], x, format.siting != "centre")
+    (x, y), (left, above), (across, down) = format.subsampling, format.origin, SITES[format.siting]
+    rows = chroma_weights(luma.shape[0], y, down, above)
+    columns = chroma_weights(luma.shape[1], x, across, left)
     blue, red = (rows @ plane @ columns.T for plane in chroma)
     step, peak = 2 ** (format.bits - 8), 2**format.bits - 1
     if format.full_range:
@@ -745,23 +747,22 @@ def convert_chroma(planes: Sequence[Array], format: PixelFormat) -> Array:
 def subsample_chroma(image: Array, format: PixelFormat) -> list[Array]:
     """Return the planes of encoded RGB in 0..1, even in size: what a camera does whose chroma is the mean of a block.
 
-    Where a sample's site is a pixel, that pixel weighs six eighths and its neighbours one each, which takes as much of
-    the modulation as the mean of two pixels between them.
+    Where a sample's site is the first of two pixels, that pixel weighs six eighths and its neighbours one each, which
+    takes as much of the modulation as the mean of two pixels between them.
     """
     of_red, of_blue = {"bt601": (0.299, 0.114), "bt709": (0.2126, 0.0722), "bt2020": (0.2627, 0.0593)}[format.matrix]
     r, g, b = np.moveaxis(image.astype(np.float64), -1, 0)
     luma = of_red * r + (1 - of_red - of_blue) * g + of_blue * b
     chroma = [(b - luma) / (2 * (1 - of_blue)), (r - luma) / (2 * (1 - of_red))]
-    sited = (format.siting == "top-left", format.siting != "centre")
-    for axis, (step, on_site) in enumerate(zip(format.subsampling[::-1], sited, strict=True)):
+    for axis, (step, site) in enumerate(zip(format.subsampling[::-1], SITES[format.siting][::-1], strict=True)):
         for i, plane in enumerate(chroma):
             lines = np.moveaxis(plane, axis, 0)
-            if step == 2 and on_site:
+            if step == 2 and site == 0:
                 before, after = np.roll(lines, 1, axis=0), np.roll(lines, -1, axis=0)
                 before[0], after[-1] = lines[0], lines[-1]
                 lines = ((before + 6 * lines + after) / 8)[::2]
-            elif step == 2:
-                lines = (lines[::2] + lines[1::2]) / 2
+            else:
+                lines = sum(lines[part::step] for part in range(step)) / step
             chroma[i] = np.moveaxis(lines, 0, axis)
     step, peak = 2 ** (format.bits - 8), 2**format.bits - 1
     if format.full_range:
@@ -769,8 +770,7 @@ def subsample_chroma(image: Array, format: PixelFormat) -> list[Array]:
     else:
         scaled = [(219 * luma + 16) * step, *((224 * plane + 128) * step for plane in chroma)]
     y, u, v = (np.clip(np.rint(plane), 0, peak).astype(np.uint16) << format.shift for plane in scaled)
-    planes = [y, np.stack([u, v], axis=-1).reshape(len(u), -1)] if format.interleaved else [y, u, v]
-    return [plane.astype(format.dtype) for plane in planes]
+    return [plane.astype(format.dtype) for plane in (y, u, v)]
 
 
 def mosaic(image: Array, bayer: str) -> Array:

@@ -41,17 +41,18 @@ class Crop:
     width: int
     height: int
 
-    def of(self, planes: tuple[ImageArray, ...], format: PixelFormat) -> tuple[ImageArray, ...]:
-        """Return this part of a frame's planes, as views."""
+    def of(self, planes: tuple[ImageArray, ...], format: PixelFormat) -> tuple[tuple[ImageArray, ...], PixelFormat]:
+        """Return this part of a frame's planes, as views, and how they are stored."""
         cut = []
         for plane, chroma in zip(planes, (False, True, True), strict=False):
-            # Three planes of RGB have one size; two of chroma have fewer pixels, or both in turn.
-            across, down = format.subsampling if chroma and format.layout == "yuv" else (1, 1)
-            pairs = 2 if chroma and format.interleaved else 1
-            rows = slice(self.y // down, -(-(self.y + self.height) // down))
-            columns = slice(pairs * (self.x // across), pairs * -(-(self.x + self.width) // across))
-            cut.append(plane[rows, columns])
-        return tuple(cut)
+            # Three planes of RGB have one size; two of chroma have fewer pixels.
+            subsampled = chroma and format.layout == "yuv"
+            (across, down), (left, above) = (format.subsampling, format.origin) if subsampled else ((1, 1), (0, 0))
+            x, y = self.x + left, self.y + above
+            cut.append(plane[y // down : -(-(y + self.height) // down), x // across : -(-(x + self.width) // across)])
+        (across, down), (left, above) = format.subsampling, format.origin
+        origin = ((self.x + left) % across, (self.y + above) % down)
+        return tuple(cut), replace(format, origin=origin)
 
     def check(self, size_px: tuple[int, int], format: PixelFormat) -> None:
         """Refuse a part that is not one.
@@ -59,16 +60,15 @@ class Crop:
         Raises
         ------
         SettingsError
-            It sticks out of the frame, or begins between the samples of a colour.
+            It sticks out of the frame, or begins within a cell of a mosaic.
         """
         width, height = size_px
         if min(self.x, self.y) < 0 or self.x + self.width > width or self.y + self.height > height:
             raise SettingsError(f"the region of interest sticks out of the {width}x{height} frame: make it smaller")
-        across, down = (2, 2) if format.layout == "bayer" else format.subsampling
-        if self.x % across or self.y % down:
+        if format.layout == "bayer" and (self.x % 2 or self.y % 2):
             raise SettingsError(
-                f"the region of interest begins at {self.x},{self.y}, between this footage's colour samples: "
-                f"begin at a multiple of {across},{down}"
+                f"the region of interest begins at {self.x},{self.y}, within a cell of this footage's mosaic: "
+                "begin at a multiple of 2,2"
             )
 
 
@@ -203,8 +203,10 @@ class Job:
 
     def develop(self, stored: StoredFrame, out: LevelsImage | None) -> LevelsImage:
         """Return what is decoded of a frame, as RGB, in a buffer that can be handed in as `out` again."""
-        planes = stored.planes if self.crop is None else self.crop.of(stored.planes, stored.format)
-        image: LevelsImage = develop(planes, stored.format, stripes=self.settings.stripes, out=out)
+        planes, format = stored.planes, stored.format
+        if self.crop is not None:
+            planes, format = self.crop.of(planes, format)
+        image: LevelsImage = develop(planes, format, stripes=self.settings.stripes, out=out)
         return image
 
     def learn(self, source: Source) -> Learnt:

@@ -112,14 +112,14 @@ def decode_picture(
 def _compile_kernels(stored: StoredFrame, settings: DecodeSettings, calibration: Calibration | None, arch: str) -> None:
     """Compile what a picture's decoding takes, by a part in its middle; what is wrong with it comes up afterwards."""
     height, width = stored.planes[0].shape[:2]
-    # Colour samples are at most four pixels apart.
+    # At whole cells of a mosaic, and at whole samples of colour, which are up to four pixels apart.
     x, y = (max(0, (side - part) // 2) // 4 * 4 for side, part in zip((width, height), _PART_PX, strict=True))
     part = Crop(x, y, min(_PART_PX[0], width), min(_PART_PX[1], height))
     rig = None if calibration is None else calibration.cropped(part.x, part.y, (part.width, part.height))
     with warnings.catch_warnings(), suppress(*_COME_UP_AGAIN):
         warnings.simplefilter("ignore", DecodeWarning)
-        planes = part.of(stored.planes, stored.format)
-        frame = Decoder(settings, rig, arch=arch).decode(develop(planes, stored.format, stripes=settings.stripes))
+        planes, format = part.of(stored.planes, stored.format)
+        frame = Decoder(settings, rig, arch=arch).decode(develop(planes, format, stripes=settings.stripes))
         frame.fetch(("range_image", "phase_sigma"))
 
 

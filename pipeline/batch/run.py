@@ -197,6 +197,12 @@ def _ready_store(
         How large a new store will be, which has been told.
     """
     notes, learnt, size = source.notes, Learnt(), None
+    taken = job.settings.transfer  # None: a curve that the calibration has measured
+    if taken is not None and source.transfer not in (None, taken):
+        because = source.transfer_because
+        notes += (
+            f"its light is decoded as {taken}, as you or the calibration say, not as {source.transfer}: {because}",
+        )
     damaged = False
     try:
         there = is_there(job.store)

@@ -174,8 +174,6 @@ def _samples(stored: StoredFrame) -> list[FloatImage]:
     planes: list[ImageArray] = list(stored.planes)
     if stored.format.layout == "bayer":
         planes = [planes[0][row::2, column::2] for row in (0, 1) for column in (0, 1)]
-    elif stored.format.interleaved:
-        planes[1] = planes[1].reshape(planes[1].shape[0], -1, 2)
     white = np.float32(stored.format.white_level)
     pixels = []
     for plane in planes:

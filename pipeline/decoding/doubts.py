@@ -12,6 +12,7 @@ from pipeline.decoding.surface_search import NoModelFits
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure_frame
+from tikernels.raw.repeated_chroma import RepeatedChroma
 from tikernels.transposing import transpose
 
 #: Said once, by the frame that shows it.
@@ -134,6 +135,14 @@ def over_exposure_doubt(clipped: float) -> Cause | None:
         return None
     words = f"{clipped:.0%} of what is lit has a colour at full scale, which bends its phase: expose it shorter"
     return Cause("over-exposed", words)
+
+
+def repeated_chroma_doubt(repeated: RepeatedChroma) -> str:
+    """Say how a frame's colours were repeated, and what is better."""
+    return (
+        f"each colour of this frame is repeated for {repeated}, as cv2.VideoCapture and ffmpeg make RGB of a video; it "
+        "was interpolated instead, which leaves more error than the video itself: decode that, or record its planes"
+    )
 
 
 def finest_fringe(light: LevelsImage) -> float | None:

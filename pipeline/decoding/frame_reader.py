@@ -17,6 +17,7 @@ from tikernels.errors import ShapeError
 from tikernels.phase.frame_statistics import count_out_of_range
 from tikernels.raw.lateral_color import align_channels
 from tikernels.raw.linearization import WHITE_LEVELS, linearize
+from tikernels.raw.repeated_chroma import RepeatedChroma, find_repeated_chroma, undo_repeated_chroma
 from tikernels.transposing import transpose
 
 # Smaller frames hold no surface.
@@ -30,6 +31,7 @@ class LinearFrame:
     image: LevelsImage  # (H, W, 3)
     white: float  # full scale, levels
     shared: bool = True  # whether the image lies in the memory of who handed it over
+    repeated: RepeatedChroma | None = None  # how its colours were repeated, which is undone
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -92,13 +94,19 @@ class FrameReader:
                 raise FootageError(
                     f"image has {outside} values outside 0..{white:g}: scale it, or set white_level to its full scale"
                 )
+        repeated = None
+        if isinstance(given, np.ndarray) or dtype != "float32":  # floats on a device come of planes or of a mosaic
+            levels = runtime.to_host(given)
+            repeated = find_repeated_chroma(levels, white)
+            if repeated is not None:
+                image = runtime.to_device(undo_repeated_chroma(levels, white, repeated))
         transfer = self._path.transfer
         if not isinstance(transfer, str) or transfer != "linear":
             image = linearize(image, transfer, white, white)
         if self._path.camera_shift_px is not None:
             image = align_channels(image, self._path.camera_shift_px)
         image = transpose(image) if self._settings.stripes == "vertical" else image
-        return LinearFrame(image, white, shared=image is given)
+        return LinearFrame(image, white, shared=image is given, repeated=repeated)
 
     def _check_shape(self, image: Any) -> None:
         if not isinstance(image, np.ndarray) and not runtime.is_device_array(image):

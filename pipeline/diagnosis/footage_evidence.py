@@ -28,6 +28,7 @@ from tikernels.phase.smoothing import left_of_variance
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import WHITE_LEVELS, linearize
 from tikernels.raw.pixel_format import FLOAT_BITS, Siting
+from tikernels.raw.repeated_chroma import RepeatedChroma, find_repeated_chroma, undo_repeated_chroma
 from tikernels.transposing import transpose
 
 # Share of full scale from which on a value counts as clipped: a codec leaves clipped ones a little below it.
@@ -72,6 +73,7 @@ class InspectedFrame:
     light: npt.NDArray[np.float32]  # (H, W, 3) linear, 0..1
     frame: DecodedFrame | None  # None: no fringes
     settings: DecodeSettings
+    repeated: RepeatedChroma | None = None  # how its colours were repeated, which is undone
 
     @property
     def period_px(self) -> float:
@@ -81,10 +83,14 @@ class InspectedFrame:
 
 def inspect_frame(stored: StoredFrame, decoder: Decoder, settings: DecodeSettings) -> InspectedFrame:
     """Decode a frame; `decoder` takes linear light, `settings` say how this frame's is encoded."""
-    image = develop(stored.planes, stored.format, stripes=settings.stripes)
-    encoded, light = as_light(image, settings)
+    levels = runtime.to_host(develop(stored.planes, stored.format, stripes=settings.stripes))
+    white = settings.white_level or WHITE_LEVELS[levels.dtype.name]
+    repeated = find_repeated_chroma(levels, white)
+    if repeated is not None:
+        levels = undo_repeated_chroma(levels, white, repeated)
+    encoded, light = as_light(levels, settings)
     frame = decoder.decode(light)
-    return InspectedFrame(stored.number, encoded, light, frame if frame.mask.any() else None, settings)
+    return InspectedFrame(stored.number, encoded, light, frame if frame.mask.any() else None, settings, repeated)
 
 
 def as_light(image: LevelsImage, settings: DecodeSettings) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
@@ -218,11 +224,14 @@ class SitingFit:
     differ_rad: float  # by how much their phases differ, RMS
 
 
+#: What is compared: chroma of files as they are stored sits so, unless its rows are those of the picture's columns.
+SITINGS: tuple[Siting, Siting] = ("left", "centre")
+
+
 def fit_siting(stored: StoredFrame, settings: DecodeSettings, arch: str) -> SitingFit:
     """Compare "left" and "centre" for a frame whose chroma is halved along its rows."""
-    sitings: tuple[Siting, Siting] = ("left", "centre")
     frames = []
-    for siting in sitings:
+    for siting in SITINGS:
         image = develop(stored.planes, replace(stored.format, siting=siting), stripes=settings.stripes)
         # Each learns the light by itself: what is learnt of one makes up for some of its fault.
         decoder = Decoder(decoder_settings(settings), arch=arch)
@@ -239,7 +248,7 @@ def fit_siting(stored: StoredFrame, settings: DecodeSettings, arch: str) -> Siti
     else:
         left, centre = _left_of_edges(stored)
     better = next((name for name, a, b in (("left", left, centre), ("centre", centre, left)) if a < _CLEARLY * b), None)
-    return SitingFit(next((s for s in sitings if s == better), None), float(np.sqrt(np.mean(apart**2))))
+    return SitingFit(next((s for s in SITINGS if s == better), None), float(np.sqrt(np.mean(apart**2))))
 
 
 def _left_of_edges(stored: StoredFrame) -> tuple[float, float]:
@@ -248,10 +257,7 @@ def _left_of_edges(stored: StoredFrame) -> tuple[float, float]:
     Along a stripe little changes but at edges, and there chroma changes where luma does.
     """
     luma = np.asarray(stored.planes[0], np.float32)
-    if stored.format.interleaved:
-        chroma = [np.asarray(stored.planes[1][:, i::2], np.float32) for i in (0, 1)]
-    else:
-        chroma = [np.asarray(plane, np.float32) for plane in stored.planes[1:]]
+    chroma = [np.asarray(plane, np.float32) for plane in stored.planes[1:]]
     rows, columns = luma.shape[0] // stored.format.subsampling[1], luma.shape[1] // 2
     if stored.format.subsampling[1] == 2:
         luma = np.asarray((luma[: 2 * rows : 2] + luma[1 : 2 * rows : 2]) / 2, np.float32)
@@ -300,6 +306,7 @@ class FootageEvidence:
     brightest: float = 0.0  # value, of full scale
     diagnosis: Diagnosis | None = None
     siting: SitingFit | None = None
+    repeated: RepeatedChroma | None = None  # of the first frame whose colours were repeated
     sequence: SequenceDiagnosis | None = None
 
 
@@ -411,6 +418,7 @@ class _Gatherer:
         except FootageError as error:
             self.seen.bad.append(BadFrame(stored.number, str(error)))
             return None
+        self.seen.repeated = self.seen.repeated or inspected.repeated
         self.seen.brightest = max(self.seen.brightest, float(inspected.encoded.max()))
         return inspected
 
@@ -426,7 +434,9 @@ class _Gatherer:
         """Diagnose one frame's ripple, and where its colours sit."""
         known, transfer = KnownLight(_known_crosstalk(self._decoder)), self.seen.settings.transfer or "linear"
         self.seen.diagnosis = diagnose(kept.encoded, 1.0, kept.unwrapped_phase, kept.mask, known, transfer)
-        if self._source.format.subsampling[0] == 2 and self._says.siting is None:
+        format = self._source.format
+        as_stored = format.siting in SITINGS and format.origin == (0, 0)  # not turned
+        if format.subsampling[0] == 2 and as_stored and self._says.siting is None:
             self._tell("where the colours sit")
             self.seen.siting = fit_siting(stored, self.seen.settings, self._arch)
 

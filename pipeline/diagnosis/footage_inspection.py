@@ -21,7 +21,7 @@ from pipeline.diagnosis.ripple import BANDS
 from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import Source, StoredAs
-from pipeline.footage.video_file import VideoFile
+from pipeline.footage.video_file import VideoFile, films
 from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.raw.pixel_format import FLOAT_BITS
@@ -85,7 +85,7 @@ def container_facts(path: Path, source: Source) -> ContainerFacts:
         import av  # slow to import, and only needed here
 
         with av.open(f"file:{path.absolute()}", metadata_errors="replace") as container:
-            stream = container.streams.video[0]
+            stream = next(films(container))
             context = stream.codec_context
             rate = stream.average_rate
             missing, gaps = _missing(source.stamps)
@@ -249,7 +249,16 @@ def storage_findings(
     rest = float(np.sqrt(max(0.0, typical.sigma_rad**2 - typical.limit_rad**2)))
     x, y = source.format.subsampling
     subsampled = source.format.layout == "yuv" and (x, y) != (1, 1)
-    name = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (1, 1): "4:4:4"}[x, y]
+    if seen.repeated is not None:
+        yield _finding(
+            "chroma",
+            f"RGB made of a video: each colour is repeated for {seen.repeated}; interpolated instead, it costs this",
+            rest,
+            "decode the video itself, or record its planes: cv2.VideoCapture and ffmpeg repeat colours",
+            grade=None if rest >= _LEAST_RAD else "costs",
+        )
+    names = {(2, 2): "4:2:0", (2, 1): "4:2:2", (1, 2): "4:4:0", (4, 1): "4:1:1", (4, 4): "4:1:0"}
+    name = names.get((x, y), f"one in {x} across and {y} down")
     rate = "" if facts.bits_a_pixel is None else f", {facts.bits_a_pixel:.2f} bits per pixel"
     yield _finding(
         "codec",

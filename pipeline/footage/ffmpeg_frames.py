@@ -12,8 +12,9 @@ import numpy as np
 
 from pipeline.errors import FootageError
 from pipeline.footage.source import GREY, StoredAs
+from pipeline.footage.tiff_file import PALETTE
 from pipeline.models import ImageArray
-from tikernels.raw.pixel_format import BAYER_PATTERNS, Bayer, Matrix, PixelFormat, Siting
+from tikernels.raw.pixel_format import BAYER_PATTERNS, FLOAT_BITS, Bayer, Matrix, PixelFormat, Siting
 
 # How messages begin that FFmpeg calls errors, in streams that decode well.
 _HARMLESS = ("mmco:", "co located POCs")
@@ -24,21 +25,56 @@ _MATRICES: dict[int, Matrix] = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
 _UNKNOWN_MATRIX = 2
 _TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 8: "linear", 13: "srgb"}
 _OTHER_TRANSFERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SMPTE 428", 9: "logarithmic"}
-_FULL_RANGE, _UNKNOWN_RANGE = 2, 0
+_LIMITED_RANGE, _FULL_RANGE = 1, 2
 # Codecs whose chroma sits in the middle of its pixels (JFIF, MPEG-1); all others' sits left, as H.264's does.
 _CENTRED = ("mjpeg", "mjpegb", "mpeg1video", "webp")
 # Rows from which on players take BT.709 where a frame says nothing of its matrix; with fewer, BT.601.
 _HD_ROWS = 720
 
-_SUBSAMPLING = {"420": (2, 2), "422": (2, 1), "440": (1, 2), "444": (1, 1)}
-_PLANAR_YUV = re.compile(r"yuvj?(420|422|440|444)p(\d*)(?:le)?")
-_TWO_PLANES = {"nv12": "420", "nv16": "422", "nv24": "444"}
-_TWO_DEEP_PLANES = re.compile(r"p([024])(10|12|16)le")
-_PACKED_YUV = {"yuyv422": (0, 1, 3), "uyvy422": (1, 0, 2), "yvyu422": (0, 3, 1)}  # where Y, Cb and Cr begin
-_PACKED_RGB = re.compile(r"([0argb]{3,4})(24|48le|64le|)")
-_PLANAR_RGB = re.compile(r"gbrp(\d*)(?:le)?")
-_GREY = re.compile(r"gray(\d*)(?:le)?")
-_BAYER = re.compile(r"bayer_([rgb]{4})(8|16le)")
+_SUBSAMPLING = {"420": (2, 2), "422": (2, 1), "440": (1, 2), "444": (1, 1), "411": (4, 1), "410": (4, 4)}
+_PLANAR_YUV = re.compile(r"yuv[ja]?(4\d\d)p(9|1\d|)(msb)?")
+# Subsampling, bits, and whether Cb is the first of each pair.
+_TWO_PLANES = {
+    "nv12": ("420", 8, True),
+    "nv21": ("420", 8, False),
+    "nv16": ("422", 8, True),
+    "nv20": ("422", 10, True),
+    "nv24": ("444", 8, True),
+    "nv42": ("444", 8, False),
+}
+_TWO_DEEP_PLANES = re.compile(r"p([024])(1\d)")
+# The order of luma, Cb, Cr and what is no colour, and bits, which are the upper ones.
+_PACKED_YUV = {
+    "yuyv422": ("yuyv", 8),
+    "uyvy422": ("uyvy", 8),
+    "yvyu422": ("yvyu", 8),
+    "y210": ("yuyv", 10),
+    "y212": ("yuyv", 12),
+    "y216": ("yuyv", 16),
+    "vyu444": ("vyu", 8),
+    "vuya": ("vuya", 8),
+    "vuyx": ("vuyx", 8),
+    "ayuv": ("ayuv", 8),
+    "uyva": ("uyva", 8),
+    "ayuv64": ("ayuv", 16),
+    "xv36": ("uyvx", 12),
+    "xv48": ("uyvx", 16),
+}
+_PACKED_RGB = re.compile(r"([0argb]{3,4})(f32|24|48|64|)")
+_PLANAR_RGB = re.compile(r"gbra?p(f32|9|1\d|)(msb)?")
+_GREY = re.compile(r"(gray|ya)(9|1\d|)")
+_BAYER = re.compile(r"bayer_([rgb]{4})(8|16)")
+# Of a display matrix (ISO/IEC 14496-12, 6.2.2) the signs that turn x and y; and Exif's number of that turn.
+_TURNS = {
+    (1, 0, 0, 1): 1,
+    (-1, 0, 0, 1): 2,
+    (-1, 0, 0, -1): 3,
+    (1, 0, 0, -1): 4,
+    (0, 1, 1, 0): 5,
+    (0, 1, -1, 0): 6,
+    (0, -1, -1, 0): 7,
+    (0, -1, 1, 0): 8,
+}
 
 
 @contextmanager
@@ -72,7 +108,7 @@ def transfer_of(frame: Any) -> tuple[str | None, str | None]:
 def stored_planes(
     frame: Any, codec: str, says: StoredAs
 ) -> tuple[tuple[ImageArray, ...], PixelFormat, tuple[str, ...]]:
-    """Return views of a frame's planes, how they are stored, and what of that had to be assumed.
+    """Return views of a frame's planes, how they are stored, and what of that is assumed or overruled, for the user.
 
     Raises
     ------
@@ -81,46 +117,102 @@ def stored_planes(
     """
     name = frame.format.name
     names = _names(name)
-    if names is None:
-        kept = "bgr0" if max(part.bits for part in frame.format.components) <= 8 else "gbrp16le"
-        advice = f"convert it with ffmpeg -pix_fmt {kept} -c:v ffv1"
-        raise FootageError(f"its pixel format {name} is not supported: {advice}")
-    if names.format.layout == "bayer" and not name.startswith("bayer") and says.bayer is None:
+    if frame.format.has_palette:
+        raise FootageError(PALETTE)
+    if _is_grey(frame.format) and says.bayer is None:
         raise FootageError(GREY)
+    if names is None:
+        raise FootageError(f"its pixel format {name} is not supported: {_advice(frame.format)}")
     format = names.format
-    assumed: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if format.layout == "yuv":
-        format, assumed = _with_colors(format, frame, codec, says)
+        format, notes = _with_colors(format, frame, codec, says)
+    if any(part.is_alpha for part in frame.format.components):
+        notes += ("its transparency is left out",)
     format = says.applied_to(format)
     shapes = format.plane_shapes(frame.height, frame.width)
     if len(names.places) != len(shapes):  # RGB in three planes
         shapes = (shapes[0][:2],) * 3
-    size = np.dtype(format.dtype).itemsize
+    stored_type = np.dtype(format.dtype).newbyteorder(">" if name.endswith("be") else "=")
+    size = stored_type.itemsize
     views = []
     for shape, (plane, first, step) in zip(shapes, names.places, strict=True):
         buffer = frame.planes[plane]
         strides = (buffer.line_size, step * size, size)[: len(shape)]
-        views.append(np.ndarray(shape, format.dtype, buffer, first * size, strides))
-    return tuple(views), format, assumed
+        # Where rows are stored from the bottom up the first one is the last in memory.
+        top = buffer.buffer_ptr - np.frombuffer(buffer, np.uint8).ctypes.data
+        view = np.ndarray(shape, stored_type, buffer, top + first * size, strides)
+        views.append(view.astype(format.dtype, copy=False))
+    return tuple(views), format, notes
+
+
+def views_of(frame: Any) -> tuple[str, ...]:
+    """Say where a frame shows something else than one flat picture of square pixels, for the user."""
+    from av.sidedata.sidedata import Type
+
+    notes = []
+    if frame.interlaced_frame:
+        notes.append("it is interlaced: the two fields of a frame show different moments")
+    stereo = frame.side_data.get(Type.STEREO3D)
+    if stereo is not None and np.frombuffer(stereo, np.int32)[0] != 0:  # 0: one view
+        notes.append("it is stereoscopic, with two views in a frame or in turns: cut out one with --roi, or record one")
+    if frame.side_data.get(Type.SPHERICAL) is not None:
+        notes.append("it is marked as a spherical picture; here it is taken as a flat one")
+    return tuple(notes)
+
+
+def orientation_of(frame: Any) -> int | None:
+    """Return how a frame's display matrix turns it, as Exif's number; None: by no right angle."""
+    from av.sidedata.sidedata import Type
+
+    matrix = frame.side_data.get(Type.DISPLAYMATRIX)
+    if matrix is None:
+        return 1
+    turn = np.frombuffer(matrix, np.int32)[[0, 1, 3, 4]] / 2**16
+    signs = np.rint(turn)
+    return _TURNS.get(tuple(signs.astype(int).tolist())) if np.allclose(turn, signs, atol=0.01) else None
+
+
+def _is_grey(format: Any) -> bool:
+    return sum(not part.is_alpha for part in format.components) < 3
+
+
+def _advice(format: Any) -> str:
+    """Say how to convert a frame so that no chroma is repeated: to the same subsampling."""
+    deep = max(part.bits for part in format.components) > 8
+    name = "gbrp16le" if deep else "bgr0"
+    if _is_grey(format):
+        name = "gray16le" if deep else "gray"
+    elif not format.is_rgb and any(part.is_chroma for part in format.components):
+        step = (4 // format.chroma_width(4), 4 // format.chroma_height(4))
+        kept = next(name for name, subsampling in _SUBSAMPLING.items() if subsampling == step)
+        name = f"yuv{kept}p{'16le' if deep else ''}"
+    return f"convert it with ffmpeg -pix_fmt {name} -c:v ffv1"
 
 
 def _with_colors(format: PixelFormat, frame: Any, codec: str, says: StoredAs) -> tuple[PixelFormat, tuple[str, ...]]:
-    matrix, number = says.matrix, int(frame.colorspace)
-    assumed = []
-    if matrix is None and number == _UNKNOWN_MATRIX:
-        matrix = "bt601" if frame.height < _HD_ROWS else "bt709"
-        assumed.append(f"matrix {matrix}")
-    elif matrix is None:
-        matrix = _MATRICES.get(number)
-        if matrix is None:
-            raise FootageError(f"its colour matrix (number {number} of ITU-T H.273) is not supported: give the nearest")
-    full_range = says.full_range
-    if full_range is None:
-        full_range = frame.color_range == _FULL_RANGE or "yuvj" in frame.format.name
-        if not full_range and frame.color_range == _UNKNOWN_RANGE:
-            assumed.append("limited range (16 to 235)")
+    number = int(frame.colorspace)
+    tagged = _MATRICES.get(number)
+    if tagged is None and number != _UNKNOWN_MATRIX and says.matrix is None:
+        raise FootageError(f"its colour matrix (number {number} of ITU-T H.273) is not supported: give the nearest")
+    matrix = says.matrix or tagged or ("bt601" if frame.height < _HD_ROWS else "bt709")
+    full_tagged = {_FULL_RANGE: True, _LIMITED_RANGE: False}.get(frame.color_range)
+    if "yuvj" in frame.format.name:
+        full_tagged = True
+    full_range = bool(full_tagged) if says.full_range is None else says.full_range
+    ranges = {False: "limited range (16 to 235)", True: "full range"}
+    known = ((f"matrix {matrix}", tagged, says.matrix), (ranges[full_range], full_tagged, says.full_range))
+    assumed = ", ".join(name for name, by_file, by_user in known if by_file is None and by_user is None)
+    overruled = ", ".join(
+        name for name, by_file, by_user in known if by_file is not None and by_user not in (None, by_file)
+    )
+    notes = []
+    if assumed:
+        notes.append(f"the file does not say it, so this is assumed: {assumed}")
+    if overruled:
+        notes.append(f"the file says otherwise, but this is taken, as you say: {overruled}")
     siting: Siting = "centre" if codec in _CENTRED else "left"
-    return replace(format, matrix=matrix, full_range=full_range, siting=siting), tuple(assumed)
+    return replace(format, matrix=matrix, full_range=full_range, siting=siting), tuple(notes)
 
 
 def _bayer(pattern: str) -> Bayer:
@@ -130,35 +222,33 @@ def _bayer(pattern: str) -> Bayer:
 @cache
 def _names(name: str) -> _Names | None:
     whole = (0, 0, 1)
+    name = name.removesuffix("le").removesuffix("be")
     if match := _PLANAR_YUV.fullmatch(name):
-        format = PixelFormat("yuv", int(match[2] or 8), subsampling=_SUBSAMPLING[match[1]])
+        bits = int(match[2] or 8)
+        format = PixelFormat("yuv", bits, 16 - bits if match[3] else 0, subsampling=_SUBSAMPLING[match[1]])
         return _Names(format, (whole, (1, 0, 1), (2, 0, 1)))
     if name in _TWO_PLANES:
-        format = PixelFormat("yuv", subsampling=_SUBSAMPLING[_TWO_PLANES[name]], interleaved=True)
-        return _Names(format, (whole, (1, 0, 1)))
-    if name == "nv21":
-        return _Names(PixelFormat("yuv", subsampling=(2, 2)), (whole, (1, 1, 2), (1, 0, 2)))
+        kept, bits, blue_first = _TWO_PLANES[name]
+        format = PixelFormat("yuv", bits, subsampling=_SUBSAMPLING[kept])
+        return _Names(format, (whole, (1, int(not blue_first), 2), (1, int(blue_first), 2)))
     if match := _TWO_DEEP_PLANES.fullmatch(name):
         bits = int(match[2])
         subsampling = {"0": (2, 2), "2": (2, 1), "4": (1, 1)}[match[1]]
-        format = PixelFormat("yuv", bits, 16 - bits, subsampling=subsampling, interleaved=True)
-        return _Names(format, (whole, (1, 0, 1)))
+        return _Names(PixelFormat("yuv", bits, 16 - bits, subsampling=subsampling), (whole, (1, 0, 2), (1, 1, 2)))
     if name in _PACKED_YUV:
-        luma, blue, red = _PACKED_YUV[name]
-        return _Names(PixelFormat("yuv", subsampling=(2, 1)), ((0, luma, 2), (0, blue, 4), (0, red, 4)))
+        order, bits = _PACKED_YUV[name]
+        format = PixelFormat("yuv", bits, -bits % 8, subsampling=(order.count("y"), 1))
+        return _Names(format, tuple((0, order.index(part), len(order) // order.count(part)) for part in "yuv"))
     if match := _PLANAR_RGB.fullmatch(name):
-        return _Names(PixelFormat("rgb", int(match[1] or 8), channels="gbr"), (whole, (1, 0, 1), (2, 0, 1)))
+        bits = FLOAT_BITS if match[1] == "f32" else int(match[1] or 8)
+        format = PixelFormat("rgb", bits, 16 - bits if match[2] else 0, channels="gbr")
+        return _Names(format, (whole, (1, 0, 1), (2, 0, 1)))
     if match := _BAYER.fullmatch(name):
-        return _Names(PixelFormat("bayer", 8 if match[2] == "8" else 16, bayer=_bayer(match[1])), (whole,))
+        return _Names(PixelFormat("bayer", int(match[2]), bayer=_bayer(match[1])), (whole,))
     if match := _GREY.fullmatch(name):
-        return _Names(PixelFormat("bayer", int(match[1] or 8)), (whole,))
-    if (match := _PACKED_RGB.fullmatch(name)) and sorted(match[1].replace("a", "0").replace("0", "")) == [
-        "b",
-        "g",
-        "r",
-    ]:
-        channels = match[1].replace("a", "0")
-        return _Names(
-            PixelFormat("rgb", 16 if match[2].endswith("le") else 8, channels=channels), ((0, 0, len(channels)),)
-        )
+        return _Names(PixelFormat("bayer", int(match[2] or 8)), ((0, 0, 2 if match[1] == "ya" else 1),))
+    if (match := _PACKED_RGB.fullmatch(name)) and set("rgb") <= set(match[1]):
+        bits = {"f32": FLOAT_BITS, "48": 16, "64": 16}.get(match[2], 8)
+        format = PixelFormat("rgb", bits, channels=match[1].replace("a", "0"))
+        return _Names(format, ((0, 0, len(match[1])),))
     return None

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import cast
 
 import cv2
-import numpy as np
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import stored_planes
@@ -29,14 +28,13 @@ from pipeline.footage.picture_tags import (
     plane_codec,
     read_tags,
     unfit_colors,
-    upright,
 )
 from pipeline.footage.picture_tags import stored_bits as pnm_bits
-from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.tiff_file import TIFF_MARKS, read_directory, select_page, stored_bits
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
-from tikernels.raw.pixel_format import FLOAT_BITS, Bayer, PixelFormat
+from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 
 _JPEG_SUFFIXES, _TIFF_SUFFIXES = (".jpg", ".jpeg", ".jpe"), (".tif", ".tiff")
 #: How the names of image files end.
@@ -169,7 +167,7 @@ class ImageFolder:
             else:  # libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)
                 planes, format, _ = stored_planes(self._decoders[codec].decode(data), codec, self._says)
                 tags = read_tags(data)
-            return (*_turned(planes, format, tags.orientation), tags)
+            return (*turned(planes, format, tags.orientation), tags)
         except (FootageError, ShapeError) as error:
             text = str(error)
             raise FootageError(text if str(path) in text else f"{path}: {text}") from None
@@ -254,22 +252,3 @@ def _other_tags(tags: PictureTags, first: PictureTags) -> str | None:
             f"({first.because}): save all alike"
         )
     return None
-
-
-def _turned(
-    planes: tuple[ImageArray, ...], format: PixelFormat, orientation: int
-) -> tuple[tuple[ImageArray, ...], PixelFormat]:
-    """Return planes as they are to be seen, and how they are stored then."""
-    if orientation == 1:
-        return planes, format
-    across, down = format.subsampling
-    if orientation in (5, 6, 7, 8):
-        format = replace(format, subsampling=(down, across))
-    if format.layout == "bayer":
-        height, width = planes[0].shape
-        # A mosaic of as many pixels more than two as the picture has more than an even number.
-        mosaic = np.tile(np.array(list(format.bayer)).reshape(2, 2), (2, 2))[: 2 + height % 2, : 2 + width % 2]
-        corner = upright(mosaic, orientation)[:2, :2]
-        format = replace(format, bayer=cast(Bayer, "".join(corner.ravel())))
-    turned = tuple(np.ascontiguousarray(upright(plane, orientation)) for plane in planes)
-    return cast(tuple[ImageArray, ...], turned), format

@@ -3,11 +3,14 @@
 from collections.abc import Generator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, cast
+
+import numpy as np
 
 from pipeline.errors import FootageError
+from pipeline.footage.picture_tags import upright
 from pipeline.models import ImageArray
-from tikernels.raw.pixel_format import Bayer, Matrix, PixelFormat, Siting
+from tikernels.raw.pixel_format import SITES, Bayer, Matrix, PixelFormat, Siting
 
 #: Why grey footage cannot be decoded.
 GREY = "it is grey, but the phase is in the colours: if it is a Bayer mosaic, say which: --bayer rggb"
@@ -102,6 +105,32 @@ class StoredAs:
         if said.dtype != format.dtype or (format.shift and said.bits != format.bits):
             raise FootageError(f"bits is {said.bits}, but its values have {format.bits}")
         return said
+
+
+def turned(
+    planes: tuple[ImageArray, ...], format: PixelFormat, orientation: int
+) -> tuple[tuple[ImageArray, ...], PixelFormat]:
+    """Return planes as they are to be seen by Exif's orientation (see `upright`), and how they are stored then."""
+    if orientation == 1:
+        return planes, format
+    height, width = planes[0].shape[:2]
+    if format.layout == "yuv":
+        (x, y), (across, down), (left, above) = SITES[format.siting], format.subsampling, format.origin
+        if orientation in (5, 6, 7, 8):
+            x, y, across, down, left, above, height, width = y, x, down, across, above, left, width, height
+        # Of the last samples pixels may be missing, too.
+        if orientation in (2, 3, 6, 7):
+            x, left = 1 - x, -(width + left) % across
+        if orientation in (3, 4, 7, 8):
+            y, above = 1 - y, -(height + above) % down
+        siting = next(name for name, site in SITES.items() if site == (x, y))
+        format = replace(format, siting=siting, subsampling=(across, down), origin=(left, above))
+    if format.layout == "bayer":
+        # A mosaic of as many pixels more than two as the picture has more than an even number.
+        mosaic = np.tile(np.array(list(format.bayer)).reshape(2, 2), (2, 2))[: 2 + height % 2, : 2 + width % 2]
+        corner = upright(mosaic, orientation)[:2, :2]
+        format = replace(format, bayer=cast(Bayer, "".join(corner.ravel())))
+    return tuple(cast(ImageArray, np.ascontiguousarray(upright(plane, orientation))) for plane in planes), format
 
 
 def other_than_first(format: PixelFormat, size_px: tuple[int, int], source: "Source") -> str | None:

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.errors import FootageError
-from pipeline.footage.ffmpeg_frames import caught_messages, stored_planes, transfer_of
-from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from pipeline.footage.ffmpeg_frames import caught_messages, orientation_of, stored_planes, transfer_of, views_of
+from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.zarr_recording import RecordingTags, rate_of
 from pipeline.limits import check_size, ffmpeg_limits
 from tikernels.raw.pixel_format import PixelFormat
@@ -24,6 +24,16 @@ _AVI_HEAD_BYTES = 8
 #: Tags by which an exported recording says what its pixels and time stamps do not: how many frames there are a second,
 #: how many bits are used, and which mosaic its grey pixels are.
 RATE_TAG, BITS_TAG, BAYER_TAG = "COLORPHASE_RATE", "COLORPHASE_BITS", "COLORPHASE_BAYER"
+# How Exif's orientations turn a picture.
+_TURNS = {
+    2: "mirrored left to right",
+    3: "turned by 180 degrees",
+    4: "mirrored top to bottom",
+    5: "turned clockwise by 90 degrees and mirrored left to right",
+    6: "turned clockwise by 90 degrees",
+    7: "turned counterclockwise by 90 degrees and mirrored left to right",
+    8: "turned counterclockwise by 90 degrees",
+}
 #: In place of a position and a packet, when there are no more.
 _END: tuple[int, Any] = (-1, None)
 
@@ -65,6 +75,15 @@ class VideoFile:
             self._index = _index_frames(container, stream)
             self._n_frames = 1 + max(self._index.numbers, default=-1)
             self._note_missing_end(container, stream)
+            others = sum(other is not stream for other in films(container))
+            if others:
+                self.notes += (f"it holds {others + 1} videos, of which the first is read: the others are left out",)
+            if stream.sample_aspect_ratio not in (None, 0, 1):
+                self.notes += ("players stretch it, for its pixels are not square; here it stays as it is stored",)
+            shown = sum(number >= 0 for number in self._index.numbers)
+            if shown < len(self._index.numbers):
+                hidden = len(self._index.numbers) - shown
+                self.notes += (f"its head hides {hidden} of its frames from players: they are left out here, too",)
         self._positions = {mark: position for position, mark in enumerate(self._index.marks)}
         reason = "it holds no frames"
         for frame in islice(self.frames(), _MOST_DAMAGED):
@@ -136,14 +155,15 @@ class VideoFile:
                     f"{self.name} is not a video that can be read ({error.strerror}): it may be cut off or damaged"
                 ) from None
         with container:
-            cover = av.stream.Disposition.attached_pic
-            stream = next((stream for stream in container.streams.video if not stream.disposition & cover), None)
+            stream = next(films(container), None)
             if stream is None:
                 raise FootageError(f"{self.name} holds no video: give the file with the pictures")
             if stream.codec_context is None:
                 raise FootageError(f"{self.name} has a codec that is not known: convert it with ffmpeg -c:v ffv1")
             if stream.codec_context.width:  # the first frame may be the one that tells
                 check_size(self.name, stream.codec_context.width, stream.codec_context.height)
+            # Cropped to the pixel; else what is cut off on the left is rounded to what a processor likes.
+            stream.codec_context.flags |= av.codec.context.Flags.unaligned
             stream.codec_context.options = ffmpeg_limits()
             yield container, stream
 
@@ -241,31 +261,33 @@ class VideoFile:
         if reason is not None:
             return BadFrame(number, reason)
         try:
-            planes, format, assumed = stored_planes(frame, codec, self._says)
+            planes, format, notes = stored_planes(frame, codec, self._says)
+            planes, format = turned(planes, format, orientation_of(frame) or 1)
         except FootageError as error:
             return BadFrame(number, str(error))
-        size_px = (frame.width, frame.height)
+        except Exception as error:  # of one frame, whatever it is: the others are read
+            return BadFrame(number, f"it cannot be read ({type(error).__name__}: {error})")
+        size_px = (planes[0].shape[1], planes[0].shape[0])
         if self.size_px == (0, 0):
             self.size_px, self.format = size_px, format
-            self._learn(frame, assumed)
+            self._learn(frame, notes)
         other = other_than_first(format, size_px, self)
         return StoredFrame(number, planes, format) if other is None else BadFrame(number, other)
 
-    def _learn(self, frame: Any, assumed: tuple[str, ...]) -> None:
+    def _learn(self, frame: Any, notes: tuple[str, ...]) -> None:
         """Note what the first good frame says of all."""
+        self.notes += notes
         transfer, not_undone = transfer_of(frame)
         if self.transfer is None and transfer is not None:
             self.transfer, self.transfer_because = transfer, "the file says so"
-        notes = []
-        if assumed:
-            notes.append(f"the file does not say it, so this is assumed: {', '.join(assumed)}")
         if not_undone is not None:
-            notes.append(f"its light is encoded as {not_undone}, which is not undone: record with another transfer")
-        if frame.interlaced_frame:
-            notes.append("it is interlaced: the two fields of a frame show different moments")
-        if frame.rotation:
-            notes.append(f"players turn it by {frame.rotation} degrees; here it stays as the camera stored it")
-        self.notes += tuple(notes)
+            self.notes += (f"its light is encoded as {not_undone}, which is not undone: record with another transfer",)
+        self.notes += views_of(frame)
+        orientation = orientation_of(frame)
+        if orientation is None:
+            self.notes += ("players turn it by an odd angle; here it stays as the camera stored it",)
+        elif orientation != 1:
+            self.notes += (f"it is {_TURNS[orientation]}, as its head says and as players show it",)
 
     def _note_missing_end(self, container: Any, stream: Any) -> None:
         index = self._index
@@ -281,6 +303,14 @@ class VideoFile:
         frame_s = float((last - first) * stream.time_base) / (len(self) - 1)
         if rest_s > 3 * frame_s:
             self.notes += (f"it ends {rest_s:.1f} s before it says: it may be cut off",)
+
+
+def films(container: Any) -> Iterator[Any]:
+    """Yield the video streams of an open file that are no cover and no thumbnails."""
+    from av.stream import Disposition  # slow to import, and only needed here
+
+    cover = Disposition.attached_pic | Disposition.timed_thumbnails
+    return (stream for stream in container.streams.video if not stream.disposition & cover)
 
 
 def _tagged(metadata: Mapping[str, str], says: StoredAs) -> tuple[Fraction | None, StoredAs]:

@@ -4,6 +4,7 @@ python tests/benchmarks/footage_cost.py [--stripes vertical]
 """
 
 import argparse
+import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator
@@ -161,7 +162,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as name:
                 for kind, make in kinds(truth.image, stripes, Path(name)):
                     for old in Path(name).iterdir():
-                        old.unlink()
+                        shutil.rmtree(old) if old.is_dir() else old.unlink()
                     image = np.ascontiguousarray(make())
                     column[kind] = phase_error(image, truth, calibration, stripes, 5)
                     if kind in ("Bayer", "the arrays themselves"):

@@ -1,10 +1,10 @@
 """Turn luma and subsampled chroma into RGB without losing the fringe, which is in the chroma.
 
-A chroma sample is the mean over two pixels about its site: at a period of p px that takes 1 - cos(pi / p) of the
-chroma's modulation (3.4 % at 12 px) and none of the luma's. A straight line between samples takes three times as much
-again, and differently from row to row; repeating them, as libraries do for speed, costs 0.26 rad. So each pixel takes
-the value of the polynomial whose means at the nearest six samples (five on a sample's own site) are those samples:
-Lagrange's interpolation, for means instead of points.
+A chroma sample is the mean over the pixels about its site, as many as it stands for: of two, at a period of p px,
+that takes 1 - cos(pi / p) of the chroma's modulation (3.4 % at 12 px) and none of the luma's. A straight line between
+samples takes three times as much again, and differently from row to row; repeating them, as libraries do for speed,
+costs 0.26 rad. So each pixel takes the value of the polynomial whose means at the nearest six samples (five on a
+sample's own site) are those samples: Lagrange's interpolation, for means instead of points.
 
 R, G, B follow from the definition of luma, Y = kr R + kg G + kb B, Cb = (B - Y) / (2 (1 - kb)) and
 Cr = (R - Y) / (2 (1 - kr)) (Rec. ITU-R BT.601-7, BT.709-6, BT.2020-2 without constant luminance).
@@ -19,12 +19,10 @@ from tikernels import checks
 from tikernels._taichi import AnyArray2, F32Array3, Static, f32, i32, ti, vec2, vec3
 from tikernels.arrays import F32, Plane
 from tikernels.launching import kernel
-from tikernels.raw.pixel_format import LUMA_WEIGHTS, PixelFormat
+from tikernels.raw.pixel_format import LUMA_WEIGHTS, SITES, PixelFormat
 
 #: How far the interpolation reaches, samples to either side.
 _REACH = 3
-# Half the length that a sample is the mean of, px: its samples stand there.
-_HALF_LENGTH_PX = 0.5
 #: Weights along one axis: by pixel of a group, of the seven nearest samples.
 Taps: TypeAlias = tuple[tuple[float, ...], ...]
 # Groups of pixels that share their columns of chroma: more of them pay little and compile slowly.
@@ -32,25 +30,26 @@ _GROUPS_A_THREAD = 4
 
 
 @cache
-def chroma_taps(subsampling: int, on_site: bool) -> Taps:
+def chroma_taps(subsampling: int, site: float) -> Taps:
     """Return the weights of the seven nearest samples along one axis, for each pixel of its group.
 
     Parameters
     ----------
-    subsampling : {1, 2}
-        Pixels a sample.
-    on_site : bool
-        Whether a sample's site is its first pixel; else it is between both.
+    subsampling : int
+        Pixels per sample.
+    site : float
+        Where a sample sits: 0, on its first pixel, to 1, on its last.
     """
     if subsampling == 1:
         return ((0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0),)
     phases = []
-    for pixel in range(2):
-        place = pixel - (0.0 if on_site else 0.5)  # px from the group's own sample
+    averaged = np.arange(subsampling) - (subsampling - 1) / 2  # px from its site, whose mean a sample is
+    for pixel in range(subsampling):
+        place = pixel - site * (subsampling - 1)  # px from the group's own sample
         first, last = (-2, 2) if place == 0 else (-_REACH, 2) if place < 0 else (-2, _REACH)
         samples = np.arange(first, last + 1)
         powers = np.arange(len(samples))[:, None]
-        means = ((2.0 * samples - _HALF_LENGTH_PX) ** powers + (2.0 * samples + _HALF_LENGTH_PX) ** powers) / 2
+        means = np.mean([(subsampling * samples + part) ** powers for part in averaged], axis=0)
         taps = np.zeros(2 * _REACH + 1)
         taps[samples + _REACH] = np.linalg.solve(means, place ** powers[:, 0])
         phases.append(tuple(float(tap) for tap in taps))
@@ -74,20 +73,20 @@ def chroma_gains(format: PixelFormat) -> tuple[float, float, float, float]:
 
 
 @cache
-def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
+def _convert_chroma_kernel(rows: Taps, columns: Taps, origin: tuple[int, int]) -> Any:
     group_y, group_x = len(rows), len(columns)
-    reach = _REACH if group_x == 2 else 0
+    reach = _REACH if group_x > 1 else 0
     n_columns = _GROUPS_A_THREAD + 2 * reach
-    stride = 2 if interleaved else 1
+    left, above = origin
 
     @ti.func
-    def at_row(chroma: Static, row: Static, y: i32, x: i32, place: Static) -> f32:
+    def at_row(chroma: Static, row: Static, y: i32, x: i32) -> f32:
         """Return chroma at the middle of a row of pixels, the `row`-th of sample y's group."""
         value = 0.0
         for k in ti.static(range(2 * _REACH + 1)):
             if ti.static(rows[row][k] != 0):
                 near = ti.min(ti.max(y + (k - _REACH), 0), chroma.shape[0] - 1)
-                value += rows[row][k] * ti.cast(chroma[near, stride * x + place], ti.f32)
+                value += rows[row][k] * ti.cast(chroma[near, x], ti.f32)
         return value
 
     @ti.func
@@ -108,7 +107,7 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
     @kernel
     def convert_chroma_kernel(
         luma: AnyArray2,  # (H, W) levels
-        blue_chroma: AnyArray2,  # (H', W') levels; (H', 2 W') with red's between them
+        blue_chroma: AnyArray2,  # (H', W') levels
         red_chroma: AnyArray2,  # the same
         luma_scale: vec2,  # black level, gain
         chroma_scale: vec2,  # zero level, gain
@@ -117,21 +116,21 @@ def _convert_chroma_kernel(rows: Taps, columns: Taps, interleaved: bool) -> Any:
         blue_gain: f32,  # of Cb
         out: F32Array3,  # (H, W, 3) encoded RGB, 0..1
     ):
-        width = blue_chroma.shape[1] // stride
+        width = blue_chroma.shape[1]
         strips = (width + _GROUPS_A_THREAD - 1) // _GROUPS_A_THREAD
         for strip in range(blue_chroma.shape[0] * strips):
             group, start = strip // strips, strip % strips * _GROUPS_A_THREAD
             for row in ti.static(range(group_y)):
-                y = group * group_y + row
-                if y < out.shape[0]:
+                y = group * group_y + row - above
+                if y >= 0 and y < out.shape[0]:
                     blues, reds = ti.Vector.zero(ti.f32, n_columns), ti.Vector.zero(ti.f32, n_columns)
                     for k in ti.static(range(n_columns)):
                         x = ti.min(ti.max(start + (k - reach), 0), width - 1)
-                        blues[k] = at_row(blue_chroma, row, group, x, 0) - chroma_scale[0]
-                        reds[k] = at_row(red_chroma, row, group, x, stride - 1) - chroma_scale[0]
+                        blues[k] = at_row(blue_chroma, row, group, x) - chroma_scale[0]
+                        reds[k] = at_row(red_chroma, row, group, x) - chroma_scale[0]
                     for k, pixel in ti.static(ti.ndrange(_GROUPS_A_THREAD, group_x)):
-                        x = (start + k) * group_x + pixel
-                        if x < out.shape[1]:
+                        x = (start + k) * group_x + pixel - left
+                        if x >= 0 and x < out.shape[1]:
                             blue = chroma_scale[1] * between(blues, k, pixel)
                             red = chroma_scale[1] * between(reds, k, pixel)
                             grey = luma_scale[1] * (ti.cast(luma[y, x], ti.f32) - luma_scale[0])
@@ -150,7 +149,7 @@ def convert_chroma(planes: tuple[Plane, ...], format: PixelFormat, out: F32 | No
 
     Parameters
     ----------
-    planes : (H, W) and two (H', W'), or one (H', 2 W')
+    planes : (H, W) and two (H', W')
         Luma and chroma as stored, see `PixelFormat`; rows may be padded.
     format : PixelFormat
         How; its layout is "yuv".
@@ -181,21 +180,20 @@ def convert_chroma(planes: tuple[Plane, ...], format: PixelFormat, out: F32 | No
     """
     luma = checks.read_array("luma", planes[0], (None, None), format.dtype)
     height, width = luma.shape
-    names = ("chroma",) if format.interleaved else ("blue chroma", "red chroma")
-    chroma = [
+    shape = format.plane_shapes(height, width)[1]
+    blue_chroma, red_chroma = (
         checks.read_array(name, plane, shape, format.dtype)
-        for name, plane, shape in zip(names, planes[1:], format.plane_shapes(height, width)[1:], strict=True)
-    ]
+        for name, plane in zip(("blue chroma", "red chroma"), planes[1:], strict=True)
+    )
     out = checks.out_buffer("out", out, (height, width, 3), np.float32)
     black, luma_gain, zero, chroma_gain = ycc_scales(format)
     red, green_of_blue, green_of_red, blue = chroma_gains(format)
     x, y = format.subsampling
-    rows = chroma_taps(y, format.siting == "top-left")
-    columns = chroma_taps(x, format.siting != "centre")
-    _convert_chroma_kernel(rows, columns, format.interleaved)(
+    across, down = SITES[format.siting]
+    _convert_chroma_kernel(chroma_taps(y, down), chroma_taps(x, across), format.origin)(
         luma,
-        chroma[0],
-        chroma[-1],
+        blue_chroma,
+        red_chroma,
         vec2(black, luma_gain),
         vec2(zero, chroma_gain),
         red,

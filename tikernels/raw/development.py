@@ -75,7 +75,7 @@ def develop(
     ShapeError
         A plane has another shape or type than the format says, or `out` cannot be written.
     """
-    n_planes = {"rgb": (1, 3), "bayer": (1,), "yuv": (2,) if format.interleaved else (3,)}[format.layout]
+    n_planes = {"rgb": (1, 3), "bayer": (1,), "yuv": (3,)}[format.layout]
     if len(planes) not in n_planes:
         raise ShapeError(f"{format.layout} frame has {len(planes)} planes, expected {' or '.join(map(str, n_planes))}")
     if format.layout == "yuv":

@@ -9,13 +9,24 @@ from tikernels.errors import ShapeError
 
 Layout = Literal["rgb", "bayer", "yuv"]
 Bayer = Literal["rggb", "bggr", "grbg", "gbrg"]
-Siting = Literal["left", "centre", "top-left"]
+Siting = Literal["left", "centre", "top-left", "top", "bottom-left", "bottom", "right", "top-right", "bottom-right"]
 Matrix = Literal["bt601", "bt709", "bt2020"]
 #: np.uint8, np.uint16 or np.float32: which, no type checker can tell.
 LevelType: TypeAlias = type[Any]
 
 BAYER_PATTERNS: tuple[Bayer, ...] = ("rggb", "bggr", "grbg", "gbrg")
-SITINGS: tuple[Siting, ...] = ("left", "centre", "top-left")
+#: Where a chroma sample sits among its pixels, across and down: 0 on the first, 1 on the last.
+SITES: dict[Siting, tuple[float, float]] = {
+    "left": (0, 0.5),
+    "centre": (0.5, 0.5),
+    "top-left": (0, 0),
+    "top": (0.5, 0),
+    "bottom-left": (0, 1),
+    "bottom": (0.5, 1),
+    "right": (1, 0.5),
+    "top-right": (1, 0),
+    "bottom-right": (1, 1),
+}
 #: Luma's weights of red and blue: Rec. ITU-R BT.601-7, BT.709-6 and BT.2020-2.
 LUMA_WEIGHTS: dict[Matrix, tuple[float, float]] = {
     "bt601": (0.299, 0.114),
@@ -36,8 +47,7 @@ class PixelFormat:
     ----------
     layout : {"rgb", "bayer", "yuv"}
         "rgb": one (H, W, 3 or 4) plane, or three (H, W) ones, in the order of `channels`. "bayer": one (H, W) mosaic.
-        "yuv": (H, W) luma and two chroma planes, or one (H', 2 W') with both in turn where `interleaved`; H' and W' are
-        H and W over the subsampling, rounded up.
+        "yuv": (H, W) luma and two (H', W') planes of chroma; H' and W' are H and W over the subsampling, rounded up.
     bits : int
         8 to 16, or 32 for floats: full scale is 2 ** bits - 1, or 1.
     shift : int
@@ -47,15 +57,16 @@ class PixelFormat:
     bayer : {"rggb", "bggr", "grbg", "gbrg"}
         The first two pixels of the first two rows.
     subsampling : (x, y)
-        Pixels a chroma sample, 1 or 2 along each axis.
-    siting : {"left", "centre", "top-left"}
-        Where a chroma sample sits among its pixels: "left" is the middle of the left column.
+        Pixels per chroma sample, 1, 2 or 4 along each axis.
+    origin : (x, y)
+        How many pixels of the first chroma samples are missing, left and above: of a picture of an odd size that was
+        turned, one.
+    siting : str
+        Where a chroma sample sits among its pixels, see `SITES`: "left" is the middle of the left column.
     matrix : {"bt601", "bt709", "bt2020"}
         How luma was made of R, G, B.
     full_range : bool
         Whether luma uses every level, or 16 to 235 of 255.
-    interleaved : bool
-        Whether both chroma planes are one.
     """
 
     layout: Layout
@@ -64,10 +75,10 @@ class PixelFormat:
     channels: str = "rgb"
     bayer: Bayer = "rggb"
     subsampling: tuple[int, int] = (1, 1)
+    origin: tuple[int, int] = (0, 0)
     siting: Siting = "left"
     matrix: Matrix = "bt709"
     full_range: bool = False
-    interleaved: bool = False
 
     def __post_init__(self) -> None:
         """Refuse what no kernel can read.
@@ -81,13 +92,15 @@ class PixelFormat:
             "layout": ("rgb", "bayer", "yuv"),
             "bits": (*range(8, 17), FLOAT_BITS),
             "bayer": BAYER_PATTERNS,
-            "siting": SITINGS,
             "matrix": tuple(LUMA_WEIGHTS),
-            "subsampling": ((1, 1), (2, 1), (1, 2), (2, 2)),
+            "siting": tuple(SITES),
+            "subsampling": tuple((x, y) for x in (1, 2, 4) for y in (1, 2, 4)),
         }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:
                 raise ShapeError(f"{name} is {getattr(self, name)!r}: choose {', '.join(map(str, allowed))}")
+        if any(not 0 <= missing < step for missing, step in zip(self.origin, self.subsampling, strict=True)):
+            raise ShapeError(f"origin is {self.origin}: give less than the subsampling, {self.subsampling}")
         if sorted(self.channels.replace("0", "")) != ["b", "g", "r"]:
             raise ShapeError(f"channels is {self.channels!r}: name r, g and b once, and 0 for what is unused")
         if self.bits == FLOAT_BITS and self.layout != "rgb":
@@ -116,8 +129,5 @@ class PixelFormat:
             return ((height, width, len(self.channels)),)
         if self.layout == "bayer":
             return ((height, width),)
-        x, y = self.subsampling
-        chroma_height, chroma_width = -(-height // y), -(-width // x)
-        if self.interleaved:
-            return ((height, width), (chroma_height, 2 * chroma_width))
-        return ((height, width), *(((chroma_height, chroma_width),) * 2))
+        (x, y), (left, above) = self.subsampling, self.origin
+        return ((height, width), *(((-(-(height + above) // y), -(-(width + left) // x)),) * 2))

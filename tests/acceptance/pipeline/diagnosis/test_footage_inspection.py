@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 import reference
@@ -156,6 +157,16 @@ def test_subsampled_chroma_and_where_it_sits(tmp_path, stripes):
     assert siting.grade == "spoils" and "--siting centre" in siting.advice
     assert {f.topic for f in found.findings if f.grade != "fine"} <= {"siting", "chroma", "total"}
     assert faults(centre, StoredAs(siting="centre"), settings).keys() == {"chroma"}
+
+
+def test_colours_that_a_library_has_repeated(tmp_path):
+    (frame,) = shoot(1, seed=14)
+    path = film(tmp_path / "film.mp4", [frame], LEFT, *H264)
+    (tmp_path / "frame.png").write_bytes(cv2.imencode(".png", cv2.VideoCapture(str(path)).read()[1])[1].tobytes())
+    found = inspect_footage(tmp_path / "frame.png", arch="cpu")
+    (chroma,) = [f for f in found.findings if f.grade != "fine" and f.topic != "total"]
+    assert chroma.topic == "chroma" and "each colour is repeated for 2x2 pixels" in chroma.found
+    assert "decode the video itself" in chroma.advice
 
 
 def test_a_codec_that_is_given_too_few_bits(tmp_path):

@@ -628,6 +628,17 @@ def test_a_store_says_nothing_of_times_or_hosts(job, tmp_path):
     assert str(tmp_path) not in text and os.uname().nodename not in text
 
 
+def test_a_transfer_against_the_files_is_told(job, tmp_path):
+    with Recorder(tmp_path / "film.zarr", PixelFormat("rgb"), transfer="srgb") as recorder:
+        recorder.add(np.zeros((48, 64, 3), np.uint8))
+    job = replace(job, footage=str(tmp_path / "film.zarr"))
+    for transfer, n_notes in (("linear", 1), ("srgb", 0), (None, 0)):
+        settings = DecodeSettings(transfer=transfer, crosstalk_matrix=np.eye(3), code="none")
+        each = replace(job, settings=settings, store=str(tmp_path / f"{transfer}.zarr"))
+        notes = decode_footage(each).notes
+        assert sum("decoded as linear, as you or the calibration say, not as srgb" in note for note in notes) == n_notes
+
+
 def test_a_code_that_footage_shows_is_learnt_once_for_all_frames(tmp_path, job):
     """Whatever process decodes whichever frame: the first one with fringes shows it."""
     rig = simulated_rig((320, 240), period_px=2 * 768 / 44, code="contrast")

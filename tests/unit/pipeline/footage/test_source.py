@@ -2,13 +2,17 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from pipeline.errors import FootageError
-from pipeline.footage.source import StoredAs, other_than_first
+from pipeline.footage.picture_tags import upright
+from pipeline.footage.source import StoredAs, other_than_first, turned
+from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
+from tikernels.runtime import to_host
 
-YUV = PixelFormat("yuv", 10, 6, subsampling=(2, 2), interleaved=True)
+YUV = PixelFormat("yuv", 10, 6, subsampling=(2, 2))
 
 
 def test_what_the_user_says_wins_and_the_rest_stays():
@@ -43,3 +47,26 @@ def test_frames_of_one_store_are_subsampled_alike():
     source = SimpleNamespace(format=PixelFormat("yuv", subsampling=(2, 2)), size_px=(64, 48))
     other = PixelFormat("yuv", subsampling=(2, 1))
     assert "subsampled by 2x1, the first is subsampled by 2x2" in other_than_first(other, (64, 48), source)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize(
+    "format",
+    [
+        PixelFormat("yuv", subsampling=(2, 2), siting="left"),
+        PixelFormat("yuv", subsampling=(2, 1), siting="centre"),
+        PixelFormat("yuv", subsampling=(4, 1), siting="top-left"),
+        PixelFormat("rgb"),
+        PixelFormat("bayer", bayer="gbrg"),
+    ],
+    ids=lambda format: format.layout + str(format.subsampling),
+)
+def test_turned_planes_are_the_turned_picture(cpu, format, orientation):
+    """Its samples of chroma sit elsewhere then, and where the size is odd the first ones lack a pixel."""
+    rng = np.random.default_rng(2)
+    planes = tuple(rng.integers(0, 256, shape).astype(np.uint8) for shape in format.plane_shapes(21, 31))
+    across = "horizontal" if orientation < 5 else "vertical"  # along which a mosaic's colours are interpolated
+    picture = upright(np.array(to_host(develop(planes, format, stripes="horizontal"))), orientation)
+    np.testing.assert_allclose(
+        to_host(develop(*turned(planes, format, orientation), stripes=across)), picture, atol=1e-6
+    )

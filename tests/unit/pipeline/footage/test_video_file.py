@@ -1,6 +1,7 @@
 """Frames from video files: exact planes, exact numbers, and damage told by number."""
 
 import shutil
+from fractions import Fraction
 
 import av
 import numpy as np
@@ -8,7 +9,10 @@ import pytest
 from support.video_files import H264, MJPEG, encode, erase, moving_planes, packets
 
 from pipeline.errors import FootageError
+from pipeline.footage import video_file
+from pipeline.footage.ffmpeg_frames import stored_planes
 from pipeline.footage.opening import open_source
+from pipeline.footage.picture_tags import upright
 from pipeline.footage.source import BadFrame, StoredAs, StoredFrame
 from pipeline.footage.video_file import VideoIndex
 from pipeline.limits import MAX_PIXELS
@@ -116,6 +120,7 @@ def test_a_trimmed_file_shows_only_its_part(tmp_path, folder):
     source = open_source(tmp_path / "cut.mp4")
     frames = list(source.frames())
     assert len(expected) == len(source)
+    assert "hides 5 of its frames from players" in source.notes[0]
     assert not bad(frames)
     for frame, luma in zip(frames, expected, strict=True):
         np.testing.assert_array_equal(frame.planes[0], luma)
@@ -207,7 +212,6 @@ def test_a_frame_of_another_size(tmp_path):
         ("yuv440p", "ffv1", PixelFormat("yuv", subsampling=(1, 2), matrix="bt601")),
         ("yuv420p10le", "ffv1", PixelFormat("yuv", 10, subsampling=(2, 2), matrix="bt601")),
         ("yuv422p16le", "ffv1", PixelFormat("yuv", 16, subsampling=(2, 1), matrix="bt601")),
-        ("nv12", "rawvideo", PixelFormat("yuv", subsampling=(2, 2), matrix="bt601", interleaved=True)),
         ("bgr0", "ffv1", PixelFormat("rgb", channels="bgr0")),
         ("gbrp16le", "ffv1", PixelFormat("rgb", 16, channels="gbr")),
         ("gbrp10le", "ffv1", PixelFormat("rgb", 10, channels="gbr")),
@@ -269,7 +273,8 @@ def test_matrix_and_range(tmp_path, properties, rows, expected, assumed):
         (note,) = source.notes
         assert assumed in note
     said = open_source(path, matrix="bt2020", full_range=True)
-    assert (said.format.matrix, said.format.full_range, said.notes) == ("bt2020", True, ())
+    assert (said.format.matrix, said.format.full_range) == ("bt2020", True)
+    assert bool(said.notes) == (bool(properties) and expected != ("bt2020", True))
 
 
 def test_motion_jpeg_has_full_range_and_centred_chroma(folder):
@@ -304,7 +309,7 @@ def test_grey_video_is_a_mosaic_only_if_somebody_says_so(tmp_path):
 
 
 def test_bits_that_are_shifted_up_are_known():
-    shifted = PixelFormat("yuv", 10, 6, subsampling=(2, 2), interleaved=True)
+    shifted = PixelFormat("yuv", 10, 6, subsampling=(2, 2))
     assert StoredAs(bits=10).applied_to(shifted) == shifted
     for bits in (8, 12):
         with pytest.raises(FootageError, match=f"bits is {bits}, but its values have 10"):
@@ -312,13 +317,134 @@ def test_bits_that_are_shifted_up_are_known():
 
 
 def test_unsupported_pixels(tmp_path):
-    planes = [[np.zeros((16, 32), np.uint8), np.zeros((16, 8), np.uint8), np.zeros((16, 8), np.uint8)]]
-    path = encode(tmp_path / "old.mkv", planes, "ffv1", "yuv411p")
-    with pytest.raises(FootageError, match=r"old\.mkv: its pixel format yuv411p is not supported: convert it .* bgr0"):
+    path = encode(tmp_path / "few.nut", [[np.zeros((16, 32), np.uint16)]], "rawvideo", "rgb565le")
+    with pytest.raises(FootageError, match=r"few\.nut: its pixel format rgb565le is not supported: convert it .*bgr0"):
         open_source(path)
-    deep = encode(tmp_path / "deep.mov", [[np.zeros((16, 32, 3), ">u2")]], "rawvideo", "rgb48be")
-    with pytest.raises(FootageError, match=r"rgb48be is not supported: convert it .* gbrp16le"):
-        open_source(deep)
+
+
+def test_alpha_is_left_out(tmp_path):
+    (planes,) = moving_planes(1, YUV420)
+    path = encode(tmp_path / "alpha.mkv", [[*planes, planes[0]]], "ffv1", "yuva420p")
+    source = open_source(path)
+    (frame,) = source.frames()
+    assert "its transparency is left out" in source.notes
+    assert (frame.format.subsampling, len(frame.planes)) == ((2, 2), 3)
+    for got, put in zip(frame.planes, planes, strict=True):
+        np.testing.assert_array_equal(got, put)
+
+
+@pytest.mark.parametrize("width", [32, 31])
+def test_rows_stored_from_the_bottom_up(tmp_path, width):
+    """As MATLAB's uncompressed AVIs are; a row takes a multiple of four bytes."""
+    picture = np.random.default_rng(3).integers(0, 256, (16, width, 3)).astype(np.uint8)
+    path = encode(tmp_path / "film.avi", [[picture]], "rawvideo", "bgr24")
+    data = bytearray(path.read_bytes())
+    height = data.index(b"strf") + 16  # negative in the head: from the top down
+    assert int.from_bytes(data[height : height + 4], "little", signed=True) == -16
+    data[height : height + 4] = (16).to_bytes(4, "little")
+    path.write_bytes(data)
+    (frame,) = open_source(path).frames()
+    np.testing.assert_array_equal(frame.planes[0], picture[::-1])
+
+
+# By Exif's numbers of them: what a display matrix (ISO/IEC 14496-12, 6.2.2) makes of x and y.
+MATRICES = {
+    1: (1, 0, 0, 1),
+    2: (-1, 0, 0, 1),
+    3: (-1, 0, 0, -1),
+    4: (1, 0, 0, -1),
+    5: (0, 1, 1, 0),
+    6: (0, 1, -1, 0),
+    7: (0, -1, -1, 0),
+    8: (0, -1, 1, 0),
+}
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    return encode(tmp_path_factory.mktemp("held") / "held.mov", moving_planes(2, YUV420), *H264)
+
+
+def with_matrix(path, target, matrix):
+    """Write a MOV again whose head turns its frames otherwise."""
+    data = bytearray(path.read_bytes())
+    begin = data.index(b"tkhd") + 44
+    a, b, c, d = (round(65536 * value) for value in matrix)
+    data[begin : begin + 36] = np.array([a, b, 0, c, d, 0, 0, 0, 1 << 30], ">i4").tobytes()
+    target.write_bytes(data)
+    return target
+
+
+@pytest.mark.parametrize("orientation", MATRICES)
+def test_frames_are_turned_as_the_camera_was_held(tmp_path, held, orientation):
+    source = open_source(with_matrix(held, tmp_path / "turned.mov", MATRICES[orientation]))
+    assert source.size_px == ((64, 48) if orientation < 5 else (48, 64))
+    for frame, luma in zip(source.frames(), decoded(held), strict=True):
+        np.testing.assert_array_equal(frame.planes[0], upright(luma, orientation))
+        assert frame.format == source.format
+    assert orientation == 1 or "as its head says and as players show it" in source.notes[-1]
+
+
+def test_an_odd_angle_is_not_followed_and_said(tmp_path, held):
+    source = open_source(with_matrix(held, tmp_path / "turned.mov", (0.9, 0.3, -0.3, 0.9)))
+    assert source.size_px == (64, 48)
+    assert "by an odd angle; here it stays as the camera stored it" in source.notes[-1]
+
+
+def test_what_goes_wrong_with_a_frame_is_a_bad_frame(monkeypatch, folder):
+    def fails(frame, *others):
+        if frame.pts == 3:
+            raise ValueError("strides is incompatible with shape")
+        return stored_planes(frame, *others)
+
+    source = open_source(folder / "intra.mkv")
+    monkeypatch.setattr(video_file, "stored_planes", fails)
+    assert bad(source.frames()) == {3: "it cannot be read (ValueError: strides is incompatible with shape)"}
+
+
+def test_a_crop_is_followed_to_the_pixel(tmp_path):
+    """H.264 says how much of its blocks is not to be shown; FFmpeg rounds what is cut off on the left."""
+    path = encode(tmp_path / "whole.264", moving_planes(2, YUV420), *H264)
+    with av.open(str(path)) as source:
+        cut = av.BitStreamFilterContext("h264_metadata=crop_left=6:crop_right=4:crop_top=2", source.streams.video[0])
+        parts = [packet for whole in [*source.demux(video=0), None] for packet in cut.filter(whole)]
+    (tmp_path / "part.264").write_bytes(b"".join(bytes(packet) for packet in parts))
+    source = open_source(tmp_path / "part.264")
+    assert source.size_px == (54, 46)
+    for frame, luma in zip(source.frames(), decoded(path), strict=True):
+        np.testing.assert_array_equal(frame.planes[0], luma[2:, 6:-4])
+        assert frame.planes[1].shape == (23, 27)
+
+
+def test_other_videos_of_a_file_are_named(tmp_path):
+    with av.open(str(tmp_path / "two.mkv"), "w") as target:
+        streams = [target.add_stream("ffv1", rate=30) for _ in range(2)]
+        for stream, width in zip(streams, (32, 48), strict=True):
+            stream.width, stream.height, stream.pix_fmt = width, 16, "yuv420p"
+        for stream in streams:
+            target.mux([*stream.encode(av.VideoFrame(stream.width, 16, "yuv420p")), *stream.encode()])
+    source = open_source(tmp_path / "two.mkv")
+    assert source.size_px == (32, 16)
+    assert "it holds 2 videos, of which the first is read: the others are left out" in source.notes
+
+
+@pytest.mark.parametrize(
+    ("says", "note"),
+    [
+        (lambda stream: stream.metadata.update(stereo_mode="left_right"), "it is stereoscopic, with two views"),
+        (
+            lambda stream: setattr(stream.codec_context, "sample_aspect_ratio", Fraction(8, 9)),
+            "for its pixels are not square",
+        ),
+    ],
+)
+def test_what_a_frame_shows_that_is_no_flat_picture_is_noted(tmp_path, says, note):
+    with av.open(str(tmp_path / "film.mkv"), "w") as target:
+        stream = target.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 32, 16, "yuv420p"
+        says(stream)
+        target.mux([*stream.encode(av.VideoFrame(32, 16, "yuv420p")), *stream.encode()])
+    assert [said for said in open_source(tmp_path / "film.mkv").notes if note in said]
 
 
 def test_sound_alone(tmp_path):

@@ -14,15 +14,18 @@ from tikernels.runtime import to_host
 # A twentieth of an 8-bit grey level.
 TOLERANCE = 2e-4
 STORED = [
-    PixelFormat("yuv", subsampling=subsampling, siting=siting, matrix=matrix, full_range=full_range, interleaved=pairs)
-    for subsampling, siting, matrix, full_range, pairs in (
-        ((2, 2), "left", "bt709", False, False),
-        ((2, 2), "centre", "bt601", True, False),
-        ((2, 2), "top-left", "bt2020", False, True),
-        ((2, 1), "left", "bt601", False, True),
-        ((2, 1), "centre", "bt709", True, False),
-        ((1, 2), "left", "bt601", False, False),
-        ((1, 1), "left", "bt709", True, False),
+    PixelFormat("yuv", subsampling=subsampling, origin=origin, siting=siting, matrix=matrix, full_range=full_range)
+    for subsampling, origin, siting, matrix, full_range in (
+        ((2, 2), (0, 0), "left", "bt709", False),
+        ((2, 2), (1, 0), "centre", "bt601", True),
+        ((2, 2), (0, 0), "top-left", "bt2020", False),
+        ((2, 2), (1, 1), "bottom-right", "bt2020", False),
+        ((2, 1), (1, 0), "right", "bt601", False),
+        ((2, 1), (0, 0), "centre", "bt709", True),
+        ((1, 2), (0, 1), "left", "bt601", False),
+        ((4, 1), (0, 0), "left", "bt601", False),
+        ((4, 4), (3, 2), "centre", "bt601", False),
+        ((1, 1), (0, 0), "left", "bt709", True),
     )
 ]
 
@@ -35,7 +38,7 @@ def random_planes(format, height, width):
     )
 
 
-@pytest.mark.parametrize("size", [(17, 23), (1, 9), (6, 1), (48, 64)])
+@pytest.mark.parametrize("size", [(17, 23), (1, 9), (6, 1)])
 @pytest.mark.parametrize("format", STORED, ids=str)
 def test_as_the_twin(arch, format, size):
     planes = random_planes(format, *size)
@@ -46,7 +49,7 @@ def test_as_the_twin(arch, format, size):
 @pytest.mark.parametrize("bits, shift", [(10, 0), (10, 6), (16, 0)])
 @pytest.mark.parametrize("full_range", [False, True])
 def test_deep_planes_as_the_twin(arch, bits, shift, full_range):
-    format = PixelFormat("yuv", bits, shift, subsampling=(2, 2), full_range=full_range, interleaved=shift > 0)
+    format = PixelFormat("yuv", bits, shift, subsampling=(2, 2), full_range=full_range)
     planes = random_planes(format, 11, 14)
     rgb = convert_chroma(planes, format)
     np.testing.assert_allclose(to_host(rgb), reference.convert_chroma(planes, format), atol=TOLERANCE)
@@ -81,8 +84,8 @@ def test_a_fringe_in_the_chroma_comes_back_whole(arch, period_px, subsampling, s
 
 
 def test_taps_keep_a_level():
-    for subsampling, on_site in product((1, 2), (False, True)):
-        for taps in chroma_taps(subsampling, on_site):
+    for subsampling, site in product((1, 2, 4), (0, 0.5, 1)):
+        for taps in chroma_taps(subsampling, site):
             assert sum(taps) == pytest.approx(1)
 
 

@@ -30,7 +30,9 @@ def test_planes():
     assert PixelFormat("yuv").plane_shapes(5, 7) == ((5, 7), (5, 7), (5, 7))
     # Chroma samples cover what is left at the border.
     assert PixelFormat("yuv", subsampling=(2, 2)).plane_shapes(5, 7) == ((5, 7), (3, 4), (3, 4))
-    assert PixelFormat("yuv", subsampling=(2, 1), interleaved=True).plane_shapes(5, 7) == ((5, 7), (5, 8))
+    assert PixelFormat("yuv", subsampling=(4, 1)).plane_shapes(5, 7) == ((5, 7), (5, 2), (5, 2))
+    # Of the first ones pixels are missing.
+    assert PixelFormat("yuv", subsampling=(2, 2), origin=(1, 1)).plane_shapes(6, 6) == ((6, 6), (4, 4), (4, 4))
 
 
 @pytest.mark.parametrize(
@@ -39,7 +41,8 @@ def test_planes():
         ({"layout": "grey"}, "layout is 'grey': choose rgb, bayer, yuv"),
         ({"layout": "rgb", "bits": 7}, "bits is 7: choose 8, 9"),
         ({"layout": "bayer", "bayer": "rgbg"}, "bayer is 'rgbg'"),
-        ({"layout": "yuv", "subsampling": (4, 1)}, r"subsampling is \(4, 1\)"),
+        ({"layout": "yuv", "subsampling": (3, 1)}, r"subsampling is \(3, 1\)"),
+        ({"layout": "yuv", "subsampling": (2, 1), "origin": (0, 1)}, r"origin is \(0, 1\): give less than the"),
         ({"layout": "rgb", "channels": "rrg"}, "channels is 'rrg': name r, g and b once"),
         ({"layout": "bayer", "bits": 32}, "bayer pixels of 32 bits: only RGB may be floats"),
     ],
