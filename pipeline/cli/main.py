@@ -8,7 +8,8 @@ from cyclopts import App
 from rich.text import Text
 
 from pipeline import __version__
-from pipeline.cli.console import run, without_controls
+from pipeline.cli.console import run
+from pipeline.text import one_line
 
 # Each command's file, and what `--help` lists without importing it.
 _COMMANDS = {
@@ -39,7 +40,7 @@ def command_line(words: Sequence[str]) -> App:
         version=__version__,
         version_flags=["--version"],
         suppress_keyboard_interrupt=False,  # `run` says what it has stopped
-        error_formatter=lambda error: Text(without_controls(f"error: {' '.join(str(error).split())}"), style="red"),
+        error_formatter=lambda error: Text(one_line(f"error: {' '.join(str(error).split())}"), style="red"),
     )
     for name, (file, summary) in _COMMANDS.items():
         app.command(f"pipeline.cli.{file}:{name}", name=name, help=None if name in words else summary)

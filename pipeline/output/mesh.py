@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from pipeline.calibration.model import Lens
 from pipeline.showing import to_html
+from pipeline.text import one_line
 
 Unit = Literal["mm", "rad"]
 
@@ -254,7 +255,7 @@ def provenance_of(attributes: dict[str, Any], number: int | None = None, time_s:
     said = {"software": f"colorphase {attributes['colorphase_version']}"}
     source = attributes.get("source", attributes.get("footage", {}).get("name"))
     if source is not None:
-        said["source"] = str(source).replace("\n", " ")
+        said["source"] = str(source)
     if number is not None:
         said["frame"] = str(number)
     if time_s is not None:
@@ -263,4 +264,4 @@ def provenance_of(attributes: dict[str, Any], number: int | None = None, time_s:
         said["calibration_sha256"] = attributes["calibration_sha256"]
     # Of the settings what differs from nothing; the whole is in the store.
     said["settings"] = json.dumps({name: value for name, value in attributes["settings"].items() if value is not None})
-    return said
+    return {name: one_line(str(value)) for name, value in said.items()}

@@ -56,8 +56,9 @@ def encode_obj(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     head = f"{told}mtllib {heading.stem}.mtl\nusemtl surface\n"
     material = f"{told}newmtl surface\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {heading.stem}.png\n"
     return {
-        ".obj": f"{head}{vertices}{places}{normals}{faces}".encode(),
-        ".mtl": material.encode(),
+        # A file's name may have bytes that are not UTF-8.
+        ".obj": f"{head}{vertices}{places}{normals}{faces}".encode(errors="surrogateescape"),
+        ".mtl": material.encode(errors="surrogateescape"),
         ".png": encode_png(mesh.texture),
     }
 

@@ -131,5 +131,5 @@ def _say(what: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     np.seterr(all="ignore")
-    _Drawing(PictureJob.model_validate_json(Path(sys.argv[1]).read_text(encoding="utf-8"))).run()
+    _Drawing(PictureJob.model_validate(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")))).run()
     Path(DONE).touch()

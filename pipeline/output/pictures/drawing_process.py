@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PlainValidator, model_validator
 
 from pipeline.errors import RenderError
 from pipeline.models import Model, Signed
@@ -25,6 +25,9 @@ from pipeline.processes import start_python
 from tikernels import runtime
 
 Buffer = Literal["depth", "normals"]
+
+# A file's name, which need not be UTF-8.
+_Place = Annotated[str, PlainValidator(str)]
 
 #: What software renderers, and H.264, can do.
 MOST_SIDE_PX = 8192
@@ -94,7 +97,7 @@ class FilmPart(Model):
 
     first: int
     stop: int
-    path: str
+    path: _Place
 
 
 class PictureJob(Model):
@@ -121,13 +124,13 @@ class PictureJob(Model):
     """
 
     options: PictureOptions
-    mesh: str | None = None
-    store: str | None = None
+    mesh: _Place | None = None
+    store: _Place | None = None
     numbers: tuple[int, ...]
-    picture: str | None = None
+    picture: _Place | None = None
     buffers: tuple[Buffer, ...] = ()
     parts: tuple[FilmPart, ...] = ()
-    compared: str | None = None
+    compared: _Place | None = None
 
     @model_validator(mode="after")
     def _one_subject(self) -> "PictureJob":
@@ -176,7 +179,7 @@ def draw_apart(
         # Mesa's renderer counts the threads in addition to the one that calls it.
         few = {**dict.fromkeys(names, str(threads)), "LP_NUM_THREADS": str(threads - 1)}
         environment = few | environment  # a user's own numbers win
-    (folder / "job.json").write_text(job.model_dump_json(), encoding="utf-8")
+    (folder / "job.json").write_text(json.dumps(job.model_dump(mode="json")), encoding="utf-8")
     said: dict[str, Any] = {}
 
     def hear(line: str) -> None:

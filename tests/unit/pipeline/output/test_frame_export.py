@@ -1,12 +1,13 @@
 """A store's frames as files: made once, made again where they must be, and nothing of the user's is lost."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from support.stored_planes import plane, store
+from support.stored_planes import LENS, plane, store
 
 from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.locking import locked
@@ -72,6 +73,15 @@ def test_all_kinds_share_a_folder(result, tmp_path):
     kinds = {name.partition(".")[2] for name in names(tmp_path / "out")}
     assert kinds == {"json", *FORMATS} - {"mcap"} | {""}
     assert names(tmp_path / "out" / "bag") == ["bag.mcap", "metadata.yaml"]
+
+
+def test_a_name_that_is_not_utf8_is_a_line_of_text_in_every_kind(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0], footage="m\udcfcller\r\u2028.mkv", lens=LENS, also=["texture"])
+    for kind in FORMATS:
+        export_frames(path, tmp_path / "out", kind)
+        whole = [file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()]
+        assert sum(b"m?ller  .mkv" in content for content in whole), kind
+        shutil.rmtree(tmp_path / "out")
 
 
 def test_depths_of_a_film_have_one_step(tmp_path):
