@@ -8,12 +8,12 @@ _CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-
 
 
 def one_line(text: str) -> str:
-    """Return a text as one line that any file and terminal can hold.
+    r"""Return a text as one line that any file and terminal can hold.
 
     Control characters are dropped, those that part words are blanks. A byte of a file's name that is not UTF-8, which
     Python keeps as a surrogate, is a question mark, as `ls` shows it.
 
-    >>> one_line("m\udcfcller\\n.png")
+    >>> one_line("m\udcfcller\n.png")
     'm?ller .png'
     """
     whole = text.encode("utf-8", "replace").decode()

@@ -28,7 +28,7 @@ from pipeline.cli.console import (
     steps,
 )
 from pipeline.cli.export import MeshChoice, write_frames
-from pipeline.errors import SettingsError
+from pipeline.errors import FootageError, SettingsError
 from pipeline.footage.image_folder import IMAGE_SUFFIXES
 from pipeline.footage.source import StoredAs
 from pipeline.output.folder import STORE, refuse_others
@@ -138,7 +138,8 @@ def decode(
     """Decode a picture, or footage: a folder of pictures, a video or a recording.
 
     A picture gives result.zarr, mesh.ply, range.png, shaded.png and report.json, footage result.zarr. Run again, it
-    goes on where it was stopped. Exit code 3: some frames are bad, the rest is done.
+    goes on where it was stopped. Exit code 3: some frames are bad or show nothing, the rest is done; 1: nothing was
+    measured.
 
     Example: colorphase decode face.png --out face --settings settings.toml --calibration calibration.json, or
     colorphase decode film.mkv --out film --fields mask points phase_sigma --export ply
@@ -232,9 +233,11 @@ def _decode_video(
         )
     _say_summary(summary, job.store)
     _say_whether_relative(job.store)
+    if len(summary.unmeasured) == summary.n_frames - len(summary.bad):
+        raise FootageError(f"nothing was measured in {footage.name}: run colorphase inspect {footage}")
     if options.export is not None:
         write_frames(job.store, Path(out, _MESHES), options.export, part, force=force)
-    if summary.bad:
+    if summary.bad or summary.unmeasured:
         sys.exit(SOME_ARE_BAD)
 
 
@@ -284,6 +287,8 @@ def _say_summary(summary: DecodeSummary, store: str) -> None:
     if summary.warned:
         first = min(summary.warned)
         remark(f"warning: {frames(len(summary.warned))} in doubt; frame {first}: {summary.warned[first][0]}")
+    if summary.unmeasured:
+        remark(f"{frames(len(summary.unmeasured))} empty, as frame {summary.unmeasured[0]}: nothing was measured there")
     n_good = summary.n_frames - len(summary.bad)
     before = f", {summary.n_before} of them before" if summary.n_before else ""
     say(f"{n_good} of {summary.n_frames} frames decoded{before}; they are in {store}")

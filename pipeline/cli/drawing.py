@@ -36,7 +36,8 @@ def render(
 ) -> None:
     """Draw a surface, or frames of a result.zarr, off screen: a still picture, a turntable, or a film of all frames.
 
-    A film that was stopped goes on by the same command. Exit code 3: some frames are damaged, the rest is drawn.
+    A film that was stopped goes on by the same command. Exit code 3: some frames are missing, empty or
+    damaged, the rest is drawn.
 
     Example: colorphase render face/mesh.ply --out face.png --view front --colors depth, or
     colorphase render face/mesh.ply --out turntable.mp4 --turn 360, or
@@ -179,5 +180,5 @@ def _render_film(
         remark(f"{frames(len(film.broken))} damaged, and the one before is shown in its place: {why}")
     before = f", {film.before} of them before" if film.before else ""
     say(f"wrote {out}: {film.n_images} pictures{before}, by {film.codec}, drawn by {film.renderer}")
-    if film.broken:
+    if film.held:
         sys.exit(SOME_ARE_BAD)

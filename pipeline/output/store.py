@@ -202,6 +202,19 @@ class ResultStore:
             found = readers.map(lambda number: frame_fault(self._files, number, self._fields, self._identity), numbers)
             return {number: fault for number, fault in zip(numbers, found, strict=True) if fault is not None}
 
+    def unmeasured(self, numbers: Iterable[int]) -> list[int]:
+        """Return the numbers of those frames, all of which have a mark, in which nothing was measured.
+
+        Raises
+        ------
+        DamageError
+            A mark is damaged.
+        """
+        numbers = sorted(numbers)
+        with ThreadPoolExecutor(_READERS, "marks") as readers:
+            marks = readers.map(lambda number: read_mark(self._files, number, self._identity), numbers)
+            return [number for number, mark in zip(numbers, marks, strict=True) if mark.measured_px == 0]
+
     def check(self, numbers: Set[int]) -> None:
         """Check that frames that were stored are still there.
 

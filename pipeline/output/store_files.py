@@ -442,6 +442,7 @@ class FrameMark:
     warnings: list[str]
     identity: str  # see `identity_digest`
     chunks: dict[str, str]  # the checksum of each field's chunk, in hexadecimal
+    measured_px: int | None = None  # pixels in the mask; None: an earlier version has written it
 
     @classmethod
     def of(cls, frame: DecodedFrame, identity: str, chunks: dict[str, bytes]) -> "FrameMark":
@@ -453,6 +454,7 @@ class FrameMark:
             list(frame.warnings),
             identity,
             {name: chunk[_CHUNK_CHECKSUM].hex() for name, chunk in chunks.items()},
+            frame.measured_px,
         )
 
     def encoded(self) -> bytes:

@@ -49,6 +49,7 @@ def _frame(distance, in_mm):
         warnings=(),
         calibrated=in_mm,
         mask=mask,
+        measured_px=int(mask.sum()),
         modulation=np.where(mask, np.float32(50), np.float32(0)),
         phase_sigma=np.where(mask, np.float32(0.02), np.float32(np.nan)),
         range_image=points[..., 2] if in_mm else points[..., 2] / 100,

@@ -354,6 +354,7 @@ def test_frames_without_fringes_come_with_a_warning(tmp_path, folder, job, undis
             recorder.add(image)
     summary = decode_footage(replace(job, footage=str(tmp_path / "film.zarr")))
     assert list(summary.warned) == [0, 1] and "no fringe" in summary.warned[0][0]
+    assert summary.unmeasured == decode_footage(replace(job, footage=str(tmp_path / "film.zarr"))).unmeasured == [0]
     assert "nothing of the frame before" in summary.warned[1][0]
     group = zarr.open_group(job.store, mode="r")
     assert "no fringe" in json.loads(bytes(group["done"][0]))["warnings"][0]

@@ -115,6 +115,24 @@ def test_a_frame_without_fringes(folder, command):
     assert not (folder / "none").exists()
 
 
+def test_footage_in_which_nothing_is_measured_ends_with_1_and_some_with_3(folder, command):
+    film = folder / "dark"
+    film.mkdir()
+    dark = np.zeros_like(cv2.imread(str(folder / "frame.png")))
+    for name in ("f1.png", "f2.png"):
+        cv2.imwrite(str(film / name), dark)
+    arguments = ("decode", film, "--arch", "cpu", "--out")
+    for _ in range(2):  # again, too
+        done = command(*arguments, "nothing", "--export", "ply", cwd=folder)
+        assert done.returncode == 1
+        assert "2 of 2 frames decoded" in done.stdout
+        assert f"error: nothing was measured in dark: run colorphase inspect {film}" in done.stderr
+    shutil.copy(folder / "frame.png", film / "f3.png")
+    for _ in range(2):
+        done = command(*arguments, "some", cwd=folder)
+        assert done.returncode == 3 and "2 frames are empty, as frame 0: nothing was measured there" in done.stderr
+
+
 def test_settings_as_options(folder, command):
     done = command("decode", "frame.png", "--out", "turned", "--arch", "cpu", "--stripes", "vertical", cwd=folder)
     assert done.returncode == 1 and "set stripes to 'horizontal' (--stripes horizontal)" in done.stderr
