@@ -63,7 +63,9 @@ def test_a_grid_has_the_cameras_axes_and_may_have_another_unit(tmp_path: Path) -
     path.write_bytes(encode_pcd(tilted_grid(), Heading("g", {}))[".pcd"])
     mesh, known = read_placed(path)
     assert known and mesh.vertices[:, 2].min() == 500
-    np.testing.assert_allclose(read_mesh(path, unit="cm").vertices, mesh.vertices / 100, rtol=1e-6)
+    in_cm = replace(tilted_grid(), points=tilted_grid().points * 100)  # the encoder writes m
+    path.write_bytes(encode_pcd(in_cm, Heading("g", {}))[".pcd"])
+    np.testing.assert_allclose(read_mesh(path, unit="cm").vertices, mesh.vertices, rtol=1e-6)
     with pytest.raises(FootageError, match="has the camera's axes: leave out others"):
         read_mesh(path, axes="y-up")
 

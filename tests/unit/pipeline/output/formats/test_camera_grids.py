@@ -177,7 +177,7 @@ def test_what_fills_gaps_and_what_has_several_numbers_is_left_out(data):
 def test_a_damaged_compression_is_refused():
     whole = (FOREIGN / "pcl_compressed.pcd").read_bytes()
     start = whole.index(b"DATA binary_compressed\n") + len(b"DATA binary_compressed\n") + 8
-    for content in (whole[:start] + b"\x3f\xff" + whole[start + 2 :], whole[:-9]):
+    for content in (whole[:start] + b"\x3f\xff" + whole[start + 2 :], whole[: start + 9]):
         with pytest.raises(ValueError, match=r"damaged|truncated"):
             decode_pcd(content)
 
