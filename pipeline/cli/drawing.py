@@ -10,6 +10,7 @@ from cyclopts import Parameter
 from pipeline.cli.console import SOME_ARE_BAD, bounded, counted, frames, remark, say, steps
 from pipeline.errors import OutputError, SettingsError
 from pipeline.files import explain, make_folder
+from pipeline.models import build
 from pipeline.output.folder import store_in
 from pipeline.output.formats.table import AxesName, UnitName
 from pipeline.output.mesh import Mesh
@@ -184,7 +185,8 @@ def render(
     }
     if not all(16 <= side <= MOST_SIDE_PX for side in size):
         raise SettingsError(f"--size is {size[0]}x{size[1]}: give 16 to {MOST_SIDE_PX} px")
-    options = PictureOptions(**{name: value for name, value in chosen.items() if value is not None})
+    known = {name: value for name, value in chosen.items() if value is not None}
+    options = build(PictureOptions, known, SettingsError, "options")
     compared = None if compare is None else placed.read_compared(compare)
     pictures = _pictures_in(out, (input, *more)) if more else {input: out}
     whole = True

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 
-from cyclopts import App
+from cyclopts import App, Parameter
 from rich.text import Text
 
 from pipeline import __version__
@@ -39,6 +39,7 @@ def command_line(words: Sequence[str]) -> App:
         help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
         version=__version__,
         version_flags=["--version"],
+        default_parameter=Parameter(negative_iterable=()),  # there is nothing that --empty-... would empty
         suppress_keyboard_interrupt=False,  # `run` says what it has stopped
         error_formatter=lambda error: Text(one_line(f"error: {' '.join(str(error).split())}"), style="red"),
     )
