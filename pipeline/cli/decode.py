@@ -130,6 +130,7 @@ def decode(
     depth_range: tuple[float, float] | None = None,
     arch: Arch = "auto",
     force: IntoOther = False,
+    mesh: bool = True,
     chosen: SettingsOptions = _AS_SET,
     video: FootageOptions = _FOOTAGE,
     part: MeshChoice = _ALL,
@@ -154,21 +155,28 @@ def decode(
         The rig's calibration.json; with it results are in mm.
     depth_range
         The nearest and the farthest depth of what was photographed, mm; it places surfaces without a code.
+    mesh
+        Write a picture's mesh.ply; --no-mesh leaves it out.
     """
     how, rig = chosen.applied_to(read_settings(settings)), _within(read_calibration(calibration), depth_range)
     if input.suffix.lower() not in IMAGE_SUFFIXES or input.is_dir():
         if part != _ALL and video.export is None:
             raise SettingsError("--crop, --no-background and --triangles are for meshes: add --export, or omit them")
+        if not mesh:
+            raise SettingsError("--no-mesh does nothing for footage, which gets meshes by --export: leave it out")
         _decode_video(input, out, how, rig, arch, video, part.options(), stored_as, force=force)
         return
     if video != _FOOTAGE:
         raise SettingsError(
             f"{input.name} is a picture, and these options are for footage: omit them, or give its folder"
         )
+    if not mesh and part != _ALL:
+        raise SettingsError("--no-mesh leaves nothing for --crop, --no-background and --triangles: leave them out")
     from pipeline.batch.one_frame import decode_picture
 
+    options = part.options() if mesh else None
     with steps() as step:
-        frame = decode_picture(input, out, how, rig, stored_as, arch, part.options(), force=force, tell=step)
+        frame = decode_picture(input, out, how, rig, stored_as, arch, options, force=force, tell=step, remark=remark)
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
     relative = depth_in_words(partial(getattr, frame), in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
     if relative is not None:

@@ -64,9 +64,9 @@ def export(
     out
         The folder for frame_000000.ply and so on; for a video, left out, the folder that its recording is in.
     kind
-        The format: meshes as ply, obj, stl, glb or wrl; the camera's grid of points as pcd; depth as 16-bit png
-        or tiff; all frames in one ROS bag as mcap. Of a recording a lossless video (FFV1) as mkv, which decodes to the
-        same.
+        The format: meshes as ply, obj, stl, glb or wrl; the camera's grid of points as pcd or npz; measured points as
+        xyz or csv; depth as 16-bit png or tiff; all frames in one ROS bag as mcap. Of a recording a lossless video
+        (FFV1) as mkv, which decodes to the same.
     force
         Write all again, and replace files of these names that were changed or are not ours.
     """
@@ -99,7 +99,7 @@ def write_frames(store: str, folder: Path, kind: Kind, options: MeshOptions, *, 
     """
     runtime.init("cpu")
     with counted("frames") as show:
-        done = export_frames(store, folder, kind, show, options=options, force=force)
+        done = export_frames(store, folder, kind, show, options=options, force=force, remark=remark)
     n_files = len(done.written) + len(done.before) - len(done.empty)
     if not n_files:
         raise FootageError(f"no frame of {store} shows a surface: run colorphase inspect on the footage")

@@ -29,6 +29,7 @@ from pipeline.output.surface_mesh import grid_mesh
 _DECODERS = {"ply": decode_ply, "wrl": decode_vrml}
 _GRID_DECODERS = {"pcd": decode_pcd, "png": decode_depth, "tiff": decode_depth, "tif": decode_depth}
 _BAG = "mcap"
+_POINTS = ("xyz", "csv", "npz")
 _FORMS: dict[str, FileFormat] = dict(FORMATS.items()) | {"gltf": FORMATS["glb"], "tif": FORMATS["tiff"]}
 
 
@@ -97,9 +98,11 @@ def read_placed(
     """Read a mesh as `read_mesh` does; and return whether its axes and its unit are known, or only usual."""
     path = Path(path)
     kind = path.suffix.lower()[1:]
-    if kind not in (*_DECODERS, *_GRID_DECODERS, _BAG) and f".{kind}" not in READ_SUFFIXES:
+    if kind not in (*_POINTS, *_DECODERS, *_GRID_DECODERS, _BAG) and f".{kind}" not in READ_SUFFIXES:
         kind = "ply"
     try:
+        if kind in _POINTS:
+            raise ValueError("it holds points alone: give a mesh, or export the same as pcd, which keeps the grid")
         if frame is not None and kind != _BAG:
             raise ValueError(f"it holds one frame: leave out frame {frame}")
         if kind in (*_GRID_DECODERS, _BAG):

@@ -49,7 +49,7 @@ _CHUNK_HEAD_BYTES = 20
 # taken to be this many times too large.
 _SURELY = 2.0
 # Bytes; less is no question on any disk.
-_WORTH_SAYING = 100e6
+WORTH_SAYING = 100e6
 
 
 def result_attributes(settings: DecodeSettings, calibration: Calibration | None) -> dict[str, Any]:
@@ -462,13 +462,13 @@ class SizeForecast:
         """
         free = free_bytes(self._location)
         if self._frame_bytes is None:
-            if self._most < _WORTH_SAYING:
+            if self._most < WORTH_SAYING:
                 return None
             return f"note: {self._location} will grow by {in_bytes(self._most)} at most, by less where it compresses"
         expected = self._n_frames * self._frame_bytes
         sizes = f"about {in_bytes(expected)}, at most {in_bytes(self._most)}"
         if free is None or expected <= free:
-            return None if expected < _WORTH_SAYING else f"note: {self._location} will grow by {sizes}"
+            return None if expected < WORTH_SAYING else f"note: {self._location} will grow by {sizes}"
         doubt = (
             f"{self._location} will grow by {sizes}, and {in_bytes(free)} are free on its disk: choose fewer --fields, "
             "part of the frames by --stop or --step, or another disk"
@@ -482,7 +482,7 @@ class SizeForecast:
         self._n_stored += 1
         self._stored += n_bytes
         expected = self._stored / self._n_stored * self._n_frames
-        return None if expected < _WORTH_SAYING else in_bytes(expected)
+        return None if expected < WORTH_SAYING else in_bytes(expected)
 
 
 def in_bytes(count: float) -> str:

@@ -70,6 +70,12 @@ def encode_ply(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     return {".ply": write}
 
 
+def ply_bytes(mesh: Mesh) -> int:
+    """Return what a mesh takes as a PLY file, without its header."""
+    arrays = [mesh.vertices, mesh.normals, mesh.colors, mesh.flags, *mesh.properties.values()]
+    return sum(array.nbytes for array in arrays if array is not None) + (mesh.faces.itemsize * 3 + 1) * len(mesh.faces)
+
+
 def _write_records(file: BinaryIO, block: npt.NDArray[Any], fields: Sequence[tuple[str, npt.NDArray[Any]]]) -> None:
     """Write records, block by block; fields that are not named are as in the block."""
     count = len(fields[0][1])

@@ -25,6 +25,7 @@ from pipeline.output.formats.camera_grids import (
 )
 from pipeline.output.formats.obj_stl_gltf import encode_glb, encode_obj, encode_stl
 from pipeline.output.formats.ply import encode_ply
+from pipeline.output.formats.point_tables import encode_csv, encode_npz, encode_xyz
 from pipeline.output.formats.vrml import encode_vrml
 from pipeline.output.mesh import NOT_METRIC, Mesh, RangeGrid
 
@@ -33,7 +34,7 @@ AxesName = Literal["y-up", "z-up", "camera"]
 UnitName = Literal["mm", "cm", "m", "in"]
 MM: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
 
-Kind = Literal["ply", "obj", "stl", "glb", "wrl", "pcd", "png", "tiff", "mcap"]
+Kind = Literal["ply", "obj", "stl", "glb", "wrl", "pcd", "png", "tiff", "xyz", "csv", "npz", "mcap"]
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,13 @@ FORMATS: dict[Kind, FileFormat] = {
     "png": FileFormat("depth in 16 bits, PNG", "depth by a step that it names", "mm", OPTICAL, None, encode_depth_png),
     "tiff": FileFormat(
         "depth in 16 bits, TIFF", "depth by a step that it names", "mm", OPTICAL, None, encode_depth_tiff
+    ),
+    "xyz": FileFormat("points, one a line", "measured points, colour", "mm", Y_UP, None, encode_xyz),
+    "csv": FileFormat(
+        "a table of points", "measured points, colour, sigma, modulation", "mm", OPTICAL, None, encode_csv
+    ),
+    "npz": FileFormat(
+        "NumPy's archive", f"{_GRID}, colour, sigma, modulation, camera", "mm", OPTICAL, None, encode_npz
     ),
     "mcap": FileFormat("ROS 2 bag in MCAP", f"{_GRID}, depth, texture, camera", "m", OPTICAL),
 }

@@ -212,7 +212,7 @@ def test_arrays_of_another_making_do_not_pass(job, undisturbed):
 
 def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypatch):
     """How large it will be, by a frame or by those that are there; which processes do not help; what is being done."""
-    monkeypatch.setattr("pipeline.output.store._WORTH_SAYING", 1e3)
+    monkeypatch.setattr("pipeline.output.store.WORTH_SAYING", 1e3)
     steps, remarks = [], []
     decode_footage(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
     assert list(dict.fromkeys(step.partition(" to about ")[0] for step in steps)) == [

@@ -13,6 +13,7 @@ from pipeline.decoding.frame import FIELDS
 from pipeline.footage.image_file import read_image
 from pipeline.output.mesh import FILLED, RIM
 from pipeline.output.mesh_files import read_mesh
+from pipeline.output.store import in_bytes
 
 
 def test_decode_with_a_calibration(folder):
@@ -104,6 +105,24 @@ def test_a_depth_range_tells_the_order(folder, command):
     assert "--depth-range is 900 700: give the nearest and the farthest depth in mm, as 700 1100" in refused.stderr
     refused = command(*arguments[:4], "--out", "no", "--depth-range", "700", "900", cwd=folder)
     assert "--depth-range is in mm: give a --calibration" in refused.stderr
+
+
+def test_a_large_mesh_is_announced_and_can_be_left_out(folder, command, monkeypatch):
+    arguments = ("decode", "frame.png", "--arch", "cpu", "--out")
+    assert "mesh.ply takes" not in command(*arguments, "small", cwd=folder).stderr
+    monkeypatch.setattr("pipeline.output.folder.WORTH_SAYING", 1e6)
+    done = command(*arguments, "large", cwd=folder)
+    size = (folder / "large" / "mesh.ply").stat().st_size
+    assert f"mesh.ply takes {in_bytes(size)}: --triangles makes it smaller, --no-mesh leaves it out" in done.stderr
+    done = command(*arguments, "meshless", "--no-mesh", cwd=folder)
+    assert done.returncode == 0 and "mesh.ply takes" not in done.stderr
+    names = sorted(path.name for path in (folder / "meshless").iterdir())
+    assert names == ["range.png", "report.json", "result.zarr", "shaded.png"]
+    assert "mesh" not in json.loads((folder / "meshless" / "report.json").read_text())
+    refused = command("decode", "pictures", "--out", "no", "--no-mesh", cwd=folder)
+    assert refused.returncode == 1 and "--no-mesh does nothing for footage" in refused.stderr
+    refused = command(*arguments, "no", "--no-mesh", "--triangles", "9", cwd=folder)
+    assert refused.returncode == 1 and "--no-mesh leaves nothing for --crop" in refused.stderr
 
 
 def test_a_frame_without_fringes(folder, command):

@@ -94,7 +94,7 @@ def test_every_key_says_what_it_may_hold():
     assert settings["capture"].endswith("Allowed: a section of exposure_s, gain, white_balance, transfer.")
     assert settings["noise"].endswith("Allowed: 2 values, each a number from 0 to 16777216.")
     assert "\n# crosstalk_matrix = " in settings_template().partition("Allowed: 3x3 numbers.")[2]
-    assert settings_template().count("Allowed: ") == len(DecodeSettings.model_fields)
+    assert settings_template().count("Allowed:") == len(DecodeSettings.model_fields)
     rig = dict(_explanations(rig_template("box", "basler", "pjlink")))
     assert 'Allowed: "free-running" or "per-pulse".' in rig["trigger.vsync"]
     assert 'Allowed: "basler", "aravis", "opencv", "simulated" or "module:Class".' in rig["camera.driver"]
