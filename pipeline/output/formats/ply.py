@@ -8,8 +8,10 @@ G. Turk, The PLY polygon file format, 1994.
 """
 
 import re
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -96,14 +98,15 @@ def decode_ply(data: bytes) -> tuple[Mesh, dict[str, str]]:
     ValueError
         It is truncated, larger than `max_pixels` allows, or no mesh.
     """
-    head, end, body = data[:_LONGEST_HEAD].partition(b"end_header")
+    head, end, _ = data[:_LONGEST_HEAD].partition(b"end_header")
     if not end:
         raise ValueError(f"its header has no end within {_LONGEST_HEAD} bytes")
     body = data[len(head) + len(end) :]
     lines = head.decode("ascii", "replace").splitlines()
     order, elements = _parse_header([line.split() for line in lines])
     counts = {element.name: element.count for element in elements}
-    if not {*POSITION} <= {name for element in elements if element.name == "vertex" for name in element.properties}:
+    vertices = next(element for element in elements if element.name == "vertex")
+    if not {*POSITION} <= {name for name, (count, _) in vertices.properties.items() if count is None}:
         raise ValueError("its vertices have no x, y and z")
     check_mesh_size(counts["vertex"], sum(counts.get(name, 0) for name in _USED[1:]))
     if order == "ascii":
@@ -120,8 +123,6 @@ def decode_ply(data: bytes) -> tuple[Mesh, dict[str, str]]:
             triangles.append(joined(_whole(corners.values, "corners", np.int32).astype(np.int64), corners.counts))
     faces = np.concatenate(triangles)
     check_mesh_size(counts["vertex"], len(faces))
-    if faces.size and not (faces.min() >= 0 and faces.max() < counts["vertex"]):
-        raise ValueError(f"its corners are {faces.min()} to {faces.max()} of {counts['vertex']} vertices")
     names = [name for name, column in vertex.items() if column.counts is None]
     colored, flagged = {*COLOR} <= {*names}, FLAGS in names
     mesh = Mesh(
@@ -203,17 +204,24 @@ def _lengths(body: bytes, at: int, element: _Element) -> list[int]:
     lengths = []
     for count, kind in element.properties.values():
         if count is not None:
-            if at + np.dtype(count).itemsize > len(body):
+            number = _number(count)
+            if at + number.size > len(body):
                 raise ValueError(f"it is truncated: a {element.name} that its header promises is missing")
-            length = np.frombuffer(body, count, 1, at)[0]
+            (length,) = number.unpack_from(body, at)
             if not 0 <= length <= len(body) or length != int(length):
                 raise ValueError(f"a list of a {element.name} has {length:g} entries: it is damaged")
             lengths.append(int(length))
-            at += np.dtype(count).itemsize
-        at += (lengths[-1] if count is not None else 1) * np.dtype(kind).itemsize
+            at += number.size
+        at += (lengths[-1] if count is not None else 1) * _number(kind).size
     if at > len(body):
         raise ValueError(f"it is truncated: a {element.name} that its header promises is missing")
     return lengths
+
+
+@cache
+def _number(kind: str) -> struct.Struct:
+    """Return what reads one number of a NumPy type; many of them are read one after another."""
+    return struct.Struct(kind[0] + np.dtype(kind).char)
 
 
 def _read_uneven(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Column], int]:
