@@ -114,7 +114,8 @@ def read_placed(
                 grid = replace(grid, points=grid.points * np.float32(MM[unit] / usual))
             return grid_mesh(grid), True
         mesh, said = _DECODERS[kind](path.read_bytes()) if kind in _DECODERS else read_foreign(path)
-        if said.get("unit") == "rad" and (axes or unit):
+        in_rad = said.get("unit") == "rad"
+        if in_rad and (axes or unit):
             raise ValueError("it is in rad, not in mm: decode with a calibration")
     except OSError as error:
         raise FootageError(f"cannot read {path}: {error.strerror}") from error
@@ -123,7 +124,6 @@ def read_placed(
     form = _FORMS[kind]
     told = next((each for each in AXES.values() if each.told == said.get("axes")), None)
     known = form.is_fixed or ((axes or told) and (unit or said.get("unit") in (*MM, "rad")))
-    in_rad = said.get("unit") == "rad"
     about = {name: value for name, value in said.items() if name in PROVENANCE}
     mesh = replace(mesh, unit="rad" if in_rad else "mm", provenance=about)
     length_mm = MM[unit] if unit else 1.0 if in_rad else MM.get(said.get("unit", ""), MM[form.unit])

@@ -67,5 +67,5 @@ def test_any_text_is_read_or_refused_in_one_line(parse, tmp_path_factory):
 def test_what_is_printed_has_no_control_characters(text):
     shown = one_line(text)
     assert not [letter for letter in shown if letter < " " or "\x7f" <= letter <= "\x9f" or letter in "\u202e\u2028"]
-    assert shown.encode()
+    assert shown.encode().decode() == shown
     assert one_line(shown) == shown
