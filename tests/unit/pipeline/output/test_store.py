@@ -1,5 +1,6 @@
 """The store is whole or says what is not; and how large it will be."""
 
+import json
 import shutil
 from collections import namedtuple
 
@@ -18,7 +19,9 @@ from pipeline.output.store import (
     mean_frame_bytes,
     most_frame_bytes,
 )
+from pipeline.output.store_files import MARK_BYTES
 from pipeline.output.stored_result import StoredResult
+from pipeline.zarr_chunks import with_checksum, without_checksum
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -188,3 +191,17 @@ def test_what_is_free_is_asked_where_the_store_will_be(tmp_path, monkeypatch):
     assert free_bytes(tmp_path / "not" / "there" / "result.zarr") == there.free
     assert asked == [tmp_path]
     assert free_bytes("s3://bucket/result.zarr") is None
+
+
+def test_frames_in_which_nothing_was_measured_are_known(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0, None, None])
+    attributes = StoredResult(path).attributes
+    fields = attributes["fields"]
+    again = ResultStore(path, {name: value for name, value in attributes.items() if name != "fields"}, fields)
+    assert again.unmeasured({0, 1, 2}) == [1, 2] and again.unmeasured({0, 2}) == [2]
+    # An earlier version did not say it.
+    mark = path / "done" / "c.2.0"
+    about = json.loads(without_checksum(mark.read_bytes()))
+    assert about.pop("measured_px") == 0
+    mark.write_bytes(with_checksum(json.dumps(about).encode().ljust(MARK_BYTES)))
+    assert again.unmeasured({0, 1, 2}) == [1]
