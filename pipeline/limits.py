@@ -1,5 +1,6 @@
 """Limits on the size of what is read: a small file can claim more than any machine holds."""
 
+import codecs
 import os
 import re
 from pathlib import Path
@@ -21,6 +22,12 @@ _MOST_DIGITS = 400
 _LONG_NUMBER = re.compile(rf"[0-9_]{{{_MOST_DIGITS + 1}}}")
 # A calibration's keys are three deep. Of a.a.a... TOML's reader makes a table each: its time grows as their square.
 _DEEP_KEY = re.compile(r"""(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){20}""")
+
+# Byte order marks; one of UTF-32 begins like one of UTF-16.
+_WIDE_MARKS = {
+    "UTF-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE),
+    "UTF-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE),
+}
 
 
 def max_pixels() -> int:
@@ -86,24 +93,30 @@ def check_mesh_size(vertices: int, faces: int, repeated: int = 1) -> None:
         )
 
 
-def read_text(path: str | Path, encoding: str = "utf-8") -> str:
-    """Return what a text file holds.
+def read_text(path: str | Path) -> str:
+    """Return what a text file in UTF-8 holds, without a byte order mark.
 
     Raises
     ------
     OSError
         It cannot be read.
     ValueError
-        It is no text, or longer than any file that a rig needs, or holds what takes its reader too long.
+        It is no text, or in another encoding, or longer than any file that a rig needs, or holds what takes its reader
+        too long.
     """
     with Path(path).open("rb") as file:
         data = file.read(_TEXT_BYTES + 1)
     if len(data) > _TEXT_BYTES:
         raise ValueError(f"it is larger than {_TEXT_BYTES // 2**20} MB")
+    for encoding, marks in _WIDE_MARKS.items():
+        if data.startswith(marks):
+            raise ValueError(f"it is text in {encoding}: save it as UTF-8")
     try:
-        text = data.decode(encoding).replace("\r\n", "\n").replace("\r", "\n")
+        text = data.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError:
-        raise ValueError("it is no text file") from None
+        raise ValueError("it is no text file in UTF-8: save it as that") from None
+    if "\0" in text:
+        raise ValueError("it is no text file, or text in UTF-16: save it as UTF-8")
     if _LONG_NUMBER.search(text):
         raise ValueError(f"a number in it has more than {_MOST_DIGITS} digits")
     if _DEEP_KEY.search(text):

@@ -32,6 +32,8 @@ RECORDING, LOG, CALIBRATION = "recording.zarr", "log.jsonl", "calibration.json"
 SETTINGS, PREVIEW = "settings.toml", "live.png"
 # Rates are averages over this many bursts.
 _RATE_BURSTS = 10
+# How long kernels of live decoding may be compiled before the first burst is fired all the same, s.
+_LIVE_READY_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -199,6 +201,11 @@ class CaptureFolder:
             if self.n_frames == 0:
                 shutil.rmtree(self._folder, ignore_errors=True)
 
+    def wait_for_live(self) -> None:
+        """Wait until live decoding is ready for a frame, or has finished the last one; at most for a minute."""
+        if self._live is not None:
+            self._live.wait(_LIVE_READY_S)
+
     def keep(self, burst: Burst) -> None:
         """Record a burst, or remember it."""
         if self._live is not None:
@@ -226,7 +233,7 @@ class CaptureFolder:
         if self._live.ended is not None:
             return (self._live.ended,)
         if self._live.latest() is None:
-            return ("the capture was over before live decoding was ready, which takes some seconds",)
+            return ("the capture was over before live decoding was ready, which takes some seconds at its first start",)
         return ()
 
     def progress(self) -> CaptureProgress:

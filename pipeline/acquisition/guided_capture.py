@@ -107,7 +107,7 @@ class GuidedCapture:
         self._studio, self._folder, self._tell, self._report = studio, folder, tell, report
         self._shown: _Shown | None = None
         self._probe = RigProbe(studio)
-        _continue_session(folder, identity | {"projector_px": list(studio.projector_px)})
+        _continue_session(folder, identity | {"size of the projector's pictures": "{}x{}".format(*studio.projector_px)})
 
     def check_rig(self) -> None:
         """Measure the delay of a picture, and look for faults that spoil every capture.
@@ -116,10 +116,14 @@ class GuidedCapture:
         ------
         CalibrationError
             A fault is found; the message names it.
+        OutputError
+            The folder's pictures have another size than the camera's frames.
         """
         self._tell("looking for faults of the rig")
         for fault in self._probe.faults():
             raise CalibrationError(fault.words)
+        # A camera that is cropped or binned since then takes other frames.
+        _continue_session(self._folder, {"size of frames": "{}x{}".format(*self.camera_px)})
 
     @property
     def camera_px(self) -> tuple[int, int]:
@@ -272,7 +276,7 @@ class GuidedCapture:
     def _hold_board(self, name: str, board: Board, guide: PoseGuide) -> None:
         """Wait until the board is held still at another place than before, or a key is pressed."""
         suggestion = guide.suggest()
-        before = [_by_corner(board, pose.corners_mm, pose.camera_px) for pose in guide.poses]
+        before = {pose.name: _by_corner(board, pose.corners_mm, pose.camera_px) for pose in guide.poses}
         covered = np.concatenate([pose.camera_px for pose in guide.poses]) if guide.poses else None
         line = f"{name}: {suggestion.words}"
         self._settled(1.0)
@@ -286,8 +290,10 @@ class GuidedCapture:
             except CalibrationError as error:
                 seen, problem = {}, f" ({error})"
             moves = np.median(_ways_px(last, seen)) > _STILL_PX * width / 640
-            again = any(_ways_px(pose, seen).max() < _OTHER_PLACE * width for pose in before)
-            if moves or again:
+            for earlier, pose in before.items():
+                if _ways_px(pose, seen).max() < _OTHER_PLACE * width:
+                    problem = f" (it is where it was in {earlier}: turn it)"
+            if moves or problem:
                 since_s = self._studio.now_s()
             last = seen
             places = np.array(list(seen.values())) if seen else None

@@ -141,6 +141,13 @@ class LiveDecoder:
         self._listen()
         return self._idle
 
+    def wait(self, most_s: float) -> None:
+        """Return when it is ready, has ended, or the time is over."""
+        until_s = time.monotonic() + most_s
+        while not self.ready and self._ended is None and (left_s := until_s - time.monotonic()) > 0:
+            with suppress(OSError):
+                self._pipe.poll(left_s)
+
     @property
     def ended(self) -> str | None:
         """Why no frame is decoded any more, one line; None while frames are."""

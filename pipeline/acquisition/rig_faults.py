@@ -7,6 +7,7 @@ the cost of most faults.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from math import inf, sqrt
 
 import numpy as np
@@ -32,6 +33,8 @@ SATURATED, MAX_SATURATED = 0.99, 0.02
 LIT = 0.3
 # Frames of white by which flicker is seen, in bands of so many rows.
 _FLICKER_TAKES, _BAND_PX = 12, 32
+# Codes whose noise is measured, too, and in how many pairs of frames: a tone curve makes more of it in the dark.
+_DARK_CODES, _DARK_TAKES = (0.0, 0.25), 3
 #: Flicker that a phase bears: a channel off by a hundredth makes .013 rad (verdict.py), as much as a frame's noise.
 MAX_FLICKER = 0.01
 # Stripes of one px are this part darker than those of two where a picture is resampled: interpolation mixes codes, and
@@ -65,7 +68,7 @@ class RigProbe:
     delay_s : float
         How long a picture takes to the screen, once `measure_delay` was called.
     noise : float
-        RMS difference of two frames of one picture, of full scale, once `flicker` was called.
+        Largest RMS difference of two frames of a plain picture, of full scale, once `flicker` was called.
     variation : float
         Of white from frame to frame, as a part of it, once `flicker` was called.
     px_per_px : float
@@ -185,7 +188,7 @@ class RigProbe:
             frames = [shares(frame) for frame in self.studio.take()]
             means += [_band_means(frame, self.lit) for frame in frames]
             noise.append(rms(frames[0] - frames[-1]))
-        self.noise = float(np.median(noise))
+        self.noise = max(float(np.median(noise)), *(self._noise(code) for code in _DARK_CODES))
         series = np.array(means)
         self.variation = float(np.nanmax(series.std(axis=0) / series.mean(axis=0)))
         if self.variation <= MAX_FLICKER:
@@ -196,6 +199,11 @@ class RigProbe:
             "projector's cycles (1/60 s or 1/50 s, or the colour wheel's), or the camera's exposure is automatic",
             RAD_PER_PART * self.variation,
         )
+
+    def _noise(self, code: float) -> float:
+        """Return the RMS difference of two frames of a plain picture."""
+        frames = self.frames(self.field(code), _DARK_TAKES)
+        return float(np.median([rms(one - other) for one, other in pairwise(frames)]))
 
     def swapped_colors(self) -> RigFault | None:
         """Return the fault that the camera's channels see other colours than their own."""

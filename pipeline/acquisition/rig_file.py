@@ -10,6 +10,7 @@ from tomlkit.exceptions import TOMLKitError
 from hardware.errors import RigError
 from pipeline.errors import OutputError
 from pipeline.files import explain, write_atomically
+from pipeline.limits import read_text
 
 
 def with_values(text: str, values: Mapping[str, float]) -> str:
@@ -73,16 +74,17 @@ def change_file(path: Path, values: Mapping[str, float]) -> tuple[Path | None, l
         It cannot be written.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as file:  # line ends stay as they are
-            before = file.read()
+        read_text(path)  # which refuses what is no text
+        old = path.read_bytes()
     except (OSError, ValueError) as error:
-        reason = explain(error) if isinstance(error, OSError) else "it is no text file"
+        reason = explain(error) if isinstance(error, OSError) else error
         raise RigError(f"cannot read {path}: {reason}") from None
+    before = old.decode("utf-8-sig")  # line ends stay as they are
     after = with_values(before, values)
     if after == before:
         return None, []
     kept = _unused_name(path)
-    write_atomically(kept, before.encode())
+    write_atomically(kept, old)
     write_atomically(path, after.encode())
     lines = unified_diff(before.splitlines(), after.splitlines(), kept.name, path.name, n=0, lineterm="")
     return kept, list(lines)

@@ -144,6 +144,7 @@ def capture_bursts(
 
         stopping.check()
         tell(kept.progress())
+        kept.wait_for_live()
         bursts = rig.bursts(endless=plan.endless)
         try:
             for burst in islice(bursts, plan.n_bursts):
@@ -151,6 +152,8 @@ def capture_bursts(
                     kept.keep(burst)
                     n_taken += 1
                 tell(kept.progress())
+            kept.wait_for_live()
+            tell(kept.progress())
         except KeyboardInterrupt:
             stopped = n_taken != plan.n_bursts
         finally:

@@ -1,6 +1,7 @@
-"""A simulated camera whose automatics and processing change its picture."""
+"""A simulated camera, whose automatics and processing may change its picture."""
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import cv2
@@ -31,6 +32,12 @@ class CameraFaults:
     chroma: Literal["replicated", "interpolated"] | None = None  # 4:2:0, and how it is brought back to full size
     black_levels: float = 0.0  # level of no light, of 255; below zero it is clipped
     blur_px: float = 0.0  # sigma of the defocused lens
+
+
+#: `[camera] serial` of a rig file that makes the simulated camera a webcam.
+WEBCAM_NAME = "webcam"
+#: What that does: sRGB, mild sharpening, and MJPEG with colour at half the resolution.
+WEBCAM = CameraFaults(curve="srgb", sharpening=0.3, chroma="interpolated", jpeg_quality=90)
 
 
 class SimulatedCamera:
@@ -67,10 +74,11 @@ class SimulatedCamera:
             values = np.clip(values, 0, 1)
             values += np.float32(faults.sharpening) * (values - cv2.GaussianBlur(values, (0, 0), _MASK_PX))
         levels = np.clip(np.rint(255 * values), 0, 255).astype(np.uint8)
-        if faults.chroma is not None:
+        in_jpeg = faults.chroma == "interpolated" and faults.jpeg_quality is not None
+        if faults.chroma is not None and not in_jpeg:
             levels = _subsampled(levels, faults.chroma)
         if faults.jpeg_quality is not None:
-            levels = _compressed(levels, faults.jpeg_quality)
+            levels = _compressed(levels, faults.jpeg_quality, subsampled=in_jpeg)
         return levels
 
     def _drawn(self, shape: tuple[int, ...]) -> _Light:
@@ -98,8 +106,15 @@ def _curved(values: _Light, curve: str, strength: float) -> _Light:
         return values
     values = np.clip(values, 0, 1)
     if curve == "srgb":
-        return np.where(values <= 0.0031308, 12.92 * values, 1.055 * values ** np.float32(1 / 2.4) - np.float32(0.055))
+        return np.asarray(_srgb()[(values * 65535).astype(np.uint16)])
     return np.asarray(values + np.float32(strength) * (values**2 * (3 - 2 * values) - values), np.float32)
+
+
+@cache
+def _srgb() -> _Light:
+    """Return the sRGB value of each of 65536 steps of light (IEC 61966-2-1)."""
+    light = np.linspace(0, 1, 65536, dtype=np.float32)
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** np.float32(1 / 2.4) - np.float32(0.055))
 
 
 def _subsampled(levels: npt.NDArray[np.uint8], way: str) -> npt.NDArray[np.uint8]:
@@ -112,9 +127,9 @@ def _subsampled(levels: npt.NDArray[np.uint8], way: str) -> npt.NDArray[np.uint8
     return np.asarray(cv2.cvtColor(planes, cv2.COLOR_YCrCb2RGB), np.uint8)
 
 
-def _compressed(levels: npt.NDArray[np.uint8], quality: int) -> npt.NDArray[np.uint8]:
-    """Return what JPEG leaves of levels, its chroma at full resolution."""
-    full = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
-    how = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, full]
+def _compressed(levels: npt.NDArray[np.uint8], quality: int, *, subsampled: bool) -> npt.NDArray[np.uint8]:
+    """Return what JPEG leaves of levels, its chroma at full resolution or at half, both ways."""
+    chroma = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420 if subsampled else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
+    how = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, chroma]
     stored = cv2.imencode(".jpg", levels[..., ::-1], how)[1]
     return np.ascontiguousarray(np.asarray(cv2.imdecode(stored, cv2.IMREAD_COLOR), np.uint8)[..., ::-1])

@@ -10,7 +10,6 @@ the camera sees is rendered in a process of its own, where kernels hold up nobod
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Literal, cast
 
@@ -22,7 +21,8 @@ from hardware.alternating_pictures import DIM
 from hardware.protocols import Camera, FrameFormat, Trigger
 from hardware.settings import RigSettings
 from hardware.simulated import SimulatedInstruments
-from pipeline.acquisition.simulated_studio import LIGHT
+from pipeline.acquisition.simulated_camera import WEBCAM, WEBCAM_NAME, SimulatedCamera
+from pipeline.acquisition.simulated_studio import FRAME_S, LIGHT
 from pipeline.calibration import Calibration
 from pipeline.errors import RenderError
 from pipeline.models import CameraState
@@ -46,9 +46,7 @@ SETTINGS = RigSettings.model_validate(
         "projector": {"colour_cycle_s": 1 / 120, "alternating": True},
     }
 )
-#: `[camera] serial` of a rig file that makes the simulated camera a webcam.
-WEBCAM = "webcam"
-#: And by which it sees a ball instead of a head.
+#: `[camera] serial` of a rig file by which the simulated camera sees a ball instead of a head.
 BALL = "ball"
 # The head turns by so much to either side: by up to 0.3 deg from one frame to the next.
 _SWING_DEG = 2.0
@@ -61,8 +59,6 @@ _EXPOSURE = 1.0
 _FINE = 65535 // 255
 # Noise is read from a prepared field at a random place: of a thousand frames hardly two begin at the same one.
 _NOISE_PLACES = 2**20
-# A webcam sharpens by this part of what a blur of this many px takes away, and compresses by this quality of JPEG.
-_SHARPENING, _SHARPENED_PX, _JPEG_QUALITY = 0.3, 1.0, 90
 
 
 @dataclass(frozen=True)
@@ -81,7 +77,7 @@ class Scene:
     places: tuple[tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint16]], ...]
 
 
-class SimulatedCamera:
+class SceneCamera:
     """Frames of the simulated camera: the head where it is at the time, with noise of the frame's own.
 
     Parameters
@@ -91,25 +87,27 @@ class SimulatedCamera:
     period_s : float
         From frame to frame. The head is at a place for one period: frames of a burst show one place after another.
     webcam : bool
-        Whether frames get a tone curve, are sharpened and are compressed as a webcam's are.
+        Whether it is a webcam, which exposes by its own clock: the next time after it is told to.
     """
 
     def __init__(self, scene: Scene, period_s: float, *, webcam: bool) -> None:
-        self._scene, self._period_s, self._webcam = scene, period_s, webcam
+        self._scene, self._period_s = scene, period_s
         self._rng = np.random.default_rng()
+        self._webcam = SimulatedCamera(WEBCAM, LIGHT.noise, self._rng) if webcam else None
         n_levels = scene.places[0][0].size + _NOISE_PLACES
         noise = self._rng.standard_normal(n_levels, dtype=np.float32)
         self._noise = np.rint(LIGHT.noise * _FINE * noise).astype(np.int16)
 
     def expose(self, picture: int, time_s: float) -> npt.NDArray[np.uint8]:
         """Return a frame, (H, W, 3) RGB, under the bright picture (0) or the dim one (1)."""
+        if self._webcam is not None:
+            time_s = math.ceil(time_s / FRAME_S) * FRAME_S
         light = self._scene.places[place_at(time_s, self._period_s, len(self._scene.places))][picture]
+        if self._webcam is not None:
+            return self._webcam.develop(np.asarray(light / np.float32(65535), np.float32), time_s)
         start = self._rng.integers(_NOISE_PLACES)
         noise = self._noise[start : start + light.size].reshape(light.shape)
-        noisy = cv2.add(light, noise, dtype=cv2.CV_16U)
-        if self._webcam:
-            return through_a_webcam(noisy)
-        return np.asarray(cv2.convertScaleAbs(noisy, alpha=1 / _FINE), np.uint8)
+        return np.asarray(cv2.convertScaleAbs(cv2.add(light, noise, dtype=cv2.CV_16U), alpha=1 / _FINE), np.uint8)
 
 
 def place_at(time_s: float, period_s: float, n_places: int) -> int:
@@ -136,32 +134,6 @@ def simulate_place(place: int, n_places: int, scene: Literal["portrait", "ball"]
         object_turn_deg=turn_deg(place, n_places),
     )
     return simulate_frame(simulated_truth(), settings)
-
-
-def through_a_webcam(light: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
-    """Return what a webcam delivers of linear light: a tone curve, sharpening, JPEG with colour at half the resolution.
-
-    Parameters
-    ----------
-    light : (H, W, 3) uint16
-        65535 is full scale.
-    """
-    levels = _srgb_levels()[light]
-    blurred = cv2.GaussianBlur(levels, (0, 0), _SHARPENED_PX)
-    sharpened = cv2.addWeighted(levels, 1 + _SHARPENING, blurred, -_SHARPENING, 0)
-    sampling = (cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420)
-    options = (cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY, *sampling)
-    _, packed = cv2.imencode(".jpg", cv2.cvtColor(sharpened, cv2.COLOR_RGB2BGR), options)
-    return np.asarray(cv2.cvtColor(cv2.imdecode(packed, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB), np.uint8)
-
-
-@cache
-def _srgb_levels() -> npt.NDArray[np.uint8]:
-    """Return the sRGB level of each of 65536 levels of light (IEC 61966-2-1)."""
-    light = np.linspace(0, 1, 65536)
-    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    levels: npt.NDArray[np.uint8] = np.rint(255 * encoded).astype(np.uint8)
-    return levels
 
 
 def render_elsewhere(task: SceneTask, step: Callable[[str], None]) -> Scene:
@@ -249,7 +221,7 @@ def simulated_instruments(
     RenderError
         The process has died.
     """
-    webcam = wiring.camera.serial == WEBCAM
+    webcam = wiring.camera.serial == WEBCAM_NAME
     if wiring.calibration is not None and Path(wiring.calibration).exists():
         calibration = Calibration.read(wiring.calibration)
     else:
@@ -259,7 +231,7 @@ def simulated_instruments(
     is_ball = wiring.camera.serial == BALL
     task = SceneTask(arch, 2, "ball") if is_ball else SceneTask(arch, _PLACES, "portrait")
     scene = render_elsewhere(task, step)
-    camera = SimulatedCamera(scene, wiring.timing.period_s, webcam=webcam)
+    camera = SceneCamera(scene, wiring.timing.period_s, webcam=webcam)
     height, width = scene.places[0][0].shape[:2]
 
     def open_instruments() -> tuple[Trigger, Camera]:

@@ -123,7 +123,7 @@ class SimulatedStudio:
         self._time_s = 0.0
         self._sent: list[tuple[float, npt.NDArray[np.uint8]]] = []  # when each picture comes on, newest last
         self._outline: FloatArray | None = None
-        self._way: tuple[FloatArray, FloatArray, float] = (_START, _START, 0.0)  # from, to, since
+        self._way: tuple[FloatArray, FloatArray, float] = (_START, _START, -_MOVE_S)  # from, to, since
         self._view_of = lru_cache(maxsize=1)(self._look)
         self._light_of: tuple[tuple[object, ...], npt.NDArray[np.float32]] | None = None
 
@@ -243,7 +243,7 @@ class SimulatedStudio:
     def _stands(self, time_s: float) -> tuple[FloatArray, bool]:
         """Return where the board is, (6,), and whether it is at rest."""
         before, to, since_s = self._way
-        step = min(int(_MOVE_STEPS * (time_s - since_s) / _MOVE_S), _MOVE_STEPS)
+        step = min(1 + int(_MOVE_STEPS * (time_s - since_s) / _MOVE_S), _MOVE_STEPS)
         return before + (to - before) * step / _MOVE_STEPS, step == _MOVE_STEPS
 
     def _look(self, stands: tuple[float, ...], samples: int, zoom: float) -> BoardView:

@@ -15,6 +15,7 @@ from pipeline.decoding.doubts import CODE_SHOWN
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
+from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
@@ -103,6 +104,8 @@ class Job:
     fields: tuple[str, ...]
     store: str
     arch: str
+    listed: tuple[str, ...] | None = None  # names of a folder's pictures; None: all that are there
+    digests: tuple[bytes, ...] = ()  # of each frame's file, or of the one that holds all
 
     def open(self) -> Source:
         """Open the footage.
@@ -112,7 +115,7 @@ class Job:
         FootageError, CalibrationError, SettingsError
             It cannot be read, or the calibration or the region of interest does not fit it.
         """
-        source = open_source(self.footage, **vars(self.says))
+        source = open_source(self.footage, listed=self.listed, **vars(self.says))
         if self.calibration is not None and self.calibration.camera is not None:
             expected = self.calibration.camera.size_px
             if expected != source.size_px:
@@ -126,9 +129,25 @@ class Job:
         """Return width and height of what is decoded of a frame."""
         return source.size_px if self.crop is None else (self.crop.width, self.crop.height)
 
-    def with_transfer_of(self, source: Source) -> "Job":
-        """Return the same with the light as the footage says that it is encoded, where nobody knows better."""
-        return replace(self, settings=with_transfer_of(source, self.settings, self.calibration)[0])
+    def pinned(self, source: Source) -> "Job":
+        """Return the same for the footage as it is now: which pictures, what they hold, and how light is encoded.
+
+        All of it is read. The light is the footage's word where nobody knows better.
+        """
+        return replace(
+            self,
+            settings=with_transfer_of(source, self.settings, self.calibration)[0],
+            listed=tuple(source.names) if isinstance(source, ImageFolder) else None,
+            digests=tuple(map(_digest, source.files())),
+        )
+
+    def made_of(self, number: int) -> str:
+        """Return a digest of what a frame is decoded from: its file, and those before it in its chain."""
+        if len(self.digests) < 2:
+            return b"".join(self.digests).hex()
+        length = CHAIN_FRAMES * self.step
+        begin = self.first + (number - self.first) // length * length
+        return hashlib.sha256(b"".join(self.digests[begin : number + 1 : self.step])).hexdigest()[:32]
 
     def identity(self, source: Source) -> dict[str, Any]:
         """Return all that a frame's result depends on, except its number, as JSON."""
@@ -291,3 +310,14 @@ def _fingerprint(source: Source) -> str | None:
                 digest.update(np.ascontiguousarray(plane).tobytes())
             return digest.hexdigest()
     return None
+
+
+def _digest(path: Path) -> bytes:
+    """Return a digest of a file, of 16 bytes; of one that cannot be read, whose frame is bad, zeros."""
+    try:
+        if path.is_file():
+            with path.open("rb") as file:
+                return hashlib.file_digest(file, "sha256").digest()[:16]
+    except OSError:
+        pass
+    return bytes(16)

@@ -45,7 +45,7 @@ def decode_picture(
     force: bool,
     tell: Callable[[str], None],
     remark: Callable[[str], None] = lambda line: None,
-) -> DecodedFrame:
+) -> tuple[DecodedFrame, tuple[str, ...]]:
     """Decode a picture, and write all that a single frame gives.
 
     Parameters
@@ -70,6 +70,13 @@ def decode_picture(
         Hears what is being done.
     remark : callable
         Hears what the user should know before it is written.
+
+    Returns
+    -------
+    DecodedFrame
+        What is written.
+    tuple of str
+        What of the file is not used, for the user.
 
     Raises
     ------
@@ -102,7 +109,7 @@ def decode_picture(
         report["transfer_because"] = transfer_because
         write_frame(folder, frame, settings, calibration, report, part, tell, remark)
         tell(f"moving all into {out}")
-    return frame
+    return frame, source.notes
 
 
 def _compile_kernels(stored: StoredFrame, settings: DecodeSettings, calibration: Calibration | None, arch: str) -> None:

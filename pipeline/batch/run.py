@@ -33,7 +33,7 @@ class DecodeSummary:
     warned: dict[int, tuple[str, ...]] = field(default_factory=dict)  # by number, in order
     notes: tuple[str, ...] = ()  # of the footage as a whole
     unmeasured: list[int] = field(default_factory=list)  # of the frames that are done, those that show nothing
-    damaged: dict[int, str] = field(default_factory=dict)  # frames that were done and not whole: decoded again
+    damaged: dict[int, str] = field(default_factory=dict)  # frames that were done, and why they are decoded again
 
 
 class Stopped(KeyboardInterrupt):
@@ -94,8 +94,9 @@ def decode_footage(
     """
     source = job.open()
     try:
-        job = job.with_transfer_of(source)
         wanted = _wanted(source, start, stop, job.step)
+        step("reading the footage")
+        job = job.pinned(source)
         with _one_writer(job.store):
             telling = _Telling(tell, step, remark)
             return _decode_missing(job, source, wanted, telling, strict=strict, workers=workers, cluster=cluster)
@@ -131,7 +132,7 @@ def _decode_missing(
     telling.step("looking at what is there")
     store, notes, size = _ready_store(job, source, wanted, telling, workers=workers, cluster=cluster)
     there = store.done() & set(wanted)
-    damaged = store.faults(there)
+    damaged = store.faults(there, job.made_of)
     store.unmark(damaged)
     missing = set(wanted) - (there - damaged.keys())
     summary = DecodeSummary(len(wanted), len(wanted) - len(missing), notes=notes, damaged=damaged)

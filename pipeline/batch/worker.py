@@ -118,7 +118,9 @@ class Worker:
                     turn += 1
                     if stored.number in missing:
                         frame.fetch(self._job.fields)
-                        result.written = writers.submit(self._store.write, stored.number, frame)
+                        result.written = writers.submit(
+                            self._store.write, stored.number, frame, self._job.made_of(stored.number)
+                        )
                 for k in range(_RESULTS):
                     self._results[(turn + k) % _RESULTS].finish(marks)
                 marks.finish()

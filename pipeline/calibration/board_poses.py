@@ -260,8 +260,9 @@ def _local_homography(seen: ProjectorMap, corner: FloatArray, radius: float) -> 
         return None
     from_px = np.stack([x[inside] - corner[0], y[inside] - corner[1]], axis=1).astype(np.float64)
     to_px = values[inside]
-    for _ in range(2):
-        matrix, _ = cv2.findHomography(from_px, to_px)
+    # A cycle that is mistaken is off by its whole length, or many.
+    for method in (cv2.LMEDS, 0):
+        matrix, _ = cv2.findHomography(from_px, to_px, method)
         if matrix is None:
             return None
         misfit = np.linalg.norm(cv2.perspectiveTransform(from_px[None], matrix)[0] - to_px, axis=1)

@@ -9,6 +9,7 @@ primary alone, determine all nine: with the ambient light of black taken off, ch
 e_j the projector's light over the chart, whose logarithm is taken to be a plane.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -85,9 +86,9 @@ def read_spectra(path: Path) -> FloatArray:
         The file cannot be read, or is no such table.
     """
     try:
-        lines = read_text(path, "utf-8-sig").splitlines()
+        lines = map(str.strip, read_text(path).splitlines())
         # Headings and remarks do not begin with a number.
-        rows = [line.replace(",", " ").split() for line in lines if line.strip()[:1].isdigit()]
+        rows = [_cells(line) for line in lines if line[:1].isdigit()]
         table = np.array([[float(cell) for cell in row] for row in rows])
     except (OSError, ValueError) as error:
         raise CalibrationError(f"{path} is no table of spectra: {error}") from None
@@ -99,6 +100,17 @@ def read_spectra(path: Path) -> FloatArray:
     if not np.isfinite(table).all() or table[:, 1:].min() < 0 or table[:, 1:].max() > 2:
         raise CalibrationError(f"{path}: reflectances must lie between 0 and 1: divide those in per cent by 100")
     return table
+
+
+def _cells(line: str) -> list[str]:
+    """Return a row's numbers with decimal points; commas are decimal where something else separates the numbers.
+
+    >>> _cells("380;0,12;0,1") == _cells("380 0,12 0,1") == _cells("380, 0.12, 0.1") == _cells("380,0.12,0.1")
+    True
+    """
+    cells = re.split(r"\s*;\s*|,?\s+", line)
+    cells = line.split(",") if len(cells) == 1 else cells
+    return [cell.replace(",", ".") for cell in cells if cell]
 
 
 def measure_wavelengths(

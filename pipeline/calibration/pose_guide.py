@@ -149,8 +149,9 @@ class PoseGuide:
         rig = self._rig()
         candidates = list(self._candidates(rig))
         if self.fit is None:
-            # Before lenses are known: other tilts one after another, in other parts of the picture.
-            chosen = candidates[len(self.poses) * (_TILT_SIDES // 2 + 1) % _TILT_SIDES]
+            # Before lenses are known: every second tilt, then those between.
+            turn = 2 * len(self.poses)
+            chosen = candidates[(turn + turn // _TILT_SIDES) % _TILT_SIDES]
         else:
             covariance = self.fit.covariance()
             known = np.asarray(np.linalg.inv(covariance), np.float64)

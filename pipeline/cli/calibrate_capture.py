@@ -139,6 +139,39 @@ def _kept(target: Path, out: Path) -> Path | None:
     return earlier
 
 
-capture = App(name="capture", help="Show and take the pictures of a calibration, and calibrate the rig.")
+def everything(
+    *,
+    rig: str,
+    out: Path,
+    board: Literal["charuco", "chessboard"] = "charuco",
+    options: BoardOptions = _BOARD,
+    fringes: PatternOptions = _FRINGES,
+    baseline_mm: float | None = None,
+) -> None:
+    """Show and take the pictures of a calibration, and calibrate the rig: its light, then its geometry.
+
+    First a white sheet stands before the rig, then a board is held where the command says. Stopped at any time, it goes
+    on where it was when it is called again. radiometry and geometry do one of the two.
+
+    Example: colorphase calibrate capture --rig rig.toml --out captures --board chessboard --squares 11x8 --square-mm 24
+
+    Parameters
+    ----------
+    rig
+        The rig's TOML file, whose projector.display shows the pictures; or "simulated", which needs nothing to be
+        there.
+    out
+        The folder of the captures; guide.png in it shows where to hold the board.
+    board
+        What the board is.
+    baseline_mm
+        The distance between camera and projector where it is known; a wrong square size shows in it.
+    """
+    radiometry(rig=rig, out=out)
+    geometry(rig=rig, out=out, board=board, options=options, fringes=fringes, baseline_mm=baseline_mm)
+
+
+capture = App(name="capture")
+capture.default(everything)
 for command in (radiometry, geometry):
     capture.command(command)

@@ -29,7 +29,7 @@ from pipeline.cli.console import (
 )
 from pipeline.cli.export import MeshChoice, write_frames
 from pipeline.errors import FootageError, SettingsError
-from pipeline.footage.image_folder import IMAGE_SUFFIXES
+from pipeline.footage.image_folder import is_footage
 from pipeline.footage.source import StoredAs
 from pipeline.output.folder import STORE, refuse_others
 from pipeline.output.formats.table import FORMATS, Kind
@@ -159,7 +159,7 @@ def decode(
         Write a picture's mesh.ply; --no-mesh leaves it out.
     """
     how, rig = chosen.applied_to(read_settings(settings)), _within(read_calibration(calibration), depth_range)
-    if input.suffix.lower() not in IMAGE_SUFFIXES or input.is_dir():
+    if is_footage(input):
         if part != _ALL and video.export is None:
             raise SettingsError("--crop, --no-background and --triangles are for meshes: add --export, or omit them")
         if not mesh:
@@ -176,7 +176,11 @@ def decode(
 
     options = part.options() if mesh else None
     with steps() as step:
-        frame = decode_picture(input, out, how, rig, stored_as, arch, options, force=force, tell=step, remark=remark)
+        frame, notes = decode_picture(
+            input, out, how, rig, stored_as, arch, options, force=force, tell=step, remark=remark
+        )
+    for note in notes:
+        remark(f"note: {note}")
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
     relative = depth_in_words(partial(getattr, frame), in_mm=frame.calibrated, front_is_clear=frame.front_is_clear)
     if relative is not None:
@@ -287,7 +291,7 @@ def _say_summary(summary: DecodeSummary, store: str) -> None:
         remark(f"note: {note}")
     if summary.damaged:
         number, fault = min(summary.damaged.items())
-        remark(f"{frames(len(summary.damaged))} damaged and decoded again; frame {number}: {fault}")
+        remark(f"{frames(len(summary.damaged))} decoded again; frame {number}: {fault}")
     for bad in summary.bad[:_SHOWN]:
         remark(f"frame {bad.number} is bad: {bad.reason}")
     if len(summary.bad) > _SHOWN:

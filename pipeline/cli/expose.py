@@ -56,10 +56,9 @@ def expose(
     pattern = None if calibration is None else calibration.pattern
     period_px = DEFAULT_PERIOD_PX if pattern is None else pattern.period_px
     axis = 1 if pattern is not None and pattern.stripes == "vertical" else 0
-    # Whether the exposure is a whole number of cycles is measured here, not refused.
-    projector = settings.projector.model_copy(update={"colour_cycle_s": None})
-    opened = settings.model_copy(update={"projector": projector})
-    with opened_studio(opened, rig, None, Path(rig).with_name("guide.png")) as (studio, show):
+    # Whether the exposure is a whole number of cycles is measured here.
+    picture = Path(rig).with_name("guide.png")
+    with opened_studio(settings, rig, None, picture, any_exposure=True) as (studio, show):
         if focus_s:
             show("focus")
             say(_watch_focus(studio, period_px, axis, focus_s, show))

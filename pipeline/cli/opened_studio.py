@@ -9,7 +9,8 @@ from hardware.instruments import open_instruments
 from hardware.settings import RigSettings
 from pipeline.acquisition.chosen_rig import check_projector
 from pipeline.acquisition.session import Stopping
-from pipeline.acquisition.simulated_studio import SimulatedStudio
+from pipeline.acquisition.simulated_camera import WEBCAM, WEBCAM_NAME, CameraFaults
+from pipeline.acquisition.simulated_studio import SimulatedStudio, StudioFaults
 from pipeline.acquisition.studio import RigStudio, Studio
 from pipeline.calibration.board import Board
 from pipeline.cli.console import say, steps
@@ -18,7 +19,7 @@ from tikernels import runtime
 
 @contextmanager
 def opened_studio(
-    settings: RigSettings, rig: str, board: Board | None, picture: Path
+    settings: RigSettings, rig: str, board: Board | None, picture: Path, *, any_exposure: bool = False
 ) -> Iterator[tuple[Studio, Callable[[str], None]]]:
     """Open a rig, or the simulated one; yield it, and the callable that shows the step being done.
 
@@ -32,6 +33,8 @@ def opened_studio(
         The board that the simulated operator holds; None: a white sheet.
     picture : Path
         The PNG that shows the operator of a real rig what to do.
+    any_exposure : bool
+        Whether the exposure may be no whole number of the projector's cycles, which is refused else.
 
     Raises
     ------
@@ -41,8 +44,15 @@ def opened_studio(
     with Stopping().listening(), steps() as show:
         show("opening the rig")
         if settings.trigger.driver == settings.camera.driver == SIMULATED:
-            studio: Studio = SimulatedStudio(board, settings.camera.exposure_s, tell=show)
+            faults = StudioFaults(
+                colour_cycle_s=settings.projector.colour_cycle_s,
+                camera=WEBCAM if settings.camera.serial == WEBCAM_NAME else CameraFaults(),
+            )
+            studio: Studio = SimulatedStudio(board, settings.camera.exposure_s, tell=show, faults=faults)
         else:
+            if any_exposure:
+                projector = settings.projector.model_copy(update={"colour_cycle_s": None})
+                settings = settings.model_copy(update={"projector": projector})
             check_projector(settings, rig)
             runtime.init("cpu")
             studio = RigStudio(settings, open_instruments, picture, show)

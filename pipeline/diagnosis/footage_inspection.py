@@ -105,7 +105,8 @@ def container_facts(path: Path, source: Source) -> ContainerFacts:
         # The number that changes from name to name: the last one.
         numbers = [int(found[-1]) for name in source.names if (found := _NUMBER.findall(Path(name).stem))]
         missing, gaps = _missing(numbers) if len(numbers) == len(source) else (None, 0)
-        kind = "a picture" if len(source) == 1 else "a folder of pictures"
+        several = "a folder of pictures" if Path(source.name).is_dir() else "pages of a file"
+        kind = "a picture" if len(source) == 1 else several
         codec = Path(source.names[0]).suffix[1:].lower()
         return ContainerFacts(kind, codec, source.format.layout, lossy, False, None, None, missing, gaps)
     return ContainerFacts("our recording in Zarr", "blosc", source.format.layout, False, False, None, None, None, 0)

@@ -26,7 +26,7 @@ _TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 8: "linear", 13:
 _OTHER_TRANSFERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SMPTE 428", 9: "logarithmic"}
 _FULL_RANGE, _UNKNOWN_RANGE = 2, 0
 # Codecs whose chroma sits in the middle of its pixels (JFIF, MPEG-1); all others' sits left, as H.264's does.
-_CENTRED = ("mjpeg", "mjpegb", "mpeg1video")
+_CENTRED = ("mjpeg", "mjpegb", "mpeg1video", "webp")
 # Rows from which on players take BT.709 where a frame says nothing of its matrix; with fewer, BT.601.
 _HD_ROWS = 720
 

@@ -1,14 +1,9 @@
 """Read a colour image, or say in one line why it is none.
 
-JPEG is decoded by FFmpeg, which says what is wrong with a picture where other decoders fill it up with grey; HEIC, as
-phones store pictures, by libheif, which the extra `heic` brings; all else by OpenCV.
-
-References
-----------
-ISO/IEC 23008-12 (HEIF), 6.5.10 for how a picture is turned, and 10.2 for the brands.
+JPEG is decoded by FFmpeg, which says what is wrong with a picture where other decoders fill it up with grey, and so are
+the planes of WebP; HEIC by libheif; all else by OpenCV.
 """
 
-import io
 import struct
 import zlib
 from contextlib import suppress
@@ -21,26 +16,32 @@ import numpy.typing as npt
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import caught_messages
+from pipeline.footage.heic_file import is_heic, read_heic
 from pipeline.footage.picture_tags import (
-    CMYK,
-    PictureTags,
+    JPEG,
+    PNG,
+    picture_end,
     picture_size,
+    png_chunks,
     read_tags,
+    stored_bits,
     unfit_colors,
     upright,
-    with_colors,
+)
+from pipeline.footage.tiff_file import (
+    TIFF_MARKS,
+    as_stored,
+    first_page_place,
+    is_damaged,
+    page_places,
+    pages_elsewhere,
+    read_directory,
+    select_page,
 )
 from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels
 from pipeline.models import ImageArray
 
-_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
-_INSTALL = "it is a picture in HEIC: pip install 'colorphase[heic]' to read it, or save it as PNG, TIFF or JPEG"
-# What FFmpeg makes of a JPEG in cyan, magenta, yellow and black.
-_FOUR_COLOURS = ("gbrap", "yuva444p", "cmyk")
-# How each kind of file begins and how a whole one ends; OpenCV decodes the rest of a truncated one as grey.
-_PNG = b"\x89PNG\r\n\x1a\n"
-_JPEG = b"\xff\xd8\xff"
-_ENDS = {_PNG: b"IEND\xaeB`\x82", _JPEG: b"\xff\xd9"}
+_NONSENSE = (struct.error, ValueError)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -68,17 +69,50 @@ def read_bytes(path: Path) -> bytes:
         raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
 
 
-def check_whole(path: Path, data: bytes) -> None:
-    """Check that an image file's end is there.
+def read_picture(path: Path) -> bytes:
+    """Return a file's picture: what holds one that is complete, without what other programs put behind it.
 
     Raises
     ------
     FootageError
-        It is not.
+        It cannot be read, is truncated, or has several pages.
     """
-    for start, end in _ENDS.items():
-        if data.startswith(start) and end not in data[-1024:]:
-            raise FootageError(f"{path} is truncated: copy it again")
+    data = read_bytes(path)
+    end = picture_end(data)
+    if end is None:
+        raise FootageError(f"{path} is truncated: copy it again")
+    pages = tiff_pages(path, data)
+    if len(pages) > 1:
+        raise FootageError(
+            f"{path} has {len(pages)} pages: save each as a file of its own, or decode the file by itself"
+        )
+    if pages and pages != [first_page_place(data)]:  # behind a smaller version
+        file = bytearray(data)
+        select_page(file, pages[0])
+        return bytes(file)
+    return data[:end]
+
+
+def tiff_pages(path: Path, data: bytes) -> list[int]:
+    """Return where the directories of a TIFF file's pages begin; of another file none.
+
+    Raises
+    ------
+    FootageError
+        It is damaged, or not all of its pages can be found.
+    """
+    if data[:4] not in TIFF_MARKS:
+        return []
+    try:
+        places = page_places(data)
+        lost = pages_elsewhere(read_directory(data), len(places))
+    except _NONSENSE:
+        raise FootageError(f"{path} is truncated or damaged: copy it again") from None
+    if lost:
+        raise FootageError(
+            f"{path} is a stack by ImageJ, {lost} of whose pages are not listed: save it in parts of less than 4 GB"
+        )
+    return places
 
 
 def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
@@ -94,17 +128,17 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
     size_px = picture_size(data)
     if size_px is not None:
         check_size(str(path), *size_px)
-        if data.startswith(_PNG):
+        if data.startswith(PNG):
             data = _only_pixels(path, data)
-        elif data.startswith(_JPEG):
+        elif data.startswith(JPEG):
             _check_jpeg(path, data)
+        elif data[:4] in TIFF_MARKS:
+            data = _checked_page(path, data)
         with suppress(cv2.error):  # the message below says it in one line
             image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or size_px is None:
         raise FootageError(f"{path} is not a picture that can be read: give a PNG, TIFF or JPEG file")
-    # OpenCV turns TIFF by its orientation.
-    turned = size_px[::-1] if data[:2] in (b"II", b"MM") else size_px
-    if image.shape[1::-1] not in (size_px, turned):
+    if image.shape[1::-1] != size_px:
         raise FootageError(f"{path} is damaged: copy it again")
     if image.dtype not in (np.uint8, np.uint16, np.float32):
         raise FootageError(f"{path} holds {image.dtype} values: save it with 8 or 16 bits")
@@ -112,10 +146,18 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
     return levels
 
 
+def _checked_page(path: Path, data: bytes) -> bytes:
+    """Return a TIFF whose page OpenCV decodes as it is stored; of what is damaged there it makes black."""
+    with suppress(*_NONSENSE):
+        if not is_damaged(data, read_directory(data)):
+            return as_stored(data)
+    raise FootageError(f"{path} is damaged: copy it again")
+
+
 def _check_jpeg(path: Path, data: bytes) -> None:
     """Check a JPEG for damage, which OpenCV only prints, past everything that could catch it."""
     try:
-        JpegDecoder().decode(data)
+        PlaneDecoder("mjpeg").decode(data)
     except FootageError as error:
         raise FootageError(f"{path}: {error}") from None
 
@@ -131,17 +173,13 @@ def _only_pixels(path: Path, data: bytes) -> bytes:
     FootageError
         A checksum is wrong.
     """
-    kept: list[bytes | memoryview] = [_PNG]
-    begin, kind = len(_PNG), b""
+    kept: list[bytes | memoryview] = [PNG]
     view = memoryview(data)
-    while kind != b"IEND" and begin + 12 <= len(data):
-        size, kind = struct.unpack_from(">I4s", data, begin)
-        end = begin + 12 + size
-        if end > len(data) or zlib.crc32(view[begin + 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
+    for kind, begin, end in png_chunks(data):
+        if end > len(data) or zlib.crc32(view[begin - 4 : end - 4]) != struct.unpack_from(">I", data, end - 4)[0]:
             raise FootageError(f"{path} is damaged: copy it again")
         if kind[:1].isupper() or kind == b"tRNS":
-            kept.append(view[begin:end])
-        begin = end
+            kept.append(view[begin - 8 : end])
     return b"".join(kept)
 
 
@@ -159,10 +197,9 @@ def read_codes(path: str | Path) -> npt.NDArray[np.uint8]:
         The file cannot be read, is truncated, is no PNG, or is none of 8 bits without transparency.
     """
     path = Path(path)
-    data = read_bytes(path)
-    if not data.startswith(_PNG):
+    data = read_picture(path)
+    if not data.startswith(PNG):
         raise FootageError(f"{path} is no PNG: make one with colorphase pattern; other formats change colours")
-    check_whole(path, data)
     image = decode_levels(path, data)
     if image.dtype != np.uint8:
         raise FootageError(f"{path} has 16 bits a colour, and displays take 8: save it with 8 bits")
@@ -184,16 +221,21 @@ def read_image(path: str | Path) -> ImageArray:
     Raises
     ------
     FootageError
-        The file cannot be read, is truncated, is no image, or has no three colours.
+        The file cannot be read, is truncated, is no image, or has no three colours, or these are HEIC's of half the
+        resolution.
     """
     path = Path(path)
-    data = read_bytes(path)
-    check_whole(path, data)
+    data = read_picture(path)
     if is_heic(data[:12]):
         try:
-            return cast(ImageArray, read_heic(data)[0])
+            planes, format, _ = read_heic(data)
         except FootageError as error:
             raise FootageError(f"{path}: {error}") from None
+        if format.layout != "rgb":
+            raise FootageError(
+                f"{path}: its colours have half the resolution: open_source and develop interpolate them"
+            )
+        return planes[0]
     if (unfit := unfit_colors(data)) is not None:
         raise FootageError(f"{path}: {unfit}")
     image = decode_levels(path, data)
@@ -201,18 +243,21 @@ def read_image(path: str | Path) -> ImageArray:
         raise FootageError(f"{path} is grey: the phase is in the colours, give a colour picture")
     if image.shape[2] != 3:
         raise FootageError(f"{path} has {image.shape[2]} channels: save it without transparency")
+    if (bits := stored_bits(data)) is not None:  # full scale is that of their type
+        image = image << (8 * image.itemsize - bits)
     upright_image = upright(image[..., ::-1], read_tags(data).orientation)
     return cast(ImageArray, np.ascontiguousarray(upright_image))
 
 
-class JpegDecoder:
-    """Decode pictures one after another."""
+class PlaneDecoder:
+    """Decode pictures one after another, by a codec of FFmpeg; see `plane_codec`."""
 
-    def __init__(self) -> None:
+    def __init__(self, codec: str) -> None:
+        self._codec = codec
         self._context: Any = None
 
     def decode(self, data: bytes) -> Any:
-        """Return FFmpeg's frame of a JPEG file.
+        """Return FFmpeg's frame of a file.
 
         Raises
         ------
@@ -226,7 +271,7 @@ class JpegDecoder:
             raise FootageError("it is damaged (it does not say how large it is): copy it again")
         check_size("it", *size_px)
         if self._context is None:
-            self._context = av.CodecContext.create("mjpeg", "r")
+            self._context = av.CodecContext.create(self._codec, "r")
             self._context.options = ffmpeg_limits()
         frames = []
         with caught_messages() as said, suppress(av.error.FFmpegError):
@@ -234,39 +279,4 @@ class JpegDecoder:
         if said or not frames:
             self._context = None  # what it made of this one may stay in its state
             raise FootageError(f"it is damaged ({said[0] if said else 'nothing can be decoded'}): copy it again")
-        if frames[0].format.name in _FOUR_COLOURS:
-            raise FootageError(CMYK)
         return frames[0]
-
-
-def is_heic(data: bytes) -> bool:
-    """Return whether a file that begins like this (12 bytes) is one."""
-    return data[4:8] == b"ftyp" and data[8:12] in _BRANDS
-
-
-def read_heic(data: bytes) -> tuple[npt.NDArray[Any], PictureTags]:
-    """Return a picture's levels, (H, W, 3) RGB, uint8 or uint16 of 16 bits, and what the file says of them.
-
-    It is turned as the camera was held, by the file's own turns; what Exif repeats of these does not count.
-
-    Raises
-    ------
-    FootageError
-        It is damaged, grey or too large, or the extra is not installed.
-    """
-    try:
-        import pillow_heif
-    except ImportError:
-        raise FootageError(_INSTALL) from None
-    try:
-        picture = pillow_heif.open_heif(io.BytesIO(data), convert_hdr_to_8bit=False)
-        check_size("the picture", *picture.size)
-        levels = np.asarray(picture)
-    except (ValueError, RuntimeError, EOFError, SyntaxError) as error:
-        raise FootageError("it is damaged: copy it again") from error
-    if levels.ndim != 3:
-        raise FootageError("it is grey, but the phase is in the colours: give a colour picture")
-    tags = PictureTags(1, "srgb", "a HEIC picture that says nothing else is sRGB")
-    marked = picture.info.get("nclx_profile") or {}
-    tags = with_colors(tags, picture.info.get("icc_profile"), marked.get("transfer_characteristics"))
-    return np.ascontiguousarray(levels[..., :3]), tags

@@ -1,9 +1,10 @@
-"""Frames from image files: a folder of them in their natural order, or a single one."""
+"""Frames from image files: a folder of them in their natural order, a single one, or the pages of one."""
 
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import cast
 
@@ -12,17 +13,37 @@ import numpy as np
 
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import stored_planes
-from pipeline.footage.image_file import JpegDecoder, check_whole, decode_levels, is_heic, read_bytes, read_heic
-from pipeline.footage.picture_tags import PictureTags, read_tags, unfit_colors, upright
+from pipeline.footage.heic_file import is_heic, read_heic
+from pipeline.footage.image_file import (
+    PlaneDecoder,
+    decode_levels,
+    read_bytes,
+    read_picture,
+    tiff_pages,
+)
+from pipeline.footage.picture_tags import (
+    TRANSPARENT,
+    PictureTags,
+    is_transparent,
+    picture_end,
+    plane_codec,
+    read_tags,
+    unfit_colors,
+    upright,
+)
+from pipeline.footage.picture_tags import stored_bits as pnm_bits
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first
+from pipeline.footage.tiff_file import TIFF_MARKS, read_directory, select_page, stored_bits
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import FLOAT_BITS, Bayer, PixelFormat
 
-_JPEG_SUFFIXES = (".jpg", ".jpeg", ".jpe")
+_JPEG_SUFFIXES, _TIFF_SUFFIXES = (".jpg", ".jpeg", ".jpe"), (".tif", ".tiff")
 #: How the names of image files end.
-IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".bmp", ".ppm", ".pgm", ".pnm", ".webp", ".heic", ".heif", *_JPEG_SUFFIXES)
+IMAGE_SUFFIXES = (".png", *_TIFF_SUFFIXES, ".bmp", ".ppm", ".pgm", ".pnm", ".webp", ".heic", ".heif", *_JPEG_SUFFIXES)
 _DIGITS = re.compile(r"(\d+)")
+# Full scale of most cameras with more than 8 bits, levels.
+_TWELVE_BITS = 2**12 - 1
 
 
 def natural_key(name: str) -> tuple[list[int | str], str]:
@@ -45,6 +66,8 @@ class ImageFolder:
         Which files, in order.
     says : StoredAs
         What the user says of the pixels.
+    stack : _Stack, optional
+        The pages of a single file, in place of files.
 
     Raises
     ------
@@ -52,23 +75,24 @@ class ImageFolder:
         None of them can be read.
     """
 
-    def __init__(self, name: str, folder: Path, names: Sequence[str], says: StoredAs) -> None:
+    def __init__(
+        self, name: str, folder: Path, names: Sequence[str], says: StoredAs, stack: "_Stack | None" = None
+    ) -> None:
         self.name = name
         self._folder = folder
         self.names = names
         self._says = says
-        self._jpeg_decoder = JpegDecoder()
-        self.notes: tuple[str, ...] = ()
+        self._stack = stack
+        self._decoders = {codec: PlaneDecoder(codec) for codec in ("mjpeg", "webp")}
         reason = ""
-        self.transfer: str | None = None
-        self.transfer_because = ""
         for number in range(len(names)):
             try:
-                planes, self.format, tags = self._read(number)
+                planes, self.format, self._tags = self._read(number)
             except FootageError as error:
                 reason = reason or str(error)
                 continue
-            self.transfer, self.transfer_because = tags.transfer, tags.because
+            self.transfer, self.transfer_because = self._tags.transfer, self._tags.because
+            self.notes = self._tags.notes
             self.size_px = (planes[0].shape[1], planes[0].shape[0])
             return
         if len(names) > 1:
@@ -76,8 +100,8 @@ class ImageFolder:
         raise FootageError(reason)
 
     @classmethod
-    def in_folder(cls, folder: Path, says: StoredAs) -> "ImageFolder":
-        """Take every image file of a folder, in the natural order of their names.
+    def in_folder(cls, folder: Path, says: StoredAs, listed: Sequence[str] | None = None) -> "ImageFolder":
+        """Take every image file of a folder, in the natural order of their names; or those that were listed before.
 
         Raises
         ------
@@ -85,10 +109,25 @@ class ImageFolder:
             There is none, or none can be read.
         """
         # Names alone: asking the file system about each of 100,000 files takes longer than reading the list.
-        names = [name for name in os.listdir(folder) if name.lower().endswith(IMAGE_SUFFIXES) and name[0] != "."]
+        names = listed or sorted(
+            (name for name in os.listdir(folder) if name.lower().endswith(IMAGE_SUFFIXES) and name[0] != "."),
+            key=natural_key,
+        )
         if not names:
             raise FootageError(f"{folder} holds no pictures: give a folder of PNG, TIFF or JPEG files, or a video")
-        return cls(str(folder), folder, sorted(names, key=natural_key), says)
+        return cls(str(folder), folder, names, says)
+
+    @classmethod
+    def of_file(cls, path: Path, says: StoredAs) -> "ImageFolder":
+        """Take a single picture, or each page of a TIFF file.
+
+        Raises
+        ------
+        FootageError
+            It cannot be read.
+        """
+        stack = _stack_of(path)
+        return cls(str(path), path.parent, [path.name] * (1 if stack is None else len(stack.places)), says, stack)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -97,16 +136,20 @@ class ImageFolder:
         """Yield frames by number; see `Source`."""
         for number in range(len(self))[start:stop:step]:
             try:
-                planes, format, _ = self._read(number)
+                planes, format, tags = self._read(number)
             except FootageError as error:
                 yield BadFrame(number, str(error))
                 continue
             size_px = (planes[0].shape[1], planes[0].shape[0])
-            reason = other_than_first(format, size_px, self)
+            reason = _other_tags(tags, self._tags) or other_than_first(format, size_px, self)
             if reason is not None:
                 yield BadFrame(number, f"{self.names[number]}: {reason}")
             else:
                 yield StoredFrame(number, planes, format)
+
+    def files(self) -> list[Path]:
+        """Return the pictures' files; see `Source`."""
+        return [self._folder / name for name in (self.names if self._stack is None else self.names[:1])]
 
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""
@@ -114,41 +157,103 @@ class ImageFolder:
     def _read(self, number: int) -> tuple[tuple[ImageArray, ...], PixelFormat, PictureTags]:
         """Return a picture's planes as it is to be seen, how they are stored, and what its file says."""
         path = self._folder / self.names[number]
-        data = read_bytes(path)
-        check_whole(path, data)
-        if is_heic(data[:12]):
-            try:
-                levels, tags = read_heic(data)
-            except FootageError as error:
-                raise FootageError(f"{path}: {error}") from None
-            bits = 8 if levels.dtype == np.uint8 else 16
-            return (levels,), self._says.applied_to(PixelFormat("rgb", bits)), tags
-        tags = read_tags(data)
-        planes, format = self._read_stored(path, data)
-        return (*_turned(planes, format, tags.orientation), tags)
-
-    def _read_stored(self, path: Path, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat]:
         try:
-            if data.startswith(b"\xff\xd8\xff"):
-                return self._read_jpeg(data)
+            data = read_picture(path) if self._stack is None else self._stack.page(number)
+            if is_heic(data[:12]):
+                planes, format, tags = read_heic(data)
+                return planes, self._says.applied_to(format), tags
             if (unfit := unfit_colors(data)) is not None:
                 raise FootageError(unfit)
-            image = decode_levels(path, data)
-            bits = {"uint8": 8, "uint16": 16}.get(image.dtype.name, FLOAT_BITS)
-            if image.ndim == 2:
-                if self._says.bayer is None:
-                    raise FootageError(GREY)
-                return (image,), self._says.applied_to(PixelFormat("bayer", bits))
-            image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
-            return (image,), self._says.applied_to(PixelFormat("rgb", bits))
+            if (codec := plane_codec(data)) is None:
+                planes, format, tags = self._read_levels(path, data)
+            else:  # libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)
+                planes, format, _ = stored_planes(self._decoders[codec].decode(data), codec, self._says)
+                tags = read_tags(data)
+            return (*_turned(planes, format, tags.orientation), tags)
         except (FootageError, ShapeError) as error:
             text = str(error)
-            raise FootageError(text if text.startswith(str(path)) else f"{path}: {text}") from None
+            raise FootageError(text if str(path) in text else f"{path}: {text}") from None
 
-    def _read_jpeg(self, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat]:
-        """Read a JPEG's planes: libraries' RGB costs more (see `tikernels.raw.chroma_upsampling`)."""
-        planes, format, _ = stored_planes(self._jpeg_decoder.decode(data), "mjpeg", self._says)
-        return planes, format
+    def _read_levels(self, path: Path, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat, PictureTags]:
+        image, tags = decode_levels(path, data), read_tags(data)
+        bits, shift = {"uint8": 8, "uint16": 16}.get(image.dtype.name, FLOAT_BITS), 0
+        if data[:4] in TIFF_MARKS and (fewer := stored_bits(read_directory(data))) in range(9, 16):
+            bits, shift = fewer, 16 - fewer  # OpenCV shifts them up
+        bits = pnm_bits(data) or bits
+        if bits == 16 and self._says.bits is None and image.max(initial=0) <= _TWELVE_BITS:
+            note = f"none of its levels, of 16 bits, is above {_TWELVE_BITS}: if the camera gives 12, add --bits 12"
+            tags = replace(tags, notes=(*tags.notes, note))
+        if image.ndim == 2:
+            if self._says.bayer is None:
+                raise FootageError(GREY)
+            return (image,), self._says.applied_to(PixelFormat("bayer", bits, shift)), tags
+        if is_transparent(image):
+            tags = replace(tags, notes=(*tags.notes, TRANSPARENT))
+        image = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.shape[2] == 3 else cv2.COLOR_BGRA2RGB)
+        return (image,), self._says.applied_to(PixelFormat("rgb", bits, shift)), tags
+
+
+@dataclass(frozen=True)
+class _Stack:
+    """A TIFF file of several pages, which is read once."""
+
+    path: Path
+    data: bytearray
+    places: list[int]  # where each page's directory begins
+
+    def page(self, number: int) -> bytes:
+        """Return a file whose first page is this one, until the next call.
+
+        Raises
+        ------
+        FootageError
+            It is truncated.
+        """
+        select_page(self.data, self.places[number])
+        page = cast(bytes, self.data)  # a copy for each page would take longer than decoding it
+        if picture_end(page) is None:
+            raise FootageError(f"page {number + 1} of {self.path} is truncated: copy it again")
+        return page
+
+
+def _stack_of(path: Path) -> _Stack | None:
+    """Return the pages of a TIFF file that has several; None: it is another file, or cannot be read.
+
+    Raises
+    ------
+    FootageError
+        One of its pages is damaged.
+    """
+    with path.open("rb") as file:
+        if file.read(4) not in TIFF_MARKS:
+            return None
+    data = read_bytes(path)
+    places = tiff_pages(path, data)
+    return _Stack(path, bytearray(data), places) if len(places) > 1 else None
+
+
+def is_footage(path: Path) -> bool:
+    """Return whether a path is that of several pictures, or of no picture."""
+    if path.suffix.lower() not in IMAGE_SUFFIXES or path.is_dir():
+        return True
+    with suppress(OSError):  # it is read again, and then says it
+        return path.is_file() and _stack_of(path) is not None
+    return False
+
+
+def _other_tags(tags: PictureTags, first: PictureTags) -> str | None:
+    """Say how a picture's file describes it otherwise than the first; None: alike."""
+    if tags.orientation != first.orientation:
+        return (
+            f"its Exif orientation is {tags.orientation}, the first has {first.orientation}: cameras guess it where "
+            "they look down; give all the same one, or remove it from all"
+        )
+    if tags.transfer != first.transfer:
+        return (
+            f"its light is {tags.transfer or 'linear'} ({tags.because}), the first is {first.transfer or 'linear'} "
+            f"({first.because}): save all alike"
+        )
+    return None
 
 
 def _turned(

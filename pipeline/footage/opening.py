@@ -4,6 +4,7 @@ A frame leaves its source in the form in which it was stored; `tikernels.develop
 """
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
-from pipeline.footage.image_file import is_heic
+from pipeline.footage.heic_file import is_heic
 from pipeline.footage.image_folder import IMAGE_SUFFIXES, ImageFolder
 from pipeline.footage.source import Source, StoredAs
+from pipeline.footage.tiff_file import RAW
 from pipeline.footage.video_file import VideoFile
 from pipeline.footage.zarr_recording import ZarrRecording
 from tikernels.errors import ShapeError
@@ -42,6 +44,7 @@ def open_source(
     siting: Siting | None = None,
     matrix: Matrix | None = None,
     full_range: bool | None = None,
+    listed: Sequence[str] | None = None,
 ) -> Source:
     """Open footage: a folder of images, a single image, a video file, or a recording.
 
@@ -52,6 +55,8 @@ def open_source(
     bayer, bits, siting, matrix, full_range
         How the pixels are stored, see `PixelFormat`; each wins over what the footage says of itself. Grey footage
         needs `bayer`.
+    listed : sequence of str, optional
+        Names of a folder's pictures, in order: others that have come since are not looked at.
 
     Raises
     ------
@@ -65,7 +70,7 @@ def open_source(
             # Any kind of Zarr group: those that are no recordings are refused there, by name.
             if path.suffix == ".zarr" or (path / "zarr.json").exists() or (path / ".zgroup").exists():
                 return ZarrRecording(path, says)
-            return ImageFolder.in_folder(path, says)
+            return ImageFolder.in_folder(path, says, listed)
         if not path.is_file():
             what = "it is neither a file nor a folder" if path.exists() else "there is no such file"
             raise FootageError(f"cannot read {path}: {what}")
@@ -74,11 +79,9 @@ def open_source(
         if (kind := _unread_kind(head)) is not None:
             raise FootageError(f"cannot read {path}: it is a picture in {kind}: save it as PNG, TIFF or JPEG")
         if path.suffix.lower() in _RAW_SUFFIXES:
-            raise FootageError(
-                f"cannot read {path}: it is a camera's raw file: convert it to a TIFF of 16 bits and linear light"
-            )
+            raise FootageError(f"cannot read {path}: {RAW}")
         if path.suffix.lower() in IMAGE_SUFFIXES or is_heic(head):
-            return ImageFolder(str(path), path.parent, [path.name], says)
+            return ImageFolder.of_file(path, says)
         return VideoFile(path, says)
     except (FootageError, ShapeError) as error:
         if str(path) in str(error):

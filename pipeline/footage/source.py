@@ -2,6 +2,7 @@
 
 from collections.abc import Generator
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol
 
 from pipeline.errors import FootageError
@@ -65,6 +66,9 @@ class Source(Protocol):
 
     def frames(self, start: int = 0, stop: int | None = None, step: int = 1) -> Frames:
         """Yield the frames start, start + step, ... below stop: each number once, in order, as a frame or a bad one."""
+
+    def files(self) -> list[Path]:
+        """Return the file of each frame, some of which may be missing; or one file, if it holds them all."""
 
     def close(self) -> None:
         """Let go of files; a second call does nothing."""

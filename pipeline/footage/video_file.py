@@ -115,6 +115,10 @@ class VideoFile:
                 yield BadFrame(wanted[due], reasons.get(wanted[due], _MISSING))
                 due += 1
 
+    def files(self) -> list[Path]:
+        """Return the one file; see `Source`."""
+        return [Path(self.name)]
+
     def close(self) -> None:
         """Do nothing: each iteration opens and closes the file."""
 

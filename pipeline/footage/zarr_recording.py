@@ -140,6 +140,10 @@ class ZarrRecording:
         for number in range(len(self))[start:stop:step]:
             yield self._read(number)
 
+    def files(self) -> list[Path]:
+        """Return the frames' chunks; see `Source`."""
+        return [self._path / FRAMES / chunk_key(number, len(self._shape)) for number in range(len(self))]
+
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""
 

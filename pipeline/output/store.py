@@ -7,7 +7,7 @@ before hours have gone into it.
 
 import json
 import shutil
-from collections.abc import Iterable, Sequence, Set
+from collections.abc import Callable, Iterable, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -182,25 +182,40 @@ class ResultStore:
         with self._files.explained():
             return marked_frames(self._files)
 
-    def faults(self, numbers: Iterable[int]) -> dict[int, str]:
+    def faults(self, numbers: Iterable[int], made_of: Callable[[int], str]) -> dict[int, str]:
         """Check whether frames that have a mark are whole, and return what is wrong, by number.
 
-        Behind a URL, where reading all may cost more than decoding it anew, only the presence of all files is checked.
+        Behind a URL, where reading all may cost more than decoding it anew, only the marks, and the presence of all
+        files, are checked.
+
+        Parameters
+        ----------
+        numbers : iterable of int
+            The frames.
+        made_of : callable
+            Digest of what a frame with this number is decoded from.
         """
         numbers = sorted(numbers)
-        if self._files.folder is None:
+        missing: dict[int, str] = {}
+        remote = self._files.folder is None
+        if remote:
             with self._files.explained():
                 names = {name: self._files.sizes(name).keys() for name in self._fields}
             keys = {name: len(FIELDS[name].axes) for name in self._fields}
-            return {
+            missing = {
                 number: f"{name} is missing"
                 for number in numbers
                 for name in self._fields
                 if chunk_key(number, keys[name]) not in names[name]
             }
+        read = () if remote else self._fields
+
+        def fault(number: int) -> str | None:
+            return frame_fault(self._files, number, read, self._identity, made_of(number))
+
         with ThreadPoolExecutor(_READERS, "check") as readers:
-            found = readers.map(lambda number: frame_fault(self._files, number, self._fields, self._identity), numbers)
-            return {number: fault for number, fault in zip(numbers, found, strict=True) if fault is not None}
+            found = zip(numbers, readers.map(fault, numbers), strict=True)
+            return {number: wrong for number, wrong in found if wrong is not None} | missing
 
     def unmeasured(self, numbers: Iterable[int]) -> list[int]:
         """Return the numbers of those frames, all of which have a mark, in which nothing was measured.
@@ -228,8 +243,17 @@ class ResultStore:
             frames = "a frame has" if len(lost) == 1 else f"{len(lost)} frames have"
             raise OutputError(f"{self._files.name}: {frames} vanished after being stored: run again")
 
-    def write(self, number: int, frame: DecodedFrame) -> WrittenFrame:
+    def write(self, number: int, frame: DecodedFrame, made_of: str = "") -> WrittenFrame:
         """Write a frame's chunks; may be called again, and from several threads.
+
+        Parameters
+        ----------
+        number : int
+            Its number in the footage.
+        frame : DecodedFrame
+            What to write.
+        made_of : str
+            Digest of what it was decoded from.
 
         Returns
         -------
@@ -248,7 +272,7 @@ class ResultStore:
                 # Unlike zarr never into a store that is gone.
                 self._files.put(f"{name}/{chunk_key(number, len(FIELDS[name].axes))}", chunks[name])
         n_bytes = sum(map(len, chunks.values())) + MARK_BYTES
-        return WrittenFrame(number, FrameMark.of(frame, self._identity, chunks), n_bytes)
+        return WrittenFrame(number, FrameMark.of(frame, self._identity, chunks, made_of), n_bytes)
 
     def commit(self, frames: Iterable[WrittenFrame]) -> None:
         """Mark frames whose chunks are written, once those are there whatever happens; from any thread.

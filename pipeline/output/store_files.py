@@ -442,10 +442,11 @@ class FrameMark:
     warnings: list[str]
     identity: str  # see `identity_digest`
     chunks: dict[str, str]  # the checksum of each field's chunk, in hexadecimal
-    measured_px: int | None = None  # pixels in the mask; None: an earlier version has written it
+    made_of: str  # digest of what it was decoded from; empty: of a single picture
+    measured_px: int  # pixels in the mask
 
     @classmethod
-    def of(cls, frame: DecodedFrame, identity: str, chunks: dict[str, bytes]) -> "FrameMark":
+    def of(cls, frame: DecodedFrame, identity: str, chunks: dict[str, bytes], made_of: str) -> "FrameMark":
         """Return a decoded frame's mark."""
         return cls(
             None if frame.period_px is None else float(frame.period_px),
@@ -454,6 +455,7 @@ class FrameMark:
             list(frame.warnings),
             identity,
             {name: chunk[_CHUNK_CHECKSUM].hex() for name, chunk in chunks.items()},
+            made_of,
             frame.measured_px,
         )
 
@@ -529,10 +531,17 @@ def read_chunk(files: StoreFiles, number: int, name: str, mark: FrameMark) -> by
     return chunk
 
 
-def frame_fault(files: StoreFiles, number: int, fields: Sequence[str], identity: str) -> str | None:
-    """Return what is wrong with a frame that has a mark; None: all of it is as it was written."""
+def frame_fault(
+    files: StoreFiles, number: int, fields: Sequence[str], identity: str, made_of: str | None = None
+) -> str | None:
+    """Return what is wrong with a frame that has a mark; None: all of it is as it was written.
+
+    A digest says what the frame must have been decoded from.
+    """
     try:
         mark = read_mark(files, number, identity)
+        if made_of not in (None, mark.made_of):
+            return "the footage has changed there since it was decoded"
         for name in fields:
             read_chunk(files, number, name, mark)
     except DamageError as error:

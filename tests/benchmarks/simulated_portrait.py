@@ -18,7 +18,8 @@ from support.portrait_figures import WALL_FROM_MM, PortraitFigures, portrait_fig
 from hardware.rig import Rig
 from pipeline import Decoder
 from pipeline.acquisition import simulated_capture
-from pipeline.acquisition.simulated_capture import SETTINGS, WEBCAM, place_at, simulate_place, simulated_instruments
+from pipeline.acquisition.simulated_camera import WEBCAM_NAME
+from pipeline.acquisition.simulated_capture import SETTINGS, place_at, simulate_place, simulated_instruments
 from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
 
@@ -32,7 +33,9 @@ def main() -> None:
     options = parser.parse_args()
     settings = SETTINGS
     if options.webcam:
-        settings = SETTINGS.model_copy(update={"camera": SETTINGS.camera.model_copy(update={"serial": WEBCAM})})
+        camera = SETTINGS.camera.model_copy(update={"serial": WEBCAM_NAME})
+        timing = SETTINGS.timing.model_copy(update={"period_s": 0.05})  # by a webcam's 30 frames a second
+        settings = SETTINGS.model_copy(update={"camera": camera, "timing": timing})
     open_instruments, calibration = simulated_instruments(settings, "cpu", lambda step: None)
     with Rig(settings, open_instruments) as rig:
         bursts = list(islice(rig.bursts(), options.bursts))

@@ -47,7 +47,7 @@ def stages(job: Job, n_frames: int, rounds: int) -> None:
     warm = replace(job, store=f"{job.store}.warm")
     decode_footage(warm, stop=8)  # compiles the kernels, and makes a store
     source, decoder = job.open(), job.decoder()
-    store = warm.with_transfer_of(source).open_store(source)
+    store = warm.pinned(source).open_store(source)
     decoder.use_light(None)
     decoder.use_rims(RimVotes())
     read = list(source.frames(0, min(n_frames, 32)))

@@ -131,8 +131,10 @@ SAMPLES = {
         Sample("frame.jpg", _read_frames),
         Sample("picture.tif", _read_picture),
         Sample("float.tif", _read_frames),
+        Sample("stack.tif", _read_frames),
         Sample("picture.bmp", _read_picture),
         Sample("picture.webp", _read_picture),
+        Sample("frame.webp", _read_frames),
         Sample("picture.ppm", _read_picture),
         Sample("recording.mkv", _read_frames),
         Sample("film.avi", _read_frames),
@@ -192,7 +194,8 @@ def make_samples(folder: Path) -> None:
         stem, suffix = Path(name).stem, Path(name).suffix
         if suffix in (".png", ".jpg", ".tif", ".bmp", ".webp", ".ppm"):
             levels = {"deep": image.astype(np.uint16) * 257, "float": image.astype(np.float32) / 255}.get(stem, image)
-            (folder / name).write_bytes(cv2.imencode(suffix, levels)[1].tobytes())
+            pages = [levels] * (3 if stem == "stack" else 1)
+            (folder / name).write_bytes(cv2.imencodemulti(suffix, pages)[1].tobytes())
     record(folder / "recording.zarr")
     export_video(folder / "recording.zarr", folder / "recording.mkv")
     store(folder / "result.zarr", _DISTANCES)

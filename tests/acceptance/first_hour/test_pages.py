@@ -49,9 +49,9 @@ NOT_RUN = {
     "colorphase projector blank --rig rig.toml": "the same",
     "colorphase projector status --rig rig.toml": "the same",
     "colorphase projector off --rig rig.toml": "the same",
-    "colorphase calibrate capture radiometry --rig rig.toml --out captures": "test_first_face.py runs it",
-    "colorphase calibrate capture geometry --rig rig.toml --out captures --board chessboard --squares 11x8 "
-    "--square-mm 24": "the same",
+    "colorphase calibrate capture --rig rig.toml --out captures --board chessboard --squares 11x8 --square-mm 24": (
+        "test_first_face.py runs it"
+    ),
     "sudo apt install gcc-avr avr-libc avrdude make": "needs a person's password",
     "cd hardware/firmware": "only for the next one",
     "make flash PORT=/dev/ttyACM0": "needs the board; tests run the firmware in an emulator",

@@ -97,7 +97,7 @@ def heic(image):
     import pillow_heif
 
     file = io.BytesIO()
-    pillow_heif.from_pillow(Image.fromarray(image)).save(file, quality=95, chroma=444)
+    pillow_heif.from_pillow(Image.fromarray(image)).save(file, quality=95, chroma=420)
     return file.getvalue()
 
 

@@ -31,7 +31,10 @@ def test_the_variable_holds_a_number_of_pixels(monkeypatch, said):
     ("content", "message"),
     [
         (b"x" * (2**20 + 1), "larger than 1 MB"),
-        (b"\xff\xfe", "no text file"),
+        (b"\x89PNG", "no text file in UTF-8: save it as that"),
+        ("a = 1".encode("utf-16"), "it is text in UTF-16: save it as UTF-8"),
+        ("a = 1".encode("utf-16-be"), "or text in UTF-16: save it as UTF-8"),
+        ("a = 1".encode("utf-32"), "it is text in UTF-32: save it as UTF-8"),
         (b"9" * 401, "more than 400 digits"),
         (b"a." * 30 + b"a = 1", "nested too deep"),
         (b"'a b' . " * 30 + b"a = 1", "nested too deep"),
@@ -42,6 +45,12 @@ def test_texts_that_no_rig_needs(tmp_path, content, message):
     (tmp_path / "a.toml").write_bytes(content)
     with pytest.raises(ValueError, match=message):
         limits.read_text(tmp_path / "a.toml")
+
+
+def test_a_byte_order_mark_is_read(tmp_path):
+    """As Windows' editors write it."""
+    (tmp_path / "a.toml").write_bytes("a = 1  # ö\r\n".encode("utf-8-sig"))
+    assert limits.read_text(tmp_path / "a.toml") == "a = 1  # ö\n"
 
 
 def test_texts_are_read_as_they_are(tmp_path):

@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import numpy as np
 import pytest
 from support.flat_studio import FlatStudio
@@ -9,6 +10,7 @@ from support.posed_boards import PATTERN
 
 from hardware.errors import CameraError
 from pipeline.acquisition.guided_capture import LIGHT, POSES, GuidedCapture
+from pipeline.acquisition.simulated_camera import WEBCAM
 from pipeline.acquisition.simulated_studio import SimulatedStudio, StudioFaults
 from pipeline.calibration.board import Board
 from pipeline.calibration.captures import CapturedFolder
@@ -194,6 +196,16 @@ def test_a_rig_without_faults_passes(tmp_path, faults):
     assert studio.now_s() < 60
 
 
+def test_a_camera_that_is_binned_since_the_pictures_before_is_named(tmp_path):
+    """A cropped one, too: frames of one size are gone on with."""
+    for size_px in ((320, 240), (320, 240)):
+        capture_of(SimulatedStudio(None, truth=simulated_rig(size_px)), tmp_path)[0].check_rig()
+    with pytest.raises(
+        OutputError, match=r"another size of frames \(320x240, now 160x120\): choose another folder, or"
+    ):
+        capture_of(SimulatedStudio(None, truth=simulated_rig((160, 120))), tmp_path)[0].check_rig()
+
+
 def test_a_camera_that_sees_no_light_or_too_much_is_told_what_to_do(tmp_path):
     dark, bright = FlatStudio(), FlatStudio()
     dark.light, bright.light = 0.01, 1.4
@@ -235,3 +247,17 @@ def test_poses_are_taken_where_the_guide_says_and_again_where_the_board_moved(tm
     again = ThreePoses(BOARD, (320, 240), (1024, 768), PATTERN)
     assert capture_of(studio, tmp_path)[0].take_poses(BOARD, again) == tmp_path / POSES
     np.testing.assert_array_equal(again.poses[2].camera_px, guide.poses[2].camera_px)
+
+
+def test_a_webcams_poses_are_as_good_as_others(tmp_path):
+    """A tone curve, sharpening and MJPEG, which multiply noise in the dark, tell where its corners are, too."""
+    studio = SimulatedStudio(BOARD, truth=SMALL, faults=StudioFaults(camera=WEBCAM), seed=5)
+    capture, lines = capture_of(studio, tmp_path)
+    guide = ThreePoses(BOARD, (320, 240), (1024, 768), PATTERN)
+    capture.check_rig()
+    capture.take_poses(BOARD, guide)
+    assert len(lines) == len([line for line in lines if "again" not in line])
+    for pose in guide.poses:
+        plane, _ = cv2.findHomography(pose.camera_px, pose.projector_px)
+        off = cv2.perspectiveTransform(pose.camera_px[None], plane)[0] - pose.projector_px
+        assert np.sqrt((off**2).mean()) < 0.3

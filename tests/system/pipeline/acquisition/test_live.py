@@ -5,7 +5,7 @@ import time
 
 import numpy as np
 import pytest
-from support.live_frames import RGB8, SIZE_PX, decoded, image, rig, wait_for
+from support.live_frames import PATIENCE_S, RGB8, SIZE_PX, decoded, image, rig, wait_for
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.acquisition.live import LiveDecoder
@@ -34,6 +34,8 @@ def test_what_becomes_of_a_frame(rig, image, tmp_path):
     with LiveDecoder(DecodeSettings(), rig, BAYER12, SIZE_PX, tmp_path / "live.png", "cpu") as decoder:
         assert decoder.latest() is None
         assert not decoder.offer(frame, 0, begin)  # it is still starting
+        decoder.wait(PATIENCE_S)
+        assert decoder.ready
         result = decoded(decoder, frame, 7)
         assert 0 < result.latency_s < time.monotonic() - begin
         assert result.measured == pytest.approx(expected.mask.mean())
@@ -42,7 +44,7 @@ def test_what_becomes_of_a_frame(rig, image, tmp_path):
         assert result.warnings == expected.warnings
         assert (tmp_path / "live.png").read_bytes() == (tmp_path / "expected.png").read_bytes()
         # The frame is the caller's again at once, and while it is decoded no other one is taken.
-        wait_for(lambda: decoder.ready)
+        decoder.wait(PATIENCE_S)
         buffer = frame.copy()
         assert decoder.offer(buffer, 8, time.monotonic())
         buffer[...] = 0

@@ -10,18 +10,17 @@ from support.portrait_figures import WALL_FROM_MM, portrait_figures
 
 from pipeline import Decoder
 from pipeline.acquisition import simulated_capture
+from pipeline.acquisition.simulated_camera import WEBCAM_NAME
 from pipeline.acquisition.simulated_capture import (
     SETTINGS,
-    WEBCAM,
     Scene,
+    SceneCamera,
     SceneTask,
-    SimulatedCamera,
     place_at,
     render_elsewhere,
     render_scene,
     simulate_place,
     simulated_instruments,
-    through_a_webcam,
     turn_deg,
 )
 from pipeline.errors import RenderError
@@ -84,7 +83,7 @@ def test_depth_by_its_own_calibration():
     place, n_places = 1, 3
     truth = simulate_place(place, n_places)
     scene = Scene(((truth.image, truth.image),) * n_places)
-    frame = SimulatedCamera(scene, PERIOD_S, webcam=False).expose(0, 0.0)
+    frame = SceneCamera(scene, PERIOD_S, webcam=False).expose(0, 0.0)
     figures = portrait_figures(Decoder(calibration=own_calibration(), arch="cpu").decode(frame), truth)
     assert figures.coverage > 0.85 and figures.coverage_inside > 0.93
     assert figures.right_orders > 0.99
@@ -107,7 +106,7 @@ def test_the_calibration_is_its_own_or_the_files(tmp_path):
 @pytest.mark.usefixtures("cpu", "rendered_here")
 def test_a_webcam_encodes_light_and_its_calibration_says_so():
     """Linear light comes back to 3 %, two levels and what JPEG leaves; to 10 % where it was sharpened."""
-    webcam = SETTINGS.model_copy(update={"camera": SETTINGS.camera.model_copy(update={"serial": WEBCAM})})
+    webcam = SETTINGS.model_copy(update={"camera": SETTINGS.camera.model_copy(update={"serial": WEBCAM_NAME})})
     open_instruments, calibration = simulated_instruments(webcam, "cpu", lambda step: None)
     assert calibration.capture.transfer == "srgb"
     frame = open_instruments()[1]._expose(0.0)
@@ -118,11 +117,14 @@ def test_a_webcam_encodes_light_and_its_calibration_says_so():
     assert abs(np.median(off)) < 0.03 and np.abs(off).mean() < 0.1
 
 
-@pytest.mark.parametrize(("light", "level"), [(0.0, 0), (0.001, 3), (0.214, 127), (1.0, 255)])
-def test_the_tone_curve_of_even_light(light, level):
-    """IEC 61966-2-1, to one level that JPEG may leave."""
-    even = np.full((16, 16, 3), round(light * 65535), np.uint16)
-    np.testing.assert_allclose(through_a_webcam(even), level, atol=1)
+def test_a_webcam_exposes_by_its_own_clock():
+    """Told to at any time, it shows what is there at its next frame, 30 a second."""
+    places = tuple((np.full((4, 4, 3), 3000 * place, np.uint16),) * 2 for place in range(1, 22))
+    camera = SceneCamera(Scene(places), 0.01, webcam=True)
+    for told_s, shown_s in ((0.0, 0.0), (0.001, 1 / 30), (0.033, 1 / 30), (0.04, 2 / 30)):
+        light = 3000 * (1 + place_at(shown_s, 0.01, 21)) / 65535
+        level = 255 * (1.055 * light ** (1 / 2.4) - 0.055)
+        assert camera.expose(0, told_s).mean() == pytest.approx(level, abs=3)
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ print(threads)
 
 def decode(picture, out, *, force=False):
     said = []
-    frame = decode_picture(
+    frame, _ = decode_picture(
         picture, out, DecodeSettings(), None, AS_IT_SAYS, "cpu", MeshOptions(), force=force, tell=said.append
     )
     return frame, said

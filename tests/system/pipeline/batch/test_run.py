@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 import zarr
@@ -27,6 +28,7 @@ from pipeline.output.range_image import write_png
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import StoredResult
 from pipeline.recording.recorder import Recorder
+from pipeline.recording.video_export import export_video
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig
 from tikernels.raw.pixel_format import PixelFormat
 
@@ -216,6 +218,7 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
     steps, remarks = [], []
     decode_footage(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
     assert list(dict.fromkeys(step.partition(" to about ")[0] for step in steps)) == [
+        "reading the footage",
         "looking at what is there",
         "compiling kernels, and asking the footage for its light",
         "compiling kernels",
@@ -227,7 +230,7 @@ def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypa
     assert expected_kb == pytest.approx(found_kb, rel=0.2)  # three frames are as large as three times the first
     steps.clear()
     decode_footage(job, workers=1, step=steps.append, remark=remarks.append)
-    assert steps[:2] == ["looking at what is there", "compiling kernels"] and "will grow by about" in remarks[1]
+    assert steps[1:3] == ["looking at what is there", "compiling kernels"] and "will grow by about" in remarks[1]
 
 
 def test_what_does_not_fit_on_the_disk_is_refused_before_it_is_decoded(job, undisturbed, monkeypatch):
@@ -294,6 +297,80 @@ def test_other_footage_and_other_rigs_do_not_mix(job, rig, tmp_path):
     record(tmp_path / "other" / "film.zarr", 3)
     with pytest.raises(OutputError, match=r"footage\.frames is 14 there, 3 here"):
         decode_footage(replace(job, footage=str(tmp_path / "other" / "film.zarr")))
+
+
+@pytest.fixture
+def pictures(folder, tmp_path, job):
+    """Return a folder of pictures that all have one size, and a job that decodes it."""
+    (tmp_path / "pictures").mkdir()
+    for number, image in enumerate(zarr.open_group(folder / "film.zarr", mode="r")["frames"][:5]):
+        cv2.imwrite(str(tmp_path / "pictures" / f"{number}.bmp"), image[..., ::-1])
+    return tmp_path / "pictures", replace(job, footage=str(tmp_path / "pictures"))
+
+
+def replace_one(pictures):
+    shutil.copy(pictures / "4.bmp", pictures / "2.bmp")
+
+
+def remove_one_and_add_another(pictures):
+    (pictures / "2.bmp").rename(pictures / "9.bmp")
+
+
+@pytest.mark.parametrize(
+    ("change", "again"), [(replace_one, {2, 3}), (remove_one_and_add_another, {2, 3, 4})], ids=["replaced", "removed"]
+)
+def test_a_result_is_never_another_pictures(pictures, tmp_path, change, again):
+    """Number, sizes and the first picture stay; what leans on a picture in its chain is decoded anew, too."""
+    there, job = pictures
+    decode_footage(job)
+    change(there)
+    summary = decode_footage(job)
+    assert summary.damaged.keys() == again and summary.n_before == 5 - len(again)
+    assert set(summary.damaged.values()) == {"the footage has changed there since it was decoded"}
+    fresh = replace(job, store=str(tmp_path / "fresh.zarr"))
+    decode_footage(fresh)
+    assert contents(Path(job.store)) == contents(Path(fresh.store))
+    assert decode_footage(job).n_before == 5
+
+
+def test_a_bad_picture_that_is_copied_again_is_decoded(pictures, tmp_path):
+    there, job = pictures
+    whole = (there / "1.bmp").read_bytes()
+    (there / "1.bmp").write_bytes(whole[:-5000])
+    assert [bad.number for bad in decode_footage(job).bad] == [1]
+    (there / "1.bmp").write_bytes(whole)
+    assert decode_footage(job).bad == []
+    fresh = replace(job, store=str(tmp_path / "fresh.zarr"))
+    decode_footage(fresh)
+    assert contents(Path(job.store)) == contents(Path(fresh.store))
+
+
+def test_a_recording_and_a_video_that_were_cut_anew(job, folder, tmp_path):
+    """Behind their first frame: of a recording the frames that are others, of a video all."""
+    film, video = tmp_path / "film.zarr", tmp_path / "film.mkv"
+    shutil.copytree(folder / "film.zarr", film)
+    export_video(film, video)
+    of_film, of_video = (replace(job, footage=str(path), store=f"{path}.r", fields=("mask",)) for path in (film, video))
+    for each in (of_film, of_video):
+        decode_footage(each, stop=6)
+    shutil.copy(film / "frames" / "c.9.0.0.0", film / "frames" / "c.5.0.0.0")
+    video.unlink()
+    export_video(film, video)
+    assert decode_footage(of_film, stop=6).damaged.keys() == {5}
+    assert decode_footage(of_video, stop=6).damaged.keys() == set(range(6))
+
+
+def test_a_folder_that_grows_is_decoded_as_it_was_listed(pictures):
+    there, job = pictures
+
+    def add_one(step):
+        if step == "compiling kernels":  # before the worker opens the folder
+            shutil.copy(there / "4.bmp", there / "5.bmp")
+
+    summary = decode_footage(job, workers=1, step=add_one)
+    assert (there / "5.bmp").exists()
+    assert (summary.n_frames, summary.bad) == (5, [])
+    assert marked(job.store) == set(range(5))
 
 
 def test_something_else_in_its_place(job):

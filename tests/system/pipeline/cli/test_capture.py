@@ -42,6 +42,14 @@ def test_bursts_of_a_simulated_rig_are_recorded_and_the_next_command_is_said(com
     assert [event["pulse"] for event in events if event["event"] == "frame"] == [0, 1, 2, 0, 1, 2]
 
 
+def test_a_short_capture_waits_for_live_decoding(command, small, tmp_path):
+    (tmp_path / "rig.toml").write_text(SIMULATED, encoding="utf-8")
+    ended, _, complained = command("capture", "--rig", "rig.toml", "--out", "face", "--live", "--arch", "cpu")
+    assert ended == 0
+    assert "over before live decoding" not in complained
+    assert (tmp_path / "face" / "live.png").exists()
+
+
 def test_a_simulated_webcam_is_recorded_with_its_transfer(command, small, tmp_path):
     (tmp_path / "rig.toml").write_text(SIMULATED + 'serial = "webcam"', encoding="utf-8")
     ended, _, complained = command("capture", "--rig", "rig.toml", "--out", "face", "--arch", "cpu")
@@ -57,7 +65,7 @@ def test_a_simulated_webcam_is_recorded_with_its_transfer(command, small, tmp_pa
         (SIMULATED, ("--keep-last", "inf"), 2, "must be above 0, and a number"),
         (SIMULATED, ("--settings", "rig.toml"), 1, "add --live, or omit --settings"),
         (SIMULATED.replace("period_s = 0.02", "period_s = 0.001"), (), 1, "make the period that long"),
-        (SIMULATED.replace('"simulated"', '"basler"', 1), (), 1, "trigger.driver: Input should be 'box', "),
+        (SIMULATED.replace('"simulated"', '"basler"', 1), (), 1, 'trigger.driver: must be "box", '),
         (SIMULATED.replace('"simulated"', '"box"', 1), (), 1, "a simulated trigger source and a simulated camera"),
         (SIMULATED.replace('"simulated"', '"no_such:Own"'), (), 1, "trigger.driver: no_such cannot be imported"),
         (SIMULATED + '[projector]\ncontrol = "no_such:Own"', (), 0, "recorded"),  # nothing of it is there

@@ -229,6 +229,19 @@ def test_a_jpeg_is_read_as_footage_is(folder, command):
     assert not (folder / "broken").exists()
 
 
+def test_pages_are_frames_and_what_is_not_used_is_said(folder, command):
+    image = cv2.imread(str(folder / "frame.png"))
+    (folder / "stack.tif").write_bytes(cv2.imencodemulti(".tif", [image, image])[1].tobytes())
+    done = command("decode", "stack.tif", "--out", "stack", "--fields", "mask", "--arch", "cpu", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2 frames decoded" in done.stdout
+    alpha = np.tile(np.arange(image.shape[1], dtype=np.uint8), (len(image), 1))
+    cv2.imwrite(str(folder / "transparent.png"), np.dstack([image, alpha]))
+    done = command("decode", "transparent.png", "--out", "transparent", "--arch", "cpu", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    assert "note: it is transparent in parts, which is not used" in done.stderr.replace("\n", " ")
+
+
 def test_decode_footage(folder, command):
     """Bad frames are told by number and by the exit code; a second run finds everything else done."""
     film = folder / "film é 1"

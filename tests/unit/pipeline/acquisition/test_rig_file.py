@@ -40,6 +40,17 @@ def test_old_files_are_kept_and_never_overwritten(tmp_path):
     assert b"exposure_s = 0.03  # a guess\r\n" in rig.read_bytes()
 
 
+def test_a_byte_order_mark_is_no_fault(tmp_path):
+    rig = tmp_path / "rig.toml"
+    rig.write_bytes(RIG.encode("utf-8-sig"))
+    kept, _ = change_file(rig, {"camera.exposure_s": 0.01})
+    assert kept.read_bytes() == RIG.encode("utf-8-sig")
+    assert rig.read_text().startswith("# Ours.")
+    rig.write_bytes(RIG.encode("utf-16"))
+    with pytest.raises(RigError, match=r"rig\.toml: it is text in UTF-16: save it as UTF-8"):
+        change_file(rig, {})
+
+
 def test_nothing_is_written_where_nothing_changes(tmp_path):
     rig = tmp_path / "rig.toml"
     rig.write_text(RIG)

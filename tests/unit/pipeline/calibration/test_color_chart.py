@@ -95,6 +95,15 @@ def test_a_table_of_spectra_is_read(tmp_path):
     np.testing.assert_allclose(read_spectra(tmp_path / "chart.csv"), spectra(), atol=1e-4)
 
 
+@pytest.mark.parametrize("separator", [";", "; ", "\t", "  ", ";\t"])
+@pytest.mark.parametrize("mark", ["", "\ufeff"])
+def test_decimal_commas_are_read(tmp_path, separator, mark):
+    """As spreadsheets write them in much of Europe, also with empty cells at the end."""
+    rows = [separator.join(f"{value:.4f}".replace(".", ",") for value in row) for row in spectra()]
+    (tmp_path / "chart.csv").write_text(mark + "\n".join(["nm", *(f"{row};" for row in rows)]), encoding="utf-8")
+    np.testing.assert_allclose(read_spectra(tmp_path / "chart.csv"), spectra(), atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("change", "reason"),
     [

@@ -1,20 +1,17 @@
 """Pictures are read as they are stored, or refused in one line."""
 
-import io
 import os
 import struct
-import sys
 import zlib
 
 import cv2
 import numpy as np
 import pytest
-from PIL import Image, ImageCms  # of matplotlib's own dependencies
-from support.missing import import_but_fail_in_ci
 
 from pipeline.errors import FootageError
-from pipeline.footage.image_file import JpegDecoder, is_heic, read_heic, read_image
+from pipeline.footage.image_file import PlaneDecoder, read_image
 from pipeline.footage.opening import open_source
+from pipeline.footage.source import StoredFrame
 from pipeline.limits import MAX_PIXELS
 
 
@@ -56,7 +53,12 @@ def test_a_small_file_of_a_picture_larger_than_any_cameras(tmp_path, monkeypatch
     head = b"IHDR" + struct.pack(">IIBBBBB", 16000, 16000, 8, 2, 0, 0, 0)
     image = np.random.default_rng(0).integers(0, 255, (40, 60, 3)).astype(np.uint8)
     (tmp_path / "bomb.png").write_bytes(
-        b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head)) + b"IEND\xaeB`\x82"
+        b"\x89PNG\r\n\x1a\n"
+        + struct.pack(">I", 13)
+        + head
+        + struct.pack(">I", zlib.crc32(head))
+        + bytes(4)
+        + b"IEND\xaeB`\x82"
     )
     with pytest.raises(FootageError, match=r"bomb\.png has 16000x16000 px, .* set COLORPHASE_MAX_PIXELS to a larger"):
         read_image(tmp_path / "bomb.png")
@@ -109,7 +111,7 @@ DATA = cv2.imencode(".jpg", np.random.default_rng(0).integers(0, 255, (48, 64, 3
 
 
 def test_a_damaged_picture_is_told_and_the_next_one_is_whole():
-    decoder = JpegDecoder()
+    decoder = PlaneDecoder("mjpeg")
     first = decoder.decode(DATA).to_ndarray()
     with pytest.raises(FootageError, match=r"^it is damaged \("):
         decoder.decode(DATA[:1500] + bytes(300) + DATA[1800:])
@@ -121,80 +123,68 @@ def test_a_damaged_picture_is_told_and_the_next_one_is_whole():
 def test_larger_pictures_than_cameras_take_are_refused(monkeypatch):
     monkeypatch.setenv(MAX_PIXELS, "3000")
     with pytest.raises(FootageError, match=r"^it has 64x48 px, and 3000 pixels are read at most: set COLORPHASE_MAX"):
-        JpegDecoder().decode(DATA)
+        PlaneDecoder("mjpeg").decode(DATA)
 
 
-def test_the_colours_of_a_printer_are_named():
-    file = io.BytesIO()
-    Image.fromarray(np.full((48, 64, 3), 90, np.uint8)).convert("CMYK").save(file, "JPEG")
-    with pytest.raises(FootageError, match="it is in CMYK, the colours of a printer: save it in RGB"):
-        JpegDecoder().decode(file.getvalue())
+TAIL, ZEROS = b"MotionPhoto_Data" * 300, bytes(5000)
 
 
-pillow_heif = import_but_fail_in_ci("pillow_heif")
-
-HEIGHT, WIDTH = 64, 96
-
-
-def colors():
-    y, x = np.mgrid[:HEIGHT, :WIDTH]
-    return np.stack([2 * x, 3 * y, 255 - x - y], axis=-1).astype(np.uint8)
-
-
-def stored(image, **options):
-    file = io.BytesIO()
-    pillow_heif.from_pillow(Image.fromarray(image)).save(file, quality=100, chroma=444, **options)
-    return file.getvalue()
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".tif", ".bmp", ".webp", ".ppm"])
+def test_bytes_behind_a_picture_are_ignored(tmp_path, suffix):
+    """As phones, padded buffers and copying programs leave them."""
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    data = cv2.imencode(suffix, image)[1].tobytes()
+    (tmp_path / f"a{suffix}").write_bytes(data)
+    expected = read_image(tmp_path / f"a{suffix}")
+    for tail in (TAIL, ZEROS, data):
+        (tmp_path / f"a{suffix}").write_bytes(data + tail)
+        np.testing.assert_array_equal(read_image(tmp_path / f"a{suffix}"), expected)
+        (frame,) = open_source(tmp_path / f"a{suffix}").frames()
+        assert isinstance(frame, StoredFrame)
 
 
-def test_colours_are_kept(tmp_path):
-    data = stored(colors())
-    assert is_heic(data[:12]) and not is_heic(b"\x89PNG\r\n\x1a\n1234")
-    levels, tags = read_heic(data)
-    assert levels.dtype == np.uint8
-    assert np.abs(levels.astype(int) - colors()).max() <= 4
-    assert (tags.orientation, tags.transfer) == (1, "srgb")
-    for name in ("a.heic", "a.jpg", "a"):  # phones' programs rename them
-        (tmp_path / name).write_bytes(data)
-        np.testing.assert_array_equal(read_image(tmp_path / name), levels)
-        (frame,) = open_source(tmp_path / name).frames()
-        np.testing.assert_array_equal(frame.planes[0], levels)
+@pytest.mark.parametrize("suffix", [".jpg", ".png"])
+@pytest.mark.parametrize("tail", [TAIL, ZEROS, "itself"])
+def test_a_truncated_picture_is_told_whatever_is_behind_it(tmp_path, suffix, tail):
+    image = np.random.default_rng(0).integers(0, 255, (48, 64, 3), np.uint8)
+    data = cv2.imencode(suffix, image)[1].tobytes()
+    for length in (len(data) // 3, len(data) - 20, len(data) - 1):
+        (tmp_path / f"a{suffix}").write_bytes(data[:length] + (data if tail == "itself" else tail))
+        with pytest.raises(FootageError, match=r"is (truncated|damaged): copy it again"):
+            read_image(tmp_path / f"a{suffix}")
 
 
-def test_ten_bits_fill_sixteen():
-    y, x = np.mgrid[:HEIGHT, :WIDTH]
-    image = np.stack([600 * x, 900 * y, 65535 - 300 * (x + y)], axis=-1).astype(np.uint16)
-    file = io.BytesIO()
-    pillow_heif.encode("RGB;16", (WIDTH, HEIGHT), image.tobytes(), file, quality=100, chroma=444)
-    levels, _ = read_heic(file.getvalue())
-    assert levels.dtype == np.uint16
-    assert np.abs(levels.astype(int) - image).max() < 65535 / 100
+def with_frame(**changes):
+    """Return a JPEG whose frame's head says otherwise."""
+    data, begin = bytearray(DATA), DATA.index(b"\xff\xc0")
+    for name, value in changes.items():
+        data[begin + {"kind": 1, "bits": 4, "luma": 11, "blue": 14}[name]] = value
+    return bytes(data)
 
 
-def test_a_profile_tells_the_transfer():
-    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
-    file = io.BytesIO()
-    picture = Image.fromarray(colors())
-    picture.info["icc_profile"] = profile
-    pillow_heif.from_pillow(picture).save(file, quality=90)
-    assert read_heic(file.getvalue())[1].because == "its colour profile says so"
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"kind": 0xC9}, "it is a JPEG with arithmetic coding, which is not read"),
+        ({"kind": 0xC5}, r"it is a JPEG of several resolutions \(hierarchical\), which is not read"),
+        ({"luma": 0x31}, "its colours are sampled in a way that is not read: save it as PNG"),
+        ({"blue": 0x12}, "its colours are sampled in a way that is not read"),
+        ({"bits": 12}, "it is a JPEG of 12 bits, which is not read: save it as a PNG or TIFF of 16 bits"),
+    ],
+)
+def test_rare_kinds_of_jpeg_are_named(tmp_path, changes, reason):
+    (tmp_path / "a.jpg").write_bytes(with_frame(**changes))
+    with pytest.raises(FootageError, match=reason):
+        read_image(tmp_path / "a.jpg")
+    with pytest.raises(FootageError, match=reason):
+        open_source(tmp_path / "a.jpg")
 
 
-def test_what_is_none(monkeypatch):
-    data = stored(colors())
-    with pytest.raises(FootageError, match="it is damaged: copy it again"):
-        read_heic(data[: len(data) // 2])
-    grey = io.BytesIO()
-    pillow_heif.from_pillow(Image.fromarray(colors()[..., 0])).save(grey)
-    with pytest.raises(FootageError, match="it is grey"):
-        read_heic(grey.getvalue())
-    monkeypatch.setenv("COLORPHASE_MAX_PIXELS", "1000")
-    with pytest.raises(FootageError, match="COLORPHASE_MAX_PIXELS"):
-        read_heic(data)
-
-
-def test_without_the_extra_it_says_what_to_install(tmp_path, monkeypatch):
-    (tmp_path / "a.heic").write_bytes(stored(colors()))
-    monkeypatch.setitem(sys.modules, "pillow_heif", None)
-    with pytest.raises(FootageError, match=r"a\.heic: it is a picture in HEIC: pip install 'colorphase\[heic\]'"):
-        open_source(tmp_path / "a.heic")
+def test_levels_that_end_early_are_scaled(tmp_path):
+    """Of 12 bits in PNM: white is that of the type, as read_image says nothing else."""
+    levels = np.random.default_rng(0).integers(0, 4096, (8, 16, 3)).astype(np.uint16)
+    (tmp_path / "a.ppm").write_bytes(b"P6 # a camera\n16 8\n4095\n" + levels.astype(">u2").tobytes())
+    np.testing.assert_array_equal(read_image(tmp_path / "a.ppm"), levels << 4)
+    (frame,) = open_source(tmp_path / "a.ppm").frames()
+    assert frame.format.bits == 12
+    np.testing.assert_array_equal(frame.planes[0], levels)

@@ -5,6 +5,7 @@ import os
 import cv2
 import numpy as np
 import pytest
+from PIL import Image  # of matplotlib's own dependencies
 
 from pipeline.errors import FootageError
 from pipeline.footage.image_file import read_image
@@ -97,7 +98,39 @@ def test_mixed_pictures_of_the_same_scene(tmp_path):
     write(tmp_path / "2.jpg", colors())
     first, second = open_source(tmp_path).frames()
     assert isinstance(first, StoredFrame)
-    assert second == BadFrame(1, "2.jpg: it is 30x20 yuv, the first is 30x20 rgb")
+    assert isinstance(second, BadFrame)
+    assert second.reason.startswith(
+        "2.jpg: its light is srgb (a JPEG that says nothing else is sRGB), the first is lin"
+    )
+
+
+def test_an_orientation_that_changes_is_named(tmp_path):
+    """Whether it changes the size or not."""
+    for number, orientation in enumerate((1, 1, 3, 6)):
+        tags = Image.Exif()
+        tags[274] = orientation
+        Image.fromarray(colors()).save(tmp_path / f"{number}.jpg", exif=tags)
+    first, second, *turned = open_source(tmp_path).frames()
+    assert isinstance(first, StoredFrame) and isinstance(second, StoredFrame)
+    for frame, orientation in zip(turned, (3, 6), strict=True):
+        assert f"its Exif orientation is {orientation}, the first has 1" in frame.reason
+
+
+def test_a_list_of_pictures_is_kept(tmp_path):
+    for number in range(3):
+        write(tmp_path / f"{number}.png", colors())
+    assert len(open_source(tmp_path, listed=("0.png", "1.png"))) == 2
+
+
+def test_what_is_not_used_is_noted(tmp_path):
+    write(tmp_path / "a.png", np.dstack([colors(), np.eye(20, 30, dtype=np.uint8)]))
+    assert open_source(tmp_path / "a.png").notes == (
+        "it is transparent in parts, which is not used: its colours are taken as they are stored",
+    )
+    write(tmp_path / "a.png", colors(np.uint16) >> 4)
+    (note,) = open_source(tmp_path / "a.png").notes
+    assert note.endswith("if the camera gives 12, add --bits 12")
+    assert open_source(tmp_path / "a.png", bits=12).notes == ()
 
 
 def test_pictures_of_other_levels_do_not_mix(tmp_path):

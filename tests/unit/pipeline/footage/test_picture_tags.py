@@ -2,6 +2,7 @@
 
 import io
 import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -63,7 +64,7 @@ def test_pictures_are_turned_as_the_camera_was_held(tmp_path, cpu, kind, orienta
     shown = picture()
     lossless = {"WEBP": {"lossless": True}, "JPEG": {"quality": 98, "subsampling": "4:2:2"}}.get(kind, {})
     Image.fromarray(np.asarray(stored(shown, orientation))).save(path, kind, exif=exif(orientation), **lossless)
-    assert read_tags(path.read_bytes()).orientation == (1 if kind == "TIFF" else orientation)
+    assert read_tags(path.read_bytes()).orientation == orientation
     error = 12 if kind == "JPEG" else 0
     read = read_image(path)
     assert read.shape == shown.shape
@@ -76,14 +77,15 @@ def test_pictures_are_turned_as_the_camera_was_held(tmp_path, cpu, kind, orienta
     assert np.abs(scale * developed.astype(float) - shown).max() <= error
 
 
+@pytest.mark.parametrize("suffix", [".png", ".tif"])
 @pytest.mark.parametrize("size", [(48, 64), (49, 65)])
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_mosaics_are_turned_with_their_pattern(tmp_path, orientation, size):
+def test_mosaics_are_turned_with_their_pattern(tmp_path, orientation, size, suffix):
     """Every pixel keeps its colour, also where sides are odd."""
     levels = {"r": 200, "g": 120, "b": 60}
     taken = np.tile(np.array([[levels[color] for color in row] for row in ("rg", "gb")], np.uint8), (25, 33))
-    Image.fromarray(taken[: size[0], : size[1]]).save(tmp_path / "a.png", exif=exif(orientation))
-    source = open_source(tmp_path / "a.png", bayer="rggb")
+    Image.fromarray(taken[: size[0], : size[1]]).save(tmp_path / f"a{suffix}", exif=exif(orientation))
+    source = open_source(tmp_path / f"a{suffix}", bayer="rggb")
     (frame,) = source.frames()
     mosaic = np.array([levels[color] for color in frame.format.bayer]).reshape(2, 2)
     height, width = frame.planes[0].shape
@@ -152,11 +154,79 @@ def converted(kind, mode, **options):
 def test_other_colours_are_not():
     for kind in ("PNG", "TIFF", "BMP"):
         assert "stored with a palette" in unfit_colors(converted(kind, "P"))
-    assert unfit_colors(converted("TIFF", "CMYK")) == CMYK
+    assert unfit_colors(converted("TIFF", "CMYK")) == unfit_colors(converted("JPEG", "CMYK")) == CMYK
+    assert "it is grey with transparency" in unfit_colors(converted("PNG", "LA"))
+    moving = converted("PNG", "RGB", save_all=True, append_images=[Image.new("RGB", (WIDTH, HEIGHT))])
+    assert "it is an animation" in unfit_colors(moving)
     moving = converted("WEBP", "RGB", save_all=True, append_images=[Image.new("RGB", (WIDTH, HEIGHT))])
     assert "it is an animation" in unfit_colors(moving)
     for cut in range(0, 60):
         assert unfit_colors(moving[:cut]) in (None, unfit_colors(moving))
+
+
+def bmp(bits, layout=0, masks=()):
+    head = struct.pack("<IiiHHI", 40, WIDTH, HEIGHT, 1, bits, layout) + bytes(20)
+    return (
+        b"BM" + struct.pack("<III", 0, 0, 54) + head + b"".join(struct.pack("<I", mask) for mask in masks) + bytes(12)
+    )
+
+
+def test_layouts_of_bmp():
+    assert unfit_colors(bmp(24)) is unfit_colors(bmp(32, 3, (0xFF0000, 0xFF00, 0xFF))) is None
+    assert "16 bits a pixel, too few" in unfit_colors(bmp(16))
+    for other in (bmp(32, 3, (0xFF, 0xFF00, 0xFF0000)), bmp(32, 3, (0x3FF00000, 0xFFC00, 0x3FF)), bmp(64), bmp(24, 4)):
+        assert "laid out in a way that is not read" in unfit_colors(other)
+
+
+@pytest.mark.parametrize(
+    ("head", "reason"),
+    [
+        (b"P6 2 2 255\n", None),
+        (b"P5 2 2 4095\n", None),
+        (b"P6 2 2 65535\n", None),
+        (b"P4 2 2\n", None),
+        (b"P6 2 2 100\n", "its levels end at 100: save it with levels up to 255 or 65535"),
+        (b"P6 2 2 1000\n", "its levels end at 1000"),
+        (b"P3\n# note\n2 2\n255\n", "its levels are written as text"),
+    ],
+)
+def test_levels_of_pnm(head, reason):
+    found = unfit_colors(head + bytes(24))
+    assert found is None if reason is None else reason in found
+
+
+def test_a_jpeg_of_several_pictures_is_told():
+    more = {"save_all": True, "append_images": 2 * [Image.new("RGB", (WIDTH, HEIGHT))]}
+    assert read_tags(saved("MPO", **more)).notes == ("it holds 3 pictures, of which the first is read",)
+    assert read_tags(saved("JPEG")).notes == ()
+
+
+def with_chunk(kind, content):
+    data = saved("PNG")
+    chunk = struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    return data[:33] + chunk + data[33:]
+
+
+@pytest.mark.parametrize(
+    ("kind", "content", "said"),
+    [
+        (b"gAMA", struct.pack(">I", 60000), "it is marked with a gamma of 0.6, which is another curve than"),
+        (b"cICP", bytes([9, 16, 0, 1]), "it is marked so (cICP): PQ, which is another curve than"),
+        (b"cICP", bytes([9, 18, 0, 1]), "it is marked so (cICP): HLG, which is another curve than"),
+    ],
+)
+def test_other_curves_are_noted(kind, content, said):
+    tags = read_tags(with_chunk(kind, content))
+    assert tags.transfer is None and said in tags.because
+    assert tags.notes == (tags.because,)
+
+
+def test_a_bmp_says_srgb_and_a_tiff_its_curve():
+    head = b"BM" + bytes(12) + struct.pack("<I", 108) + bytes(52) + b"BGRs" + bytes(60)
+    assert read_tags(head).because == "it is marked as sRGB"
+    curve = np.rint(65535 * np.linspace(0, 1, 256) ** 2.2).astype(int).tolist()
+    marked = saved("TIFF", tiffinfo={301: tuple(curve)})
+    assert read_tags(marked).because == "its transfer function says so"
 
 
 def test_exif_says_srgb():
