@@ -51,8 +51,9 @@ class Alternation:
         if self._step < _LEAST_VISIBLE:
             return [
                 Fault(
+                    "no alternating pictures",
                     "the frames show no two pictures in turns: check the projector's trigger cable, and that one of "
-                    f"its pictures is dimmer (colorphase pattern --brightness {DIM})"
+                    f"its pictures is dimmer (colorphase pattern --brightness {DIM})",
                 )
             ]
         return self._follow(steps, None, 0)
@@ -71,7 +72,13 @@ class Alternation:
             if shown is None and due is not None and 1 - now != due:
                 return [_lost(first_pulse)]
             if shown is not None and now == shown:
-                return [Fault("the brightness jumps twice the same way: was the light changed?", first_pulse + i + 1)]
+                return [
+                    Fault(
+                        "light changed",
+                        "the brightness jumps twice the same way: keep the light even",
+                        first_pulse + i + 1,
+                    )
+                ]
             shown = now
         if shown is not None:
             self._step = _MEMORY * self._step + (1 - _MEMORY) * float(np.median(np.abs(steps)))
@@ -86,7 +93,7 @@ def _steps(frames: Sequence[CameraFrame]) -> npt.NDArray[np.float64]:
 
 
 def _lost(pulse: int) -> Fault:
-    return Fault("its frame shows the picture before: check the projector's trigger cable", pulse)
+    return Fault("picture missing", "its frame shows the picture before: check the projector's trigger cable", pulse)
 
 
 def mean_level(image: Levels) -> float:

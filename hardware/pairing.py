@@ -30,13 +30,19 @@ _TRIGGER = "check the camera's trigger cable"
 _NOISE = "check the shields of the camera's cables"
 _SOFTWARE = "the camera or this machine is too slow; make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
+_BUSY = "let nothing else keep this machine busy, or make the period longer"
+_WRAPPED = "it has 32 bits and began again at 0; nothing is wrong, capture the burst again"
+_SET_BACK = "do not set or synchronise it, or restart the camera, during a capture"
+# Ticks of cameras' clocks of 32 bits, s.
+_TICKS_S = (1e-6, 1e-7, 1e-8, 8e-9, 1e-9)
 _IGNORED = "make the period longer, or check the shields of the camera's cables"
 
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with a burst: one line, with the pulse that it begins at where that is known."""
+    """What is wrong with a burst: a key and one line, with the pulse that it begins at where that is known."""
 
+    key: str
     reason: str
     pulse: int | None = None
     may_pass: bool = False  # what comes after may show that the computer was busy, and no more
@@ -122,7 +128,11 @@ def _cable_faults(seen: Evidence) -> list[Fault]:
     """Say where neither camera nor projector is heard of, whose cables have the trigger source in common."""
     whole = seen.ended.pulses == seen.train.count or seen.train.count is None
     if seen.picture_a_pulse and whole and not (seen.frames or seen.ended.strobes or seen.ended.vsyncs):
-        return [Fault("neither a frame nor a picture came: check both trigger cables and their ground")]
+        return [
+            Fault(
+                "no frame, no picture", "neither a frame nor a picture came: check both trigger cables and their ground"
+            )
+        ]
     return []
 
 
@@ -130,14 +140,22 @@ def _trigger_faults(seen: Evidence) -> list[Fault]:
     found = []
     restarted = seen.armed.boot != seen.ended.boot
     if restarted:
-        found.append(Fault("the trigger source restarted in mid-burst: check its power supply"))
+        found.append(Fault("trigger restarted", "the trigger source restarted in mid-burst: check its power supply"))
     # It says why; that pulses are missing is what comes of it.
-    found += [Fault(f"the trigger source says: {complaint}") for complaint in seen.ended.complaints]
+    found += [
+        Fault("trigger complains", f"the trigger source says: {complaint}") for complaint in seen.ended.complaints
+    ]
     if not restarted and seen.train.count is not None and seen.ended.pulses not in (None, seen.train.count):
-        found.append(Fault(f"the trigger source made {seen.ended.pulses} pulses instead of {seen.train.count}"))
+        found.append(
+            Fault("pulses missing", f"the trigger source made {seen.ended.pulses} pulses instead of {seen.train.count}")
+        )
     n, vsyncs = seen.ended.pulses, seen.ended.vsyncs
     if seen.picture_a_pulse and n is not None and vsyncs is not None and vsyncs != n:
-        found.append(Fault(f"the projector reported {vsyncs} pictures to {n} pulses: check its trigger cable"))
+        found.append(
+            Fault(
+                "pictures missing", f"the projector reported {vsyncs} pictures to {n} pulses: check its trigger cable"
+            )
+        )
     return found
 
 
@@ -152,24 +170,26 @@ def _count_faults(seen: Evidence) -> list[Fault]:
             return found
     n = len(seen.frames)
     if n > seen.count:
-        return [Fault(f"{n} frames to {seen.count} pulses: {_NOISE}")]
+        return [Fault("too many frames", f"{n} frames to {seen.count} pulses: {_NOISE}")]
     if n == seen.count:
         return []
     if seen.strobes is not None:
         came = f"only {n} frames" if n else "no frame"
-        return [Fault(f"{came} of {seen.count} exposures arrived: {_DATA}", _first_gap(seen))]
+        key, look = _lost_by(seen)
+        return [Fault(key, f"{came} of {seen.count} exposures arrived: {look}", _first_gap(seen))]
     if n == 0:
         look = _DATA if seen.by_software else f"{_TRIGGER}, and that its trigger line is the one in use"
-        return [Fault(f"no frame came: {look}", seen.first_pulse)]
+        return [Fault("no frame", f"no frame came: {look}", seen.first_pulse)]
     look = _SOFTWARE if seen.by_software else f"{_TRIGGER}, then its data cable"
-    return [Fault(f"{n} frames to {seen.count} pulses: {look}", _first_gap(seen))]
+    return [Fault("frames missing", f"{n} frames to {seen.count} pulses: {look}", _first_gap(seen))]
 
 
 def _strobe_count_faults(seen: Evidence) -> list[Fault]:
     pulses, strobes = seen.ended.pulses or 0, seen.ended.strobes or 0
     if strobes == pulses:
         return []
-    return [Fault(f"{strobes} exposures to {pulses} pulses: {_TRIGGER if strobes < pulses else _NOISE}")]
+    key, look = ("exposures missing", _TRIGGER) if strobes < pulses else ("too many exposures", _NOISE)
+    return [Fault(key, f"{strobes} exposures to {pulses} pulses: {look}")]
 
 
 def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
@@ -181,6 +201,7 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
         if without or n > seen.count:
             return [
                 Fault(
+                    "too many exposures",
                     f"{n} exposures, and not one to every one of {seen.count} pulses: {_NOISE}",
                     without[0] if without else None,
                 )
@@ -188,14 +209,23 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
         return _strobe_time_faults(seen)
     gaps = set(np.diff(without).tolist())
     if n == 0 and not seen.frames:
-        reason = f"no exposure was seen, and no frame came: {_TRIGGER}, and that its trigger line is the one in use"
+        key, reason = (
+            "no frame",
+            f"no exposure was seen, and no frame came: {_TRIGGER}, and that its trigger line is the one in use",
+        )
     elif len(seen.frames) == seen.count and not _time_faults(seen):
-        reason = f"{n} exposures were counted for {seen.count} frames: check the strobe cable, and camera.strobe_line"
+        key, reason = (
+            "strobe",
+            f"{n} exposures were counted for {seen.count} frames: check the strobe cable, and camera.strobe_line",
+        )
     elif len(without) >= _REGULAR_MISSES and len(gaps) == 1 and gaps.pop() >= _CLOSEST_MISSES:
-        reason = f"the camera misses pulses regularly ({n} exposures to {seen.count}): make the period longer"
+        key, reason = (
+            "camera busy",
+            f"the camera misses pulses regularly ({n} exposures to {seen.count}): make the period longer",
+        )
     else:
-        reason = f"{n} exposures to {seen.count} pulses: {_TRIGGER}"
-    return [Fault(reason, without[0])]
+        key, reason = "exposures missing", f"{n} exposures to {seen.count} pulses: {_TRIGGER}"
+    return [Fault(key, reason, without[0])]
 
 
 def _strobe_time_faults(seen: Evidence) -> list[Fault]:
@@ -206,7 +236,9 @@ def _strobe_time_faults(seen: Evidence) -> list[Fault]:
     off = np.abs(delays_s - usual_s) / seen.train.period_s
     for strobe, periods in zip(seen.strobes or (), off, strict=True):
         if periods > seen.tolerance:
-            return [Fault(f"its exposure is off by {periods:.2f} periods: {_NOISE}", strobe.pulse)]
+            return [
+                Fault("exposure off its pulse", f"its exposure is off by {periods:.2f} periods: {_NOISE}", strobe.pulse)
+            ]
     return []
 
 
@@ -259,17 +291,29 @@ def _frame_faults(seen: Evidence) -> list[Fault]:
     before = seen.previous
     for pulse, frame in enumerate(seen.frames, seen.first_pulse):
         if frame.image is None:
-            found.append(Fault(f"its frame is not whole ({frame.fault}): {_DATA}", pulse))
+            found.append(Fault("frame not whole", f"its frame is not whole ({frame.fault}): {_DATA}", pulse))
         if before is not None:
             if frame.frame_id is not None and before.frame_id is not None and frame.frame_id != before.frame_id + 1:
-                found.append(Fault(f"frame {frame.frame_id} follows frame {before.frame_id}: {_DATA}", pulse))
+                found.append(
+                    Fault(
+                        "frame lost",
+                        f"frame {frame.frame_id} follows frame {before.frame_id}: {_lost_by(seen)[1]}",
+                        pulse,
+                    )
+                )
             elif frame.triggers is not None and before.triggers is not None:
                 ignored = frame.triggers - before.triggers - 1
                 if ignored:
-                    found.append(Fault(f"the camera ignored {ignored} triggers before it: {_IGNORED}", pulse))
+                    found.append(
+                        Fault("trigger ignored", f"the camera ignored {ignored} triggers before it: {_IGNORED}", pulse)
+                    )
             if is_same_image(before.image, frame.image):
                 found.append(
-                    Fault("its frame is the one before once more, to the last bit: is the lens covered?", pulse)
+                    Fault(
+                        "same frame",
+                        "its frame is the one before once more, to the last bit: is the lens covered?",
+                        pulse,
+                    )
                 )
         before = frame
     return found
@@ -285,9 +329,15 @@ def is_same_image(one: Levels | None, other: Levels | None) -> bool:
 def _time_faults(seen: Evidence) -> list[Fault]:
     steps = _steps(seen)
     for pulse, step in enumerate(steps, seen.first_pulse):
+        if step is not None and step < 0:
+            back_s = (1 - step) * seen.train.period_s  # from where it would have been a period later
+            wrapped = any(abs(back_s - 2**32 * tick_s) < 1e-3 for tick_s in _TICKS_S)
+            key, look = ("clock wrapped", _WRAPPED) if wrapped else ("clock set back", _SET_BACK)
+            return [Fault(key, f"the camera's clock went back by {back_s:.2f} s: {look}", pulse)]
         if step is not None and abs(step - 1) > seen.tolerance:
-            likely = _SOFTWARE if seen.by_software else _TRIGGER if step > 1 else _NOISE
-            return [Fault(f"its frame is {step:.2f} periods after the one before: {likely}", pulse)]
+            key, likely = ("frame late", _TRIGGER) if step > 1 else ("frame early", _NOISE)
+            look = _SOFTWARE if seen.by_software else likely
+            return [Fault(key, f"its frame is {step:.2f} periods after the one before: {look}", pulse)]
     return _arrival_faults(seen, steps) or _start_faults(seen, steps)
 
 
@@ -301,7 +351,7 @@ def _arrival_faults(seen: Evidence, steps: Sequence[float | None]) -> list[Fault
     early = np.flatnonzero((late_s[: len(steps)] < least_s) & ~np.array(followed, bool))
     if len(early):
         reason = f"its frame came before it can have been exposed: {_NOISE}"
-        return [Fault(reason, seen.first_pulse + int(early[0]))]
+        return [Fault("before its exposure", reason, seen.first_pulse + int(early[0]))]
     # Where exposures are counted, a burst that has ended has as many frames as exposures.
     ongoing = seen.train.count is None
     if None in steps and (ongoing or not seen.strobe_wired) and not seen.numbered:
@@ -317,7 +367,7 @@ def _arrival_faults(seen: Evidence, steps: Sequence[float | None]) -> list[Fault
         if len(lost):
             pulse = seen.first_pulse + min(int(lost[0]) + 1, len(steps) - 1)
             reason = f"from here on frames are late by a period: {_likely(seen)}"
-            return [Fault(reason, pulse, may_pass=True)]
+            return [Fault("frames shifted", reason, pulse, may_pass=True)]
     return []
 
 
@@ -333,10 +383,10 @@ def _start_faults(seen: Evidence, steps: Sequence[float | None]) -> list[Fault]:
     if late.in_doubt and seen.previous is None:
         took_s = max(seen.fired_at_s[1] - seen.fired_at_s[0], seen.counted.fire_s if seen.counted else 0.0)
         reason = f"the start took {took_s:.3f} s, which may hide a lost trigger: make the period longer"
-        return [Fault(reason, seen.first_pulse, may_pass=late.by_arrival)]
+        return [Fault("slow start", reason, seen.first_pulse, may_pass=late.by_arrival)]
     if abs(late.periods) > (0.0 if seen.previous is None else _ARRIVAL_TOLERANCE):
         reason = f"frames come {abs(late.periods):.1f} periods {'later' if late.periods > 0 else 'sooner'} than before"
-        return [Fault(f"{reason}: {_likely(seen)}", seen.first_pulse, may_pass=late.by_arrival)]
+        return [Fault("frames shifted", f"{reason}: {_likely(seen)}", seen.first_pulse, may_pass=late.by_arrival)]
     return []
 
 
@@ -344,4 +394,14 @@ def _likely(seen: Evidence) -> str:
     """Return what has lost frames of which none is missing between the others."""
     if seen.by_software:
         return _SOFTWARE
-    return _DATA if seen.strobes is not None else _TRIGGER
+    return _lost_by(seen)[1] if seen.strobes is not None else _TRIGGER
+
+
+def _lost_by(seen: Evidence) -> tuple[str, str]:
+    """Return what has lost frames that were exposed: a machine that was busy took others late, a cable does not."""
+    times_s = [(frame.host_time_s, frame.device_time_s) for frame in seen.frames]
+    delays_s = [host_s - device_s for host_s, device_s in times_s if device_s is not None]
+    if delays_s and max(delays_s) - min(delays_s) > _ARRIVAL_TOLERANCE * seen.train.period_s:
+        late_ms = 1e3 * (max(delays_s) - min(delays_s))
+        return "computer busy", f"other frames arrived up to {late_ms:.0f} ms late: {_BUSY}"
+    return "frames lost", _DATA

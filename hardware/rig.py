@@ -249,7 +249,7 @@ class Rig:
         if isinstance(error, _Refused):
             found = error.faults
         else:
-            found = (Fault(str(error)),)
+            found = (Fault("instrument failed", str(error)),)
             if self._is_open:  # else it could not be opened again, and why it was let go of says more
                 self._lost = error
             self.close()  # it may be lost: the next try opens it again, and sets it up anew
@@ -307,7 +307,7 @@ class Rig:
         reason = (
             "frames take now longer and now shorter to this machine, by a quarter of a period: make the period longer"
         )
-        raise _Refused([Fault(reason)])
+        raise _Refused([Fault("uneven latency", reason)])
 
     def _start(self, asked: PulseTrain, counted: Start | None = None) -> Run:
         train = self._configure(asked)
@@ -368,7 +368,7 @@ class Rig:
             self._check_start(seen.lateness, found, ended=train.count is not None)
         if found and behind_s > _BEHIND_S:
             slow = f"this machine is {behind_s:.1f} s behind the camera: record fewer frames a second, or to .zarr"
-            found.insert(0, Fault(slow, first))
+            found.insert(0, Fault("computer behind", slow, first))
         if found:
             raise _Refused(found)
         self._has_clock = all(frame.device_time_s is not None for frame in frames)
@@ -384,7 +384,7 @@ class Rig:
         fields, paired = self.settings.projector.fields, []
         for pulse, frame in enumerate(frames, first):
             if frame.image is None:  # which is a fault
-                raise _Refused([Fault("its frame is not whole", pulse)])
+                raise _Refused([Fault("frame not whole", "its frame is not whole", pulse)])
             pulse_s, strobe_s = pulse * train.period_s + train.camera.delay_s, by_pulse.get(pulse)
             exposed_s = pulse_s if strobe_s is None else strobe_s
             exposed_s = exposed_s if fields is None else pulse_s + fields.middle_s

@@ -9,8 +9,17 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
+from pipeline.causes import Cause
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
-from pipeline.decoding.doubts import CODE_SHOWN, few_pixels_doubt, fringe_doubt, light_doubts, over_exposure_doubt
+from pipeline.decoding.doubts import (
+    CODE_SHOWN,
+    Changed,
+    few_pixels_doubt,
+    fringe_doubt,
+    light_doubts,
+    over_exposure_doubt,
+    reversed_doubt,
+)
 from pipeline.decoding.expected_fringe import ExpectedFringe
 from pipeline.decoding.frame import CameraRays, DecodedFrame, FrameMemory, FrameSetup, Measured
 from pipeline.decoding.frame_reader import FrameReader, LinearFrame
@@ -164,7 +173,7 @@ class Decoder:
             with nullcontext() if out is None else out.emptied_on_error():
                 if statistics.period_px is None or period_px is None:
                     clear_buffers(*buffers)
-                    measured = Measured(*buffers, order_doubt=fringe_doubt(frame, self._setup.stripes))
+                    measured = Measured(*buffers, order_doubt=fringe_doubt(frame, self._setup.stripes, levels.clipped))
                 else:
                     measured = self._measure(frame, levels, period_px, memory, *buffers)
                     if self._learn_light(frame, period_px, measured.surface):
@@ -294,6 +303,7 @@ class Decoder:
             orders=orders,
             constant_known=path.constant_known,
             constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
+            mismatch=mismatch,
             contrast_doubt=path.contrast_doubt,
             order_doubt=placement.warning or lost,
             light_doubts=light_doubts(*light, constant_known=path.constant_known),
@@ -348,11 +358,32 @@ class Decoder:
             measured = replace(measured, light_doubts=(over, *measured.light_doubts))
         if self._expected is not None:
             rate = float(runtime.to_host(self._work(frame, period_px).rates)[-1, RATE_ACROSS])  # synchronises
-            contradiction = self._expected.contradiction(rate)
+            if self._expected.is_reversed(rate):
+                contradiction: Cause | None = reversed_doubt(self._decode_changed(frame, levels, period_px, measured))
+            else:
+                contradiction = self._expected.contradiction(rate)
             if contradiction is not None:
                 clear_buffers(measured.phases, measured.surface)
                 return Measured(measured.phases, measured.surface, order_doubt=contradiction)
+            surprise = self._expected.surprise(rate)
+            if surprise is not None:
+                measured = replace(measured, light_doubts=(surprise, *measured.light_doubts))
         return measured
+
+    def _decode_changed(
+        self, frame: LinearFrame, levels: FrameLevels, period_px: float, measured: Measured
+    ) -> dict[str, Changed]:
+        """Decode a frame turned over, and with red and blue exchanged, into the same buffers."""
+        image, changed = runtime.to_host(frame.image), dict[str, Changed]()
+        for key, other in (("turned over", image[::-1, ::-1]), ("colours swapped", image[..., ::-1])):
+            again = LinearFrame(runtime.to_device(np.ascontiguousarray(other)), frame.white, shared=False)
+            found = self._measure(again, levels, period_px, None, measured.phases, measured.surface)
+            known = found.orders.known[runtime.to_host(found.surface.region)].sum() / max(1, found.n_measured)
+            changed[key] = Changed(
+                read=None if self._path.code is None else float(known),
+                mismatch=found.mismatch if self._path.constant_known and self.light is None else None,
+            )
+        return changed
 
     def _mm_per_rad(self, surface: SurfaceBuffers) -> float | None:
         """Return by how much a radian moves the points of a frame, mm; None without any."""

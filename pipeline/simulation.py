@@ -101,8 +101,8 @@ def simulated_rig(
         The baseline stands across them.
     tilt_deg : float
         How far the projector is turned about its own axis, and with it the stripes.
-    camera_distortion, projector_distortion : 5 floats
-        OpenCV's k1, k2, p1, p2, k3.
+    camera_distortion, projector_distortion : 4, 5, 8, 12 or 14 floats
+        OpenCV's coefficients.
     code : {"contrast"}, optional
         The pattern's code.
     """

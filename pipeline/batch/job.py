@@ -14,7 +14,7 @@ from pipeline.decoder import Decoder
 from pipeline.decoding.doubts import CODE_SHOWN
 from pipeline.decoding.front_side import RimVotes
 from pipeline.decoding.self_calibration import LightEstimate
-from pipeline.errors import CalibrationError, DecodeWarning, FootageError, SettingsError
+from pipeline.errors import DecodeWarning, FootageError, SettingsError
 from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
@@ -116,11 +116,8 @@ class Job:
             It cannot be read, or the calibration or the region of interest does not fit it.
         """
         source = open_source(self.footage, listed=self.listed, **vars(self.says))
-        if self.calibration is not None and self.calibration.camera is not None:
-            expected = self.calibration.camera.size_px
-            if expected != source.size_px:
-                here, there = ("x".join(map(str, size)) for size in (source.size_px, expected))
-                raise CalibrationError(f"{source.name} is {here} but the calibration is for {there}: recalibrate")
+        if self.calibration is not None and self.calibration.has_geometry:
+            self.calibration.geometry().check_frame(source.size_px, source.name)
         if self.crop is not None:
             self.crop.check(source.size_px, source.format)
         return source

@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.model import Calibration
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
 from pipeline.footage.image_file import read_image
@@ -22,8 +21,6 @@ SEQUENCE_FILE = "sequence.json"
 _SUFFIXES = (".png", ".tif", ".tiff")
 # Full scales, levels, of cameras whose 10, 12 or 14 bits come in 16-bit files.
 _PART_SCALES = (2**10 - 1, 2**12 - 1, 2**14 - 1)
-#: What to say where the camera's part of a calibration is the projector's.
-SWAPPED = "camera and projector are swapped in the calibration: calibrate geometry again"
 
 
 class PictureSequence(Model):
@@ -154,22 +151,3 @@ class CapturedFolder(Mapping[str, ImageArray]):
     def __len__(self) -> int:
         """Return how many captures there are."""
         return len(self._paths)
-
-
-def refuse_other_camera(calibration: Calibration, size_px: tuple[int, int], where: str) -> None:
-    """Refuse captures of a size that the calibration's camera does not have.
-
-    Raises
-    ------
-    CalibrationError
-        The calibration is for another camera, or camera and projector are swapped in it.
-    """
-    if calibration.camera is None or calibration.projector is None or calibration.camera.size_px == tuple(size_px):
-        return
-    if calibration.projector.size_px == tuple(size_px):
-        raise CalibrationError(f"{where}: {SWAPPED}")
-    raise CalibrationError(
-        "{} is {}x{} px but the calibration is for a camera of {}x{}: calibrate this one, or crop".format(
-            where, *size_px, *calibration.camera.size_px
-        )
-    )

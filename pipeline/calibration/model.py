@@ -4,13 +4,14 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from pipeline.causes import Cause
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
 from pipeline.limits import check_size
@@ -31,10 +32,27 @@ from pipeline.showing import to_html
 from tikernels.depth.triangulation import ProjectorGeometry
 
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
-# Long lenses see a tenth of their distance to either side, the sixth power of which k3 counts with.
-Distortion = Annotated[FloatArray, ArrayOf((5,), 1e4)]
 Shift = Annotated[FloatArray, ArrayOf((3, 2))]
 Response = Annotated[FloatArray, ArrayOf((3, 256))]
+# Lengths of OpenCV's lists: radial and tangential, k3, the rational model, thin prisms, a tilted sensor.
+_COEFFICIENTS = (4, 5, 8, 12, 14)
+
+
+def _padded(value: Any) -> Any:
+    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1):
+        if len(value) not in _COEFFICIENTS:
+            raise ValueError(f"must have 4, 5, 8, 12 or 14 numbers, in OpenCV's order, got {len(value)}")
+        return [*value, *[0.0] * (14 - len(value))]
+    return value
+
+
+def _shortest(coefficients: FloatArray) -> FloatArray:
+    return coefficients if coefficients[5:].any() else coefficients[:5]
+
+
+#: 5 or 14 numbers, whatever the file's list is. Long lenses see a tenth of their distance to either side, the sixth
+# power of which k3 counts with.
+Distortion = Annotated[FloatArray, ArrayOf((14,), 1e4), BeforeValidator(_padded), AfterValidator(_shortest)]
 
 
 #: Crosstalk worse than this cannot be undone: noise grows by it.
@@ -56,7 +74,7 @@ class Lens(Model):
 
     size_px: tuple[_Side, _Side]  # width, height
     matrix: Matrix3  # px
-    distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # k1 k2 p1 p2 k3
+    distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # OpenCV's order: k1 k2 p1 p2 k3 [...]
 
     @model_validator(mode="after")
     def _check(self) -> "Lens":
@@ -194,6 +212,44 @@ class Geometry:
         near, far = self.pattern_cycles(np.array([[0, 0, depth_mm - 0.5], [0, 0, depth_mm + 0.5]]))
         return float(2 * np.pi * abs(far - near))
 
+    def check_frame(self, size_px: tuple[int, int], what: str = "frame") -> None:
+        """Refuse a frame of another size than the camera's, and name what its size can be.
+
+        Parameters
+        ----------
+        size_px : (width, height)
+            The frame's.
+        what : str
+            What the message calls it.
+
+        Raises
+        ------
+        CalibrationError
+            It has another size.
+        """
+        here, there = (int(size_px[0]), int(size_px[1])), self.camera.size_px
+        if here == there:
+            return
+        smaller, larger = np.divide(there, here), np.divide(here, there)
+        factors = "{:.0f}x{:.0f}".format(*np.maximum(smaller, larger))
+        convert = "convert the calibration: colorphase calibrate import"
+        causes = (
+            ("on its side", here == there[::-1], "turn it as the camera stood at calibration"),
+            ("swapped", here == self.projector.size_px, "that is the projector's size: if the two are swapped in the "
+             "calibration, calibrate geometry again"),
+            ("binned", (smaller % 1 == 0).all(), f"its sides are {factors} times smaller: if the camera bins, "
+             f"{convert} --binning {factors}; if it shows a part of its sensor, --region"),
+            ("calibrated binned", (larger % 1 == 0).all(), f"its sides are {factors} times larger: set the binning and "
+             "resolution of the calibration"),
+            ("cropped", (smaller >= 1).all(), f"if the camera shows a part of its sensor, {convert} --region; a "
+             "picture that was cut or scaled afterwards is of no use: cut by --roi"),
+            ("another camera", True, "set the camera's resolution as at calibration, or calibrate it as it is now"),
+        )  # fmt: skip
+        key, cause = next((key, cause) for key, holds, cause in causes if holds)
+        raise CalibrationError(
+            Cause(key, "{} is {}x{} but the calibration is for {}x{}: {}".format(what, *here, *there, cause))
+        )
+
     def working_distance_mm(self) -> float | None:
         """Return the depth at which the projector's axis comes closest to the camera's; None if they never meet.
 
@@ -297,6 +353,28 @@ class Calibration(Model):
         matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
         camera = self.camera.model_copy(update={"size_px": size_px, "matrix": matrix})
         return self.model_copy(update={"camera": camera})
+
+    def binned(self, across: int, down: int) -> "Calibration":
+        """Return the calibration of the same rig whose camera joins so many columns and rows to one.
+
+        A row or column that is left over at the end is not read out.
+        """
+        if self.camera is None:
+            return self
+        factor = np.array([across, down])
+        matrix = self.camera.matrix.copy()
+        matrix[[0, 1], [0, 1]] /= factor
+        matrix[:2, 2] = (matrix[:2, 2] + 0.5) / factor - 0.5  # 0 is the middle of the first pixel
+        width, height = self.camera.size_px
+        lens = {**self.camera.model_dump(), "size_px": (width // across, height // down), "matrix": matrix}
+        shift = self.color_shift_px
+        if shift is not None:
+            shift = shift.model_copy(update={"camera": shift.camera / factor})
+        uncertainty = self.uncertainty
+        if uncertainty is not None:  # without what is in px of the whole frame
+            uncertainty = uncertainty.model_copy(update={"camera": None, "reprojection_px": None})
+        update = {"camera": Lens.model_validate(lens), "color_shift_px": shift, "uncertainty": uncertainty}
+        return self.model_copy(update=update)
 
     @classmethod
     def read(cls, path: str | Path) -> "Calibration":

@@ -10,7 +10,7 @@ the scale: the baseline, measured by hand; or a board whose squares have another
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 import cv2
 import numpy as np
@@ -18,7 +18,8 @@ import numpy as np
 from pipeline.calibration.board_poses import MIN_POSES, BoardPose
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
 from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, ScaleProof, Uncertainty
-from pipeline.calibration.verdict import GeometryVerdict, depth_bias_mm, judge_geometry, pose_causes
+from pipeline.calibration.verdict import GeometryVerdict, corners_off, depth_bias_mm, judge_geometry, pose_causes
+from pipeline.causes import Cause
 from pipeline.errors import CalibrationError
 from pipeline.models import FloatArray
 
@@ -93,10 +94,15 @@ def _check_baseline(fit: BundleAdjustment, baseline_mm: float) -> None:
         raise CalibrationError(f"the baseline is given as {baseline_mm:g} mm: measure it from lens to lens")
     found = float(np.linalg.norm(fit.stereo[3:]))
     if abs(found / baseline_mm - 1) > _MAX_BASELINE_ERROR:
-        raise CalibrationError(
-            f"the baseline comes out as {found:.1f} mm but is {baseline_mm:.1f} mm: the squares are then "
-            f"{baseline_mm / found:.4f} times as large as given"
-        )
+        lengths = f"the baseline comes out as {found:.1f} mm but is {baseline_mm:.1f} mm"
+        squares = f"the squares are then {baseline_mm / found:.4f} times as large as given"
+        _refuse(fit, lengths, Cause("other squares", squares))
+
+
+def _refuse(fit: BundleAdjustment, what: str, otherwise: Cause) -> NoReturn:
+    """Refuse lengths that contradict each other, by what the corners show, and otherwise by the squares."""
+    cause = corners_off(fit) or otherwise
+    raise CalibrationError(Cause(cause.key, f"{what}: {cause}"))
 
 
 def _check_second_board(fit: BundleAdjustment, second: SecondBoard) -> None:
@@ -112,12 +118,13 @@ def _check_second_board(fit: BundleAdjustment, second: SecondBoard) -> None:
     ratio, sigma = board_scale(fit, second.poses)
     if abs(ratio - 1) <= max(_BOARD_SIGMAS * sigma, _MAX_BOARD_ERROR):
         return
-    raise CalibrationError(
-        f"the two boards disagree: if the first's squares are {first_mm:g} mm, the second's are "
+    squares = (
+        f"if the first's squares are {first_mm:g} mm, the second's are "
         f"{second.square_mm * ratio:.3f} ± {second.square_mm * sigma:.3f} mm, not {second.square_mm:g}; "
         f"if the second's are {second.square_mm:g} mm, the first's are {first_mm / ratio:.3f}, not {first_mm:g}: "
         "measure ten squares of each"
     )
+    _refuse(fit, "the two boards disagree", Cause("other squares", squares))
 
 
 def board_scale(fit: BundleAdjustment, poses: Sequence[BoardPose]) -> tuple[float, float]:
@@ -282,10 +289,7 @@ def _fit_without_outliers(
 def _check_fit(fit: BundleAdjustment, pattern: Pattern) -> None:
     """Refuse a fit that its poses do not support, or whose stripes show no depth."""
     if fit.camera_rms_px > _MAX_RMS_PX or fit.projector_rms_px > _MAX_RMS_PX:
-        raise CalibrationError(
-            f"the poses do not fit together ({fit.camera_rms_px:.2f} px off in the camera, {fit.projector_rms_px:.2f} "
-            "px in the projector): is the board flat, of the squares given, not mirrored, and did nothing move?"
-        )
+        raise CalibrationError(Cause("poses do not fit", f"the poses do not fit together: {corners_off(fit)}"))
     focal_sigma = fit.focal_sigma()
     if not focal_sigma < _MAX_FOCAL_SIGMA:
         raise CalibrationError(

@@ -245,6 +245,9 @@ def _place(shift: FloatArray) -> _Place:
 
 def _seen_by(lens: Lens, points: FloatArray) -> FloatImage:
     """Return the pixels at which a lens sees points in its frame, (N, 2); cv2.projectPoints takes ten times as long."""
+    if len(lens.distortion) > 5:
+        pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, lens.distortion)
+        return np.asarray(pixels[:, 0], np.float32)
     x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
     k1, k2, p1, p2, k3 = lens.distortion
     square = x * x + y * y

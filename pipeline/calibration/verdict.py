@@ -28,6 +28,7 @@ from pipeline.calibration.bundle_adjustment import BundleAdjustment, project_poi
 from pipeline.calibration.model import Geometry, Pattern
 from pipeline.calibration.multishot import multishot_sequence
 from pipeline.calibration.radiometry import Radiometry
+from pipeline.causes import Cause
 from pipeline.models import FloatArray
 
 #: "good": a frame's noise limits a measurement; "usable": the calibration does; "poor": calibrate again.
@@ -71,6 +72,11 @@ _GOOD, _USABLE = 1 / 3000, 1 / 1000
 _MIN_SPREAD_DEG = 30.0
 # Corners that fill less of the picture leave its rim, where lenses bend most, to extrapolation.
 _MIN_FIELD = 0.5
+# A projector that warps its picture leaves its corners this many times as far off as the camera's: corners dragged by
+# 15 px leave 0.35 and 0.04 px, a board bent by 3 mm 0.73 and 0.51.
+_WARPED = 2.0
+# corners dragged by 15 px leave 0.35 and 0.04 px, a board bent by 3 mm 0.73 and 0.51.
+_WARPED_PX, _WARPED = 0.2, 2.0
 # Corners further off than this, px RMS, are twice what a ChArUco board and three times what a chessboard leaves.
 _MAX_CORNER_PX = 0.2
 
@@ -269,6 +275,23 @@ def _picture_causes(fit: BundleAdjustment, k: int) -> list[str]:
     return causes
 
 
+def corners_off(fit: BundleAdjustment) -> Cause | None:
+    """Say that corners lie off, and whether in the projector's picture alone; None: they do not.
+
+    A board that is bent, or whose squares are of another size, shows in both pictures, and one that moved in its own.
+    """
+    camera, projector = fit.camera_rms_px, fit.projector_rms_px
+    if max(camera, projector) <= _MAX_CORNER_PX:
+        return None
+    larger = max(1.0, float(fit.parameters[9] / fit.parameters[0]))  # a board's error in the projector's picture
+    moved = [pose.evidence.moved_px for pose in fit.poses if pose.evidence is not None]
+    off = f"corners are off by {projector:.2f} px RMS in the projector and {camera:.2f} in the camera"
+    if projector > _WARPED * larger * camera and max(moved, default=0.0) <= _MOVED_PX:
+        words = "the projector warps its picture: switch off keystone, corner correction and zoom, and capture again"
+        return Cause("warped picture", f"{off}: {words}")
+    return Cause("corners off", f"{off}: take sharper pictures, larger squares, a flat board")
+
+
 def _few_corners(fit: BundleAdjustment, k: int) -> FloatArray | None:
     """Return the middle, camera px, of the few corners that carry most of a pose's error; None: many share it."""
     squared = fit.corner_distances_px(k) ** 2
@@ -421,9 +444,9 @@ def _advice(
             advice.append(
                 f"the boards stood {depths.min():.0f} to {depths.max():.0f} mm away: show them {distance:.0f} mm away"
             )
-        worst = max(fit.camera_rms_px, fit.projector_rms_px)
-        if worst > _MAX_CORNER_PX:
-            advice.append(f"corners are off by {worst:.2f} px RMS: take sharper pictures, larger squares, a flat board")
+        off = corners_off(fit)
+        if off is not None:
+            advice.append(off)
         pictures = len(multishot_sequence(camera_size_px).names)
         advice.append(
             f"show more poses than {len(fit.poses)}: twice as many take three tenths off the bias; more than "

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import measure_poses
-from pipeline.calibration.captures import PictureSequence, refuse_other_camera, write_sequence
+from pipeline.calibration.captures import PictureSequence, write_sequence
 from pipeline.calibration.color_chart import chart_codes, chart_sequence, measure_wavelengths, read_spectra
 from pipeline.calibration.figures import geometry_figure, radiometry_figure, write_figure
 from pipeline.calibration.model import DEFAULT_PROJECTOR_PX, Calibration, Uncertainty
@@ -114,9 +114,9 @@ def radiometry(
     values = {"exposure_s": exposure_s, "gain": gain, "white_balance": white_balance}
     camera = build(CameraState, values, SettingsError, "capture")
     ((_, ramps),) = find_captures(folder, radiometry_sequence(size_of(size)))
-    if known is not None:
+    if known is not None and known.has_geometry:
         height, width = next(iter(ramps.values())).shape[:2]
-        refuse_other_camera(known, (width, height), str(folder))
+        known.geometry().check_frame((width, height), str(folder))
     found = measure_radiometry(ramps, transfer, white_level)
     found.add_to(known, camera).write(target, force=force)
     _show_crosstalk(found)
@@ -384,4 +384,7 @@ def _next_commands(out: Path, board: Board, second: Board) -> list[str]:
 calibrate = App(name="calibrate", help="Measure the rig: its light, its geometry, and later whether both still hold.")
 for command in (simulate, radiometry, wavelengths, geometry, check):
     calibrate.command(command)
+calibrate.command(
+    "pipeline.cli.calibrate_import:import_calibration", name="import", help="Read other programs' calibrations."
+)
 calibrate.command("pipeline.cli.calibrate_capture:capture", name="capture", help="Show and take the pictures, guided.")

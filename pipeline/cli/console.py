@@ -257,6 +257,21 @@ def size_of(text: str, option: str = "--size") -> tuple[int, int]:
     return int(width), int(height)
 
 
+def part_of(text: str, option: str) -> tuple[int, int, int, int]:
+    """Read a part of a picture, as in 100,50,640,480: x, y, width, height.
+
+    Raises
+    ------
+    SettingsError
+        It is none; the message names the option.
+    """
+    found = re.fullmatch(",".join([r"\s*([0-9]{1,6})\s*"] * 4), text)
+    if found is None or 0 in map(int, found.groups()[2:]):
+        raise SettingsError(f"{option} is {text!r}: give x,y,width,height in px, as in 100,50,640,480")
+    x, y, width, height = map(int, found.groups())
+    return x, y, width, height
+
+
 def check_target(target: Path, *, force: bool) -> None:
     """Refuse a file that cannot be written, before minutes have gone into what is to be in it.
 

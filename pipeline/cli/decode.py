@@ -1,6 +1,5 @@
 """`colorphase decode`: a picture, or footage."""
 
-import re
 import sys
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -21,6 +20,7 @@ from pipeline.cli.console import (
     bounded,
     counted,
     frames,
+    part_of,
     read_calibration,
     read_settings,
     remark,
@@ -40,7 +40,6 @@ from pipeline.output.surface_mesh import MeshOptions
 from pipeline.settings import DecodeSettings
 
 _MESHES = "meshes"
-_DIGITS = re.compile("[0-9]{1,6}")
 _SHOWN = 10  # bad frames that are named
 
 
@@ -110,10 +109,7 @@ class FootageOptions:
         """
         if self.roi is None:
             return None
-        parts = [int(part) if _DIGITS.fullmatch(part.strip()) else -1 for part in self.roi.split(",")]
-        if len(parts) != 4 or min(parts) < 0 or min(parts[2:]) < 1:
-            raise SettingsError(f"--roi is {self.roi!r}: give x,y,width,height in px, as in 100,50,640,480")
-        return Crop(*parts)
+        return Crop(*part_of(self.roi, "--roi"))
 
 
 _FOOTAGE, _AS_SET, _ALL = FootageOptions(), SettingsOptions(), MeshChoice()

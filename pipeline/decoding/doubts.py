@@ -1,9 +1,12 @@
 """What a frame gives reason to doubt, each in one line that says what to do."""
 
 from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from pipeline.causes import Cause
 from pipeline.decoding.frame_reader import LinearFrame
 from pipeline.decoding.surface_search import NoModelFits
 from tikernels import runtime
@@ -12,11 +15,14 @@ from tikernels.phase.frame_statistics import MIN_PERIOD_PX, FrameLevels, measure
 from tikernels.transposing import transpose
 
 #: Said once, by the frame that shows it.
-CODE_SHOWN = 'the frame shows a contrast code, which is used: set code = "none" (--code none) to decode it as plain'
+CODE_SHOWN = Cause(
+    "code shown",
+    'the frame shows a contrast code, which is used: set code = "none" (--code none) to decode it as plain',
+)
 # Below this contrast, blur may have turned the fringe over; a sharp pattern in as much other light has a third.
 _MIN_CONTRAST = 0.12
-# A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
-_MAX_MISMATCH = 0.12
+#: A fringe that differs by more from what the crosstalk makes is more than the leaks of a good calibration are off by.
+MAX_MISMATCH = 0.12
 # A share of the surface that is lost unnoticed at edges.
 _MAX_TOO_FAST = 0.05
 
@@ -31,27 +37,81 @@ _BRIGHTEST, _DIM = 0.999, 0.15
 # off by 1.2 times as much at .05, twice as much at .15 and ten times as much at .4.
 _CLIPPED_LIT = 0.1
 
+# Of a frame that is as calibrated the code is read on nearly all of its surfaces, of others on hardly any. Colours fit
+# that are not this much worse than those that fit best.
+_MOST_READ, _MISMATCH, _WORSE = 0.5, 0.02, 3.0
+# What a frame is that fits the calibration when it is changed so.
+_REVERSED = {
+    "turned over": "turned over it fits: the camera's or the projector's picture is upside down or mirrored; turn it",
+    "colours swapped": "its colours are stored in the order B, G, R, and exchanged they fit: exchange red and blue",
+}
+_UNDECIDED = (
+    "it is upside down or mirrored, or its colours are stored in the order B, G, R, which only a code or a calibrated "
+    "crosstalk can distinguish: turn it, or exchange red and blue"
+)
+_NEITHER = "it fits neither turned over nor with red and blue exchanged: check that the calibration is this rig's"
+
 # Columns of a frame that are looked at for a fringe that is too fine, the share of their changes that one has, and how
 # far its frequency differs from place to place, as a fraction: white noise has a sixth of its power in such a band.
 _COLUMNS, _FRINGE_SHARE, _FRINGE_BAND = 32, 0.25, 0.08
 
 
-def fringe_doubt(frame: LinearFrame, stripes: str) -> str:
-    """Say why no fringe was found in a frame."""
+def fringe_doubt(frame: LinearFrame, stripes: str, clipped: float) -> Cause:
+    """Say why no fringe was found in a frame; from `clipped` levels on its light counts as full scale."""
     # First, for what is too fine to be seen beats with the pixels, and may then pass for stripes the other way.
     finest = finest_fringe(frame.image)
     if finest is not None:
-        return (
+        return Cause(
+            "too fine",
             f"the fringe has {finest:.1f} px a cycle in this frame, and {MIN_PERIOD_PX:g} are the least: go nearer, "
-            "take more pixels, or project a longer period"
+            "take more pixels, or project a longer period",
         )
     if measure_frame(transpose(frame.image), frame.white).period_px is not None:
         other = "vertical" if stripes == "horizontal" else "horizontal"
-        return f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
-    return "no fringe stands out of this frame: check that the pattern is projected, in focus and not over-exposed"
+        words = f"no {stripes} fringe stands out, but a {other} one does: set stripes to {other!r} (--stripes {other})"
+        return Cause("other stripes", words)
+    badly = _badly_exposed(runtime.to_host(frame.image), frame.white, clipped)
+    key, cause = badly or ("no fringe", "its exposure is right: check that the pattern is projected and in focus")
+    return Cause(key, f"no fringe stands out of this frame: {cause}")
 
 
-def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -> str | None:
+def _badly_exposed(image: npt.NDArray[Any], white: float, clipped: float) -> tuple[str, str] | None:
+    """Return the key and words of a frame that is over- or under-exposed; None: it is neither."""
+    share = float((image.max(axis=2) >= clipped).mean())
+    brightest = float(np.quantile(image, _BRIGHTEST)) / white
+    if share > _MOST_CLIPPED:
+        return "over-exposed", f"{share:.0%} of it is over-exposed: expose it shorter"
+    if brightest < _DIM:
+        words = f"its brightest places reach {brightest:.0%} of full scale only: expose it longer, or open the aperture"
+        return "under-exposed", words
+    return None
+
+
+class Changed(NamedTuple):
+    """A frame that was turned over, or whose red and blue were exchanged, decoded as such; None: nothing shows it."""
+
+    read: float | None  # share of its surfaces whose code is read
+    mismatch: float | None  # how far its colours are from what the crosstalk makes of them, as a fraction
+
+
+def reversed_doubt(changed: dict[str, Changed]) -> Cause:
+    """Say why a frame's phase runs against the calibrated rig's, by what became of it when it was changed."""
+    least = min((found.mismatch for found in changed.values() if found.mismatch is not None), default=0.0)
+    most = min(MAX_MISMATCH, _MISMATCH + _WORSE * least)
+    fits = [
+        key
+        for key, found in changed.items()
+        if (found.read is None or found.read > _MOST_READ) and (found.mismatch is None or found.mismatch < most)
+    ]
+    if len(fits) == 1:
+        key, words = fits[0], _REVERSED[fits[0]]
+    else:
+        key = "reversed" if fits else "reversed for another reason"
+        words = _UNDECIDED if fits else _NEITHER
+    return Cause(key, f"the phase runs against the calibrated rig's, so that no depth can be told: {words}")
+
+
+def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -> Cause | None:
     """Say what a frame with a fringe lacks of which next to nothing was measured; None: enough was."""
     height, width = frame.shape
     if n_measured >= _FEW * height * width:
@@ -60,23 +120,20 @@ def few_pixels_doubt(frame: LinearFrame, levels: FrameLevels, n_measured: int) -
     lit = int((image.sum(axis=2, dtype=np.float64) >= 3 * levels.intensity).sum())
     if 0 < n_measured and n_measured >= _MOST_OF_LIT * lit:  # a small thing before a black curtain
         return None
-    clipped = float((image.max(axis=2) >= levels.clipped).mean())
-    brightest = float(np.quantile(image, _BRIGHTEST)) / frame.white
-    if clipped > _MOST_CLIPPED:
-        cause = f"{clipped:.0%} of it is over-exposed: expose it shorter"
-    elif brightest < _DIM:
-        cause = f"its brightest places reach {brightest:.0%} of full scale only: expose it longer, or open the aperture"
-    else:
-        cause = "elsewhere the fringe is too weak: focus both lenses, shut out other light, or project a longer period"
+    key, cause = _badly_exposed(image, frame.white, levels.clipped) or (
+        "weak fringe",
+        "elsewhere the fringe is too weak: focus both lenses, shut out other light, or project a longer period",
+    )
     share = "nothing" if n_measured == 0 else f"only {n_measured / (height * width):.1%}"
-    return f"{share} of this frame could be measured: {cause}"
+    return Cause(key, f"{share} of this frame could be measured: {cause}")
 
 
-def over_exposure_doubt(clipped: float) -> str | None:
+def over_exposure_doubt(clipped: float) -> Cause | None:
     """Say that a share of what is lit has a channel at full scale; None: too little of it to matter."""
     if clipped < _CLIPPED_LIT:
         return None
-    return f"{clipped:.0%} of what is lit has a colour at full scale, which bends its phase: expose it shorter"
+    words = f"{clipped:.0%} of what is lit has a colour at full scale, which bends its phase: expose it shorter"
+    return Cause("over-exposed", words)
 
 
 def finest_fringe(light: LevelsImage) -> float | None:
@@ -101,7 +158,7 @@ def light_doubts(
     mm_per_rad: Callable[[], float | None],
     *,
     constant_known: bool,
-) -> tuple[str, ...]:
+) -> tuple[Cause, ...]:
     """Say where the light is not as decoding assumes.
 
     Parameters
@@ -119,29 +176,29 @@ def light_doubts(
     constant_known : bool
         Whether the crosstalk is known, so that a mismatch means that it has changed.
     """
-    doubts = []
+    doubts = {}
     if contrast < _MIN_CONTRAST:
-        doubts.append(
+        doubts["low contrast"] = (
             f"the fringe's contrast is only {contrast:.0%}: less motion blur, a sharper focus or less other "
             "light would make it certain"
         )
-    if constant_known and mismatch > _MAX_MISMATCH:
-        doubts.append(
+    if constant_known and mismatch > MAX_MISMATCH:
+        doubts["other crosstalk"] = (
             f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases "
             f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase calibrate check says what is wrong"
         )
     elif odd is not None:
-        doubts.append(
+        doubts["odd colours"] = (
             f"no matrix explains the colours of {odd.share:.0%} of the surface, {odd.color} above all, where phases "
             f"may be off by some {_in_depth(odd.phase_rad, mm_per_rad)}: look for other light, paint that fluoresces, "
             "light that scatters or too fine a print (colorphase calibrate check says whether the calibration fits)"
         )
     if too_fast > _MAX_TOO_FAST:
-        doubts.append(
+        doubts["too fast"] = (
             f"{too_fast:.0%} of the surface moves by a third of a cycle or more from frame to frame: its colours, one "
             "after another, cannot be put together there; take frames faster"
         )
-    return tuple(doubts)
+    return tuple(Cause(key, words) for key, words in doubts.items())
 
 
 def _in_depth(phase_rad: float, mm_per_rad: Callable[[], float | None]) -> str:

@@ -11,71 +11,94 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
+from pipeline.causes import Cause
 from pipeline.models import FloatArray
 
 # Places in the camera's picture along either side, and depths from which the bounds come; more change nothing.
 _PLACES, _DEPTHS = 9, 12
 _LEAST_PX = 16  # smaller pictures have no surface
-# Where no depth range is given, things are at these parts of the working distance, which is far more than lenses allow.
-_NEAREST, _FARTHEST = 0.5, 2.5
-# Where most of a surface is turned further away from the camera or the projector than this, neither sees much of it.
-_MOST_TILT = np.radians(70)
+# Where no depth range is given, things are at these parts of the working distance: possible, and usual.
+_POSSIBLE, _USUAL = (0.5, 2.5), (0.6, 1.6)
+# Where most of a surface is turned further away from the camera or the projector than the first, neither sees much of
+# it; usual surfaces are turned by less than the second: simulated scenes stay within 40 degrees.
+_MOST_TILT, _USUAL_TILT = np.radians(70), np.radians(50)
+_OTHER = (
+    "the projector shows another period than the calibration's {:.4g} px, or the camera another field of view (zoom, "
+    "binning, region); one frame does not show which"
+)
+
+#: Bounds of the phase's usual change from row to row, stripes along the rows, rad per px; both of one sign.
+Bounds = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class ExpectedFringe:
-    """What a rig's geometry makes of its pattern in the camera's picture, whatever the surface.
+    """What a rig's geometry makes of its pattern in the camera's picture.
 
     Attributes
     ----------
-    least, most : float
-        Bounds of the phase's usual change from row to row, stripes along the rows, rad a px; both of one sign.
+    possible, usual : Bounds
+        Whatever the surface; and of surfaces that are not steep.
     period_px : float
         The pattern's, projector px.
     """
 
-    least: float
-    most: float
+    possible: Bounds
+    usual: Bounds
     period_px: float
 
     @classmethod
     def of(cls, geometry: Geometry, depth_range_mm: tuple[float, float] | None) -> "ExpectedFringe | None":
         """Return that of a rig; None where camera and projector see nothing in common at any depth."""
-        depths = depth_range_mm
-        if depths is None:
-            distance = geometry.working_distance_mm()
-            if distance is None:
-                return None
-            depths = (_NEAREST * distance, _FARTHEST * distance)
-        if min(geometry.camera.size_px) < _LEAST_PX:
+        distance = geometry.working_distance_mm()
+        if (depth_range_mm is None and distance is None) or min(geometry.camera.size_px) < _LEAST_PX:
             return None
-        places = _seen_places(geometry, depths)
-        rates = 2 * np.pi * (geometry.pattern_cycles(places.below) - geometry.pattern_cycles(places.above))
-        rates = rates[places.lit]
-        if len(rates) == 0 or not rates.min() * rates.max() > 0:
-            return None
-        angle = places.angle_rad[places.lit]
-        stretch = np.cos(_MOST_TILT - angle) / np.cos(_MOST_TILT) / np.cos(angle)
-        ends = np.sort([np.abs(rates) / stretch, np.abs(rates) * stretch], axis=0)
-        sign = float(np.sign(rates[0]))
-        least, most = sorted((sign * float(ends[0].min()), sign * float(ends[1].max())))
-        return cls(least, most, geometry.pattern.period_px)
-
-    def contradiction(self, rate_rad: float) -> str | None:
-        """Say why a frame's usual change from row to row (rad a px) is none of this rig's; None: it may be."""
-        if self.least <= rate_rad <= self.most or rate_rad == 0:
-            return None
-        if rate_rad * self.least < 0:
-            return (
-                "the phase runs against the calibrated rig's, so that no depth can be told: the picture is upside down "
-                "or mirrored, or its colours are stored in the order B, G, R: turn it, or swap them"
-            )
-        seen, *bounds = (2 * np.pi / abs(rate) for rate in (rate_rad, self.least, self.most))
-        return (
-            f"the fringe has {seen:.1f} px a cycle, and the calibrated pattern of {self.period_px:.4g} projector px "
-            f"shows {min(bounds):.1f} to {max(bounds):.1f}, so that no depth can be told: project the pattern of the "
-            "calibration, or set its pattern's period_px"
+        possible, usual = (
+            _bounds(geometry, depth_range_mm or (near * (distance or 0), far * (distance or 0)), tilt)
+            for (near, far), tilt in ((_POSSIBLE, _MOST_TILT), (_USUAL, _USUAL_TILT))
         )
+        if possible is None or usual is None:
+            return None
+        return cls(possible, usual, geometry.pattern.period_px)
+
+    def is_reversed(self, rate_rad: float) -> bool:
+        """Whether a frame's usual change from row to row (rad per px) has the other sign than this rig's."""
+        return rate_rad * self.possible[0] < 0
+
+    def contradiction(self, rate_rad: float) -> Cause | None:
+        """Say why the size of a frame's usual change from row to row is none of this rig's; None: it may be."""
+        if rate_rad == 0 or self.possible[0] <= rate_rad <= self.possible[1]:
+            return None
+        return Cause("impossible period", f"no depth can be told: {self._sizes(rate_rad, self.possible)}")
+
+    def surprise(self, rate_rad: float) -> Cause | None:
+        """Say that a usual surface of this rig shows another period; None: it shows this one."""
+        if rate_rad == 0 or self.usual[0] <= rate_rad <= self.usual[1]:
+            return None
+        words = "depths are wrong, unless the surface is steep"
+        return Cause("unusual period", f"{words}: {self._sizes(rate_rad, self.usual)}")
+
+    def _sizes(self, rate_rad: float, expected: Bounds) -> str:
+        seen, *bounds = (2 * np.pi / abs(rate) for rate in (rate_rad, *expected))
+        return (
+            f"the fringe has {seen:.1f} px per cycle, and the calibrated rig shows {min(bounds):.1f} to "
+            f"{max(bounds):.1f}: {_OTHER.format(self.period_px)}"
+        )
+
+
+def _bounds(geometry: Geometry, depths_mm: tuple[float, float], most_tilt: float) -> Bounds | None:
+    """Return the bounds of surfaces at some depths that are tilted by no more than this, rad; None: none is lit."""
+    places = _seen_places(geometry, depths_mm)
+    rates = 2 * np.pi * (geometry.pattern_cycles(places.below) - geometry.pattern_cycles(places.above))
+    rates = rates[places.lit]
+    if len(rates) == 0 or not rates.min() * rates.max() > 0:
+        return None
+    angle = places.angle_rad[places.lit]
+    stretch = np.cos(most_tilt - angle) / np.cos(most_tilt) / np.cos(angle)
+    ends = np.sort([np.abs(rates) / stretch, np.abs(rates) * stretch], axis=0)
+    sign = float(np.sign(rates[0]))
+    least, most = sorted((sign * float(ends[0].min()), sign * float(ends[1].max())))
+    return least, most
 
 
 @dataclass(frozen=True)

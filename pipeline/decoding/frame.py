@@ -133,6 +133,7 @@ class Measured:
     at_rest: bool = True  # whether the surfaces are those of one moment: no motion between the colours, or undone
     constant_known: bool = False
     constant_sigma: float = np.nan  # rad, by the light alone
+    mismatch: float = np.nan  # of the colours with what the crosstalk makes of them, as a fraction
     contrast_doubt: ContrastDoubt = attribute(default=ContrastDoubt(0.0, 0.0))  # of the fit of the phases
 
     @property

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from pipeline.calibration import Geometry
 from pipeline.decoding.light_path import LightPath
-from pipeline.errors import CalibrationError, FootageError
+from pipeline.errors import FootageError
 from pipeline.settings import DecodeSettings
 from tikernels import checks, runtime
 from tikernels.arrays import LevelsImage
@@ -61,7 +61,7 @@ class FrameReader:
     ) -> None:
         self._settings = settings
         self._path = path
-        self._calibrated_px = None if geometry is None else geometry.camera.size_px
+        self._geometry = geometry
         self._reference_shape = None if reference is None else reference.shape
 
     def read(self, image: LevelsImage) -> LinearFrame:
@@ -112,11 +112,8 @@ class FrameReader:
             raise ShapeError(f"image has shape {shape}: pass (H, W, 3) RGB")
         if min(shape[:2]) < _MIN_SIZE_PX:
             raise ShapeError(f"image is {size_text(shape)}: at least {_MIN_SIZE_PX}x{_MIN_SIZE_PX} px are needed")
-        if self._calibrated_px is not None and self._calibrated_px != (shape[1], shape[0]):
-            width, height = self._calibrated_px
-            raise CalibrationError(
-                f"frame is {size_text(shape)} but the calibration is for {width}x{height}: recalibrate or crop"
-            )
+        if self._geometry is not None:
+            self._geometry.check_frame((shape[1], shape[0]))
         if self._reference_shape is not None and self._reference_shape != shape[:2]:
             raise ShapeError(f"frame is {size_text(shape)} but the reference is {size_text(self._reference_shape)}")
 

@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
+from pipeline.causes import Cause
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.decoding.surface_finding import SurfaceFinder
 from pipeline.errors import DecodeWarning, SettingsError
@@ -192,9 +193,14 @@ def _transfer(settings: DecodeSettings, calibration: Calibration) -> Transfer:
         if getattr(before, name) is not None and getattr(now, name) is not None
         if not np.allclose(getattr(before, name), getattr(now, name), rtol=1e-3)
     ]
+    said = [
+        Cause(name, f"{name} is {now} but was {was} at calibration: set the camera as it was, or calibrate again")
+        for name, was, now in differ
+    ]
     if before.transfer is not None and not np.array_equal(chosen, before.transfer):
-        differ.append(("transfer", before.transfer, chosen))
-    for name, was, is_now in differ:
-        message = f"{name} is {is_now} but was {was} at calibration: set the camera as it was, or calibrate again"
+        measured = before.transfer if isinstance(before.transfer, str) else "its own curve"
+        words = f"the settings say that transfer is {settings.transfer} and the calibration has measured {measured}"
+        said.append(Cause("transfer", f"{words}: omit it in the settings"))
+    for message in said:
         warnings.warn(message, DecodeWarning, stacklevel=4)
     return chosen

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration.captures import SWAPPED, CapturedFolder, captured_files, refuse_other_camera
+from pipeline.calibration.captures import CapturedFolder, captured_files
 from pipeline.calibration.model import Calibration, Geometry
 from pipeline.calibration.multishot import WHITE, decode_multishot, multishot_sequence
 from pipeline.decoder import Decoder
@@ -274,7 +274,7 @@ def check_epipolar(
     """
     geometry = calibration.geometry()
     height, width = next(iter(captures.values())).shape[:2]
-    refuse_other_camera(calibration, (width, height), where)
+    geometry.check_frame((width, height), where)
     seen = decode_multishot(captures, geometry.projector.size_px, where, white_level)
     known = ~np.isnan(seen.position_px[..., 0])
     uncertainty = calibration.uncertainty
@@ -287,7 +287,9 @@ def check_epipolar(
 
     found = measure(geometry)
     if not found.fine and measure(_swapped(geometry)).fine:
-        raise CalibrationError(f"{where}: {SWAPPED}")
+        raise CalibrationError(
+            f"{where} fit the calibration with camera and projector swapped in it: calibrate geometry again"
+        )
     return CheckResult((found,), None, None, BLIND_SPOTS["epipolar"])
 
 
@@ -480,7 +482,8 @@ class _Reader:
     """Reads frames and decodes them; what the settings leave open, the calibration says."""
 
     def __init__(self, source: Source, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
-        refuse_other_camera(calibration, source.size_px, source.name)
+        if calibration.has_geometry:
+            calibration.geometry().check_frame(source.size_px, source.name)
         if calibration.pattern is not None and "stripes" not in settings.model_fields_set:
             settings = settings.model_copy(update={"stripes": calibration.pattern.stripes})
         at_calibration = None if calibration.capture is None else calibration.capture.transfer

@@ -19,9 +19,9 @@ FLOORS = {
         "runtime checks strips transposing raw phase depth unwrapping order_evidence scene"
     ),
     "pipeline": (
-        "errors text showing limits linear_algebra models settings robust files locking processes zarr_chunks footage "
-        "recording calibration pattern decoding orders decoder simulation planning output diagnosis batch acquisition "
-        "verification cli"
+        "errors text causes showing limits linear_algebra models settings robust files locking processes zarr_chunks "
+        "footage recording calibration pattern decoding orders decoder simulation planning output diagnosis batch "
+        "acquisition verification cli"
     ),
     "hardware": (
         "errors drivers settings pulses protocols link display colour_cycle run_start pairing pulse_run "

@@ -28,7 +28,7 @@ def point_sigma_kernel(
     rays: F32Array3,  # (H, W, 2) x, y at unit depth
     projector: F32Array1,
     axis: Static,
-    distorted: Static,
+    terms: Static,
     out: F32Array2,  # (H, W) mm along the ray; NaN where there is no point
 ):
     """Move every pixel's phase a little, and see how far its point goes."""
@@ -39,7 +39,7 @@ def point_sigma_kernel(
         for x in range(first, first + count):
             ray = vec3(rays[y, x, 0], rays[y, x, 1], 1.0)
             row = (phase[y, x] + _BESIDE) * (period / (2.0 * PI))
-            depth = ray_depth(ray, row, rotation, translation, focal, center, lens, axis, distorted)
+            depth = ray_depth(ray, row, rotation, translation, focal, center, lens, axis, terms)
             depth = ti.select(depth > 0.0, depth, ti.math.nan)
             shift = ti.abs(depth - points[y, x, 2]) * ti.sqrt(1.0 + ray.x * ray.x + ray.y * ray.y)
             out[y, x] = shift * phase_sigma[y, x] / _BESIDE

@@ -1,19 +1,21 @@
 """What the projector of a simulated rig sends where: its lens, its pixels, and the light between them.
 
-Kernels take its optics as 15 numbers: k1, k2, p1, p2, k3 of the lens; fx, fy, cx, cy (px); and by how much R, G and B
-land beside their places (x and y of each, px).
+Kernels take its optics as 31 numbers: those of `pack_lens`; fx, fy, cx, cy (px); and by how much R, G and B land beside
+their places (x and y of each, px).
 """
 
-from tikernels._taichi import F32Array1, F32Array3, f32, i32, mat3, ti, vec2, vec3, vec5, vec8
-from tikernels.depth.lens_distortion import distorted
+from tikernels._taichi import F32Array1, F32Array3, f32, i32, mat3, ti, vec2, vec3, vec8, vec21
+from tikernels.depth.lens_distortion import LENS_NUMBERS, distorted
+
+_MATRIX, _SHIFT = LENS_NUMBERS, LENS_NUMBERS + 4  # where these begin
 
 
 @ti.func
 def projector_pixel(p: vec3, rotation: mat3, translation: vec3, optics: F32Array1) -> vec2:
     """Return the projector's column and row that light a point, through its lens."""
     q = rotation @ p + translation
-    bent = distorted(q.x / q.z, q.y / q.z, vec5(optics[0], optics[1], optics[2], optics[3], optics[4]))
-    return vec2(optics[5] * bent.x + optics[7], optics[6] * bent.y + optics[8])
+    bent = distorted(q.x / q.z, q.y / q.z, vec21([optics[i] for i in range(LENS_NUMBERS)]))
+    return vec2(optics[_MATRIX] * bent.x + optics[_MATRIX + 2], optics[_MATRIX + 1] * bent.y + optics[_MATRIX + 3])
 
 
 @ti.func
@@ -21,7 +23,7 @@ def light_at(light: F32Array3, pixel: vec2, optics: F32Array1) -> vec3:
     """Return what the projector sends to a place of its frame, each colour shifted by the lateral colour."""
     result = vec3(0.0)
     for channel in range(3):
-        column, row = pixel.x - optics[9 + 2 * channel], pixel.y - optics[10 + 2 * channel]
+        column, row = pixel.x - optics[_SHIFT + 2 * channel], pixel.y - optics[_SHIFT + 2 * channel + 1]
         result[channel] = sample(light, column, row, channel)
     return result
 

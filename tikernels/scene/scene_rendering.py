@@ -30,6 +30,7 @@ from tikernels._taichi import (
     vec4,
 )
 from tikernels.arrays import F32
+from tikernels.depth.lens_distortion import pack_lens
 from tikernels.errors import ShapeError
 from tikernels.launching import kernel
 from tikernels.scene.projector_light import light_at, projector_pixel
@@ -140,7 +141,7 @@ def _render_scene_kernel(scene: str, views: int, fields: int, narrow_band: bool)
         crosstalk: mat3,
         rotation: mat3,  # X_projector = rotation X_camera + translation
         translation: vec3,  # mm
-        optics: F32Array1,  # (15,) the projector's, see `projector_light.py`
+        optics: F32Array1,  # (31,) the projector's, see `projector_light.py`
         falloff_mm: f32,  # distance at which the projector's light counts 1
         surface: vec4,  # reflectance in the camera's channels, texture
         ambient: f32,
@@ -256,7 +257,7 @@ def render_scene(
         np.empty((height, width), np.uint8),
     )
     m = projector_matrix
-    optics = (*projector_distortion, m[0, 0], m[1, 1], m[0, 2], m[1, 2], *np.ravel(projector_shift_px))
+    optics = (*pack_lens(projector_distortion), m[0, 0], m[1, 1], m[0, 2], m[1, 2], *np.ravel(projector_shift_px))
     fields = 3 if any(field_motion_mm) else 1
     _render_scene_kernel(scene, views, fields, narrow_band)(
         rays,

@@ -185,7 +185,7 @@ class _Messages:
         )
 
     def _camera_info(self, camera: Lens) -> Any:
-        width, height = camera.size_px
+        (width, height), bent = camera.size_px, camera.distortion
         whole = self._of(
             "sensor_msgs/msg/RegionOfInterest", x_offset=0, y_offset=0, height=0, width=0, do_rectify=False
         )
@@ -194,8 +194,8 @@ class _Messages:
             header=self._header(),
             height=height,
             width=width,
-            distortion_model="plumb_bob",
-            d=camera.distortion,
+            distortion_model="plumb_bob" if len(bent) == 5 else "rational_polynomial",
+            d=bent if len(bent) == 5 or bent[8:].any() else bent[:8],
             k=camera.matrix.ravel(),
             r=np.eye(3).ravel(),
             p=np.hstack([camera.matrix, np.zeros((3, 1))]).ravel(),

@@ -210,7 +210,7 @@ NAMED = {
     "fine.png": (lambda f: by_pillow(eight(light(code=None, period_px=4.4)), "PNG"), "px a cycle in this frame, and 4"),
     "coarse.png": (
         lambda f: by_pillow(eight(light(code=None, period_px=5 * 768 / 44)), "PNG"),
-        "px a cycle, and the calibrated pattern of 17.45 projector px shows",
+        "another period than the calibration's 17.45 px, or the camera another field of view",
     ),
 }
 

@@ -270,7 +270,7 @@ def test_values_above_the_white_level():
 
 def test_a_calibration_of_another_size():
     _, calibration = simulated("plane")
-    with pytest.raises(CalibrationError, match="640x480 but the calibration is for 320x240: recalibrate or crop"):
+    with pytest.raises(CalibrationError, match="640x480 but the calibration is for 320x240: its sides are 2x2 times"):
         Decoder(DecodeSettings(), calibration, arch="cpu").decode(np.zeros((480, 640, 3), np.uint8))
 
 

@@ -83,6 +83,29 @@ def test_a_frame_by_another_clock_than_its_neighbours_is_named():
     assert any(fault.startswith("pulse 2: its frame is 1.20 periods after") for fault in said(evidence(frames)))
 
 
+def keys(frames, **changed):
+    return {fault.key for fault in find_faults(evidence(frames, **changed))}
+
+
+@pytest.mark.parametrize("tick_s", [1e-6, 1e-7, 8e-9])
+def test_a_clock_that_goes_back_is_not_blamed_on_a_cable(tick_s):
+    """By 2^32 of its ticks it has wrapped; by anything else it was set."""
+    frames = [frame_of(number) for number in range(COUNT)]
+    back = [replace(frame, device_time_s=frame.device_time_s - 2**32 * tick_s) for frame in frames[2:]]
+    assert keys([*frames[:2], *back]) == {"clock wrapped"}
+    back = [replace(frame, device_time_s=frame.device_time_s - 3.0) for frame in frames[2:]]
+    assert keys([*frames[:2], *back]) == {"clock set back"}
+    assert keys(frames) == set()
+
+
+def test_a_busy_computer_is_not_blamed_on_a_cable():
+    """It takes other frames late, too; a cable that loses some delivers the others in time."""
+    there = [frame_of(number) for number in (0, 1, 3, 4)]
+    assert "frames lost" in keys(there) and "computer busy" not in keys(there)
+    late = [*there[:2], *(replace(frame, host_time_s=frame.host_time_s + 0.03) for frame in there[2:])]
+    assert "computer busy" in keys(late) and "frames lost" not in keys(late)
+
+
 def test_frames_that_are_broken_skipped_or_shown_twice():
     frames = [frame_of(number) for number in range(COUNT)]
     frames[1] = replace(frames[1], image=None, fault="missing packets")

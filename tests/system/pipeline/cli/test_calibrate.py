@@ -12,6 +12,7 @@ from support.slide_shows import film
 
 from pipeline.acquisition import practice_set
 from pipeline.acquisition.practice_set import practice_rig
+from pipeline.calibration import Calibration
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import MeasuredPoses
 from pipeline.cli import calibrate
@@ -240,8 +241,8 @@ def test_check_and_fix(folder, command):
     swapped.write(folder / "swapped.json")
     (folder / "empty").mkdir()
     for what, rig, options, message in (
-        ("plane.png", "swapped.json", (), "camera and projector are swapped"),
-        ("plane.png", "calibration.json", (), "plane.png is 400x300 px but the calibration is for a camera of 320x240"),
+        ("plane.png", "swapped.json", (), "the two are swapped"),
+        ("plane.png", "calibration.json", (), "plane.png is 400x300 but the calibration is for 320x240"),
         ("plane.png", "old.json", ("--radius-mm", "40"), "add --shape ball"),
         ("many", "old.json", ("--shape", "plane"), "give one picture"),
         ("empty", "old.json", (), "holds no pictures"),
@@ -257,3 +258,21 @@ def test_its_commands_are_named_with_what_they_do(folder, command):
     assert done.returncode == 0
     for name in ("simulate", "radiometry", "wavelengths", "geometry", "check"):
         assert f"│ {name} " in done.stdout, name
+
+
+def test_a_calibration_is_converted_for_a_camera_that_bins_a_part_of_its_sensor(command, tmp_path):
+    """In the region's pixels first, and then binned."""
+    whole = simulated_rig((320, 240), code="contrast", period_px=2 * 768 / 44)
+    whole.write(tmp_path / "calibration.json")
+    options = ("--region", "32,16,256,208", "--binning", "2x2", "--out", "new.json")
+    done = command("calibrate", "import", "calibration.json", *options, cwd=tmp_path)
+    assert done.returncode == 0 and "camera 128x104, projector 1024x768, 180.0 mm apart" in done.stdout, done.stderr
+    found = Calibration.read(tmp_path / "new.json")
+    assert found.digest() == whole.cropped(32, 16, (256, 208)).binned(2, 2).digest()
+    for wrong, message in (
+        (("--region", "32,16,300,208"), "sticks out of the 320x240 px"),
+        (("--region", "32,16,0,208"), "give x,y,width,height in px"),
+        (("--binning", "2"), "--binning is '2': give width and height"),
+    ):
+        done = command("calibrate", "import", "calibration.json", *wrong, "--out", "other.json", cwd=tmp_path)
+        assert done.returncode == 1 and message in done.stderr

@@ -16,7 +16,7 @@ from pipeline.cli.main import command_line
         (("decode", "nowhere", "--out", "x"), "there is no such file"),
         (("decode", "pictures", "--out", "frame.png", "--arch", "cpu"), "its folder is a file"),
         (("decode", "pictures", "--out", "."), "holds something else"),
-        (("decode", "black.png", "--out", "x", "--calibration", "calibration.json"), "recalibrate or crop"),
+        (("decode", "black.png", "--out", "x", "--calibration", "calibration.json"), "but the calibration is for"),
         (("decode", "frame.png", "--out", "x", "--calibration", "settings.toml"), "not what it should be"),
         (("decode", "frame.png", "--out", "x", "--settings", "calibration.json"), "not what it should be"),
         (("decode", "frame.png", "--out", "frame.png"), "is a file"),

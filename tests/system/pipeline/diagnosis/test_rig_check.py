@@ -63,7 +63,7 @@ def test_what_the_settings_leave_open_the_calibration_says(plane, tmp_path, monk
     assert not asked
     write_png(path, image)
     assert check_picture(open_source(path), rig, DecodeSettings(), "cpu").transfer == "srgb"
-    with pytest.warns(match="transfer is linear but was srgb at calibration"):
+    with pytest.warns(match="settings say that transfer is linear and the calibration has measured srgb: omit it"):
         linear = check_picture(open_source(path), rig, DecodeSettings(transfer="linear"), "cpu")
     assert linear.transfer == "linear"
     assert [arguments[5] for arguments in asked] == ["srgb", "linear"]

@@ -27,7 +27,7 @@ def test_times_are_those_of_the_day(tmp_path):
 def test_what_was_said_last_can_be_taken_back(tmp_path):
     log = CaptureLog(tmp_path / "log.jsonl")
     log.say("start")
-    log.reject(Rejected(3, 1, (Fault("check the cable", 2), Fault("and the other"))))
+    log.reject(Rejected(3, 1, (Fault("cable", "check the cable", 2), Fault("other", "and the other"))))
     log.take_back()
     log.say("end")
     log.close()
@@ -36,7 +36,7 @@ def test_what_was_said_last_can_be_taken_back(tmp_path):
 
 def test_why_a_burst_was_thrown_away(tmp_path):
     log = CaptureLog(tmp_path / "log.jsonl")
-    log.reject(Rejected(3, 1, (Fault("check the cable", 2), Fault("and the other"))))
+    log.reject(Rejected(3, 1, (Fault("cable", "check the cable", 2), Fault("other", "and the other"))))
     log.close()
     (line,) = lines(tmp_path / "log.jsonl")
     assert (line["burst"], line["attempt"]) == (3, 1)

@@ -11,12 +11,10 @@ from pipeline.calibration.captures import (
     PictureSequence,
     captured_files,
     full_scale,
-    refuse_other_camera,
     write_sequence,
 )
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.footage.image_file import read_image
-from pipeline.simulation import simulated_rig
 
 SEQUENCE = PictureSequence(kind="radiometry", size_px=(6, 4), names=("00-black", "01-red"))
 
@@ -88,12 +86,3 @@ def test_full_scale_is_the_types_where_nobody_knows_better():
         full_scale(np.full((2, 2, 3), 4095, np.uint16))
     with pytest.raises(CalibrationError, match="white_level is 0"):
         full_scale(np.zeros((2, 2, 3), np.uint16), 0)
-
-
-def test_another_camera_and_a_swapped_one():
-    rig = simulated_rig((64, 48))
-    refuse_other_camera(rig, (64, 48), "a.png")
-    with pytest.raises(CalibrationError, match=r"a\.png is 32x24 px but the calibration is for a camera of 64x48"):
-        refuse_other_camera(rig, (32, 24), "a.png")
-    with pytest.raises(CalibrationError, match="camera and projector are swapped"):
-        refuse_other_camera(rig, (1024, 768), "a.png")

@@ -50,7 +50,10 @@ def test_a_calibration_survives_its_file(tmp_path):
         ({"crosstalk_matrix": [[1, 0, 0], [1, 0, 0], [0, 0, 1]]}, "crosstalk_matrix cannot be inverted"),
         ({"depth_range_mm": [900, 700]}, "depth_range_mm"),
         ({"response": [[0] * 256] * 3}, "response must rise"),
-        ({"camera": {"size_px": [640, 480], "matrix": np.eye(3).tolist(), "distortion": [0] * 4}}, "camera.distortion"),
+        (
+            {"camera": {"size_px": [640, 480], "matrix": np.eye(3).tolist(), "distortion": [0] * 6}},
+            r"camera\.distortion: must have 4, 5, 8, 12 or 14 numbers, in OpenCV's order, got 6",
+        ),
         ({"camera": {"size_px": [640, -1], "matrix": np.eye(3).tolist()}}, "camera.size_px.1"),
         ({"projector": {"size_px": [640, 480], "matrix": np.diag([-1, 1, 1]).tolist()}}, "projector: matrix must be"),
     ],
@@ -90,13 +93,31 @@ def test_rays_are_the_pixels_of_a_pinhole():
     )
 
 
-def test_a_distorted_ray_comes_back_to_its_pixel():
-    lens = simulated_rig((64, 48), camera_distortion=(-0.2, 0.05, 1e-3, -1e-3, 0.0)).camera
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        (-0.2, 0.05, 1e-3, -1e-3),
+        (-0.2, 0.05, 1e-3, -1e-3, 0.0),
+        (12.1, 40.2, 1e-3, -2e-3, 3.5, 12.2, 41.5, 5.1),
+        (-0.2, 0.05, 1e-3, -1e-3, 0.0, 0, 0, 0, 0.02, -0.03, 0.01, 0.05),
+        (0.3, -0.2, 1e-3, 2e-3, 0.1, 0.4, -0.1, 0.1, 0.02, -0.01, 0.01, 0.03, 0.08, -0.05),
+    ],
+)
+def test_a_distorted_ray_comes_back_to_its_pixel(distortion):
+    lens = simulated_rig((64, 48), camera_distortion=distortion).camera
     rays = lens.rays()[::9, ::9].reshape(-1, 2)
     points = np.concatenate([rays, np.ones((len(rays), 1))], axis=1).astype(np.float64)
     pixels, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), lens.matrix, lens.distortion)
     y, x = np.mgrid[:48:9, :64:9]
     np.testing.assert_allclose(pixels[:, 0], np.stack([x.ravel(), y.ravel()], axis=1), atol=1e-3)
+
+
+def test_coefficients_that_are_zero_change_nothing():
+    """Files of 4, 8 and 14 numbers hold the lens, and the digest, of the same five."""
+    short = simulated_rig(camera_distortion=(-0.2, 0.05, 1e-3, -1e-3))
+    for zeros in (1, 4, 8, 10):
+        longer = simulated_rig(camera_distortion=(-0.2, 0.05, 1e-3, -1e-3, *[0.0] * zeros))
+        assert longer.camera.distortion.shape == (5,) and longer.digest() == short.digest()
 
 
 def test_the_axes_meet_where_the_rig_is_turned_to():
@@ -111,6 +132,35 @@ def test_a_point_on_the_projectors_axis_has_the_phase_of_its_middle(stripes):
     axis = 1 if stripes == "horizontal" else 0
     cycles = rig.geometry().pattern_cycles(np.array([[0.0, 0.0, 900.0]]))
     assert cycles == pytest.approx(rig.projector.matrix[axis, 2] / 16)
+
+
+@pytest.mark.parametrize(
+    ("size_px", "key"),
+    [
+        ((24, 32), "on its side"),
+        ((1024, 768), "swapped"),
+        ((16, 12), "binned"),
+        ((32, 12), "binned"),
+        ((128, 96), "calibrated binned"),
+        ((20, 24), "cropped"),
+        ((40, 30), "another camera"),
+        ((40, 20), "another camera"),
+    ],
+)
+def test_a_frame_of_another_size_is_refused_by_what_its_size_can_be(size_px, key):
+    geometry = simulated_rig((32, 24)).geometry()
+    geometry.check_frame((32, 24))
+    with pytest.raises(CalibrationError, match="a.png is {}x{} but the calibration is for 32x24".format(*size_px)) as e:
+        geometry.check_frame(size_px, "a.png")
+    assert e.value.args[0].key == key
+
+
+def test_a_binned_pixel_looks_where_the_middle_of_its_pixels_did():
+    rig = simulated_rig((64, 48), camera_distortion=(-0.2, 0.05, 1e-3, -1e-3, 0.0))
+    binned = rig.binned(2, 3)
+    assert binned.camera.size_px == (32, 16)
+    middles = np.stack(np.meshgrid(2 * np.arange(32) + 0.5, 3 * np.arange(16) + 1.0), axis=-1).reshape(-1, 2)
+    np.testing.assert_allclose(binned.camera.rays().reshape(-1, 2), rig.camera.rays_through(middles), atol=1e-6)
 
 
 def test_a_crop_looks_where_the_whole_frame_looked():

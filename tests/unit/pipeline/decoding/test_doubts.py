@@ -17,12 +17,12 @@ def fringes(axis, period_px=12):
 
 
 def test_stripes_the_other_way_are_named(cpu):
-    assert "a vertical one does: set stripes to 'vertical'" in fringe_doubt(fringes(axis=1), "horizontal")
+    assert "a vertical one does: set stripes to 'vertical'" in fringe_doubt(fringes(axis=1), "horizontal", 253.0)
 
 
 @pytest.mark.parametrize("period_px", [2.4, 3, 3.6])
 def test_fringes_that_are_too_fine_are_named(cpu, period_px):
-    said = fringe_doubt(fringes(axis=0, period_px=period_px), "horizontal")
+    said = fringe_doubt(fringes(axis=0, period_px=period_px), "horizontal", 253.0)
     assert f"the fringe has {period_px:.1f} px a cycle in this frame, and 4 are the least" in said
 
 
@@ -31,7 +31,7 @@ def test_a_fine_fringe_on_a_curved_surface_is_not_taken_for_the_other_direction(
     y, x = np.indices((240, 320))
     phase = 2 * np.pi * (y / 3.2 + 0.00007 * y**2 + 0.0004 * x**2)
     waves = 120 + 80 * np.cos(phase[..., None] + np.array([-1, 0, 1]) * 2 * np.pi / 3)
-    said = fringe_doubt(LinearFrame(waves.astype(np.uint8), 255.0), "horizontal")
+    said = fringe_doubt(LinearFrame(waves.astype(np.uint8), 255.0), "horizontal", 253.0)
     assert "the fringe has 3.0 px a cycle" in said
 
 
@@ -67,12 +67,14 @@ def test_a_small_thing_before_a_black_curtain_is_not_doubted(cpu):
 
 def test_noise_is_no_fine_fringe(cpu):
     noise = np.random.default_rng(0).integers(60, 180, (96, 96, 3)).astype(np.uint8)
-    assert "check that the pattern is projected" in fringe_doubt(LinearFrame(noise, 255.0), "horizontal")
+    assert "check that the pattern is projected" in fringe_doubt(LinearFrame(noise, 255.0), "horizontal", 253.0)
 
 
 def test_where_there_are_none_the_projector_is_looked_at(cpu):
-    plain = LinearFrame(np.full((96, 96, 3), 120, np.uint8), 255.0)
-    assert "check that the pattern is projected" in fringe_doubt(plain, "horizontal")
+    """Or the exposure, where that is wrong."""
+    for level, key in ((120, "no fringe"), (255, "over-exposed"), (10, "under-exposed")):
+        plain = LinearFrame(np.full((96, 96, 3), level, np.uint8), 255.0)
+        assert fringe_doubt(plain, "horizontal", 253.0).key == key
 
 
 @pytest.mark.parametrize(
@@ -100,6 +102,9 @@ def test_the_light(contrast, mismatch, misfit, fast, known, said):
     assert len(doubts) == len(said)
     for doubt, part in zip(doubts, said, strict=True):
         assert part in doubt
+    held = {"low contrast": contrast < 0.1, "other crosstalk": known and mismatch > 0.2, "too fast": fast > 0.1}
+    held["odd colours"] = odd is not None and not held["other crosstalk"]
+    assert {doubt.key for doubt in doubts} == {key for key, holds in held.items() if holds}
 
 
 def test_what_it_costs_is_said_in_mm(cpu):

@@ -4,9 +4,11 @@ import cv2
 import numpy as np
 
 from tikernels._taichi import F32Array1, F32Array2, F32Array3, mat3, ti, vec2, vec3
+from tikernels.depth.lens_distortion import pack_lens
 from tikernels.scene.projector_light import light_at, projector_pixel
 
-OPTICS = (-0.1, 0.05, 0.001, -0.002, 0.01, 1500.0, 1480.0, 511.5, 383.5)
+LENS = np.array((0.3, -0.2, 0.001, 0.002, 0.1, 0.4, -0.1, 0.1, 0.02, -0.01, 0.01, 0.03, 0.08, -0.05))
+OPTICS = (*pack_lens(LENS), 1500.0, 1480.0, 511.5, 383.5)
 
 
 @ti.kernel
@@ -53,5 +55,5 @@ def test_points_land_where_opencv_projects_them(arch):
     optics = np.array((*OPTICS, *[0] * 6), np.float32)
     find_pixels_kernel(points, mat3(rotation.tolist()), vec3(translation.tolist()), optics, found)
     matrix = np.array([[1500.0, 0, 511.5], [0, 1480.0, 383.5], [0, 0, 1]])
-    expected, _ = cv2.projectPoints(points.astype(np.float64), turn, translation, matrix, np.array(OPTICS[:5]))
+    expected, _ = cv2.projectPoints(points.astype(np.float64), turn, translation, matrix, LENS)
     np.testing.assert_allclose(found, expected[:, 0], atol=0.01)

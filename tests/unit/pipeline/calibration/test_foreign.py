@@ -1,0 +1,145 @@
+"""The same rig in other programs' files: OpenCV's, Moreno and Taubin's, Kalibr's, MATLAB's."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.calibration import Pattern
+from pipeline.calibration.foreign import read_foreign
+from pipeline.errors import CalibrationError
+from pipeline.simulation import simulated_rig
+
+CAMERA_PX, PROJECTOR_PX = (64, 48), (1024, 768)
+RATIONAL = (12.1, 40.2, 1e-3, -2e-3, 3.5, 12.2, 41.5, 5.1)
+PATTERN = Pattern(period_px=16)
+
+
+def rig(camera=(-0.2, 0.05, 1e-3, -1e-3, 0.01), projector=(0.1, -0.05, 1e-3, 2e-3, 0.0)):
+    return simulated_rig(CAMERA_PX, tilt_deg=3, period_px=16, camera_distortion=camera, projector_distortion=projector)
+
+
+def opencv(path, truth, names=("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"), unit_mm=1.0):
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    lenses = (truth.camera.matrix, truth.camera.distortion, truth.projector.matrix, truth.projector.distortion)
+    for name, values in zip(names, lenses, strict=True):
+        storage.write(name, np.atleast_2d(values))
+    storage.write("R", np.asarray(truth.rotation))
+    storage.write("T", np.asarray(truth.translation_mm / unit_mm)[:, None])
+    storage.release()
+
+
+def kalibr(truth, model="radtan"):
+    """Return what PyYAML writes of it: lists in one line of 80 characters, or continued on the next."""
+    step = np.vstack([np.column_stack([truth.rotation, truth.translation_mm / 1000]), [0, 0, 0, 1]])
+    lines = []
+    for name, lens in (("cam0", truth.camera), ("cam1", truth.projector)):
+        lines += [f"{name}:"]
+        if name == "cam1":
+            lines += ["  T_cn_cnm1:", *(f"  - {list(map(float, row))}".replace(", ", ",\n    ", 1) for row in step)]
+        m = lens.matrix
+        intrinsics = [float(value) for value in (m[0, 0], m[1, 1], m[0, 2], m[1, 2])]
+        lines += [
+            "  cam_overlaps: [1]",
+            "  camera_model: pinhole",
+            f"  distortion_coeffs: {list(map(float, lens.distortion[:4]))}",
+            f"  distortion_model: {model}",
+            f"  intrinsics: {intrinsics}",
+            f"  resolution: {list(lens.size_px)}",
+            f"  rostopic: /{name}/image_raw",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def matlab(truth, units="millimeters"):
+    def device(lens):
+        matrix = lens.matrix.copy()
+        matrix[:2, 2] += 1
+        k1, k2, p1, p2, k3 = lens.distortion
+        return {
+            "RadialDistortion": [k1, k2, k3] if k3 else [k1, k2],
+            "TangentialDistortion": [p1, p2],
+            "ImageSize": lens.size_px[::-1],
+            "WorldUnits": units,
+            "IntrinsicMatrix": matrix.T.tolist(),
+        }
+
+    return {
+        "CameraParameters1": device(truth.camera),
+        "CameraParameters2": device(truth.projector),
+        "RotationOfCamera2": truth.rotation.T.tolist(),
+        "TranslationOfCamera2": truth.translation_mm.tolist(),
+    }
+
+
+def read(path, sizes=(None, None), mm_per_unit=None):
+    return read_foreign(path, PATTERN, *sizes, mm_per_unit)
+
+
+def assert_same(found, truth):
+    """Every ray and every point of the projector is the same."""
+    assert found.camera.size_px == CAMERA_PX and found.projector.size_px == PROJECTOR_PX
+    assert found.pattern == PATTERN
+    np.testing.assert_allclose(found.camera.rays(), truth.camera.rays(), atol=1e-7)
+    points = np.random.default_rng(1).uniform((-200, -150, 800), (200, 150, 1000), (50, 3))
+    cycles = truth.geometry().pattern_cycles(points)
+    np.testing.assert_allclose(found.geometry().pattern_cycles(points), cycles, atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["yml", "xml"])
+@pytest.mark.parametrize("names", [("M1", "D1", "M2", "D2"), ("cam_K", "cam_kc", "proj_K", "proj_kc")])
+def test_opencv(tmp_path, suffix, names):
+    truth = rig(camera=RATIONAL)
+    opencv(tmp_path / f"stereo.{suffix}", truth, names, unit_mm=24.0)
+    assert_same(read(tmp_path / f"stereo.{suffix}", (CAMERA_PX, PROJECTOR_PX), 24.0), truth)
+
+
+def test_kalibr(tmp_path):
+    truth = rig(camera=(-0.2, 0.05, 1e-3, -1e-3))
+    (tmp_path / "camchain.yaml").write_text(kalibr(truth))
+    assert_same(read(tmp_path / "camchain.yaml"), truth)
+
+
+@pytest.mark.parametrize("units", ["millimeters", "mm"])
+def test_matlab(tmp_path, units):
+    (tmp_path / "stereo.json").write_text(json.dumps(matlab(rig(), units)))
+    assert_same(read(tmp_path / "stereo.json"), rig())
+
+
+def test_our_own_stays_as_it_is(tmp_path):
+    rig().write(tmp_path / "calibration.json")
+    assert read(tmp_path / "calibration.json").digest() == rig().digest()
+
+
+def test_what_is_missing_or_of_another_model_is_named(tmp_path):
+    opencv(tmp_path / "stereo.yml", rig())
+    storage = cv2.FileStorage(str(tmp_path / "one.yml"), cv2.FILE_STORAGE_WRITE)
+    storage.write("camera_matrix", np.eye(3))
+    storage.release()
+    skewed = matlab(rig())
+    skewed["CameraParameters1"]["IntrinsicMatrix"][1][0] = 0.5
+    for name, text in (
+        ("fisheye.yaml", kalibr(rig(), "equidistant")),
+        ("skewed.json", json.dumps(skewed)),
+        ("nothing.yml", "hello: 1\n"),
+        ("half.yaml", "cam0:\n  camera_model: pinhole\n"),
+        ("half.json", '{"CameraParameters1": {}}'),
+    ):
+        (tmp_path / name).write_text(text)
+    both = (CAMERA_PX, PROJECTOR_PX)
+    for name, sizes, message in (
+        ("stereo.yml", both, "does not state its unit: give --mm-per-unit"),
+        ("one.yml", both, "it holds one lens, and a rig has two"),
+        ("fisheye.yaml", both, "cam0 is pinhole-equidistant, and pinhole-radtan is read"),
+        ("skewed.json", both, "the pixels are skewed"),
+        ("nothing.yml", both, "it holds no calibration of OpenCV"),
+        ("half.yaml", both, "'distortion_model' is missing"),
+        ("half.json", both, "'IntrinsicMatrix' is missing"),
+        ("gone.yml", both, "cannot read"),
+    ):
+        with pytest.raises(CalibrationError, match=message) as raised:
+            read(tmp_path / name, sizes)
+        assert "\n" not in str(raised.value)
+    with pytest.raises(CalibrationError, match="does not state the camera's size: give --camera-size"):
+        read(tmp_path / "stereo.yml", mm_per_unit=1.0)
