@@ -1,5 +1,6 @@
 """Shared by all commands: two consoles, one progress bar, bounds of options, and how a mistake is reported."""
 
+import re
 import sys
 import time
 import warnings
