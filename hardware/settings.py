@@ -1,10 +1,11 @@
 """``rig.toml``: what is wired to what, and when it is fired."""
 
 import re
-from collections.abc import Callable, Iterable
-from typing import Annotated, Literal
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, GetJsonSchemaHandler
+from pydantic_core import core_schema
 
 from hardware.drivers import CAMERAS, PROJECTORS, SIMULATED, SOFTWARE, TRIGGERS
 
@@ -21,16 +22,24 @@ _Side = Annotated[int, Field(ge=1, le=2**15)]
 _OWN_DRIVER = re.compile(r"[^\W\d]\w*(\.[^\W\d]\w*)*:[^\W\d]\w*")  # module:Class
 
 
-def _one_of(names: Iterable[str]) -> Callable[[str], str]:
-    """Return what refuses a driver that is neither one of these nor ``module:Class``."""
-    *others, last = map(repr, names)
+@dataclass(frozen=True)
+class _Driver:
+    """Annotate a text as the name of a driver: one of these, or ``module:Class``."""
 
-    def check(driver: str) -> str:
-        if repr(driver) not in (*others, last) and not _OWN_DRIVER.fullmatch(driver):
-            raise ValueError(f"Input should be {', '.join(others)} or {last}, or your own driver as 'module:Class'")
+    names: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+        return core_schema.no_info_after_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: GetJsonSchemaHandler) -> dict[str, Any]:
+        return {"enum": [*self.names, "module:Class"]}
+
+    def check(self, driver: str) -> str:
+        """Refuse what no driver is called."""
+        if driver not in self.names and not _OWN_DRIVER.fullmatch(driver):
+            known = ", ".join(f'"{name}"' for name in self.names)
+            raise ValueError(f'must be {known} or your own driver as "module:Class", got {driver[:40]!r}')
         return driver
-
-    return check
 
 
 class _Section(BaseModel):
@@ -40,7 +49,7 @@ class _Section(BaseModel):
 class TriggerSettings(_Section):
     """Where the pulses come from."""
 
-    driver: Annotated[str, AfterValidator(_one_of([*TRIGGERS, SOFTWARE, SIMULATED]))]
+    driver: Annotated[str, _Driver((*TRIGGERS, SOFTWARE, SIMULATED))]
     """A name in `hardware.drivers`, or a driver of the user's own as ``module:Class``. "software": this program
     triggers the camera itself, some milliseconds late, and the projector not at all."""
     port: str | None = None
@@ -78,7 +87,7 @@ class TimingSettings(_Section):
 class CameraSettings(_Section):
     """The camera and what is fixed in it."""
 
-    driver: Annotated[str, AfterValidator(_one_of([*CAMERAS, SIMULATED]))]
+    driver: Annotated[str, _Driver((*CAMERAS, SIMULATED))]
     """A name in `hardware.drivers`, or a driver of the user's own as ``module:Class``."""
     serial: Annotated[str | None, Field(coerce_numbers_to_str=True)] = None
     """Its serial number, or for opencv its number; None: the only one there. A simulated one may be
@@ -117,14 +126,14 @@ class FieldSettings(_Section):
 class ProjectorSettings(_Section):
     """The projector, how it makes colours, and how it is spoken to."""
 
-    display: Annotated[int, Field(ge=0, lt=100)] | None = None
+    display: Annotated[int, Field(ge=0, le=99)] | None = None
     """The number of its display, as `colorphase devices` lists them: this program then shows the pattern on it; None:
     something else shows it."""
     colour_cycle_s: Positive | None = None
     """How long R, G and B take together, where the projector shows them one after another; None: it does not."""
     fields: FieldSettings | None = None
     """When each frame sees them, where every pulse meets the projector at the same place of its colour cycle."""
-    control: Annotated[str, AfterValidator(_one_of(PROJECTORS))] | None = None
+    control: Annotated[str, _Driver(tuple(PROJECTORS))] | None = None
     """What switches it on, a name in `hardware.drivers` or ``module:Class``; None: somebody does."""
     port: str | None = None
     """A serial device, or a URL such as socket://10.0.0.6:4352."""

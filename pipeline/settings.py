@@ -56,7 +56,7 @@ class DecodeSettings(Model):
     calibration's response is used whatever this says; so is what the first frame tells where nothing is known of the
     light (see `Decoder`)."""
     smoothing_px: Annotated[int, Field(ge=0, le=MAX_SMOOTHING_PX), AfterValidator(_odd_or_zero)] = 7
-    """Side of the window that the phase is smoothed over, along the stripes and across them; 0: none."""
+    """Side of the window that the phase is smoothed over, along the stripes and across them, an odd number; 0: none."""
     projector_side: Literal["above", "below", "left", "right"] | None = None
     """Where the projector stands, as the camera's picture shows it: "above" or "below" with horizontal stripes, "left"
     or "right" with vertical ones. It tells which side of a surface is in front where no calibration does; None: the

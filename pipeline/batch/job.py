@@ -21,6 +21,7 @@ from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
 from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes
 from pipeline.settings import DecodeSettings
+from pipeline.text import one_line
 from tikernels.arrays import LevelsImage
 from tikernels.raw.development import develop
 from tikernels.raw.pixel_format import PixelFormat
@@ -150,7 +151,7 @@ class Job:
         return {
             **result_attributes(self.settings, self.calibration),
             "footage": {
-                "name": Path(self.footage).name,
+                "name": one_line(Path(self.footage).name),
                 "frames": len(source),
                 "size_px": list(source.size_px),
                 "stored_as": asdict(source.format),

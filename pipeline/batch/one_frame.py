@@ -40,10 +40,11 @@ def decode_picture(
     calibration: Calibration | None,
     stored_as: StoredAs,
     arch: str,
-    part: MeshOptions,
+    part: MeshOptions | None,
     *,
     force: bool,
     tell: Callable[[str], None],
+    remark: Callable[[str], None] = lambda line: None,
 ) -> tuple[DecodedFrame, tuple[str, ...]]:
     """Decode a picture, and write all that a single frame gives.
 
@@ -61,12 +62,14 @@ def decode_picture(
         What is known of its pixels that the file does not say.
     arch : str
         Where to compute.
-    part : MeshOptions
-        What becomes of it in its mesh.
+    part : MeshOptions or None
+        What becomes of it in its mesh; None: it gets none.
     force : bool
         Whether the folder may hold other things.
     tell : callable
         Hears what is being done.
+    remark : callable
+        Hears what the user should know before it is written.
 
     Returns
     -------
@@ -104,7 +107,7 @@ def decode_picture(
             raise FootageError(f"nothing was measured in {picture.name}, so nothing is written")
         report = frame_report(frame, settings, calibration, picture.name)
         report["transfer_because"] = transfer_because
-        write_frame(folder, frame, settings, calibration, report, part, tell=tell)
+        write_frame(folder, frame, settings, calibration, report, part, tell, remark)
         tell(f"moving all into {out}")
     return frame, source.notes
 

@@ -32,6 +32,7 @@ class DecodeSummary:
     bad: list[BadFrame] = field(default_factory=list)
     warned: dict[int, tuple[str, ...]] = field(default_factory=dict)  # by number, in order
     notes: tuple[str, ...] = ()  # of the footage as a whole
+    unmeasured: list[int] = field(default_factory=list)  # of the frames that are done, those that show nothing
     damaged: dict[int, str] = field(default_factory=dict)  # frames that were done, and why they are decoded again
 
 
@@ -167,6 +168,7 @@ def _decode_missing(
         ) from None
     store.remove_leftovers()  # of workers that died
     store.check(stored)
+    summary.unmeasured = store.unmeasured(set(wanted) & store.done())
     summary.bad.sort(key=lambda frame: frame.number)  # workers finish in any order
     summary.warned = dict(sorted(summary.warned.items()))
     return summary

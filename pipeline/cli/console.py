@@ -28,6 +28,7 @@ from rich.progress import (
 from rich.segment import Segment
 
 from pipeline.errors import DecodeWarning, OutputError, SettingsError
+from pipeline.text import one_line
 
 if TYPE_CHECKING:
     from pipeline.calibration import Calibration
@@ -47,9 +48,6 @@ SOME_ARE_BAD = 3
 # Where there is no terminal, a line says how it stands whenever this time is over: short commands say nothing, and logs
 # of hours stay short.
 _RARELY_S = 30.0
-# What moves the cursor, colours, rings or ends a line on a terminal (C0, C1, DEL, separators of lines), and what turns
-# the order of the letters around (Unicode's bidirectional controls).
-_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069]")
 
 
 class FrameRate:
@@ -85,14 +83,6 @@ class FrameRate:
         return (done - before) / (last_s - first_s) if last_s - first_s >= _LEAST_S else None
 
 
-def without_controls(text: str) -> str:
-    """Return a text without its control characters; those that part words are blanks.
-
-    What comes from outside (names of files and instruments, tags of footage) may hold them.
-    """
-    return _CONTROLS.sub(lambda control: " " if control[0].isspace() else "", text)
-
-
 class _Printed(Console):
     """A console whose control characters are its own: texts have none, whoever made them."""
 
@@ -102,7 +92,7 @@ class _Printed(Console):
             if segment.control or segment.text.isprintable():
                 yield segment
             else:
-                lines = "\n".join(without_controls(line) for line in segment.text.split("\n"))
+                lines = "\n".join(one_line(line) for line in segment.text.split("\n"))
                 yield Segment(lines, segment.style)
 
 
@@ -116,7 +106,7 @@ USER_ERRORS = ("hardware.errors", "pipeline.errors", "tikernels.errors")
 
 def say(line: str) -> None:
     """Print a line of the result, however long."""
-    stdout.print(without_controls(line), highlight=False, soft_wrap=True)
+    stdout.print(one_line(line), highlight=False, soft_wrap=True)
 
 
 def frames(count: int) -> str:
@@ -134,7 +124,7 @@ def remark(line: str) -> None:
 
 
 def _tell(line: str, style: str) -> None:
-    stderr.print(without_controls(line), style=style, highlight=False, soft_wrap=True)
+    stderr.print(one_line(line), style=style, highlight=False, soft_wrap=True)
 
 
 class _Progress:

@@ -28,7 +28,7 @@ from pipeline.cli.console import (
     steps,
 )
 from pipeline.cli.export import MeshChoice, write_frames
-from pipeline.errors import SettingsError
+from pipeline.errors import FootageError, SettingsError
 from pipeline.footage.image_folder import is_footage
 from pipeline.footage.source import StoredAs
 from pipeline.output.folder import STORE, refuse_others
@@ -126,6 +126,7 @@ def decode(
     depth_range: tuple[float, float] | None = None,
     arch: Arch = "auto",
     force: IntoOther = False,
+    mesh: bool = True,
     chosen: SettingsOptions = _AS_SET,
     video: FootageOptions = _FOOTAGE,
     part: MeshChoice = _ALL,
@@ -134,7 +135,8 @@ def decode(
     """Decode a picture, or footage: a folder of pictures, a video or a recording.
 
     A picture gives result.zarr, mesh.ply, range.png, shaded.png and report.json, footage result.zarr. Run again, it
-    goes on where it was stopped. Exit code 3: some frames are bad, the rest is done.
+    goes on where it was stopped. Exit code 3: some frames are bad or show nothing, the rest is done; 1: nothing was
+    measured.
 
     Example: colorphase decode face.png --out face --settings settings.toml --calibration calibration.json, or
     colorphase decode film.mkv --out film --fields mask points phase_sigma --export ply
@@ -149,21 +151,30 @@ def decode(
         The rig's calibration.json; with it results are in mm.
     depth_range
         The nearest and the farthest depth of what was photographed, mm; it places surfaces without a code.
+    mesh
+        Write a picture's mesh.ply; --no-mesh leaves it out.
     """
     how, rig = chosen.applied_to(read_settings(settings)), _within(read_calibration(calibration), depth_range)
     if is_footage(input):
         if part != _ALL and video.export is None:
             raise SettingsError("--crop, --no-background and --triangles are for meshes: add --export, or omit them")
+        if not mesh:
+            raise SettingsError("--no-mesh does nothing for footage, which gets meshes by --export: leave it out")
         _decode_video(input, out, how, rig, arch, video, part.options(), stored_as, force=force)
         return
     if video != _FOOTAGE:
         raise SettingsError(
             f"{input.name} is a picture, and these options are for footage: omit them, or give its folder"
         )
+    if not mesh and part != _ALL:
+        raise SettingsError("--no-mesh leaves nothing for --crop, --no-background and --triangles: leave them out")
     from pipeline.batch.one_frame import decode_picture
 
+    options = part.options() if mesh else None
     with steps() as step:
-        frame, notes = decode_picture(input, out, how, rig, stored_as, arch, part.options(), force=force, tell=step)
+        frame, notes = decode_picture(
+            input, out, how, rig, stored_as, arch, options, force=force, tell=step, remark=remark
+        )
     for note in notes:
         remark(f"note: {note}")
     say(f"{frame.mask.mean():.1%} of the pixels measured; wrote {out}")
@@ -230,9 +241,11 @@ def _decode_video(
         )
     _say_summary(summary, job.store)
     _say_whether_relative(job.store)
+    if len(summary.unmeasured) == summary.n_frames - len(summary.bad):
+        raise FootageError(f"nothing was measured in {footage.name}: run colorphase inspect {footage}")
     if options.export is not None:
         write_frames(job.store, Path(out, _MESHES), options.export, part, force=force)
-    if summary.bad:
+    if summary.bad or summary.unmeasured:
         sys.exit(SOME_ARE_BAD)
 
 
@@ -282,6 +295,8 @@ def _say_summary(summary: DecodeSummary, store: str) -> None:
     if summary.warned:
         first = min(summary.warned)
         remark(f"warning: {frames(len(summary.warned))} in doubt; frame {first}: {summary.warned[first][0]}")
+    if summary.unmeasured:
+        remark(f"{frames(len(summary.unmeasured))} empty, as frame {summary.unmeasured[0]}: nothing was measured there")
     n_good = summary.n_frames - len(summary.bad)
     before = f", {summary.n_before} of them before" if summary.n_before else ""
     say(f"{n_good} of {summary.n_frames} frames decoded{before}; they are in {store}")

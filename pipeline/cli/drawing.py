@@ -1,6 +1,7 @@
 """`colorphase render`: pictures of a result, without a screen."""
 
 import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -8,18 +9,104 @@ from cyclopts import Parameter
 
 from pipeline.cli.console import SOME_ARE_BAD, bounded, counted, frames, remark, say, steps
 from pipeline.errors import OutputError, SettingsError
+from pipeline.files import explain, make_folder
+from pipeline.models import build
 from pipeline.output.folder import store_in
-from pipeline.output.mesh_files import read_mesh
+from pipeline.output.formats.table import AxesName, UnitName
+from pipeline.output.mesh import Mesh
+from pipeline.output.mesh_files import read_placed
 from pipeline.output.pictures.color_meaning import Colors
 from pipeline.output.pictures.drawing_process import MOST_SIDE_PX, Buffer, PictureOptions
+from pipeline.output.pictures.picture_overlay import Colormap
 from pipeline.output.pictures.viewpoint import CameraPath, View, Viewpoint
 from pipeline.output.stored_result import StoredResult
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class ColorChoice:
+    """The meaning and the look of colours."""
+
+    colors: Colors | None = None
+    """What colours show; left out, nothing (clay), so that relief is seen."""
+    limits: tuple[float, float] | None = None
+    """The values with the first and the last colour, in mm, rad or levels; left out, by what is drawn."""
+    colormap: Colormap | None = None
+    """Which colours values have; left out, turbo, or blue to red where zero is in the middle."""
+    transparent: bool = False
+    """Leave a still picture transparent where no surface is."""
+
+    def check(self, *, compared: bool, film: bool) -> None:
+        """Refuse what would do nothing.
+
+        Raises
+        ------
+        SettingsError
+            Some of it would.
+        """
+        plain = not compared and self.colors in (None, "clay", "texture")
+        for name, value in (("limits", self.limits), ("colormap", self.colormap)):
+            if value is not None and plain:
+                raise SettingsError(f"--{name} does nothing without values: add --colors depth, or --compare")
+        if self.limits is not None and not self.limits[0] < self.limits[1]:
+            low, high = self.limits
+            raise SettingsError(f"--limits is {low:g} {high:g}: give the lower one first, as 700 900")
+        if self.transparent and film:
+            raise SettingsError("--transparent does nothing for a film: leave it out, or name the output .png")
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Placement:
+    """The axes and units of files that do not state theirs."""
+
+    axes: AxesName | None = None
+    """Axes of the input: y-up (x right, z towards the camera), z-up (x right, y away from it), camera (x right, y
+    down, z away from it); left out, as the file says."""
+    unit: UnitName | None = None
+    """Unit of the input; left out, as the file says."""
+    compare_axes: AxesName | None = None
+    """Axes of the mesh to compare with."""
+    compare_unit: UnitName | None = None
+    """Unit of the mesh to compare with."""
+
+    def read(self, path: str, frame: int | None, *, compared: bool) -> Mesh:
+        """Return the input, which must say how it lies where it is compared; else what is usual is told.
+
+        Raises
+        ------
+        SettingsError
+            It does not say its axes or its unit, and nor do these.
+        """
+        mesh, known = read_placed(path, frame, self.axes, self.unit)
+        if not known and compared:
+            raise SettingsError(_UNKNOWN.format(path, "--axes", "--unit"))
+        if not known:
+            remark(f"{path} does not say its axes and unit, and is shown as if it were ours: see --axes and --unit")
+        return mesh
+
+    def read_compared(self, path: Path) -> Mesh:
+        """Return the mesh to compare with.
+
+        Raises
+        ------
+        SettingsError
+            It does not say its axes or its unit, and nor do these.
+        """
+        mesh, known = read_placed(path, None, self.compare_axes, self.compare_unit)
+        if not known:
+            raise SettingsError(_UNKNOWN.format(path, "--compare-axes", "--compare-unit"))
+        return mesh
+
+
+_CLAY, _AS_IT_SAYS = ColorChoice(), Placement()
+_UNKNOWN = "{} does not say its axes and unit: give {} y-up, z-up or camera, and {} mm, cm, m or in"
 
 
 def render(
     input: str,
     /,
-    *,
+    *more: str,
     out: Path,
     frame: int | None = None,
     view: View | None = None,
@@ -27,8 +114,9 @@ def render(
     camera_path: Path | None = None,
     turn: Annotated[float | None, Parameter(validator=bounded(-3600, 3600))] = None,
     sway: Annotated[float | None, Parameter(validator=bounded(0, 180))] = None,
-    colors: Colors | None = None,
+    look: ColorChoice = _CLAY,
     compare: Path | None = None,
+    placed: Placement = _AS_IT_SAYS,
     buffers: Annotated[tuple[Buffer, ...], Parameter(consume_multiple=True)] = (),
     size: Annotated[tuple[int, int], Parameter(consume_multiple=True)] = (1280, 960),
     fps: Annotated[float | None, Parameter(validator=bounded(0.1, 1000))] = None,
@@ -36,7 +124,8 @@ def render(
 ) -> None:
     """Draw a surface, or frames of a result.zarr, off screen: a still picture, a turntable, or a film of all frames.
 
-    A film that was stopped goes on by the same command. Exit code 3: some frames are damaged, the rest is drawn.
+    A film that was stopped goes on by the same command. Exit code 3: some frames are missing, empty or
+    damaged, the rest is drawn.
 
     Example: colorphase render face/mesh.ply --out face.png --view front --colors depth, or
     colorphase render face/mesh.ply --out turntable.mp4 --turn 360, or
@@ -47,8 +136,10 @@ def render(
     input
         A mesh, a PCD file, a depth picture or a bag (.mcap); or a result.zarr, the folder that it is in, or an fsspec
         URL.
+    more
+        More of them, each to be drawn in the same way.
     out
-        The PNG to write; or the MP4.
+        The PNG to write; or the MP4. Of several inputs the folder for a PNG of each.
     frame
         The only frame of a result.zarr or a bag to draw; left out, a film shows all of a result.zarr.
     view
@@ -62,10 +153,8 @@ def render(
         How far a film's eye goes round the surface, degrees.
     sway
         How far it swings to either side, once, degrees.
-    colors
-        What colours show; left out, nothing (clay), so that relief is seen.
     compare
-        Another mesh in mm, the signed distance from which colours show, in place of --colors.
+        Another mesh, the signed distance from which colours show, in place of --colors.
     buffers
         What to write in addition to a still: NAME.depth.tiff (float32, mm before the eye), NAME.normals.png.
     size
@@ -75,31 +164,65 @@ def render(
     seconds
         How long the film of a single surface is; left out, 4.
     """
-    store = _store(input)
     asked = {"frame": frame, "fps": fps, "seconds": seconds, "turn": turn, "sway": sway, "camera-path": camera_path}
     given = {name for name, value in asked.items() if value is not None} | ({"buffers"} if buffers else set())
     film = out.suffix.lower() == ".mp4"
-    if not film and out.suffix.lower() != ".png":
+    if more and out.suffix.lower() in (".png", ".mp4"):
+        raise OutputError(f"{out} is one picture, and there are {1 + len(more)} inputs: name a folder")
+    if not more and not film and out.suffix.lower() != ".png":
         raise OutputError(f"{out} is neither a PNG nor an MP4 file: name it .png for a still picture, .mp4 for a film")
-    result = None if store is None else StoredResult(store)
-    _refuse_useless(given, result, frame, film=film, of_bag=Path(input).suffix.lower() == ".mcap")
-    _refuse_pairs({"view": view, "camera": camera, "camera-path": camera_path}, {"colors": colors, "compare": compare})
+    _refuse_pairs(
+        {"view": view, "camera": camera, "camera-path": camera_path}, {"colors": look.colors, "compare": compare}
+    )
+    look.check(compared=compare is not None, film=film)
     if camera_path is not None and given & {"turn", "sway"}:
         raise SettingsError("--camera-path moves the eye already: leave out --turn and --sway")
     chosen: dict[str, Any] = {
         "view": view,
         "camera": None if camera is None else Viewpoint.of_numbers(camera),
         "path": None if camera_path is None else CameraPath.read(camera_path),
-        **{"turn_deg": turn, "sway_deg": sway, "colors": colors, "fps": fps, "seconds": seconds, "size_px": size},
+        **{"turn_deg": turn, "sway_deg": sway, "fps": fps, "seconds": seconds, "size_px": size, **asdict(look)},
     }
     if not all(16 <= side <= MOST_SIDE_PX for side in size):
         raise SettingsError(f"--size is {size[0]}x{size[1]}: give 16 to {MOST_SIDE_PX} px")
-    options = PictureOptions(**{name: value for name, value in chosen.items() if value is not None})
-    number = frame if result is None or frame is not None else _only_frame(result)
-    if film:
-        _render_film(input if store is None else store, out, options, number, compare, is_store=store is not None)
-    else:
-        _render_still(input if store is None else store, out, options, number, compare, buffers)
+    known = {name: value for name, value in chosen.items() if value is not None}
+    options = build(PictureOptions, known, SettingsError, "options")
+    compared = None if compare is None else placed.read_compared(compare)
+    pictures = _pictures_in(out, (input, *more)) if more else {input: out}
+    whole = True
+    for each, picture in pictures.items():
+        store = _store(each)
+        result = None if store is None else StoredResult(store)
+        _refuse_useless(given, result, frame, film=film, of_bag=Path(each).suffix.lower() == ".mcap")
+        number = frame if result is None or frame is not None else _only_frame(result)
+        if store is None:
+            subject: str | Mesh = placed.read(each, number, compared=compare is not None)
+        elif placed.axes is not None or placed.unit is not None:
+            raise SettingsError("--axes and --unit do nothing for a result: leave them out")
+        else:
+            subject = store
+        if film:
+            whole &= _render_film(subject, picture, options, number, compared)
+        else:
+            _render_still(subject, picture, options, number, compared, buffers)
+    if not whole:
+        sys.exit(SOME_ARE_BAD)
+
+
+def _pictures_in(folder: Path, inputs: tuple[str, ...]) -> dict[str, Path]:
+    """Return the picture of each input, by its name, or by its folder's and its own where names are not enough."""
+    paths = {each: Path(each).absolute() for each in inputs}
+    for names in (
+        {each: path.stem for each, path in paths.items()},
+        {each: f"{path.parent.name}_{path.stem}" for each, path in paths.items()},
+    ):
+        if len({*names.values()}) == len(inputs):
+            try:
+                make_folder(folder)
+            except OSError as error:
+                raise OutputError(f"cannot write {folder}: {explain(error)}") from error
+            return {each: folder / f"{name}.png" for each, name in names.items()}
+    raise SettingsError("two inputs have the same name: render them one at a time")
 
 
 def _store(input: str) -> str | None:
@@ -138,40 +261,38 @@ def _only_frame(result: StoredResult) -> int | None:
 
 
 def _render_still(
-    source: str,
+    subject: str | Mesh,
     out: Path,
     options: PictureOptions,
     number: int | None,
-    compare: Path | None,
+    compared: Mesh | None,
     buffers: tuple[Buffer, ...],
 ) -> None:
     from pipeline.output.render import buffer_path, render_frame, render_mesh
 
-    is_store = _store(source) is not None
-    if is_store and number is None:
-        raise SettingsError(f"{source} holds many frames: choose one with --frame, or name the output .mp4 for a film")
     with steps() as step:
-        step("reading")
-        mesh = None if is_store else read_mesh(source, number)
-        compared = None if compare is None else read_mesh(compare)
         step("drawing")
-        if mesh is not None:
-            renderer = render_mesh(mesh, out, options, buffers=buffers, compared=compared)
+        if isinstance(subject, Mesh):
+            renderer = render_mesh(subject, out, options, buffers=buffers, compared=compared, remark=remark)
+        elif number is None:
+            raise SettingsError(
+                f"{subject} holds many frames: choose one with --frame, or name the output .mp4 for a film"
+            )
         else:
-            renderer = render_frame(source, number or 0, out, options, buffers=buffers, compared=compared)
+            renderer = render_frame(subject, number, out, options, buffers=buffers, compared=compared, remark=remark)
     written = [str(out), *(str(buffer_path(out, buffer)) for buffer in buffers)]
     say(f"wrote {' '.join(written)}: drawn by {renderer}")
 
 
 def _render_film(
-    source: str, out: Path, options: PictureOptions, number: int | None, compare: Path | None, *, is_store: bool
-) -> None:
+    subject: str | Mesh, out: Path, options: PictureOptions, number: int | None, compared: Mesh | None
+) -> bool:
+    """Draw a film, say what became of it, and return whether every frame is seen."""
     from pipeline.output.film import render_film
 
-    subject = source if is_store else read_mesh(source, number)
-    compared = None if compare is None else read_mesh(compare)
+    frame = None if isinstance(subject, Mesh) else number
     with counted("pictures") as show:
-        film = render_film(subject, out, options, frame=number if is_store else None, compared=compared, tell=show)
+        film = render_film(subject, out, options, frame=frame, compared=compared, tell=show, remark=remark)
     absent = [held for held in film.held if held not in film.broken]
     if absent:
         remark(f"{frames(len(absent))} missing or empty, as frame {absent[0]}: the one before is shown in its place")
@@ -179,5 +300,4 @@ def _render_film(
         remark(f"{frames(len(film.broken))} damaged, and the one before is shown in its place: {why}")
     before = f", {film.before} of them before" if film.before else ""
     say(f"wrote {out}: {film.n_images} pictures{before}, by {film.codec}, drawn by {film.renderer}")
-    if film.broken:
-        sys.exit(SOME_ARE_BAD)
+    return not film.held

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from pipeline.cli.console import SOME_ARE_BAD, bounded, counted, frames, remark, say
-from pipeline.errors import OutputError, SettingsError
+from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.output.folder import store_in
 from pipeline.output.formats.table import FORMATS, Kind
 from pipeline.output.frame_export import export_frames
@@ -52,7 +52,7 @@ def export(
     """Write every frame of a result in a format that other programs open, or a recording as a video.
 
     Run again, it writes what is missing, or made of a frame that has been decoded anew. Exit code 3: some frames are
-    damaged, the rest is written.
+    damaged or empty, the rest is written.
 
     Example: colorphase export film/result.zarr --out meshes --kind glb, or
     colorphase export face --out print --kind stl --no-background
@@ -64,9 +64,9 @@ def export(
     out
         The folder for frame_000000.ply and so on; for a video, left out, the folder that its recording is in.
     kind
-        The format: meshes as ply, obj, stl, glb or wrl; the camera's grid of points as pcd; depth as 16-bit png
-        or tiff; all frames in one ROS bag as mcap. Of a recording a lossless video (FFV1) as mkv, which decodes to the
-        same.
+        The format: meshes as ply, obj, stl, glb or wrl; the camera's grid of points as pcd or npz; measured points as
+        xyz or csv; depth as 16-bit png or tiff; all frames in one ROS bag as mcap. Of a recording a lossless video
+        (FFV1) as mkv, which decodes to the same.
     force
         Write all again, and replace files of these names that were changed or are not ours.
     """
@@ -90,19 +90,27 @@ def _write_video(recording: Path, folder: Path | None, *, force: bool) -> None:
 
 
 def write_frames(store: str, folder: Path, kind: Kind, options: MeshOptions, *, force: bool) -> bool:
-    """Write every frame of a store that is done, say what became of them, and return whether all could be read."""
+    """Write every frame of a store that is done, say what became of them, and return whether there is a file of each.
+
+    Raises
+    ------
+    FootageError
+        No frame shows a surface.
+    """
     runtime.init("cpu")
     with counted("frames") as show:
-        done = export_frames(store, folder, kind, show, options=options, force=force)
+        done = export_frames(store, folder, kind, show, options=options, force=force, remark=remark)
+    n_files = len(done.written) + len(done.before) - len(done.empty)
+    if not n_files:
+        raise FootageError(f"no frame of {store} shows a surface: run colorphase inspect on the footage")
     if done.empty:
         remark(f"{frames(len(done.empty))} empty, as frame {done.empty[0]}: there is no file of what shows no surface")
     for number, why in sorted(done.damaged.items())[:1]:
         remark(f"{frames(len(done.damaged))} damaged and left out; frame {number}: {why}")
-    n_files = len(done.written) + len(done.before) - len(done.empty)
     what = f"{n_files} frame{'s' if n_files != 1 else ''} as {FORMATS[kind].meaning} in {folder}"
     if not done.written:
         say(f"{what} were exported before, and are whole: --force writes them again")
     else:
         before = f", {len(done.before)} of them before" if done.before else ""
         say(f"{what}{before}")
-    return not done.damaged
+    return not done.damaged and not done.empty

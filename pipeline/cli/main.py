@@ -4,11 +4,12 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 
-from cyclopts import App
+from cyclopts import App, Parameter
 from rich.text import Text
 
 from pipeline import __version__
-from pipeline.cli.console import run, without_controls
+from pipeline.cli.console import run
+from pipeline.text import one_line
 
 # Each command's file, and what `--help` lists without importing it.
 _COMMANDS = {
@@ -38,8 +39,9 @@ def command_line(words: Sequence[str]) -> App:
         help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
         version=__version__,
         version_flags=["--version"],
+        default_parameter=Parameter(negative_iterable=()),  # there is nothing that --empty-... would empty
         suppress_keyboard_interrupt=False,  # `run` says what it has stopped
-        error_formatter=lambda error: Text(without_controls(f"error: {' '.join(str(error).split())}"), style="red"),
+        error_formatter=lambda error: Text(one_line(f"error: {' '.join(str(error).split())}"), style="red"),
     )
     for name, (file, summary) in _COMMANDS.items():
         app.command(f"pipeline.cli.{file}:{name}", name=name, help=None if name in words else summary)

@@ -15,7 +15,7 @@ from hardware.settings import CameraSettings, ProjectorSettings, RigSettings, Tr
 from pipeline.cli.console import Replace, bounded, check_target, say
 from pipeline.errors import SettingsError
 from pipeline.files import write_atomically
-from pipeline.models import build
+from pipeline.models import allowed_values, build
 from pipeline.settings import DecodeSettings
 
 _WIDTH = 118
@@ -59,7 +59,8 @@ def settings_template() -> str:
     """Return a settings file in which every default stands as a comment, below what it means."""
     lines = ["# Settings for colorphase decode. What is commented out, or left out, has its default."]
     for name, field in DecodeSettings.model_fields.items():
-        lines += ["", *_comment(" ".join((field.description or "").split()))]
+        meaning = " ".join((field.description or "").split())
+        lines += ["", *_comment(f"{meaning} Allowed: {allowed_values(DecodeSettings, name)}.")]
         default = "(left out)" if field.default is None else json.dumps(field.default)
         lines.append(f"# {name} = {default}")
     return "\n".join(lines) + "\n"
@@ -168,7 +169,7 @@ def _section(model: type[BaseModel], prefix: str, values: Mapping[str, Any], nee
             inner.append((name, field, section))
             continue
         key = prefix + name
-        yield from ("", *_explained(name, field))
+        yield from ("", *_explained(model, name, field))
         value = values.get(key, _EXAMPLES.get(key, field.default) if field.is_required() else field.default)
         shown = "(left out)" if value is None else json.dumps(value)
         mark = f"  # {_FILL_IN}" if key in needed else ""
@@ -189,10 +190,12 @@ def _model_in(annotation: Any) -> type[BaseModel] | None:
     return None
 
 
-def _explained(name: str, field: FieldInfo) -> list[str]:
-    """Return the comment above a key: its meaning, its unit and its default."""
+def _explained(model: type[BaseModel], name: str, field: FieldInfo) -> list[str]:
+    """Return the comment above a key: its meaning, its unit, what it may be and its default."""
     meaning = " ".join((field.description or "").split()).replace("None:", "left out:").rstrip(".")
     sentences = [meaning, *(f"In {unit}" for suffix, unit in _UNITS.items() if name.endswith(suffix))]
+    if (allowed := allowed_values(model, name)) != "text":
+        sentences.append(f"Allowed: {allowed}")
     if field.is_required():
         sentences.append("It has no default")
     elif field.default is not None:
@@ -203,4 +206,4 @@ def _explained(name: str, field: FieldInfo) -> list[str]:
 
 
 def _comment(text: str) -> list[str]:
-    return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ")
+    return textwrap.wrap(text, _WIDTH, initial_indent="# ", subsequent_indent="# ", break_on_hyphens=False)

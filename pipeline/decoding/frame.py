@@ -160,6 +160,11 @@ class DecodedFrame:
     _setup: FrameSetup = attribute(repr=False)
 
     @property
+    def measured_px(self) -> int:
+        """How many pixels the mask holds."""
+        return self._measured.n_measured
+
+    @property
     def constant_known(self) -> bool:
         """Whether the constant of all phases is known: crosstalk that is not known turns all colours about grey."""
         return self._measured.constant_known

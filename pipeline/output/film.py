@@ -66,6 +66,7 @@ def render_film(
     compared: Mesh | None = None,
     timeout_s: float = 120.0,
     tell: Callable[[int, int], None] = lambda done, of: None,
+    remark: Callable[[str], None] = lambda line: None,
 ) -> Film:
     """Draw a film off screen: of every frame of a store, from its first to its last one; or of a single surface.
 
@@ -85,6 +86,8 @@ def render_film(
         Time without a new image after which drawing is given up, s.
     tell : callable
         Receives how many of how many images are drawn; first how many were before.
+    remark : callable
+        Is given a line where the user should know something of the film.
 
     Raises
     ------
@@ -117,7 +120,7 @@ def render_film(
             compared_name = str(folder / compared_name)
         job = PictureJob.model_validate({**where, "options": options, "numbers": numbers, "compared": compared_name})
         with locked(path):
-            return _FilmRun(job, source, path, folder, timeout_s, tell).run()
+            return _FilmRun(job, source, path, folder, timeout_s, tell, remark).run()
 
 
 def _lasting(number: int, options: PictureOptions) -> tuple[int, ...]:
@@ -135,7 +138,9 @@ class _FilmRun:
         folder: Path,
         timeout_s: float,
         tell: Callable[[int, int], None],
+        remark: Callable[[str], None],
     ) -> None:
+        self._remarks, self._remark = set[str](), remark
         self._job, self._source, self._path, self._folder = job, source, path, folder
         self._timeout_s, self._tell = timeout_s, tell
         self._work = path.with_name(f".{path.name}.parts")
@@ -205,6 +210,8 @@ class _FilmRun:
             running = [pool.submit(self._draw_some, i, todo[i::n_processes], threads) for i in range(n_processes)]
             ended, _ = wait(running, return_when=FIRST_EXCEPTION)
             renderers = [drawing.result() for drawing in ended]  # raises what one has raised
+            for line in self._remarks:  # which each process has made
+                self._remark(line)
             return renderers[-1]
         except KeyboardInterrupt:
             missing = sum(part.stop - part.first for part in todo if not _whole(part))
@@ -229,7 +236,7 @@ class _FilmRun:
                     self._tell(sum(self._drawn.values()), len(self._job.numbers))
 
         job = self._job.model_copy(update={"parts": tuple(parts)})
-        return draw_apart(job, folder, self._timeout_s, hear, threads=threads)
+        return draw_apart(job, folder, self._timeout_s, hear, remark=self._remarks.add, threads=threads)
 
 
 def _whole(part: FilmPart) -> bool:

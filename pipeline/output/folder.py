@@ -20,10 +20,11 @@ from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.files import explain, sync
 from pipeline.locking import LOCK, locked
+from pipeline.output.formats.ply import ply_bytes
 from pipeline.output.mesh import provenance_of
 from pipeline.output.mesh_files import write_mesh
 from pipeline.output.range_image import shade_range, write_png, write_range_image
-from pipeline.output.store import chosen_fields, holds_footage, is_there, write_store
+from pipeline.output.store import WORTH_SAYING, chosen_fields, holds_footage, in_bytes, is_there, write_store
 from pipeline.output.surface_mesh import MeshOptions, counted_mesh
 from pipeline.settings import DecodeSettings
 
@@ -34,6 +35,7 @@ _REPORT = "report.json"
 _FILES = "files_sha256"
 # Bytes; no report is longer.
 _MOST_REPORT = 2**20
+_WHOLE = MeshOptions()
 
 
 @contextmanager
@@ -189,12 +191,14 @@ def write_frame(
     settings: DecodeSettings,
     calibration: Calibration | None,
     report: dict[str, Any],
-    part: MeshOptions | None = None,
+    part: MeshOptions | None = _WHOLE,
     tell: Callable[[str], None] = lambda what: None,
+    remark: Callable[[str], None] = lambda line: None,
 ) -> None:
     """Write one frame's ``result.zarr``, ``mesh.ply``, ``range.png``, ``shaded.png`` and ``report.json`` into a folder.
 
-    What is being done is told to `tell`.
+    What is being done is told to `tell`, and to `remark` how large a mesh of 100 MB or more will be. Without `part`
+    there is no mesh.
 
     Raises
     ------
@@ -214,14 +218,18 @@ def write_frame(
         tell("meshing and storing")
         stored = beside.submit(write_store, folder / STORE, frame, settings, calibration)
         shaded = beside.submit(_write_shaded, folder / "shaded.png", frame)
-        mesh, counts = counted_mesh(frame, part)
-        mesh = replace(mesh, provenance=provenance_of(report))
-        tell(f"writing a mesh of {len(mesh.faces):,} triangles, and drawing range.png")
-        meshed = beside.submit(write_mesh, mesh, folder / "mesh.ply")
+        written = [stored, shaded]
+        if part is not None:
+            mesh, counts = counted_mesh(frame, part)
+            mesh = replace(mesh, provenance=provenance_of(report))
+            report = {**report, "mesh": asdict(counts)}
+            tell(f"writing a mesh of {len(mesh.faces):,} triangles, and drawing range.png")
+            if (size := ply_bytes(mesh)) >= WORTH_SAYING:
+                remark(f"mesh.ply takes {in_bytes(size)}: --triangles makes it smaller, --no-mesh leaves it out")
+            written.append(beside.submit(write_mesh, mesh, folder / "mesh.ply"))
         write_range_image(folder / "range.png", frame.range_image, frame.mask, "mm" if frame.calibrated else "rad")
-        for done in (stored, shaded, meshed):
+        for done in written:
             done.result()
-    report = {**report, "mesh": asdict(counts)}
     (folder / "report.json").write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 
 

@@ -25,6 +25,7 @@ from pipeline.output.folder import file_digest
 from pipeline.output.formats.ros_bag import write_bag
 from pipeline.output.formats.table import FORMATS, Kind, encode_as
 from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
+from pipeline.output.store import WORTH_SAYING, in_bytes
 from pipeline.output.stored_result import StoredResult, mesh_fields
 from pipeline.output.surface_mesh import MeshOptions
 
@@ -64,6 +65,7 @@ def export_frames(
     *,
     options: MeshOptions | None = None,
     force: bool = False,
+    remark: Callable[[str], None] = lambda line: None,
 ) -> Exported:
     """Write every frame of a store that is done, ``frame_000012.ply`` and so on, unless it is there.
 
@@ -81,6 +83,8 @@ def export_frames(
         What to leave out of meshes.
     force : bool
         Whether all are written again, and may replace files of others.
+    remark : callable
+        Receives how large all will be by the first one, if it is 100 MB or more.
 
     Raises
     ------
@@ -100,7 +104,7 @@ def export_frames(
     if form.encode_mesh is None:
         result.require_mm()
         if options is not None and options != MeshOptions():
-            raise SettingsError(f"{kind} keeps the whole grid of pixels: cropping and the like are for meshes")
+            raise SettingsError(f"{kind} keeps every measured pixel: cropping and the like are for meshes")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder / _RECORD):
@@ -109,7 +113,7 @@ def export_frames(
             work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
             try:
                 made_by = _Maker(result, kind, options or MeshOptions())
-                return _Export(made_by, folder, work, tell).run(force=force)
+                return _Export(made_by, folder, work, tell, remark).run(force=force)
             finally:
                 shutil.rmtree(work, ignore_errors=True)
     except (FootageError, OutputError):  # OSErrors too, but not about this folder
@@ -189,8 +193,15 @@ class _Maker:
 class _Export:
     """One export, while nobody else writes to its folder."""
 
-    def __init__(self, maker: _Maker, folder: Path, work: Path, tell: Callable[[int, int], None]) -> None:
-        self._maker, self._folder, self._work, self._tell = maker, folder, work, tell
+    def __init__(
+        self,
+        maker: _Maker,
+        folder: Path,
+        work: Path,
+        tell: Callable[[int, int], None],
+        remark: Callable[[str], None],
+    ) -> None:
+        self._maker, self._folder, self._work, self._tell, self._remark = maker, folder, work, tell, remark
         self._known = _read_record(folder)
         self._items = maker.items()
         self._of = sum(map(len, self._items.values()))
@@ -210,10 +221,16 @@ class _Export:
         unknown = [name for name in made_of if name not in self._known and (self._folder / name).exists()]
         todo = [name for name in dict.fromkeys([*unknown, *made_of]) if name not in whole]
         self._done.before += [number for name in whole for number in self._items[name]]
+        told = False
         try:
             self._tell(len(self._done.before), self._of)
             for name in todo:
-                self._make(name, made_of[name], force=force)
+                files = self._make(name, made_of[name], force=force)
+                if files and not told:
+                    told = True
+                    size = len(todo) * sum((self._folder / file).stat().st_size for file in files)
+                    if size >= WORTH_SAYING:
+                        self._remark(f"{self._folder} will grow by about {in_bytes(size)}, by its first file")
                 self._tell(len(self._done.before) + len(self._done.written) + len(self._done.damaged), self._of)
         except KeyboardInterrupt:
             n_there = len(self._done.before) + len(self._done.written)
@@ -234,14 +251,14 @@ class _Export:
             raise FootageError(next(iter(self._done.damaged.values())))
         return self._done
 
-    def _make(self, name: str, made_of: str, *, force: bool) -> None:
-        """Write an item's files, unless one of their names is that of another file than it."""
+    def _make(self, name: str, made_of: str, *, force: bool) -> list[str]:
+        """Write an item's files, unless one of their names is that of another file than it; return their names."""
         numbers = self._items[name]
         try:
             files, counts = self._maker.make(name, numbers, self._work)
         except FootageError as error:
             self._damaged(numbers, error)
-            return
+            return []
         digests = {file: str(file_digest(self._work / file)) for file in files}
         before = self._known.get(name, _Item("", {})).sha256
         for file, digest in digests.items():
@@ -254,6 +271,7 @@ class _Export:
             os.replace(self._work / file, self._folder / file)
         self._known[name] = _Item(made_of, digests, counts)
         self._done.written += numbers
+        return files
 
     def _damaged(self, numbers: tuple[int, ...], error: FootageError) -> None:
         self._done.damaged |= dict.fromkeys(numbers, str(error))

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from pipeline.calibration.model import Lens
 from pipeline.showing import to_html
+from pipeline.text import one_line
 
 Unit = Literal["mm", "rad"]
 
@@ -25,9 +26,6 @@ SMOOTHED, FILLED, RIM = 1, 2, 4
 RESERVED = (*POSITION, *NORMAL, *COLOR, FLAGS)
 #: What a mesh may say of how it was made; see `provenance_of`.
 PROVENANCE = ("software", "source", "frame", "time_s", "calibration_sha256", "settings")
-
-# Fields of records that are no property: places, colours, and what fills gaps between fields.
-_NO_PROPERTIES = {*"xyz", "rgb", "rgba", "_", *RESERVED}
 
 
 def flag_counts(flags: npt.NDArray[np.uint8]) -> dict[str, int]:
@@ -204,8 +202,10 @@ class RangeGrid:
         with np.errstate(over="ignore"):
             points = np.stack([records[axis].astype(np.float32) for axis in "xyz"], axis=-1) * np.float32(1000)
         points[~(np.isfinite(points).all(axis=-1) & (points[..., 2] > 0))] = np.nan
-        properties = {name: np.ascontiguousarray(records[name], np.float32) for name in {*names} - _NO_PROPERTIES}
-        return cls(points, _colors(records), {name: properties[name] for name in names if name in properties})
+        properties = {
+            name: np.ascontiguousarray(records[name], np.float32) for name in names if _is_property(records, name)
+        }
+        return cls(points, _colors(records), properties)
 
     @property
     def depth(self) -> npt.NDArray[np.float32]:
@@ -227,6 +227,11 @@ class RangeGrid:
         for name, values in self.properties.items():
             records[name] = values
         return records
+
+
+def _is_property(records: npt.NDArray[np.void], name: str) -> bool:
+    """Whether a field is one number, and no place, colour, or what fills the gap between fields."""
+    return records[name].ndim == 2 and name not in (*"xyz", "rgb", "rgba", *RESERVED) and not name.startswith("_")
 
 
 def _colors(records: npt.NDArray[np.void]) -> npt.NDArray[np.uint8] | None:
@@ -254,7 +259,7 @@ def provenance_of(attributes: dict[str, Any], number: int | None = None, time_s:
     said = {"software": f"colorphase {attributes['colorphase_version']}"}
     source = attributes.get("source", attributes.get("footage", {}).get("name"))
     if source is not None:
-        said["source"] = str(source).replace("\n", " ")
+        said["source"] = str(source)
     if number is not None:
         said["frame"] = str(number)
     if time_s is not None:
@@ -263,4 +268,4 @@ def provenance_of(attributes: dict[str, Any], number: int | None = None, time_s:
         said["calibration_sha256"] = attributes["calibration_sha256"]
     # Of the settings what differs from nothing; the whole is in the store.
     said["settings"] = json.dumps({name: value for name, value in attributes["settings"].items() if value is not None})
-    return said
+    return {name: one_line(str(value)) for name, value in said.items()}

@@ -1,6 +1,9 @@
 """Meshes to files that other programs open, and back."""
 
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
@@ -8,14 +11,26 @@ from pipeline.output.formats.camera_grids import decode_depth, decode_pcd
 from pipeline.output.formats.obj_stl_gltf import READ_SUFFIXES, read_foreign
 from pipeline.output.formats.ply import decode_ply
 from pipeline.output.formats.ros_bag import read_bag
-from pipeline.output.formats.table import MESH_FORMATS, encode_as, in_camera_frame
+from pipeline.output.formats.table import (
+    AXES,
+    FORMATS,
+    MESH_FORMATS,
+    MM,
+    AxesName,
+    FileFormat,
+    UnitName,
+    encode_as,
+    in_camera_frame,
+)
 from pipeline.output.formats.vrml import decode_vrml
-from pipeline.output.mesh import Mesh
+from pipeline.output.mesh import PROVENANCE, Mesh
 from pipeline.output.surface_mesh import grid_mesh
 
 _DECODERS = {"ply": decode_ply, "wrl": decode_vrml}
 _GRID_DECODERS = {"pcd": decode_pcd, "png": decode_depth, "tiff": decode_depth, "tif": decode_depth}
 _BAG = "mcap"
+_POINTS = ("xyz", "csv", "npz")
+_FORMS: dict[str, FileFormat] = dict(FORMATS.items()) | {"gltf": FORMATS["glb"], "tif": FORMATS["tiff"]}
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> None:
@@ -45,17 +60,23 @@ def write_mesh(mesh: Mesh, path: str | Path) -> None:
         write_atomically(path if suffix == own else path.with_suffix(suffix), files[suffix])
 
 
-def read_mesh(path: str | Path, frame: int | None = None) -> Mesh:
+def read_mesh(
+    path: str | Path, frame: int | None = None, *, axes: AxesName | None = None, unit: UnitName | None = None
+) -> Mesh:
     """Read a mesh of triangles, or a camera's grid of points, which becomes one.
 
     Parameters
     ----------
     path : str or Path
-        A mesh: PLY, binary or ASCII, OBJ, STL, glTF or VRML. A grid: organised PCD, depth as a PNG or TIFF of 16 bits
-        that says its step and its camera, or a bag, as an MCAP file. Units and which way is up are taken to be what is
-        written by `write_mesh` and `colorphase export`; what has another suffix is read as PLY.
+        A mesh: PLY, OBJ, STL, glTF or VRML. A grid: organised PCD, depth as a PNG or TIFF of 16 bits that says its step
+        and its camera, or a bag, as an MCAP file. What has another suffix is read as PLY.
     frame : int, optional
         Which frame of a bag, from 0; of a bag of one frame it may be left out, and of other files it has to be.
+    axes : {"y-up", "z-up", "camera"}, optional
+        Which way the file's axes point: `pipeline.output.formats.table.AXES`. Left out, as the file says, which those
+        of `write_mesh` and `colorphase export` do; else as `write_mesh` writes the format.
+    unit : {"mm", "cm", "m", "in"}, optional
+        What its numbers are in. Left out, likewise.
 
     Returns
     -------
@@ -68,24 +89,42 @@ def read_mesh(path: str | Path, frame: int | None = None) -> Mesh:
     FootageError
         If the file is missing, truncated, or holds nothing of the kind.
     """
+    return read_placed(path, frame, axes, unit)[0]
+
+
+def read_placed(
+    path: str | Path, frame: int | None = None, axes: AxesName | None = None, unit: UnitName | None = None
+) -> tuple[Mesh, bool]:
+    """Read a mesh as `read_mesh` does; and return whether its axes and its unit are known, or only usual."""
     path = Path(path)
     kind = path.suffix.lower()[1:]
-    if kind not in (*_DECODERS, *_GRID_DECODERS, _BAG) and f".{kind}" not in READ_SUFFIXES:
+    if kind not in (*_POINTS, *_DECODERS, *_GRID_DECODERS, _BAG) and f".{kind}" not in READ_SUFFIXES:
         kind = "ply"
     try:
+        if kind in _POINTS:
+            raise ValueError("it holds points alone: give a mesh, or export the same as pcd, which keeps the grid")
         if frame is not None and kind != _BAG:
             raise ValueError(f"it holds one frame: leave out frame {frame}")
-        if kind == _BAG:
-            return grid_mesh(read_bag(path, frame))
-        if kind in _GRID_DECODERS:
-            return grid_mesh(_GRID_DECODERS[kind](path.read_bytes()))
-        if kind in _DECODERS:
-            mesh = _DECODERS[kind](path.read_bytes())
-        else:
-            mesh = read_foreign(path)
+        if kind in (*_GRID_DECODERS, _BAG):
+            grid = read_bag(path, frame) if kind == _BAG else _GRID_DECODERS[kind](path.read_bytes())
+            if axes not in (None, "camera"):
+                raise ValueError("a camera's grid has the camera's axes: leave out others")
+            if unit is not None:
+                usual = MM[_FORMS[kind].unit]
+                grid = replace(grid, points=grid.points * np.float32(MM[unit] / usual))
+            return grid_mesh(grid), True
+        mesh, said = _DECODERS[kind](path.read_bytes()) if kind in _DECODERS else read_foreign(path)
+        in_rad = said.get("unit") == "rad"
+        if in_rad and (axes or unit):
+            raise ValueError("it is in rad, not in mm: decode with a calibration")
     except OSError as error:
         raise FootageError(f"cannot read {path}: {error.strerror}") from error
     except ValueError as error:
         raise FootageError(f"cannot read {path} as a surface ({kind.upper()}): {error}") from error
-    form = MESH_FORMATS[".glb" if kind == "gltf" else f".{kind}"]
-    return in_camera_frame(mesh, form.axes, 0.001 if form.unit == "m" and mesh.unit == "mm" else 1.0)
+    form = _FORMS[kind]
+    told = next((each for each in AXES.values() if each.told == said.get("axes")), None)
+    known = form.is_fixed or ((axes or told) and (unit or said.get("unit") in (*MM, "rad")))
+    about = {name: value for name, value in said.items() if name in PROVENANCE}
+    mesh = replace(mesh, unit="rad" if in_rad else "mm", provenance=about)
+    length_mm = MM[unit] if unit else 1.0 if in_rad else MM.get(said.get("unit", ""), MM[form.unit])
+    return in_camera_frame(mesh, AXES[axes] if axes else told or form.axes, length_mm), bool(known)

@@ -173,7 +173,7 @@ def _slopes(
 
 
 def write_png(path: str | Path, image: npt.NDArray[np.uint8]) -> None:
-    """Write an RGB image, (H, W, 3) uint8, as a PNG file under any name.
+    """Write an RGB image, (H, W, 3) uint8, or one with opacity, (H, W, 4), as a PNG file under any name.
 
     Raises
     ------
@@ -184,8 +184,8 @@ def write_png(path: str | Path, image: npt.NDArray[np.uint8]) -> None:
 
 
 def encode_png(image: npt.NDArray[np.uint8]) -> bytes:
-    """Return an RGB image, (H, W, 3) uint8, as a PNG file."""
-    return bytes(cv2.imencode(".png", image[..., ::-1])[1].tobytes())
+    """Return an RGB image, (H, W, 3) uint8, or one with opacity, (H, W, 4), as a PNG file."""
+    return bytes(cv2.imencode(".png", image[..., [2, 1, 0, 3][: image.shape[-1]]])[1].tobytes())
 
 
 def _slope(

@@ -1,7 +1,7 @@
 """Still pictures of meshes and of frames of a ``result.zarr``, drawn without a screen."""
 
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from pipeline.errors import OutputError, RenderError
@@ -22,6 +22,7 @@ def render_mesh(
     buffers: Sequence[Buffer] = (),
     compared: Mesh | None = None,
     timeout_s: float = 120.0,
+    remark: Callable[[str], None] = lambda line: None,
 ) -> str:
     """Draw a mesh off screen into a PNG file.
 
@@ -41,6 +42,8 @@ def render_mesh(
         Another mesh, the signed distance from which colours show.
     timeout_s : float
         Time after which drawing is given up, s.
+    remark : callable
+        Is given a line where the user should know something of the picture.
 
     Returns
     -------
@@ -63,7 +66,7 @@ def render_mesh(
     with tempfile.TemporaryDirectory() as folder:
         write_mesh(mesh, Path(folder, "mesh.ply"))
         job = {"mesh": "mesh.ply", "numbers": (0,)}
-        return _draw(job, Path(folder), path, options, buffers, compared, timeout_s)
+        return _draw(job, Path(folder), path, options, buffers, compared, timeout_s, remark)
 
 
 def render_frame(
@@ -75,6 +78,7 @@ def render_frame(
     buffers: Sequence[Buffer] = (),
     compared: Mesh | None = None,
     timeout_s: float = 120.0,
+    remark: Callable[[str], None] = lambda line: None,
 ) -> str:
     """Draw a frame of a ``result.zarr`` as `render_mesh` draws a mesh.
 
@@ -85,7 +89,7 @@ def render_frame(
     """
     with tempfile.TemporaryDirectory() as folder:
         job = {"store": absolute_location(location), "numbers": (number,)}
-        return _draw(job, Path(folder), path, options, buffers, compared, timeout_s)
+        return _draw(job, Path(folder), path, options, buffers, compared, timeout_s, remark)
 
 
 def refuse_empty(mesh: Mesh, what: str = "the mesh") -> None:
@@ -141,13 +145,14 @@ def _draw(
     buffers: Sequence[Buffer],
     compared: Mesh | None,
     timeout_s: float,
+    remark: Callable[[str], None],
 ) -> str:
     options = options or PictureOptions()
     if options.moves:
         raise OutputError(f"{path} is a still picture, in which no eye moves: name it .mp4 for a film")
     more = {"options": options, "picture": "picture.png", "buffers": tuple(buffers)}
     drawn = PictureJob.model_validate({**job, **more, "compared": write_compared(compared, folder)})
-    renderer = draw_apart(drawn, folder, timeout_s)
+    renderer = draw_apart(drawn, folder, timeout_s, remark=remark)
     write_atomically(path, (folder / "picture.png").read_bytes())
     for buffer in buffers:
         write_atomically(buffer_path(path, buffer), (folder / _MADE[buffer]).read_bytes())

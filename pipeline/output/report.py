@@ -12,6 +12,7 @@ from pipeline.decoding.frame import DecodedFrame
 from pipeline.output.store import result_attributes
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import SimulatedFrame
+from pipeline.text import one_line
 from tikernels import runtime
 from tikernels.depth.triangulation import triangulate
 
@@ -30,7 +31,7 @@ def frame_report(
     values = frame.range_image[frame.mask]
     values = values[np.isfinite(values)]
     return {
-        "source": source,
+        "source": one_line(source),
         **result_attributes(settings, calibration),
         "scale_proof": None if calibration is None else calibration.scale_proof,
         "arch": runtime.started(),

@@ -49,7 +49,7 @@ _CHUNK_HEAD_BYTES = 20
 # taken to be this many times too large.
 _SURELY = 2.0
 # Bytes; less is no question on any disk.
-_WORTH_SAYING = 100e6
+WORTH_SAYING = 100e6
 
 
 def result_attributes(settings: DecodeSettings, calibration: Calibration | None) -> dict[str, Any]:
@@ -216,6 +216,19 @@ class ResultStore:
         with ThreadPoolExecutor(_READERS, "check") as readers:
             found = zip(numbers, readers.map(fault, numbers), strict=True)
             return {number: wrong for number, wrong in found if wrong is not None} | missing
+
+    def unmeasured(self, numbers: Iterable[int]) -> list[int]:
+        """Return the numbers of those frames, all of which have a mark, in which nothing was measured.
+
+        Raises
+        ------
+        DamageError
+            A mark is damaged.
+        """
+        numbers = sorted(numbers)
+        with ThreadPoolExecutor(_READERS, "marks") as readers:
+            marks = readers.map(lambda number: read_mark(self._files, number, self._identity), numbers)
+            return [number for number, mark in zip(numbers, marks, strict=True) if mark.measured_px == 0]
 
     def check(self, numbers: Set[int]) -> None:
         """Check that frames that were stored are still there.
@@ -473,13 +486,13 @@ class SizeForecast:
         """
         free = free_bytes(self._location)
         if self._frame_bytes is None:
-            if self._most < _WORTH_SAYING:
+            if self._most < WORTH_SAYING:
                 return None
             return f"note: {self._location} will grow by {in_bytes(self._most)} at most, by less where it compresses"
         expected = self._n_frames * self._frame_bytes
         sizes = f"about {in_bytes(expected)}, at most {in_bytes(self._most)}"
         if free is None or expected <= free:
-            return None if expected < _WORTH_SAYING else f"note: {self._location} will grow by {sizes}"
+            return None if expected < WORTH_SAYING else f"note: {self._location} will grow by {sizes}"
         doubt = (
             f"{self._location} will grow by {sizes}, and {in_bytes(free)} are free on its disk: choose fewer --fields, "
             "part of the frames by --stop or --step, or another disk"
@@ -493,7 +506,7 @@ class SizeForecast:
         self._n_stored += 1
         self._stored += n_bytes
         expected = self._stored / self._n_stored * self._n_frames
-        return None if expected < _WORTH_SAYING else in_bytes(expected)
+        return None if expected < WORTH_SAYING else in_bytes(expected)
 
 
 def in_bytes(count: float) -> str:

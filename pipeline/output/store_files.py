@@ -443,6 +443,7 @@ class FrameMark:
     identity: str  # see `identity_digest`
     chunks: dict[str, str]  # the checksum of each field's chunk, in hexadecimal
     made_of: str  # digest of what it was decoded from; empty: of a single picture
+    measured_px: int  # pixels in the mask
 
     @classmethod
     def of(cls, frame: DecodedFrame, identity: str, chunks: dict[str, bytes], made_of: str) -> "FrameMark":
@@ -455,6 +456,7 @@ class FrameMark:
             identity,
             {name: chunk[_CHUNK_CHECKSUM].hex() for name, chunk in chunks.items()},
             made_of,
+            frame.measured_px,
         )
 
     def encoded(self) -> bytes:

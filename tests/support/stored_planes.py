@@ -21,11 +21,13 @@ def plane(distance_mm):
     return points, mask
 
 
-def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), also=(), lens=None):
+def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), also=(), lens=None, footage=None):
     """Write a store as a run over footage does; None stands for a frame without any surface."""
     fields = ["mask", "modulation", "phase_sigma", "range_image", *(["points", "point_sigma"] if in_mm else []), *also]
     fields = chosen_fields([name for name in fields if name not in leave_out], in_mm=in_mm)
     identity = {"colorphase_version": "1", "settings": {}, "step": step, "range_unit": "mm" if in_mm else "rad"}
+    if footage is not None:
+        identity["footage"] = {"name": footage}
     if lens is not None:
         identity["camera"] = lens.model_dump(mode="json")
     written = ResultStore.make(path, identity, fields, len(distances), (WIDTH, HEIGHT))
@@ -47,6 +49,7 @@ def _frame(distance, in_mm):
         warnings=(),
         calibrated=in_mm,
         mask=mask,
+        measured_px=int(mask.sum()),
         modulation=np.where(mask, np.float32(50), np.float32(0)),
         phase_sigma=np.where(mask, np.float32(0.02), np.float32(np.nan)),
         range_image=points[..., 2] if in_mm else points[..., 2] / 100,

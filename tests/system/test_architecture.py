@@ -19,7 +19,7 @@ FLOORS = {
         "runtime checks strips transposing raw phase depth unwrapping order_evidence scene"
     ),
     "pipeline": (
-        "errors causes showing limits linear_algebra models settings robust files locking processes zarr_chunks "
+        "errors text causes showing limits linear_algebra models settings robust files locking processes zarr_chunks "
         "footage recording calibration pattern decoding orders decoder simulation planning output diagnosis batch "
         "acquisition verification cli"
     ),

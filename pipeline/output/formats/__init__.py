@@ -1,6 +1,6 @@
 """The files that other programs open; `table` lists the formats. Here: the heading of a file, and numbers as text."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, BinaryIO, TypeAlias
 
@@ -22,6 +22,12 @@ class Heading:
     def comments(self, mark: str) -> str:
         """Return the remarks as lines that begin with a mark."""
         return "".join(f"{mark} {name} {value}\n" for name, value in self.remarks.items())
+
+
+def remarks_in(comments: Iterable[str]) -> dict[str, str]:
+    """Return what a file's comments, without their marks, say of it; the inverse of `Heading.comments`."""
+    parts = (comment.strip().partition(" ") for comment in comments)
+    return {name: value.strip() for name, _, value in parts}
 
 
 def text_rows(row: str, table: npt.NDArray[Any]) -> str:

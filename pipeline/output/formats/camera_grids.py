@@ -151,12 +151,12 @@ DATA binary
 
 
 def decode_pcd(data: bytes) -> RangeGrid:
-    """Return the grid of points that an organised PCD file holds, binary or ASCII; its places are in m there.
+    """Return the grid of points that an organised PCD file holds, in any of its encodings; its places are in m there.
 
     Raises
     ------
     ValueError
-        It is truncated, larger than `max_pixels` allows, compressed, or no grid.
+        It is truncated, larger than `max_pixels` allows, or no grid.
     """
     head, mark, rest = data[:_LONGEST_HEAD].partition(b"\nDATA ")
     if not mark:
@@ -170,8 +170,10 @@ def decode_pcd(data: bytes) -> RangeGrid:
     check_mesh_size(width * height, 0)
     if kind == b"ascii":
         record, body = _from_text(record, np.array(body.split(), np.float64))
+    elif kind == b"binary_compressed":
+        body = _decompressed(body, record, width * height)
     elif kind != b"binary":
-        raise ValueError("it is compressed: `pcl_convert_pcd_ascii_binary IN OUT 1` writes it plain")
+        raise ValueError(f"its data is {kind.decode('ascii', 'replace')[:80]!r}: save it as binary")
     if len(body) < width * height * record.itemsize:
         raise ValueError(f"it is truncated: its header promises {width * height} points of {record.itemsize} bytes")
     values = np.frombuffer(body, record, width * height).reshape(height, width)
@@ -181,22 +183,70 @@ def decode_pcd(data: bytes) -> RangeGrid:
 def _record(said: dict[str, list[str]]) -> np.dtype:
     """Return the layout of a point by a header's lines."""
     names, sizes, kinds = (said.get(name, []) for name in ("FIELDS", "SIZE", "TYPE"))
-    if {*said.get("COUNT", [])} - {"1"} or not len(names) == len(sizes) == len(kinds) == len({*names}):
-        raise ValueError("its fields are not single numbers, each with a name, a size and a type")
+    counts = said.get("COUNT", ["1"] * len(names))
+    # What fills gaps is called _ each time.
+    names = [f"_{index}" if name == "_" else name for index, name in enumerate(names)]
+    if not len(names) == len(sizes) == len(kinds) == len(counts) == len({*names}):
+        raise ValueError("its fields do not each have a name of their own, a size, a type and a count")
     types = [kind + size for kind, size in zip(kinds, sizes, strict=True)]
-    if not {*types} <= _KINDS or not {*"xyz"} <= {*names}:
+    single = {name for name, count in zip(names, counts, strict=True) if count == "1"}
+    if not {*types} <= _KINDS or not {*"xyz"} <= single or not all(re.fullmatch("[0-9]{1,4}", n) for n in counts):
         raise ValueError("its points have no x, y and z, or a field is of no known type")
-    return np.dtype([(name, "<" + kind.lower()) for name, kind in zip(names, types, strict=True)])
+    columns = zip(names, types, counts, strict=True)
+    return np.dtype([(name, "<" + kind.lower(), () if n == "1" else (int(n),)) for name, kind, n in columns])
+
+
+def _decompressed(body: bytes, record: np.dtype, count: int) -> bytes:
+    """Return the points of a compressed file, in which each field of all points follows the one before.
+
+    The compression is LZF: a byte below 32 is followed by that many bytes and one more; another one begins a
+    repetition, its upper three bits how many bytes, its lower five and the byte that follows how far back.
+    """
+    packed, whole = (int.from_bytes(body[at : at + 4], "little") for at in (0, 4))
+    if whole != count * record.itemsize or len(body) < 8 + packed:
+        raise ValueError(f"it is truncated: its header promises {count} points of {record.itemsize} bytes")
+    packed_bytes, at, out = body[8 : 8 + packed], 0, bytearray()
+    try:
+        while at < packed:
+            control = packed_bytes[at]
+            at += 1
+            if control < 32:
+                out += packed_bytes[at : at + control + 1]
+                at += control + 1
+                continue
+            length = control >> 5
+            if length == 7:
+                length += packed_bytes[at]
+                at += 1
+            start = len(out) - ((control & 31) << 8) - packed_bytes[at] - 1
+            at += 1
+            if start < 0 or len(out) > whole:
+                raise ValueError("it is damaged: its compressed data repeats what is not there")
+            piece = out[start : start + length + 2]
+            out += (piece * (-(-(length + 2) // len(piece))))[: length + 2]
+    except IndexError:
+        raise ValueError("it is truncated: its compressed data ends early") from None
+    if len(out) != whole:
+        raise ValueError(f"it is damaged: {len(out)} of {whole} bytes are in its compressed data")
+    points, first = np.empty(count, record), 0
+    for name in record.names or ():
+        size = record[name].itemsize
+        column = np.frombuffer(out, record[name].base, count * size // record[name].base.itemsize, first)
+        points[name] = column.reshape(points[name].shape)
+        first += count * size
+    return points.tobytes()
 
 
 def _from_text(record: np.dtype, numbers: npt.NDArray[np.float64]) -> tuple[np.dtype, bytes]:
     """Return points that were told in words as their bytes, and their layout: a colour's bits are a whole number."""
     names = record.names or ()
-    table = numbers[: numbers.size // len(names) * len(names)].reshape(-1, len(names))
+    widths = [int(np.prod(record[name].shape)) for name in names]
+    table = numbers[: numbers.size // sum(widths) * sum(widths)].reshape(-1, sum(widths))
     layout = np.dtype([(name, "<u4" if name == "rgb" else record[name]) for name in names])
     rows = np.empty(len(table), layout)
     with np.errstate(invalid="ignore", over="ignore"):
-        for name, column in zip(names, table.T, strict=True):
+        for name, width, end in zip(names, widths, np.cumsum(widths), strict=True):
+            column = table[:, end - width : end].reshape(rows[name].shape)
             rows[name] = _float_bits(column) if name == "rgb" and record[name].kind == "f" else column
     return layout, rows.tobytes()
 

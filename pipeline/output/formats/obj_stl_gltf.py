@@ -9,7 +9,9 @@ Wavefront Technologies, Advanced Visualizer manual, appendix B1: Object files; M
 Khronos Group, glTF 2.0 specification, 2021 (ISO/IEC 12113:2022).
 """
 
+import io
 import json
+import re
 import struct
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -20,7 +22,7 @@ import numpy.typing as npt
 
 from pipeline.errors import OutputError
 from pipeline.limits import MAX_PIXELS, check_mesh_size, max_pixels
-from pipeline.output.formats import Content, Heading, text_rows
+from pipeline.output.formats import Content, Heading, remarks_in, text_rows
 from pipeline.output.mesh import Mesh, face_normals, vertex_normals
 from pipeline.output.range_image import encode_png
 
@@ -31,6 +33,10 @@ _SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1
 READ_SUFFIXES = (".obj", ".stl", ".glb", ".gltf")
 # A vertex and its two triangles take some 150 bytes as text, and a texture some more.
 _BYTES_A_PIXEL = 1000
+# Bytes of an OBJ file in which its remarks are.
+_HEAD = 2**16
+# A corner that is counted from the last vertex.
+_FROM_LAST = re.compile(rb"^\s*f[^\n]*[ /]-", re.MULTILINE)
 
 
 def encode_obj(mesh: Mesh, heading: Heading) -> dict[str, Content]:
@@ -56,8 +62,9 @@ def encode_obj(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     head = f"{told}mtllib {heading.stem}.mtl\nusemtl surface\n"
     material = f"{told}newmtl surface\nKa 0 0 0\nKd 1 1 1\nKs 0 0 0\nillum 1\nmap_Kd {heading.stem}.png\n"
     return {
-        ".obj": f"{head}{vertices}{places}{normals}{faces}".encode(),
-        ".mtl": material.encode(),
+        # A file's name may have bytes that are not UTF-8.
+        ".obj": f"{head}{vertices}{places}{normals}{faces}".encode(errors="surrogateescape"),
+        ".mtl": material.encode(errors="surrogateescape"),
         ".png": encode_png(mesh.texture),
     }
 
@@ -154,8 +161,8 @@ def encode_glb(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     return {".glb": b"".join(parts)}
 
 
-def read_foreign(path: Path) -> Mesh:
-    """Return the mesh that a file holds, with the coordinates that it has there and its colours by vertex.
+def read_foreign(path: Path) -> tuple[Mesh, dict[str, str]]:
+    """Return the mesh that a file holds, with the coordinates that it has there and its colours by vertex; its remarks.
 
     Raises
     ------
@@ -170,10 +177,10 @@ def read_foreign(path: Path) -> Mesh:
     if path.stat().st_size > most:
         raise ValueError(f"it has more than {most} bytes: set {MAX_PIXELS} to a larger number if it is whole")
     try:
-        with path.open("rb") as file:
-            scene = trimesh.load_scene(
-                file, file_type=path.suffix[1:].lower(), resolver=_Beside(path.parent), process=False
-            )
+        data, kind = path.read_bytes(), path.suffix[1:].lower()
+        if kind == "obj":
+            data = _numbered_from_first(data)
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=_Beside(path.parent), process=False)
         places = list(scene.graph.nodes_geometry)
         if len(places) == 1:  # joining parts, even a single one, loses colours next to a material
             transform, name = scene.graph[places[0]]
@@ -184,6 +191,7 @@ def read_foreign(path: Path) -> Mesh:
             vertices = np.asarray(solid.vertices, np.float32)
         faces = np.asarray(getattr(solid, "faces", np.empty((0, 3))), np.int32)
         colors = _colors(solid) if len(faces) else None
+        remarks = _remarks(data, kind)
     except OSError:
         raise
     except Exception as error:  # its readers raise whatever damaged bytes lead to
@@ -191,7 +199,42 @@ def read_foreign(path: Path) -> Mesh:
     if not len(faces):
         raise ValueError("it has no triangles")
     check_mesh_size(len(vertices), len(faces), repeated=6)
-    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors)
+    return Mesh(vertices.reshape(-1, 3), faces.reshape(-1, 3), colors), remarks
+
+
+def _numbered_from_first(data: bytes) -> bytes:
+    """Return an OBJ file whose corners are counted from the file's first vertex; -1 is the last one before the line.
+
+    The reader takes it for the last one of the file.
+    """
+    if not _FROM_LAST.search(data):
+        return data
+    seen = {b"v": 0, b"vt": 0, b"vn": 0}
+    lines = data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+    for number, line in enumerate(lines):
+        words = line.split()
+        if words[:1] == [b"f"]:
+            lines[number] = b" ".join([b"f", *(_corner(word, [*seen.values()]) for word in words[1:])])
+        elif words and words[0] in seen:
+            seen[words[0]] += 1
+    return b"\n".join(lines)
+
+
+def _corner(word: bytes, seen: list[int]) -> bytes:
+    """Return a corner's numbers, of vertex, place in the texture and normal, counted from the first."""
+    parts = zip(word.split(b"/"), seen, strict=False)
+    return b"/".join(b"%d" % (n + 1 + int(part)) if part.startswith(b"-") else part for part, n in parts)
+
+
+def _remarks(data: bytes, kind: str) -> dict[str, str]:
+    """Return what a file of ours says of itself; nothing of another's."""
+    if kind == "obj":
+        return remarks_in(line[1:] for line in data[:_HEAD].decode("utf-8", "replace").splitlines() if line[:1] == "#")
+    if kind == "stl":
+        return remarks_in(data[:80].decode("utf-8", "replace").rstrip("\0").split(";"))
+    text = data[20 : 20 + int.from_bytes(data[12:16], "little")] if data[:4] == b"glTF" else data
+    said = json.loads(text)["asset"].get("extras")
+    return {str(name): str(value) for name, value in said.items()} if isinstance(said, dict) else {}
 
 
 def _colors(solid: Any) -> npt.NDArray[np.uint8] | None:

@@ -8,15 +8,18 @@ G. Turk, The PLY polygon file format, 1994.
 """
 
 import re
+import struct
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.limits import check_mesh_size
-from pipeline.output.formats import Content, Heading
-from pipeline.output.mesh import COLOR, FLAGS, NORMAL, POSITION, PROVENANCE, RESERVED, Mesh
+from pipeline.output.formats import Content, Heading, remarks_in
+from pipeline.output.mesh import COLOR, FLAGS, NORMAL, POSITION, RESERVED, Mesh
 
 _TYPES = dict(
     zip(
@@ -29,7 +32,10 @@ _TYPES = dict(
 _LONGEST_HEAD = 2**16
 # Vertices or faces at a time, which stay in the processor's cache until they are written.
 _BLOCK = 2**14
-_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+# What lists of corners are called, and the elements that are used.
+_CORNERS = ("vertex_indices", "vertex_index")
+_USED = ("vertex", "face", "tristrips")
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "ascii"}
 
 
 def encode_ply(mesh: Mesh, heading: Heading) -> dict[str, Content]:
@@ -66,6 +72,12 @@ def encode_ply(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     return {".ply": write}
 
 
+def ply_bytes(mesh: Mesh) -> int:
+    """Return what a mesh takes as a PLY file, without its header."""
+    arrays = [mesh.vertices, mesh.normals, mesh.colors, mesh.flags, *mesh.properties.values()]
+    return sum(array.nbytes for array in arrays if array is not None) + (mesh.faces.itemsize * 3 + 1) * len(mesh.faces)
+
+
 def _write_records(file: BinaryIO, block: npt.NDArray[Any], fields: Sequence[tuple[str, npt.NDArray[Any]]]) -> None:
     """Write records, block by block; fields that are not named are as in the block."""
     count = len(fields[0][1])
@@ -76,88 +88,234 @@ def _write_records(file: BinaryIO, block: npt.NDArray[Any], fields: Sequence[tup
         file.write(part.data)
 
 
-def decode_ply(data: bytes) -> Mesh:
-    """Return the mesh of triangles that a PLY file holds, binary or ASCII; without a comment on its unit in mm.
+def decode_ply(data: bytes) -> tuple[Mesh, dict[str, str]]:
+    """Return the mesh that a PLY file holds, binary or ASCII, with the coordinates that it has there; and its remarks.
+
+    Polygons and strips become triangles; of elements other than vertices, faces and strips nothing is read.
 
     Raises
     ------
     ValueError
-        It is truncated, or holds something else.
+        It is truncated, larger than `max_pixels` allows, or no mesh.
     """
     head, end, _ = data[:_LONGEST_HEAD].partition(b"end_header")
     if not end:
         raise ValueError(f"its header has no end within {_LONGEST_HEAD} bytes")
     body = data[len(head) + len(end) :]
-    lines = [line.split() for line in head.decode("ascii", "replace").splitlines()]
-    (vertex_count, vertex), (face_count, face) = _parse_header(lines)
-    names = vertex.names or ()
-    if not {*POSITION} <= {*names} or "corners" not in (face.names or ()):
-        raise ValueError("its vertices have no x, y and z, or its faces no corners")
-    check_mesh_size(vertex_count, face_count)
-    if ["format", "ascii", "1.0"] in lines:
-        vertex, face = _as_doubles(vertex), _as_doubles(face)
+    lines = head.decode("ascii", "replace").splitlines()
+    order, elements = _parse_header([line.split() for line in lines])
+    counts = {element.name: element.count for element in elements}
+    vertices = next(element for element in elements if element.name == "vertex")
+    if not {*POSITION} <= {name for name, (count, _) in vertices.properties.items() if count is None}:
+        raise ValueError("its vertices have no x, y and z")
+    check_mesh_size(counts["vertex"], sum(counts.get(name, 0) for name in _USED[1:]))
+    if order == "ascii":
+        elements = [element.as_doubles() for element in elements]
         body = np.array(body.split(), np.float64).tobytes()
     else:
-        body = body[body.find(b"\n") + 1 :]
-    promised = vertex_count * vertex.itemsize + face_count * face.itemsize
-    if len(body) < promised:
-        raise ValueError(f"it is truncated: its header promises {promised} bytes of data and {len(body)} follow")
-    vertices = np.frombuffer(body, vertex, vertex_count)
-    faces = np.frombuffer(body, face, face_count, vertex_count * vertex.itemsize)
-    if (faces["count"] != 3).any():
-        raise ValueError("it has faces other than triangles: triangulate them first")
+        body = body[2 if body[:2] == b"\r\n" else 1 :]
+    tables = _read_elements(body, elements)
+    vertex, triangles = tables["vertex"], [np.empty((0, 3), np.int64)]
+    for name, joined in (("face", _fans), ("tristrips", _strips)):
+        table = tables.get(name, {})
+        corners = next((table[key] for key in _CORNERS if key in table), None)
+        if corners is not None and corners.counts is not None:
+            triangles.append(joined(_whole(corners.values, "corners", np.int32).astype(np.int64), corners.counts))
+    faces = np.concatenate(triangles)
+    check_mesh_size(counts["vertex"], len(faces))
+    names = [name for name, column in vertex.items() if column.counts is None]
     colored, flagged = {*COLOR} <= {*names}, FLAGS in names
-    return Mesh(
-        vertices=_columns(vertices, POSITION, np.float32),
-        faces=_whole(faces["corners"], "corners", np.int32),
-        colors=_whole(_columns(vertices, COLOR), "colours", np.uint8) if colored else None,
-        properties={name: _columns(vertices, (name,), np.float32)[:, 0] for name in names if name not in RESERVED},
-        unit="rad" if ["comment", "unit", "rad"] in lines else "mm",
-        normals=_columns(vertices, NORMAL, np.float32) if {*NORMAL} <= {*names} else None,
-        flags=_whole(_columns(vertices, (FLAGS,))[:, 0], "flags", np.uint8) if flagged else None,
-        provenance={
-            line[1]: " ".join(line[2:]) for line in lines if line[:1] == ["comment"] and {*line[1:2]} & {*PROVENANCE}
-        },
+    mesh = Mesh(
+        vertices=_columns(vertex, POSITION, np.float32),
+        faces=faces.astype(np.int32),
+        colors=_colors(_columns(vertex, COLOR)) if colored else None,
+        properties={name: _columns(vertex, (name,), np.float32)[:, 0] for name in names if name not in RESERVED},
+        normals=_columns(vertex, NORMAL, np.float32) if {*NORMAL} <= {*names} else None,
+        flags=_whole(_columns(vertex, (FLAGS,))[:, 0], "flags", np.uint8) if flagged else None,
     )
+    return mesh, remarks_in(line.removeprefix("comment") for line in lines if line.startswith("comment"))
 
 
-def _columns(vertices: npt.NDArray[Any], names: tuple[str, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
+@dataclass(frozen=True)
+class _Column:
+    """A property of all rows; of lists, one after another, how long each is."""
+
+    values: npt.NDArray[Any]
+    counts: npt.NDArray[np.int64] | None = None
+
+
+@dataclass(frozen=True)
+class _Element:
+    """What a header says of rows: how many there are, and the type of each property, and of a list's count."""
+
+    name: str
+    count: int
+    properties: dict[str, tuple[str | None, str]] = field(default_factory=dict)
+
+    def as_doubles(self) -> "_Element":
+        """Return the same of numbers that were read from text."""
+        as_read = {name: (count and "=f8", "=f8") for name, (count, _) in self.properties.items()}
+        return _Element(self.name, self.count, as_read)
+
+    def layout(self, lengths: Sequence[int]) -> np.dtype:
+        """Return the layout of a row whose lists have these lengths; a list's count has the name before its own."""
+        fields: list[Any] = []
+        left = iter(lengths)
+        for name, (count, kind) in self.properties.items():
+            fields += [(name, kind)] if count is None else [(f"#{name}", count), (name, kind, (next(left),))]
+        return np.dtype(fields)
+
+
+def _read_elements(body: bytes, elements: Sequence[_Element]) -> dict[str, dict[str, _Column]]:
+    """Return each element's properties by name, up to the last that is used."""
+    used = [index for index, element in enumerate(elements) if element.name in _USED]
+    tables, at = {}, 0
+    for element in elements[: used[-1] + 1]:
+        tables[element.name], at = _read_rows(body, at, element)
+    return tables
+
+
+def _read_rows(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Column], int]:
+    """Return an element's properties, and where its rows end."""
+    if not element.properties:
+        return {}, at
+    lists = [name for name, (count, _) in element.properties.items() if count is not None]
+    lengths = _lengths(body, at, element) if element.count else [0] * len(lists)
+    layout = element.layout(lengths)
+    end = at + element.count * layout.itemsize
+    if end <= len(body):  # of almost all files lists are of one length
+        rows = np.frombuffer(body, layout, element.count, at)
+        if all((rows[f"#{name}"] == length).all() for name, length in zip(lists, lengths, strict=True)):
+            return {
+                name: _Column(rows[name])
+                if name not in lists
+                else _Column(rows[name].ravel(), rows[f"#{name}"].astype(np.int64))
+                for name in element.properties
+            }, end
+    elif not lists:
+        raise ValueError(
+            f"it is truncated: its header promises {end - at} bytes of {element.name}, {len(body) - at} follow"
+        )
+    return _read_uneven(body, at, element)
+
+
+def _lengths(body: bytes, at: int, element: _Element) -> list[int]:
+    """Return how long the lists of the row that begins here are."""
+    lengths = []
+    for count, kind in element.properties.values():
+        if count is not None:
+            number = _number(count)
+            if at + number.size > len(body):
+                raise ValueError(f"it is truncated: a {element.name} that its header promises is missing")
+            (length,) = number.unpack_from(body, at)
+            if not 0 <= length <= len(body) or length != int(length):
+                raise ValueError(f"a list of a {element.name} has {length:g} entries: it is damaged")
+            lengths.append(int(length))
+            at += number.size
+        at += (lengths[-1] if count is not None else 1) * _number(kind).size
+    if at > len(body):
+        raise ValueError(f"it is truncated: a {element.name} that its header promises is missing")
+    return lengths
+
+
+@cache
+def _number(kind: str) -> struct.Struct:
+    """Return what reads one number of a NumPy type; many of them are read one after another."""
+    return struct.Struct(kind[0] + np.dtype(kind).char)
+
+
+def _read_uneven(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Column], int]:
+    """Return the properties of rows whose lists differ in length, row by row."""
+    layouts: dict[tuple[int, ...], np.dtype] = {}
+    rows = []
+    for _ in range(element.count):
+        lengths = tuple(_lengths(body, at, element))
+        if lengths not in layouts:
+            layouts[lengths] = element.layout(lengths)
+        if element.name in _USED:
+            rows.append(np.frombuffer(body, layouts[lengths], 1, at)[0])
+        at += layouts[lengths].itemsize
+    if not rows:
+        return {}, at
+    return {
+        name: _Column(np.array([row[name] for row in rows]))
+        if count is None
+        else _Column(np.concatenate([row[name] for row in rows]), np.array([len(row[name]) for row in rows]))
+        for name, (count, _) in element.properties.items()
+    }, at
+
+
+def _fans(corners: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return polygons as triangles, (M, 3), around the first corner of each."""
+    first = np.cumsum(counts) - counts
+    n_each = np.maximum(counts - 2, 0)
+    start = np.repeat(first, n_each)
+    step = np.arange(len(start)) - np.repeat(np.cumsum(n_each) - n_each, n_each)
+    return np.stack([corners[start], corners[start + step + 1], corners[start + step + 2]], axis=1)
+
+
+def _strips(corners: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return strips, ended by -1, as triangles, (M, 3); every other one runs the other way round."""
+    place = np.arange(len(corners))
+    ends = np.cumsum(counts)
+    begin = np.maximum.accumulate(np.where(corners < 0, place + 1, np.where(np.isin(place, ends), place, 0)))
+    first = np.flatnonzero((begin[2:] == begin[:-2]) & (corners[2:] >= 0) & (corners[:-2] >= 0))
+    odd = (first - begin[first]) % 2
+    return np.stack([corners[first], corners[first + 1 + odd], corners[first + 2 - odd]], axis=1)
+
+
+def _columns(vertex: dict[str, _Column], names: tuple[str, ...], dtype: npt.DTypeLike = np.float64) -> npt.NDArray[Any]:
     """Return properties of the vertices side by side; beyond the type's largest number they become infinite."""
     with np.errstate(over="ignore"):
-        return np.stack([vertices[name] for name in names], axis=1).astype(dtype)
+        return np.stack([vertex[name].values for name in names], axis=1).astype(dtype)
+
+
+def _colors(values: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+    """Return colours of 0 to 255, or of 0 to 1 with decimals."""
+    parts = values.size and values.max() <= 1 and (values != np.floor(values)).any()
+    return _whole(np.rint(255 * values) if parts else values, "colours", np.uint8)
 
 
 def _whole(values: npt.NDArray[Any], what: str, dtype: type[np.integer[Any]]) -> npt.NDArray[Any]:
-    """Return whole numbers in a type that holds them, where they are such numbers."""
+    """Return whole numbers in a type that holds them, where they are such numbers; -1 ends a strip of corners."""
     limits = np.iinfo(dtype)
-    if values.size and not ((values >= 0) & (values <= limits.max) & (values == np.floor(values))).all():
+    least = max(limits.min, -1)
+    if values.size and not ((values >= least) & (values <= limits.max) & (values == np.floor(values))).all():
         raise ValueError(f"its {what} are not whole numbers from 0 to {limits.max}")
     return values.astype(dtype)
 
 
-def _as_doubles(layout: np.dtype) -> np.dtype:
-    return np.dtype([(name, "f8", layout[name].shape) for name in layout.names or ()])
-
-
-def _parse_header(lines: list[list[str]]) -> list[tuple[int, np.dtype]]:
-    """Return how many vertices and how many faces follow a PLY header, and the layout of each."""
+def _parse_header(lines: list[list[str]]) -> tuple[str, list[_Element]]:
+    """Return a PLY header's byte order, or that it is text, and its elements."""
     order = ""
-    elements: list[tuple[str, int, list[Any]]] = []
+    elements: list[_Element] = []
     for line in lines:
         match line:
             case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS:
                 order = _BYTE_ORDERS[encoding]
             case ["element", name, count] if re.fullmatch("[0-9]{1,18}", count):
-                elements.append((name, int(count), []))
-            case ["property", "list", count, corner, _] if elements and {count, corner} <= _TYPES.keys():
-                record = [("count", order + _TYPES[count]), ("corners", order + _TYPES[corner], 3)]
-                elements[-1][2].extend(record)
+                elements.append(_Element(name, int(count)))
+            case ["property", "list", count, kind, name] if elements and {count, kind} <= _TYPES.keys():
+                _add_property(elements[-1], name, _TYPES[count], _TYPES[kind])
             case ["property", kind, name] if elements and kind in _TYPES:
-                elements[-1][2].append((name, order + _TYPES[kind]))
+                _add_property(elements[-1], name, None, _TYPES[kind])
             case [] | ["ply"] | ["comment" | "obj_info", *_]:
                 pass
             case _:
                 raise ValueError(f"its header says {' '.join(line)[:80]!r}")
-    if not order or [name for name, _, _ in elements[:2]] != ["vertex", "face"]:
-        raise ValueError("its header does not announce vertices followed by faces")
-    return [(count, np.dtype(fields)) for _, count, fields in elements[:2]]
+    names = [element.name for element in elements]
+    if not order or "vertex" not in names or len({*names}) < len(names):
+        raise ValueError("its header does not announce vertices, once, and how they are stored")
+    mark = "=" if order == "ascii" else order
+    return order, [
+        replace(
+            each, properties={k: (count and mark + count, mark + kind) for k, (count, kind) in each.properties.items()}
+        )
+        for each in elements
+    ]
+
+
+def _add_property(element: _Element, name: str, count: str | None, kind: str) -> None:
+    if name in element.properties:
+        raise ValueError(f"its header names the property {name[:80]!r} twice")
+    element.properties[name] = count, kind

@@ -25,10 +25,16 @@ from pipeline.output.formats.camera_grids import (
 )
 from pipeline.output.formats.obj_stl_gltf import encode_glb, encode_obj, encode_stl
 from pipeline.output.formats.ply import encode_ply
+from pipeline.output.formats.point_tables import encode_csv, encode_npz, encode_xyz
 from pipeline.output.formats.vrml import encode_vrml
 from pipeline.output.mesh import NOT_METRIC, Mesh, RangeGrid
 
-Kind = Literal["ply", "obj", "stl", "glb", "wrl", "pcd", "png", "tiff", "mcap"]
+#: The names by which users choose axes, and a unit's length in mm.
+AxesName = Literal["y-up", "z-up", "camera"]
+UnitName = Literal["mm", "cm", "m", "in"]
+MM: dict[str, float] = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4}
+
+Kind = Literal["ply", "obj", "stl", "glb", "wrl", "pcd", "png", "tiff", "xyz", "csv", "npz", "mcap"]
 
 
 @dataclass(frozen=True)
@@ -67,6 +73,8 @@ Y_UP = Axes("x right, y up, z towards the camera", (0, 1, 2), (1, -1, -1))
 #: As a printer's bed has it.
 Z_UP = Axes("x right, y away from the camera, z up", (0, 2, 1), (1, 1, -1))
 
+AXES: dict[AxesName, Axes] = {"y-up": Y_UP, "z-up": Z_UP, "camera": OPTICAL}
+
 
 def placed(mesh: Mesh, axes: Axes, scale: float) -> Mesh:
     """Return a mesh as a file has it: turned, and its vertices multiplied."""
@@ -76,11 +84,11 @@ def placed(mesh: Mesh, axes: Axes, scale: float) -> Mesh:
     return replace(mesh, vertices=vertices, normals=None if mesh.normals is None else axes.from_camera(mesh.normals))
 
 
-def in_camera_frame(mesh: Mesh, axes: Axes, scale: float) -> Mesh:
+def in_camera_frame(mesh: Mesh, axes: Axes, unit_mm: float) -> Mesh:
     """Return a mesh that a file has in the camera frame again; the inverse of `placed`."""
     vertices = axes.to_camera(mesh.vertices)
-    if scale != 1:
-        vertices /= np.float32(scale)
+    if unit_mm != 1:
+        vertices *= np.float32(unit_mm)
     return replace(mesh, vertices=vertices, normals=None if mesh.normals is None else axes.to_camera(mesh.normals))
 
 
@@ -94,6 +102,8 @@ class FileFormat:
     axes: Axes
     encode_mesh: Callable[[Mesh, Heading], dict[str, Content]] | None = None
     encode_grid: Callable[[RangeGrid, Heading], dict[str, Content]] | None = None
+    is_fixed: bool = True
+    """Whether axes and unit are those of the format's standard or custom, or whatever its writer takes."""
 
     @property
     def holds_all_frames(self) -> bool:
@@ -119,11 +129,17 @@ FORMATS: dict[Kind, FileFormat] = {
         "mm",
         Y_UP,
         encode_ply,
+        is_fixed=False,
     ),
     "obj": FileFormat(
-        "Wavefront OBJ, with .mtl and .png", f"{_SHAPE}, normals, the texture as a picture", "mm", Y_UP, encode_obj
+        "Wavefront OBJ, with .mtl and .png",
+        f"{_SHAPE}, normals, the texture as a picture",
+        "mm",
+        Y_UP,
+        encode_obj,
+        is_fixed=False,
     ),
-    "stl": FileFormat("binary STL, for printers", _SHAPE, "mm", Z_UP, encode_stl),
+    "stl": FileFormat("binary STL, for printers", _SHAPE, "mm", Z_UP, encode_stl, is_fixed=False),
     "glb": FileFormat(
         "glTF 2.0 in one binary file", f"{_SHAPE}, normals, the texture as a picture, flags", "m", Y_UP, encode_glb
     ),
@@ -134,6 +150,13 @@ FORMATS: dict[Kind, FileFormat] = {
     "png": FileFormat("depth in 16 bits, PNG", "depth by a step that it names", "mm", OPTICAL, None, encode_depth_png),
     "tiff": FileFormat(
         "depth in 16 bits, TIFF", "depth by a step that it names", "mm", OPTICAL, None, encode_depth_tiff
+    ),
+    "xyz": FileFormat("points, one a line", "measured points, colour", "mm", Y_UP, None, encode_xyz),
+    "csv": FileFormat(
+        "a table of points", "measured points, colour, sigma, modulation", "mm", OPTICAL, None, encode_csv
+    ),
+    "npz": FileFormat(
+        "NumPy's archive", f"{_GRID}, colour, sigma, modulation, camera", "mm", OPTICAL, None, encode_npz
     ),
     "mcap": FileFormat("ROS 2 bag in MCAP", f"{_GRID}, depth, texture, camera", "m", OPTICAL),
 }

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.limits import check_mesh_size
-from pipeline.output.formats import Content, Heading, text_rows
-from pipeline.output.mesh import PROVENANCE, Mesh
+from pipeline.output.formats import Content, Heading, remarks_in, text_rows
+from pipeline.output.mesh import Mesh
 
 _COMMENT = re.compile(rb"#[^\n]*")
 # The beginning of a list that belongs to the mesh, and how many numbers a row of it has.
@@ -47,8 +47,8 @@ coord Coordinate {{ point [
     return {".wrl": text.encode()}
 
 
-def decode_vrml(data: bytes) -> Mesh:
-    """Return the mesh that a VRML file with one set of triangles holds; without a remark on its unit in metres.
+def decode_vrml(data: bytes) -> tuple[Mesh, dict[str, str]]:
+    """Return the mesh that a VRML file with one set of triangles holds, as it is there, and its remarks.
 
     Raises
     ------
@@ -71,15 +71,12 @@ def decode_vrml(data: bytes) -> Mesh:
         raise ValueError("it has faces other than triangles: triangulate them first")
     if colors is not None and (len(colors) != len(points) or not ((colors >= 0) & (colors <= 1)).all()):
         raise ValueError("its colours are not one from 0 to 1 for each point")
-    remarks = [line.split()[1:] for line in _COMMENT.findall(data.decode("utf-8", "replace").encode())]
-    said = {line[0].decode(): b" ".join(line[1:]).decode() for line in remarks if line}
-    return Mesh(
+    mesh = Mesh(
         vertices=points.astype(np.float32),
         faces=faces[:, :3].astype(np.int32),
         colors=None if colors is None else np.rint(255 * colors).astype(np.uint8),
-        unit="rad" if said.get("unit") == "rad" else "mm",
-        provenance={name: value for name, value in said.items() if name in PROVENANCE},
     )
+    return mesh, remarks_in(comment[1:].decode("utf-8", "replace") for comment in _COMMENT.findall(data))
 
 
 def _rows(text: bytes, beginning: "re.Pattern[bytes]", width: int) -> npt.NDArray[Any] | None:

@@ -4,6 +4,7 @@ The shape is a plane or a sphere fitted to the points, some of which lie elsewhe
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from pipeline.errors import RenderError
 from pipeline.output.background import object_vertices, wall_vertices
 from pipeline.output.mesh import Mesh
-from pipeline.output.pictures.picture_overlay import ColorScale
+from pipeline.output.pictures.picture_overlay import Colormap, ColorScale
 from pipeline.output.pictures.viewpoint import CLAY
 from pipeline.robust import robust_sigma
 
@@ -41,6 +42,10 @@ class SurfaceColors:
         What they show.
     distance : callable, optional
         Signed distance of points, (N, 3), from another mesh, mm, which the colours then show.
+    limits : (float, float), optional
+        The least and the largest value that has a colour of its own; left out, by the samples.
+    colormap : str, optional
+        Which colours; left out, as the meaning needs.
 
     Raises
     ------
@@ -48,7 +53,14 @@ class SurfaceColors:
         The meshes do not have what the colours would show.
     """
 
-    def __init__(self, samples: Sequence[Mesh], colors: Colors, distance: Distance | None = None) -> None:
+    def __init__(
+        self,
+        samples: Sequence[Mesh],
+        colors: Colors,
+        distance: Distance | None = None,
+        limits: tuple[float, float] | None = None,
+        colormap: Colormap | None = None,
+    ) -> None:
         self._colors, self._distance = colors, distance
         self.scale: ColorScale | None = None
         for sample in samples[:1]:
@@ -59,7 +71,7 @@ class SurfaceColors:
         values = np.concatenate([self._values(mesh)[some] for mesh, some in zip(samples, chosen, strict=True)])
         deviation = distance is not None or colors in IN_MM
         name, unit = self._name(samples[0])
-        self.scale = ColorScale.over(
+        scale = ColorScale.over(
             values,
             name,
             unit,
@@ -67,6 +79,9 @@ class SurfaceColors:
             from_zero=colors == "sigma",
             grey_beyond=not all(some.all() for some in chosen) and colors != "sigma",
         )
+        low, high = (scale.low, scale.high) if limits is None else limits
+        beyond = scale.grey_beyond and limits is None
+        self.scale = replace(scale, low=low, high=high, colormap=colormap, grey_beyond=beyond)
 
     def of(self, mesh: Mesh) -> npt.NDArray[np.uint8]:
         """Return the sRGB in full light of each vertex, (N, 3); or of all of them, (3,)."""
@@ -179,6 +194,26 @@ def _enough(points: Points, least: int, what: str) -> Points:
 def _within(points: Points, residuals: Points) -> Points:
     near = np.abs(residuals) <= max(_WITHIN * robust_sigma(residuals.astype(np.float64)), 1e-9)
     return np.asarray(points[near], np.float64)
+
+
+def check_boxes(points: Floats, others: Floats) -> str | None:
+    """Return a remark where the boxes around two surfaces do not overlap; None: they do.
+
+    Raises
+    ------
+    RenderError
+        They are farther apart than the first one is large; distances would be of no use, and take minutes.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    gaps = np.maximum(low - others.max(axis=0), others.min(axis=0) - high)
+    apart_mm = float(np.linalg.norm(np.maximum(gaps, 0)))
+    note = (
+        f"the boxes of the two surfaces are {apart_mm:.4g} mm apart: if one has other axes or another unit, say so "
+        "by --compare-axes and --compare-unit, or --axes and --unit"
+    )
+    if apart_mm > float(np.linalg.norm(high - low)):
+        raise RenderError(note)
+    return note if apart_mm > 0 else None
 
 
 def distance_from(mesh: Mesh) -> Callable[[Floats], Floats]:

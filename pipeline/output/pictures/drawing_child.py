@@ -12,16 +12,17 @@ from typing import Any
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from pipeline.errors import RenderError
 from pipeline.files import sync
 from pipeline.output.film import FilmEncoder
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh
-from pipeline.output.pictures.color_meaning import distance_from
+from pipeline.output.pictures.color_meaning import check_boxes, distance_from
 from pipeline.output.pictures.drawing_process import DONE, FilmPart, PictureJob
 from pipeline.output.pictures.picture_source import MeshSource, StoreSource
-from pipeline.output.pictures.scene import Scene, SurfaceRenderer
+from pipeline.output.pictures.scene import BLACK, GROUND, WHITE, Scene, SurfaceRenderer
 from pipeline.output.range_image import write_png
 from tikernels import runtime
 
@@ -32,9 +33,17 @@ class _Drawing:
     def __init__(self, job: PictureJob) -> None:
         self._job, self._options = job, job.options
         self._source = _source_of(job)
-        distance = None if job.compared is None else distance_from(read_mesh(job.compared))
-        self._scene = Scene(self._samples(), job.options, distance)
-        self._renderer = SurfaceRenderer(job.options.size_px)
+        samples, distance = self._samples(), None
+        if job.compared is not None:
+            compared = read_mesh(job.compared)
+            distance = distance_from(compared)
+            if (
+                note := check_boxes(np.concatenate([mesh.vertices for mesh in samples]), compared.vertices)
+            ) is not None:
+                _say({"note": note})
+        self._scene = Scene(samples, job.options, distance)
+        ground = BLACK if job.options.transparent else GROUND
+        self._renderer = SurfaceRenderer(job.options.size_px, ground=ground)
 
     def run(self) -> None:
         """Draw all, and say by what."""
@@ -57,16 +66,22 @@ class _Drawing:
 
     def _draw_still(self, path: str) -> None:
         still = self._wanted()
-        self._scene.show(self._renderer, still)
-        write_png(path, self._scene.picture(self._renderer, 0.0))
+        image = self._still(self._renderer, still)
+        if self._options.transparent:
+            image = _with_opacity(image, self._still(SurfaceRenderer(self._options.size_px, ground=WHITE), still))
+        write_png(path, image)
         if not self._job.buffers:
             return
-        renderer = SurfaceRenderer(self._options.size_px, samples=1, ground=False)
+        renderer = SurfaceRenderer(self._options.size_px, samples=1, ground=BLACK)
         self._scene.show(renderer, still)
         if "depth" in self._job.buffers:
             cv2.imwrite("depth.tiff", renderer.depth(self._scene.viewpoint(0.0)))
         if "normals" in self._job.buffers:
             write_png("normals.png", self._scene.normal_image(renderer))
+
+    def _still(self, renderer: SurfaceRenderer, mesh: Mesh) -> npt.NDArray[np.uint8]:
+        self._scene.show(renderer, mesh)
+        return self._scene.picture(renderer, 0.0)
 
     def _draw_part(self, part: FilmPart) -> None:
         numbers, held = self._job.numbers, []
@@ -112,6 +127,14 @@ class _Drawing:
         return self._source.broken if isinstance(self._source, StoreSource) else {}
 
 
+def _with_opacity(on_black: npt.NDArray[np.uint8], on_white: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return what is the same before black and before white, (H, W, 4) RGB and opacity."""
+    black, white = on_black.astype(np.float64), on_white.astype(np.float64)
+    opacity = 255 - (white - black).mean(axis=-1, keepdims=True)
+    colors = 255 * black / np.maximum(opacity, 1)
+    return np.asarray(np.rint(np.concatenate([colors, opacity], axis=-1).clip(0, 255)), np.uint8)
+
+
 def _source_of(job: PictureJob) -> MeshSource | StoreSource:
     if job.mesh is not None:
         return MeshSource(job.mesh)
@@ -131,5 +154,5 @@ def _say(what: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     np.seterr(all="ignore")
-    _Drawing(PictureJob.model_validate_json(Path(sys.argv[1]).read_text(encoding="utf-8"))).run()
+    _Drawing(PictureJob.model_validate(json.loads(Path(sys.argv[1]).read_text(encoding="utf-8")))).run()
     Path(DONE).touch()

@@ -15,16 +15,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, PlainValidator, model_validator
 
 from pipeline.errors import RenderError
 from pipeline.models import Model, Signed
 from pipeline.output.pictures.color_meaning import Colors
+from pipeline.output.pictures.picture_overlay import Colormap
 from pipeline.output.pictures.viewpoint import CameraPath, View, Viewpoint
 from pipeline.processes import start_python
 from tikernels import runtime
 
 Buffer = Literal["depth", "normals"]
+
+# A file's name, which need not be UTF-8.
+_Place = Annotated[str, PlainValidator(str)]
 
 #: What software renderers, and H.264, can do.
 MOST_SIDE_PX = 8192
@@ -62,6 +66,12 @@ class PictureOptions(Model):
         What colours show: "clay", nothing, so that relief is seen; "depth", "sigma" (standard deviation), "modulation",
         "texture" (what the camera sees without stripes), or the deviation from a fitted "plane" or "sphere". Limits
         are those of the object and not of a wall behind it, and the same all along.
+    limits : (float, float), optional
+        Values with the first and the last colour, in mm, rad or levels; left out, by what is drawn.
+    colormap : str, optional
+        Which colours; left out, as their meaning needs.
+    transparent : bool
+        Whether a still has nothing behind the surface.
     fps : float
         A film's pictures per second.
     seconds : float
@@ -76,6 +86,9 @@ class PictureOptions(Model):
     turn_deg: Signed = 0.0
     sway_deg: Signed = 0.0
     colors: Colors = "clay"
+    limits: tuple[Signed, Signed] | None = None
+    colormap: Colormap | None = None
+    transparent: bool = False
     fps: Annotated[float, Field(ge=0.1, le=1000)] = 30.0
     seconds: Annotated[float, Field(ge=0.1, le=3600)] = 4.0
     size_px: tuple[Annotated[int, Field(ge=16, le=MOST_SIDE_PX)], Annotated[int, Field(ge=16, le=MOST_SIDE_PX)]] = (
@@ -94,7 +107,7 @@ class FilmPart(Model):
 
     first: int
     stop: int
-    path: str
+    path: _Place
 
 
 class PictureJob(Model):
@@ -121,13 +134,13 @@ class PictureJob(Model):
     """
 
     options: PictureOptions
-    mesh: str | None = None
-    store: str | None = None
+    mesh: _Place | None = None
+    store: _Place | None = None
     numbers: tuple[int, ...]
-    picture: str | None = None
+    picture: _Place | None = None
     buffers: tuple[Buffer, ...] = ()
     parts: tuple[FilmPart, ...] = ()
-    compared: str | None = None
+    compared: _Place | None = None
 
     @model_validator(mode="after")
     def _one_subject(self) -> "PictureJob":
@@ -142,6 +155,7 @@ def draw_apart(
     timeout_s: float,
     tell: Callable[[dict[str, Any]], None] = lambda _: None,
     *,
+    remark: Callable[[str], None] = lambda line: None,
     threads: int | None = None,
 ) -> str:
     """Draw in a child process; what goes wrong there becomes one line here.
@@ -156,6 +170,8 @@ def draw_apart(
         Time without a line from it after which it is given up, s.
     tell : callable
         Is given what it says.
+    remark : callable
+        Is given a line where the user should know something of the picture.
     threads : int, optional
         Of kernels and of a software renderer; None: one a core.
 
@@ -176,7 +192,7 @@ def draw_apart(
         # Mesa's renderer counts the threads in addition to the one that calls it.
         few = {**dict.fromkeys(names, str(threads)), "LP_NUM_THREADS": str(threads - 1)}
         environment = few | environment  # a user's own numbers win
-    (folder / "job.json").write_text(job.model_dump_json(), encoding="utf-8")
+    (folder / "job.json").write_text(json.dumps(job.model_dump(mode="json")), encoding="utf-8")
     said: dict[str, Any] = {}
 
     def hear(line: str) -> None:
@@ -192,6 +208,8 @@ def draw_apart(
     for window in ({}, {"VTK_DEFAULT_OPENGL_WINDOW": "vtkOSOpenGLRenderWindow"}):
         code, errors = _listen([*COMMAND, "job.json"], folder, environment | window, timeout_s, hear)
         if code == 0 and (folder / DONE).exists():
+            if "note" in said:
+                remark(said["note"])
             return str(said.get("renderer", "an unknown renderer"))
         last_line = (errors.strip().splitlines() or [""])[-1]
         crashed = code not in (0, 1)

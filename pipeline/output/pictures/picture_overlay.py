@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -13,6 +13,9 @@ import numpy.typing as npt
 INK = (236, 238, 241)
 # Where it may be drawn over anything, letters stand on a panel: its RGB, and how much of it covers what is below.
 _PANEL, _COVER = np.array([24, 27, 32], np.float32), 0.55
+
+#: Colour maps, by OpenCV's names.
+Colormap = Literal["turbo", "viridis", "cividis", "magma", "inferno", "plasma"]
 
 # From below zero to above it, blue through grey to red (Moreland's cool and warm), as RGB.
 _DIVERGING = np.array([[59, 76, 192], [141, 176, 254], [221, 221, 221], [244, 154, 123], [180, 4, 38]], np.float32)
@@ -122,6 +125,8 @@ class ColorScale:
         In what.
     diverging : bool
         Whether zero lies in the middle, in grey.
+    colormap : str, optional
+        Which colours; left out, turbo, or blue through grey to red where zero is in the middle.
     grey_beyond : bool
         Whether what lies far outside the limits, as a wall behind the object does, has no colour but grey.
     """
@@ -132,6 +137,7 @@ class ColorScale:
     unit: str
     diverging: bool = False
     grey_beyond: bool = False
+    colormap: Colormap | None = None
 
     @classmethod
     def over(
@@ -157,10 +163,12 @@ class ColorScale:
     def colors(self, values: npt.NDArray[np.floating]) -> npt.NDArray[np.uint8]:
         """Return the RGB of each value, (..., 3); those outside the limits have the limit's."""
         fractions = ((values - self.low) / (self.high - self.low)).clip(0, 1)
-        if self.diverging:
+        if self.diverging and self.colormap is None:
             table, numbers = _diverging_map(), 255 * fractions
-        else:  # the map's ends are too dark to distinguish
-            table, numbers = _TURBO, 20 + 215 * fractions
+        elif self.colormap in (None, "turbo"):  # the map's ends are too dark to distinguish
+            table, numbers = _color_map("turbo"), 20 + 215 * fractions
+        else:
+            table, numbers = _color_map(self.colormap), 255 * fractions
         colors = np.take(table, numbers.round().astype(np.uint8), axis=0)
         if self.grey_beyond:
             reach = _BEYOND * (self.high - self.low)
@@ -238,7 +246,10 @@ def _diverging_map() -> npt.NDArray[np.uint8]:
     return np.stack(channels, axis=1).round().astype(np.uint8)
 
 
-_TURBO = cv2.applyColorMap(np.arange(256, dtype=np.uint8)[:, None], cv2.COLORMAP_TURBO)[:, 0, ::-1]
+@cache
+def _color_map(name: Colormap) -> npt.NDArray[np.uint8]:
+    ramp = np.arange(256, dtype=np.uint8)[:, None]
+    return np.asarray(cv2.applyColorMap(ramp, getattr(cv2, f"COLORMAP_{name.upper()}"))[:, 0, ::-1])
 
 
 @dataclass(frozen=True)

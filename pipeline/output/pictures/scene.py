@@ -18,8 +18,11 @@ from pipeline.output.pictures.drawing_process import PictureOptions
 from pipeline.output.pictures.picture_overlay import PictureOverlay
 from pipeline.output.pictures.viewpoint import FIELD_OF_VIEW_DEG, VIEWS, Viewpoint, fitted_viewpoint, lit_colors, turn
 
-# The ground's RGB, above and below.
-_GROUND = ((58, 65, 75), (29, 33, 39))
+Ground = tuple[tuple[int, int, int], tuple[int, int, int]]
+#: RGB of what is behind a surface, above and below.
+GROUND: Ground = ((58, 65, 75), (29, 33, 39))
+BLACK: Ground = ((0, 0, 0), (0, 0, 0))
+WHITE: Ground = ((255, 255, 255), (255, 255, 255))
 _WINDOWS = {"vtkEGLRenderWindow": "EGL", "vtkOSOpenGLRenderWindow": "OSMesa", "vtkXOpenGLRenderWindow": "GLX"}
 
 # Share of the points on each side that may be stray ones, and does not move the eye away.
@@ -39,11 +42,11 @@ class SurfaceRenderer:
         Width and height of its images.
     samples : int
         By how many rows and columns a pixel is made up, so that edges are smooth; 1: none are mixed, for buffers.
-    ground : bool
-        Whether what is behind the surface is drawn, too, or is black.
+    ground : pair of RGB
+        What is behind the surface.
     """
 
-    def __init__(self, size_px: tuple[int, int], samples: int = 2, *, ground: bool = True) -> None:
+    def __init__(self, size_px: tuple[int, int], samples: int = 2, *, ground: Ground = GROUND) -> None:
         import pyvista  # slow to import, and only the child may draw
         from vtkmodules.vtkCommonCore import vtkUnsignedCharArray
 
@@ -57,7 +60,7 @@ class SurfaceRenderer:
         self._plotter.render_window.SetAlphaBitPlanes(True)
         self._pixels = vtkUnsignedCharArray()
         width, height = size_px
-        above, below = np.array(_GROUND, np.float64) * ground
+        above, below = np.array(ground, np.float64)
         fall = np.linspace(above, below, height)
         self._ground = np.repeat(np.rint(fall).astype(np.uint8)[:, None], width, axis=1)
         self._surface: Any = None
@@ -142,7 +145,7 @@ class Scene:
         self._options, self._in_mm = options, samples[0].unit == "mm"
         if not self._in_mm and (options.camera is not None or options.path is not None):
             raise RenderError("a camera in mm needs a surface in mm: use --view, or decode with a calibration")
-        self._colors = SurfaceColors(samples, options.colors, distance)
+        self._colors = SurfaceColors(samples, options.colors, distance, options.limits, options.colormap)
         self._overlay = PictureOverlay(options.size_px, self._colors.scale)
         points = np.concatenate([mesh.vertices for mesh in samples])
         self._scale = np.ones(3, np.float32) if self._in_mm else _relief_scale(points)

@@ -214,7 +214,7 @@ def test_arrays_of_another_making_do_not_pass(job, undisturbed):
 
 def test_what_is_said_of_a_run_before_and_while_frames_are_decoded(job, monkeypatch):
     """How large it will be, by a frame or by those that are there; which processes do not help; what is being done."""
-    monkeypatch.setattr("pipeline.output.store._WORTH_SAYING", 1e3)
+    monkeypatch.setattr("pipeline.output.store.WORTH_SAYING", 1e3)
     steps, remarks = [], []
     decode_footage(job, stop=3, workers=1, step=steps.append, remark=remarks.append)
     assert list(dict.fromkeys(step.partition(" to about ")[0] for step in steps)) == [
@@ -431,6 +431,7 @@ def test_frames_without_fringes_come_with_a_warning(tmp_path, folder, job, undis
             recorder.add(image)
     summary = decode_footage(replace(job, footage=str(tmp_path / "film.zarr")))
     assert list(summary.warned) == [0, 1] and "no fringe" in summary.warned[0][0]
+    assert summary.unmeasured == decode_footage(replace(job, footage=str(tmp_path / "film.zarr"))).unmeasured == [0]
     assert "nothing of the frame before" in summary.warned[1][0]
     group = zarr.open_group(job.store, mode="r")
     assert "no fringe" in json.loads(bytes(group["done"][0]))["warnings"][0]

@@ -65,7 +65,7 @@ def test_a_simulated_webcam_is_recorded_with_its_transfer(command, small, tmp_pa
         (SIMULATED, ("--keep-last", "inf"), 2, "must be above 0, and a number"),
         (SIMULATED, ("--settings", "rig.toml"), 1, "add --live, or omit --settings"),
         (SIMULATED.replace("period_s = 0.02", "period_s = 0.001"), (), 1, "make the period that long"),
-        (SIMULATED.replace('"simulated"', '"basler"', 1), (), 1, "trigger.driver: Input should be 'box', "),
+        (SIMULATED.replace('"simulated"', '"basler"', 1), (), 1, 'trigger.driver: must be "box", '),
         (SIMULATED.replace('"simulated"', '"box"', 1), (), 1, "a simulated trigger source and a simulated camera"),
         (SIMULATED.replace('"simulated"', '"no_such:Own"'), (), 1, "trigger.driver: no_such cannot be imported"),
         (SIMULATED + '[projector]\ncontrol = "no_such:Own"', (), 0, "recorded"),  # nothing of it is there

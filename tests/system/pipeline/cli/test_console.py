@@ -102,7 +102,7 @@ def test_every_error_of_the_packages_is_one_line(module, monkeypatch, capsys):
         assert capsys.readouterr().err == "error: no [red] lamp :smile: is on: switch one on\n"
 
 
-HOSTILE = "a\x1b[31m\x1b]0;title\x07b\nerror: c\r\td\x7f\x9b2J\u202ee\u2066f\u2028g\u061c\u200fh\x00"
+HOSTILE = "a\x1b[31m\x1b]0;title\x07b\nerror: c\r\td\x7f\x9b2J\u202ee\u2066f\u2028g\u061c\u200fh\x00\udcfc"
 
 
 def test_control_characters_from_outside_are_not_printed(monkeypatch, capsys):
@@ -121,7 +121,7 @@ def test_control_characters_from_outside_are_not_printed(monkeypatch, capsys):
         warnings.simplefilter("always")
         console.run(command)
     told = capsys.readouterr()
-    assert told.out == "a[31m]0;titleb error: c  d2Jef gh\n"
+    assert told.out == "a[31m]0;titleb error: c  d2Jef gh?\n"
     assert [line.partition(": ")[0] for line in told.err.splitlines()] == ["a[31m]0;titleb error", "warning", "error"]
     table = Table(HOSTILE, title=HOSTILE)
     table.add_row(HOSTILE)

@@ -13,6 +13,7 @@ from pipeline.decoding.frame import FIELDS
 from pipeline.footage.image_file import read_image
 from pipeline.output.mesh import FILLED, RIM
 from pipeline.output.mesh_files import read_mesh
+from pipeline.output.store import in_bytes
 
 
 def test_decode_with_a_calibration(folder):
@@ -106,6 +107,24 @@ def test_a_depth_range_tells_the_order(folder, command):
     assert "--depth-range is in mm: give a --calibration" in refused.stderr
 
 
+def test_a_large_mesh_is_announced_and_can_be_left_out(folder, command, monkeypatch):
+    arguments = ("decode", "frame.png", "--arch", "cpu", "--out")
+    assert "mesh.ply takes" not in command(*arguments, "small", cwd=folder).stderr
+    monkeypatch.setattr("pipeline.output.folder.WORTH_SAYING", 1e6)
+    done = command(*arguments, "large", cwd=folder)
+    size = (folder / "large" / "mesh.ply").stat().st_size
+    assert f"mesh.ply takes {in_bytes(size)}: --triangles makes it smaller, --no-mesh leaves it out" in done.stderr
+    done = command(*arguments, "meshless", "--no-mesh", cwd=folder)
+    assert done.returncode == 0 and "mesh.ply takes" not in done.stderr
+    names = sorted(path.name for path in (folder / "meshless").iterdir())
+    assert names == ["range.png", "report.json", "result.zarr", "shaded.png"]
+    assert "mesh" not in json.loads((folder / "meshless" / "report.json").read_text())
+    refused = command("decode", "pictures", "--out", "no", "--no-mesh", cwd=folder)
+    assert refused.returncode == 1 and "--no-mesh does nothing for footage" in refused.stderr
+    refused = command(*arguments, "no", "--no-mesh", "--triangles", "9", cwd=folder)
+    assert refused.returncode == 1 and "--no-mesh leaves nothing for --crop" in refused.stderr
+
+
 def test_a_frame_without_fringes(folder, command):
     done = command("decode", "black.png", "--out", "none", "--arch", "cpu", cwd=folder)
     assert done.returncode == 1
@@ -113,6 +132,24 @@ def test_a_frame_without_fringes(folder, command):
     assert "Traceback" not in done.stderr
     assert "nothing was measured in black.png, so nothing is written" in done.stderr
     assert not (folder / "none").exists()
+
+
+def test_footage_in_which_nothing_is_measured_ends_with_1_and_some_with_3(folder, command):
+    film = folder / "dark"
+    film.mkdir()
+    dark = np.zeros_like(cv2.imread(str(folder / "frame.png")))
+    for name in ("f1.png", "f2.png"):
+        cv2.imwrite(str(film / name), dark)
+    arguments = ("decode", film, "--arch", "cpu", "--out")
+    for _ in range(2):  # again, too
+        done = command(*arguments, "nothing", "--export", "ply", cwd=folder)
+        assert done.returncode == 1
+        assert "2 of 2 frames decoded" in done.stdout
+        assert f"error: nothing was measured in dark: run colorphase inspect {film}" in done.stderr
+    shutil.copy(folder / "frame.png", film / "f3.png")
+    for _ in range(2):
+        done = command(*arguments, "some", cwd=folder)
+        assert done.returncode == 3 and "2 frames are empty, as frame 0: nothing was measured there" in done.stderr
 
 
 def test_settings_as_options(folder, command):

@@ -1,7 +1,9 @@
 """`colorphase render` as its user meets it; what it draws has tests of its own."""
 
 import json
+import os
 
+import cv2
 import numpy as np
 import pytest
 from support.command_in_process import command
@@ -66,12 +68,13 @@ def test_grids_are_drawn_as_the_frames_that_they_were(command, things, kind):
 @pytest.mark.usefixtures("can_draw")
 def test_films_of_many_frames_and_along_a_path(command, things):
     code, said, complained = command("render", "film.zarr", "--out", "film.mp4", *SIZE, "--turn", "20")
-    assert code == 0 and said.startswith("wrote film.mp4: 3 pictures, by ")
+    assert code == 3 and said.startswith("wrote film.mp4: 3 pictures, by ")
     assert complained == "1 frame is missing or empty, as frame 1: the one before is shown in its place\n"
     path = ("--camera-path", "path.toml", "--fps", "4", "--seconds", "1")
-    code, said, complained = command("render", "mesh.ply", "--out", "path.mp4", *SIZE, *path)
-    assert (code, complained) == (0, "") and "4 pictures" in said
-    seen, rate = read_film(things / "path.mp4")
+    out = os.fsdecode(b"m\xfcller.mp4")
+    code, said, complained = command("render", "mesh.ply", "--out", out, *SIZE, *path)
+    assert (code, complained) == (0, "") and said.startswith("wrote m?ller.mp4: 4 pictures")
+    seen, rate = read_film(things / out)
     assert rate == 4 and abs(seen[0] - seen[-1]).max() > 50
 
 
@@ -87,9 +90,74 @@ def test_a_broken_chunk_ends_with_its_name_and_3(command, things):
     assert (code, said, complained.count("\n")) == (1, "", 1) and "which repairs it" in complained
 
 
+def foreign(mesh, path):
+    """Write a mesh as another program does, which keeps coordinates and drops comments."""
+    write_mesh(mesh, path)
+    head, end, body = path.read_bytes().partition(b"element vertex")
+    kept = [line for line in head.splitlines() if not line.startswith(b"comment")]
+    path.write_bytes(b"\n".join([*kept, end + body]))
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_a_mesh_of_another_program_is_compared_where_its_axes_and_unit_are_given(command, things):
+    bare = Mesh(dome().vertices, dome().faces)
+    foreign(bare, things / "same.ply")
+    foreign(Mesh(bare.vertices + np.float32((0, 0, 60)), bare.faces), things / "moved.ply")
+    view = ("--out", "x.png", *SIZE)
+    code, said, complained = command("render", "mesh.ply", "--compare", "same.ply", *view)
+    assert (code, said) == (1, "") and complained == (
+        "error: same.ply does not say its axes and unit: give --compare-axes y-up, z-up or camera, and "
+        "--compare-unit mm, cm, m or in\n"
+    )
+    code, said, complained = command("render", "same.ply", "--compare", "mesh.ply", *view)
+    assert (code, said) == (1, "") and "same.ply does not say its axes and unit: give --axes y-up" in complained
+    ours = ("--compare-axes", "y-up", "--compare-unit")
+    code, said, complained = command("render", "mesh.ply", "--compare", "same.ply", *ours, "mm", *view)
+    assert (code, complained) == (0, "")
+    code, said, complained = command("render", "mesh.ply", "--compare", "moved.ply", *ours, "mm", *view)
+    assert code == 0 and complained.startswith("the boxes of the two surfaces are 10 mm apart: if one has other axes")
+    for wrong in (("z-up", "--compare-unit", "mm"), ("y-up", "--compare-unit", "m")):
+        code, said, complained = command("render", "mesh.ply", "--compare", "same.ply", ours[0], *wrong, *view)
+        assert (code, said, complained.count("\n")) == (1, "", 1) and "mm apart: if one has other axes" in complained
+    code, said, complained = command("render", "same.ply", *view)
+    assert code == 0 and complained == (
+        "same.ply does not say its axes and unit, and is shown as if it were ours: see --axes and --unit\n"
+    )
+    code, said, complained = command("render", "same.ply", *view, "--axes", "y-up", "--unit", "mm")
+    assert (code, complained) == (0, "")
+
+
+@pytest.mark.usefixtures("can_draw")
+def test_several_inputs_in_colours_of_ones_own_on_nothing(command, things):
+    look = ("--colors", "depth", "--limits", "350", "400", "--colormap", "viridis", "--transparent", "--view", "front")
+    code, said, complained = command("render", "mesh.ply", "one", "--out", "pictures", *SIZE, *look)
+    assert (code, complained) == (0, "")
+    assert [line.partition(":")[0] for line in said.splitlines()] == [
+        "wrote pictures/mesh.png",
+        "wrote pictures/one.png",
+    ]
+    image = cv2.imread(str(things / "pictures" / "mesh.png"), cv2.IMREAD_UNCHANGED)
+    assert image.shape == (120, 160, 4) and image[0, 0].tolist() == [0, 0, 0, 0]
+    blue, green, red, opacity = (int(channel) for channel in image[60, 80])  # the nearest place, in light
+    assert opacity == 255 and blue > 1.1 * red > 10 * green
+    code, said, complained = command("render", "one/result.zarr", "film.zarr", "--frame", "0", "--out", "more", *SIZE)
+    assert (code, complained) == (0, "") and said.count("\n") == 2
+    (things / "two").mkdir()
+    write_mesh(dome(), things / "two" / "mesh.ply")
+    code, said, _ = command("render", "mesh.ply", "two/mesh.ply", "--out", "pictures", *SIZE)
+    assert code == 0 and "wrote pictures/two_mesh.png: " in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
+        ("mesh.ply film.zarr --out x.png", 1, "x.png is one picture, and there are 2 inputs: name a folder"),
+        ("mesh.ply mesh.ply --out x", 1, "two inputs have the same name: render them one at a time"),
+        ("mesh.ply --out x.png --limits 0 1", 1, "--limits does nothing without values: add --colors depth, or"),
+        ("mesh.ply --out x.png --colors clay --colormap magma", 1, "--colormap does nothing without values"),
+        ("mesh.ply --out x.png --colors depth --limits 2 1", 1, "--limits is 2 1: give the lower one first"),
+        ("mesh.ply --out x.mp4 --transparent", 1, "--transparent does nothing for a film"),
+        ("film.zarr --out x.mp4 --unit m", 1, "--axes and --unit do nothing for a result: leave them out"),
         ("mesh.ply --out x.gif", 1, "name it .png for a still picture, .mp4 for a film"),
         ("none.ply --out x.png", 1, "cannot read none.ply"),
         ("points.ply --out x.png", 1, "the mesh has 3200 points and no faces: give one of triangles"),

@@ -5,6 +5,7 @@ import pytest
 from cyclopts import App
 from support.command_line import colorphase
 from support.numbered_frames import record
+from support.stored_planes import store as planes
 
 from pipeline.cli.export import MeshChoice
 from pipeline.footage.opening import open_source
@@ -65,6 +66,18 @@ def test_every_frame_is_exported(store, command, tmp_path):
     assert (code, said, complained.count("\n")) == (1, "", 1)
     assert "frame_000000.ply has been changed since we wrote it): choose another folder, or add --force" in complained
     assert command(*again, "--force") == (0, "1 frame as Stanford PLY, binary in meshes\n", "")
+
+
+def test_frames_without_a_surface_end_with_3_and_nothing_else_with_1(command, tmp_path, cpu):
+    planes(tmp_path / "some.zarr", [400.0, None, 402.0])
+    code, said, complained = command("export", "some.zarr", "--out", "some")
+    assert (code, said) == (3, "2 frames as Stanford PLY, binary in some\n")
+    assert complained == "1 frame is empty, as frame 1: there is no file of what shows no surface\n"
+    assert command("export", "some.zarr", "--out", "some")[0] == 3  # again
+    planes(tmp_path / "none.zarr", [None])
+    code, said, complained = command("export", "none.zarr", "--out", "none")
+    assert (code, said) == (1, "")
+    assert complained == ("error: no frame of none.zarr shows a surface: run colorphase inspect on the footage\n")
 
 
 @pytest.mark.parametrize(

@@ -99,3 +99,19 @@ def test_a_command_gives_its_own_help(command):
     assert "A picture gives result.zarr" in command("decode", "--help")[1]
     assert "cannot read plan" in command("decode", "plan", "--out", "export")[2]
     assert 'Unknown command "decoed". Did you mean "decode"?' in command("decoed")[2]
+
+
+def commands_of(app, words=()):
+    """Yield the words of every command."""
+    for name in app:
+        if not name.startswith("-"):
+            yield (*words, name)
+            yield from commands_of(app[name], (*words, name))
+
+
+def test_no_help_lists_flags_that_empty_something(command):
+    every = sorted(commands_of(command_line(())))
+    assert {("decode",), ("calibrate", "capture", "geometry"), ("projector", "on")} <= {*every}
+    for words in every:
+        code, said, _ = command(*words, "--help")
+        assert code == 0 and "Usage" in said and "--empty-" not in said, words

@@ -87,6 +87,21 @@ def test_the_file_is_read_as_the_rig_that_was_chosen(tmp_path, trigger, camera, 
     assert Path(rig.calibration) == tmp_path / "calibration.json" and rig.projector.fields is None
 
 
+def test_every_key_says_what_it_may_hold():
+    settings = dict(_explanations(settings_template()))
+    assert settings["stripes"].endswith('Allowed: "horizontal" or "vertical".')
+    assert settings["camera_period_px"].endswith("Allowed: a number from 4 to 10000.")
+    assert settings["capture"].endswith("Allowed: a section of exposure_s, gain, white_balance, transfer.")
+    assert settings["noise"].endswith("Allowed: 2 values, each a number from 0 to 16777216.")
+    assert "\n# crosstalk_matrix = " in settings_template().partition("Allowed: 3x3 numbers.")[2]
+    assert settings_template().count("Allowed:") == len(DecodeSettings.model_fields)
+    rig = dict(_explanations(rig_template("box", "basler", "pjlink")))
+    assert 'Allowed: "free-running" or "per-pulse".' in rig["trigger.vsync"]
+    assert 'Allowed: "basler", "aravis", "opencv", "simulated" or "module:Class".' in rig["camera.driver"]
+    assert "Allowed: 2 values, each a whole number from 1 to 32768." in rig["camera.size_px"]
+    assert "Allowed: a whole number from 0 to 99." in rig["projector.display"]
+
+
 def test_every_key_is_explained_with_its_unit_and_default():
     text = rig_template("box", "basler", "pjlink")
     assert all(len(line) <= 120 for line in text.splitlines())
@@ -132,9 +147,9 @@ def test_what_is_uncommented_is_marked_or_was_chosen():
 @pytest.mark.parametrize(
     ("chosen", "message"),
     [
-        (("leica", "basler", None), "--trigger: driver: Input should be 'box'"),
-        (("box", "leica", None), "--camera: driver: Input should be 'basler'"),
-        (("box", "basler", "telnet"), "--projector: control: Input should be 'pjlink'"),
+        (("leica", "basler", None), '--trigger: driver: must be "box"'),
+        (("box", "leica", None), '--camera: driver: must be "basler"'),
+        (("box", "basler", "telnet"), '--projector: control: must be "pjlink"'),
         (("box", SIMULATED, None), "go together"),
         (("box", "opencv", None), "a webcam cannot be triggered"),
     ],

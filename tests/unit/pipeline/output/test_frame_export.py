@@ -1,12 +1,13 @@
 """A store's frames as files: made once, made again where they must be, and nothing of the user's is lost."""
 
 import json
+import shutil
 
 import cv2
 import numpy as np
 import pytest
 from PIL import Image
-from support.stored_planes import plane, store
+from support.stored_planes import LENS, plane, store
 
 from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.locking import locked
@@ -14,6 +15,7 @@ from pipeline.output import frame_export
 from pipeline.output.formats.table import FORMATS
 from pipeline.output.frame_export import export_frames
 from pipeline.output.mesh_files import read_mesh
+from pipeline.output.store import in_bytes
 from pipeline.output.stored_result import StoredResult
 from pipeline.output.surface_mesh import MeshOptions
 
@@ -74,6 +76,28 @@ def test_all_kinds_share_a_folder(result, tmp_path):
     assert names(tmp_path / "out" / "bag") == ["bag.mcap", "metadata.yaml"]
 
 
+def test_a_name_that_is_not_utf8_is_a_line_of_text_in_every_kind(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0], footage="m\udcfcller\r\u2028.mkv", lens=LENS)
+    for kind in FORMATS:
+        export_frames(path, tmp_path / "out", kind)
+        whole = [file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()]
+        if kind == "npz":  # text of four bytes a letter, compressed
+            whole = [str(np.load(tmp_path / "out" / "frame_000000.npz")["source"]).encode()]
+        # An STL's 80 bytes end before it, and points as text are numbers alone.
+        assert any(b"m?ller  .mkv" in content for content in whole) or kind in ("stl", "xyz", "csv"), kind
+        shutil.rmtree(tmp_path / "out")
+
+
+def test_how_large_all_will_be_is_told_by_the_first(result, tmp_path, monkeypatch):
+    remarks = []
+    export_frames(result, tmp_path / "small", "ply", remark=remarks.append)
+    assert remarks == []
+    monkeypatch.setattr(frame_export, "WORTH_SAYING", 1000)
+    export_frames(result, tmp_path / "out", "ply", remark=remarks.append)
+    size = (tmp_path / "out" / "frame_000000.ply").stat().st_size
+    assert remarks == [f"{tmp_path / 'out'} will grow by about {in_bytes(4 * size)}, by its first file"]
+
+
 def test_depths_of_a_film_have_one_step(tmp_path):
     path = store(tmp_path / "r.zarr", [400.0, 900.0])
     export_frames(path, tmp_path / "out", "png")
@@ -99,7 +123,7 @@ def test_grids_are_in_mm(tmp_path, kind):
     with pytest.raises(FootageError, match="is in rad, not in mm: decode with a --calibration that holds the geometry"):
         export_frames(path, tmp_path / "out", kind)
     whole = store(tmp_path / "whole.zarr", [400.0])
-    with pytest.raises(SettingsError, match=f"{kind} keeps the whole grid of pixels: cropping and the like are for"):
+    with pytest.raises(SettingsError, match=f"{kind} keeps every measured pixel: cropping and the like are for"):
         export_frames(whole, tmp_path / "out", kind, options=MeshOptions(max_triangles=3))
     assert not (tmp_path / "out").exists()
 

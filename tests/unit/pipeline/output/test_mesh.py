@@ -99,6 +99,6 @@ def test_a_frame_of_footage():
 
 
 def test_a_picture_without_a_calibration():
-    said = provenance_of({**ATTRIBUTES, "source": "a\nb.png", "calibration_sha256": None})
+    said = provenance_of({**ATTRIBUTES, "source": "a\r\n\u2028b\udcfc.png", "calibration_sha256": None})
     assert said.keys() == {"software", "source", "settings"}
-    assert said["source"] == "a b.png"  # one line each: it becomes a comment
+    assert said["source"] == "a   b?.png"  # one line of text each: it becomes a comment

@@ -28,6 +28,13 @@ def test_a_missing_mesh_is_named(tmp_path: Path) -> None:
         read_mesh(tmp_path / "none.ply")
 
 
+@pytest.mark.parametrize("kind", ["xyz", "csv", "npz"])
+def test_points_alone_are_no_surface(tmp_path: Path, kind: str) -> None:
+    (tmp_path / f"points.{kind}").write_bytes(b"1 2 3")
+    with pytest.raises(FootageError, match=rf"\({kind.upper()}\): it holds points alone: give a mesh"):
+        read_mesh(tmp_path / f"points.{kind}")
+
+
 def test_an_unknown_suffix_names_the_known_ones(tmp_path: Path, mesh: Mesh) -> None:
     with pytest.raises(OutputError, match=r"'\.xyz', use one of \.ply, \.obj, \.stl, \.glb, \.wrl"):
         write_mesh(mesh, tmp_path / "mesh.xyz")

@@ -188,3 +188,11 @@ def test_what_is_free_is_asked_where_the_store_will_be(tmp_path, monkeypatch):
     assert free_bytes(tmp_path / "not" / "there" / "result.zarr") == there.free
     assert asked == [tmp_path]
     assert free_bytes("s3://bucket/result.zarr") is None
+
+
+def test_frames_in_which_nothing_was_measured_are_known(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0, None, None])
+    attributes = StoredResult(path).attributes
+    fields = attributes["fields"]
+    again = ResultStore(path, {name: value for name, value in attributes.items() if name != "fields"}, fields)
+    assert again.unmeasured({0, 1, 2}) == [1, 2] and again.unmeasured({0, 2}) == [2]

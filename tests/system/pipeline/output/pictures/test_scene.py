@@ -11,14 +11,14 @@ from support.drawn_surfaces import require_drawing
 _PROGRAM = """
 import json, sys
 import numpy as np
-from pipeline.output.pictures.scene import SurfaceRenderer
+from pipeline.output.pictures.scene import BLACK, GROUND, SurfaceRenderer
 from pipeline.output.pictures.viewpoint import Viewpoint
 eye = Viewpoint(position=(0, 0, 0), focal_point=(0, 0, 100))
 square = np.array([[-5, -5, 100], [5, -5, 100], [5, 5, 100], [-5, 5, 100]], np.float32)
 faces = np.array([[0, 2, 1], [0, 3, 2]], np.int32)
 told = {}
 for samples in (1, 2):
-    renderer = SurfaceRenderer((80, 60), samples, ground=samples == 2)
+    renderer = SurfaceRenderer((80, 60), samples, ground=GROUND if samples == 2 else BLACK)
     renderer.show(square, faces)
     renderer.paint(np.full((4, 3), (200.0, 100.0, 50.0), np.float32))
     image = renderer.image(eye)

@@ -3,6 +3,7 @@
 import io
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,6 +15,8 @@ from pipeline.errors import OutputError
 from pipeline.output.formats import Heading
 from pipeline.output.formats.camera_grids import decode_depth, decode_pcd, depth_step_mm, encode_depth_png, encode_pcd
 from pipeline.output.formats.table import FORMATS, encode_as
+
+FOREIGN = Path(__file__).parents[4] / "support" / "foreign"
 
 
 @pytest.mark.parametrize("kind", ["png", "tiff"])
@@ -159,16 +162,37 @@ def test_other_types_are_read():
     assert (read.texture == (1, 2, 3)).all() and (read.properties["label"] == 7).all()
 
 
+@pytest.mark.parametrize("data", ["binary", "ascii"])
+def test_what_fills_gaps_and_what_has_several_numbers_is_left_out(data):
+    head = "VERSION .7\nFIELDS x y z _ histogram _\nSIZE 4 4 4 1 4 1\nTYPE F F F U F U\nCOUNT 1 1 1 4 2 1\n"
+    points = np.zeros((2, 2), "3f4,4u1,2f4,u1")
+    points["f0"], points["f2"] = (0.1, 0.2, 0.5), (7, 8)
+    rows = "\n".join(["0.1 0.2 0.5 0 0 0 0 7 8 0"] * 4)
+    body = points.tobytes() if data == "binary" else rows.encode()
+    read = decode_pcd(f"{head}WIDTH 2\nHEIGHT 2\nDATA {data}\n".encode() + body)
+    np.testing.assert_allclose(read.points[1, 1], (100, 200, 500), rtol=1e-6)
+    assert read.properties == {} and read.texture is None
+
+
+def test_a_damaged_compression_is_refused():
+    whole = (FOREIGN / "pcl_compressed.pcd").read_bytes()
+    start = whole.index(b"DATA binary_compressed\n") + len(b"DATA binary_compressed\n") + 8
+    for content in (whole[:start] + b"\x3f\xff" + whole[start + 2 :], whole[: start + 9]):
+        with pytest.raises(ValueError, match=r"damaged|truncated"):
+            decode_pcd(content)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        (b"DATA binary\n", b"DATA binary_compressed\n", "pcl_convert_pcd_ascii_binary IN OUT 1"),
+        (b"DATA binary\n", b"DATA binary_compressed\n", "truncated"),
+        (b"DATA binary\n", b"DATA zip\n", "its data is 'zip': save it as binary"),
         (b"\nHEIGHT 24", b"\nHEIGHT 1", "are no grid"),
         (b"\nHEIGHT 24", b"\nHEIGHT 25", "truncated"),
         (b"\nHEIGHT 24", b"\nHEIGHT 999999999", "set COLORPHASE_MAX_PIXELS"),
         (b"\nHEIGHT 24", b"\nHEIGHT -4", "no HEIGHT"),
         (b"FIELDS x y z", b"FIELDS x y q", "no x, y and z"),
-        (b"COUNT 1 1", b"COUNT 1 33", "single numbers"),
+        (b"COUNT 1 1", b"COUNT 33 1", "no x, y and z"),
         (b"TYPE F F", b"TYPE F Q", "no known type"),
         (b"DATA binary\n", b"", "no end"),
     ],

@@ -55,13 +55,10 @@ def test_other_programs_ply_is_read(tmp_path: Path, mesh: Mesh, binary: bool) ->
     [
         (b"", "header"),
         (b"\x89PNG\r\n", "header"),
-        (b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nend_header\n", "vertices followed by faces"),
+        (b"ply\nformat binary_little_endian 1.0\nelement vertex 1\nend_header\n", "no x, y and z"),
+        (b"ply\nformat ascii 1.0\nelement face 1\nend_header\n", "does not announce vertices"),
         (b"ply\nformat ascii 1.0\nelement vertex -1\nend_header\n", "element vertex -1"),
-        (
-            b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
-            b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n4 0 0 0 0\n",
-            "triangulate",
-        ),
+        (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float x\n end_header\n", "'x' twice"),
         (
             b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\n"
             b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n3 0 0 1\n",

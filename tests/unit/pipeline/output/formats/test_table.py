@@ -32,7 +32,7 @@ def test_directions_are_where_the_text_says(axes, right, down, away):
 def test_a_mesh_comes_back(mesh, axes):
     turned = placed(mesh, axes, 0.001)
     assert turned.vertices.dtype == np.float32 and turned.normals.dtype == np.float32
-    back = in_camera_frame(turned, axes, 0.001)
+    back = in_camera_frame(turned, axes, 1000.0)
     np.testing.assert_allclose(back.vertices, mesh.vertices, rtol=1e-6)
     np.testing.assert_array_equal(back.normals, mesh.normals)
     assert placed(replace(mesh, normals=None), axes, 1.0).normals is None

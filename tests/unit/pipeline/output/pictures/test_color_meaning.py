@@ -6,7 +6,13 @@ from support.drawn_surfaces import dome, walled
 
 from pipeline.errors import RenderError
 from pipeline.output.mesh import Mesh
-from pipeline.output.pictures.color_meaning import SurfaceColors, distance_from, plane_deviation, sphere_deviation
+from pipeline.output.pictures.color_meaning import (
+    SurfaceColors,
+    check_boxes,
+    distance_from,
+    plane_deviation,
+    sphere_deviation,
+)
 from pipeline.output.pictures.viewpoint import CLAY
 
 RNG = np.random.default_rng(1)
@@ -98,3 +104,23 @@ def test_what_has_no_distance():
     for mesh in (dome("rad"), Mesh(dome().vertices, np.empty((0, 3), np.int32))):
         with pytest.raises(RenderError, match="--compare needs a mesh of triangles in mm"):
             distance_from(mesh)
+
+
+def test_given_limits_and_colours_are_used():
+    values = np.array([[0, 0, 90], [0, 0, 100], [0, 0, 120], [0, 0, 300]], np.float32)
+    mesh = Mesh(values, np.empty((0, 3), np.int32))
+    shown = SurfaceColors([mesh], "depth", limits=(100.0, 120.0), colormap="viridis")
+    assert (shown.scale.low, shown.scale.high) == (100, 120)
+    # Viridis begins with (68, 1, 84) and ends with (253, 231, 37); what lies outside has the same.
+    np.testing.assert_allclose(shown.of(mesh), [[68, 1, 84]] * 2 + [[253, 231, 37]] * 2, atol=2)
+
+
+@pytest.mark.parametrize(
+    ("moved_mm", "said"), [((0, 0, 0.9), None), ((0, 0, 3), "2 mm apart: if one has other axes"), ((30, 0, 0), None)]
+)
+def test_surfaces_whose_boxes_do_not_overlap_are_told_of_and_far_ones_refused(moved_mm, said):
+    points = np.array([[0, 0, 0], [40, 0, 0], [0, 30, 1]], np.float32)  # 50 mm large
+    note = check_boxes(points, points + np.float32(moved_mm))
+    assert note is None if said is None else said in note
+    with pytest.raises(RenderError, match="960 mm apart"):
+        check_boxes(points, points + np.float32((1000, 0, 0)))
