@@ -27,7 +27,7 @@ from rich.progress import (
 )
 from rich.segment import Segment
 
-from pipeline.errors import DecodeWarning, OutputError, SettingsError
+from pipeline.errors import OutputError, SettingsError
 
 if TYPE_CHECKING:
     from pipeline.calibration import Calibration
@@ -297,7 +297,7 @@ def read_calibration(path: Path | None) -> "Calibration | None":
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    prefix = "warning" if issubclass(category, DecodeWarning) else category.__name__
+    prefix = "warning" if category.__module__ in USER_ERRORS else category.__name__
     remark(f"{prefix}: {message}")
 
 
