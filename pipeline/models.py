@@ -85,14 +85,19 @@ def build(model: type[M], values: Any, error: type[Exception], where: str) -> M:
     try:
         return model.model_validate(values)
     except ValidationError as invalid:
-        faults = invalid.errors(include_url=False)
-        fault = faults[0]
-        key = "".join(f"{part}." for part in fault["loc"]).rstrip(".") + ": " if fault["loc"] else ""
-        reason = {"extra_forbidden": "is not a known key", "missing": "is missing"}.get(
-            fault["type"], fault["msg"].removeprefix("Value error, ")
-        )
-        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
-        raise error(f"{where}: {key}{reason}{more}") from None
+        raise error(f"{where}: {first_fault(invalid)}") from None
+
+
+def first_fault(invalid: ValidationError) -> str:
+    """Return the first fault that a model has found, by its key, and how many more there are."""
+    faults = invalid.errors(include_url=False)
+    fault = faults[0]
+    key = "".join(f"{part}." for part in fault["loc"]).rstrip(".") + ": " if fault["loc"] else ""
+    reason = {"extra_forbidden": "is not a known key", "missing": "is missing"}.get(
+        fault["type"], fault["msg"].removeprefix("Value error, ")
+    )
+    more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+    return f"{key}{reason}{more}"
 
 
 def read_file(path: str | Path, model: type[M], parse: Callable[[str], Any], error: type[Exception]) -> M:

@@ -10,6 +10,7 @@ from tomlkit.exceptions import TOMLKitError
 from hardware.errors import RigError
 from pipeline.errors import OutputError
 from pipeline.files import explain, write_atomically
+from pipeline.limits import TEXT_BYTES, read_plain
 
 
 def with_values(text: str, values: Mapping[str, float]) -> str:
@@ -73,8 +74,7 @@ def change_file(path: Path, values: Mapping[str, float]) -> tuple[Path | None, l
         It cannot be written.
     """
     try:
-        with path.open(encoding="utf-8", newline="") as file:  # line ends stay as they are
-            before = file.read()
+        before = read_plain(path, TEXT_BYTES).decode()  # line ends stay as they are
     except (OSError, ValueError) as error:
         reason = explain(error) if isinstance(error, OSError) else "it is no text file"
         raise RigError(f"cannot read {path}: {reason}") from None

@@ -8,6 +8,7 @@ References
 ISO/IEC 23008-12 (HEIF), 6.5.10 for how a picture is turned, and 10.2 for the brands.
 """
 
+import errno
 import io
 import struct
 import zlib
@@ -30,7 +31,7 @@ from pipeline.footage.picture_tags import (
     upright,
     with_colors,
 )
-from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels
+from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels, read_plain
 from pipeline.models import ImageArray
 
 _BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
@@ -53,18 +54,13 @@ def read_bytes(path: Path) -> bytes:
     """
     most = BYTES_A_PIXEL * max_pixels()
     try:
-        if path.exists() and not path.is_file():  # a pipe may never end
-            what = "it is a folder, give one picture" if path.is_dir() else "it is no file"
-            raise FootageError(f"cannot read {path}: {what}")
-        if path.stat().st_size > most:
+        return read_plain(path, most)
+    except OSError as error:
+        if error.errno == errno.EFBIG:
             raise FootageError(
                 f"{path} is larger than a picture of {max_pixels()} pixels, which are read at most: "
                 f"set {MAX_PIXELS} to a larger number if your camera has that many"
-            )
-        return path.read_bytes()
-    except FootageError:
-        raise
-    except OSError as error:
+            ) from None
         raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
 
 

@@ -1,9 +1,11 @@
 """Meshes to files that other programs open, and back."""
 
+import errno
 from pathlib import Path
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
+from pipeline.limits import MAX_PIXELS, max_pixels, open_plain, read_plain
 from pipeline.output.formats.camera_grids import decode_depth, decode_pcd
 from pipeline.output.formats.obj_stl_gltf import READ_SUFFIXES, read_foreign
 from pipeline.output.formats.ply import decode_ply
@@ -16,6 +18,8 @@ from pipeline.output.surface_mesh import grid_mesh
 _DECODERS = {"ply": decode_ply, "wrl": decode_vrml}
 _GRID_DECODERS = {"pcd": decode_pcd, "png": decode_depth, "tiff": decode_depth, "tif": decode_depth}
 _BAG = "mcap"
+# A vertex and its two triangles take some 150 bytes as text, and colours and normals some more.
+_BYTES_A_PIXEL = 250
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> None:
@@ -72,19 +76,22 @@ def read_mesh(path: str | Path, frame: int | None = None) -> Mesh:
     kind = path.suffix.lower()[1:]
     if kind not in (*_DECODERS, *_GRID_DECODERS, _BAG) and f".{kind}" not in READ_SUFFIXES:
         kind = "ply"
+    most = _BYTES_A_PIXEL * max_pixels()
     try:
         if frame is not None and kind != _BAG:
             raise ValueError(f"it holds one frame: leave out frame {frame}")
         if kind == _BAG:
+            open_plain(path).close()
             return grid_mesh(read_bag(path, frame))
         if kind in _GRID_DECODERS:
-            return grid_mesh(_GRID_DECODERS[kind](path.read_bytes()))
+            return grid_mesh(_GRID_DECODERS[kind](read_plain(path, most)))
         if kind in _DECODERS:
-            mesh = _DECODERS[kind](path.read_bytes())
+            mesh = _DECODERS[kind](read_plain(path, most))
         else:
-            mesh = read_foreign(path)
+            mesh = read_foreign(path, most)
     except OSError as error:
-        raise FootageError(f"cannot read {path}: {error.strerror}") from error
+        more = f": set {MAX_PIXELS} to a larger number if it is whole" if error.errno == errno.EFBIG else ""
+        raise FootageError(f"cannot read {path}: {error.strerror}{more}") from error
     except ValueError as error:
         raise FootageError(f"cannot read {path} as a surface ({kind.upper()}): {error}") from error
     form = MESH_FORMATS[".glb" if kind == "gltf" else f".{kind}"]

@@ -9,6 +9,7 @@ Wavefront Technologies, Advanced Visualizer manual, appendix B1: Object files; M
 Khronos Group, glTF 2.0 specification, 2021 (ISO/IEC 12113:2022).
 """
 
+import io
 import json
 import struct
 from collections.abc import Iterator, Mapping
@@ -19,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import OutputError
-from pipeline.limits import MAX_PIXELS, check_mesh_size, max_pixels
+from pipeline.limits import check_mesh_size, read_plain
 from pipeline.output.formats import Content, Heading, text_rows
 from pipeline.output.mesh import Mesh, face_normals, vertex_normals
 from pipeline.output.range_image import encode_png
@@ -29,8 +30,6 @@ _SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1
 
 #: What this reads.
 READ_SUFFIXES = (".obj", ".stl", ".glb", ".gltf")
-# A vertex and its two triangles take some 150 bytes as text, and a texture some more.
-_BYTES_A_PIXEL = 1000
 
 
 def encode_obj(mesh: Mesh, heading: Heading) -> dict[str, Content]:
@@ -154,8 +153,8 @@ def encode_glb(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     return {".glb": b"".join(parts)}
 
 
-def read_foreign(path: Path) -> Mesh:
-    """Return the mesh that a file holds, with the coordinates that it has there and its colours by vertex.
+def read_foreign(path: Path, most_bytes: int) -> Mesh:
+    """Return the mesh that a file of so many bytes at most holds, as it is there, with its colours by vertex.
 
     Raises
     ------
@@ -166,14 +165,10 @@ def read_foreign(path: Path) -> Mesh:
     """
     import trimesh  # slow to import, and seldom needed
 
-    most = _BYTES_A_PIXEL * max_pixels()
-    if path.stat().st_size > most:
-        raise ValueError(f"it has more than {most} bytes: set {MAX_PIXELS} to a larger number if it is whole")
+    file = io.BytesIO(read_plain(path, most_bytes))
+    beside = _Beside(path.parent, most_bytes)
     try:
-        with path.open("rb") as file:
-            scene = trimesh.load_scene(
-                file, file_type=path.suffix[1:].lower(), resolver=_Beside(path.parent), process=False
-            )
+        scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), resolver=beside, process=False)
         places = list(scene.graph.nodes_geometry)
         if len(places) == 1:  # joining parts, even a single one, loses colours next to a material
             transform, name = scene.graph[places[0]]
@@ -215,16 +210,15 @@ def _colors(solid: Any) -> npt.NDArray[np.uint8] | None:
 class _Beside(Mapping[str, bytes]):
     """The files next to a mesh, by their plain names, which a mesh may name."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, most_bytes: int) -> None:
+        self._folder, self._most_bytes = folder, most_bytes
 
     def __getitem__(self, name: str) -> bytes:
         if Path(name).name != name:
             raise KeyError(name)
         try:
-            with (self._folder / name).open("rb") as file:
-                return file.read(_BYTES_A_PIXEL * max_pixels())
-        except OSError:
+            return read_plain(self._folder / name, self._most_bytes)
+        except (OSError, ValueError):
             raise KeyError(name) from None
 
     def __iter__(self) -> Iterator[str]:
