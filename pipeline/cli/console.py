@@ -1,5 +1,6 @@
 """Shared by all commands: two consoles, one progress bar, bounds of options, and how a mistake is reported."""
 
+import os
 import re
 import sys
 import time
@@ -28,6 +29,7 @@ from rich.progress import (
 from rich.segment import Segment
 
 from pipeline.errors import OutputError, SettingsError
+from pipeline.files import explain
 
 if TYPE_CHECKING:
     from pipeline.calibration import Calibration
@@ -104,6 +106,15 @@ class _Printed(Console):
             else:
                 lines = "\n".join(without_controls(line) for line in segment.text.split("\n"))
                 yield Segment(lines, segment.style)
+
+    def _check_buffer(self) -> None:
+        """Write what has been rendered; where a remark cannot be written, there is no place to say so."""
+        try:
+            super()._check_buffer()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())  # what is left would be written at the end
+            if not self.stderr:
+                raise OutputError(f"cannot write to standard output: {explain(error)}") from None
 
 
 #: Results, and remarks. Names of files may look like markup.

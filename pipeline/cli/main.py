@@ -8,7 +8,7 @@ from cyclopts import App
 from rich.text import Text
 
 from pipeline import __version__
-from pipeline.cli.console import run, without_controls
+from pipeline.cli.console import run, stdout, without_controls
 
 # Each command's file, and what `--help` lists without importing it.
 _COMMANDS = {
@@ -38,6 +38,7 @@ def command_line(words: Sequence[str]) -> App:
         help="Measure shape from ONE colour photograph of three phase-shifted sinusoids.",
         version=__version__,
         version_flags=["--version"],
+        console=stdout,
         suppress_keyboard_interrupt=False,  # `run` says what it has stopped
         error_formatter=lambda error: Text(without_controls(f"error: {' '.join(str(error).split())}"), style="red"),
     )
