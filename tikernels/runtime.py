@@ -3,6 +3,7 @@
 import atexit
 import contextlib
 import ctypes
+import functools
 import math
 import os
 import sys
@@ -118,13 +119,19 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
             _cuda = _CudaContext() if candidate == "cuda" else None
             traffic.on_device = candidate != "cpu"
             traffic.clear()
-            if not keeps_kernels:
-                warnings.warn(_NOT_KEPT, SlowStart, stacklevel=2)
+            _warn_of_slow_starts()
             return candidate
         _started = None  # a failed start has already ended what ran before
         reasons.append(reason)
     _failed = arch
     raise DeviceNotReady(f"{arch} cannot be started here ({'; '.join(reasons)}): `colorphase devices` lists what can")
+
+
+@functools.cache
+def _warn_of_slow_starts() -> None:
+    """Warn once of a cache that does not stay."""
+    if not keeps_kernels:
+        warnings.warn(_NOT_KEPT, SlowStart, stacklevel=3)
 
 
 def stop() -> None:

@@ -1,5 +1,6 @@
 """Shared by all commands: two consoles, one progress bar, bounds of options, and how a mistake is reported."""
 
+import errno
 import os
 import re
 import sys
@@ -312,6 +313,17 @@ def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__
     remark(f"{prefix}: {message}")
 
 
+def _limit_of_the_system(error: Exception) -> str | None:
+    """Return which limit of the system an error that nobody has caught shows; None: it is a mistake of ours."""
+    if isinstance(error, MemoryError):
+        return "memory is used up: decode smaller frames, or with fewer --workers"
+    if isinstance(error, RuntimeError) and "can't start new thread" in str(error):  # Python has no class for it
+        return "the system starts no more threads: raise your limit (ulimit -u)"
+    if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE, errno.EAGAIN):
+        return f"{error.strerror}: raise your limits (ulimit -n, ulimit -u)"
+    return None
+
+
 def run(command: Callable[[], object]) -> None:
     """Run a command: warnings and a user's mistakes are one line each on standard error.
 
@@ -321,9 +333,11 @@ def run(command: Callable[[], object]) -> None:
     try:
         command()
     except Exception as error:
-        if not any(kind.__module__ in USER_ERRORS for kind in type(error).__mro__):
+        known = any(kind.__module__ in USER_ERRORS for kind in type(error).__mro__)
+        line = str(error) if known else _limit_of_the_system(error)
+        if line is None:
             raise
-        _tell(f"error: {error}", "red")
+        _tell(f"error: {line}", "red")
         sys.exit(1)
     except KeyboardInterrupt as stopped:
         _tell(str(stopped) or "interrupted", "red")
