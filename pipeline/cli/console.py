@@ -30,7 +30,6 @@ from rich.progress import (
 from rich.segment import Segment
 
 from pipeline.errors import OutputError, SettingsError
-from pipeline.files import explain
 
 if TYPE_CHECKING:
     from pipeline.calibration import Calibration
@@ -115,6 +114,8 @@ class _Printed(Console):
         except OSError as error:
             os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())  # what is left would be written at the end
             if not self.stderr:
+                from pipeline.files import explain  # seldom needed
+
                 raise OutputError(f"cannot write to standard output: {explain(error)}") from None
 
 
