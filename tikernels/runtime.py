@@ -42,8 +42,6 @@ _FORKED = (
 )
 # Of the environment variables that the language reads.
 _PREFIX = "TI" if language == "taichi" else "QD"
-# The archs by the languages' names.
-_ARCHS_BY_NAME = {"x64": "cpu", "arm64": "cpu", "cuda": "cuda", "metal": "metal", "vulkan": "vulkan"}
 # Twice the cores of the largest machines.
 _MOST_THREADS = 1024
 
@@ -96,10 +94,12 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
     Raises
     ------
     DeviceNotReady
-        The machine lacks the arch.
+        The machine lacks the arch, or has not as many threads.
     """
     global _started, _failed, _cuda
     check_open()
+    if cpu_threads is not None and not 1 <= cpu_threads <= _MOST_THREADS:
+        raise DeviceNotReady(f"cpu_threads is {cpu_threads}: give a number from 1 to {_MOST_THREADS}")
     if arch == "auto":
         if _started is not None:
             return _started
@@ -345,7 +345,7 @@ def _start(arch: str, cpu_threads: int | None) -> str | None:
 def _environment_fault(arch: str) -> str | None:
     """Return what in the environment keeps an arch from being started; most such ends the process otherwise."""
     named = os.environ.get(f"{_PREFIX}_ARCH")
-    if named is not None and _ARCHS_BY_NAME.get(named) != arch:
+    if named is not None and named != getattr(ti, arch).name:
         return f"{arch}: the environment variable {_PREFIX}_ARCH asks for {named!r}"
     for name in THREAD_VARIABLES:
         said = os.environ.get(name)

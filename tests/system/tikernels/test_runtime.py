@@ -53,6 +53,12 @@ def test_an_unknown_arch_is_refused():
         tikernels.init("gpu")
 
 
+@pytest.mark.parametrize("threads", [0, -3, 100_000])
+def test_a_number_of_threads_that_ends_processes_is_refused(threads):
+    with pytest.raises(DeviceNotReady, match=f"cpu_threads is {threads}: give a number from 1 to 1024"):
+        tikernels.init("cpu", cpu_threads=threads)
+
+
 def run(program: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", program]
     return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
@@ -190,7 +196,7 @@ def test_without_a_cache_kernels_are_compiled(tmp_path, folders, nowhere):
     ("variable", "value"),
     [
         *(("TI_CPU_MAX_NUM_THREADS", value) for value in ("nonsense", "0", "-3", "100000", "1.5")),
-        *(("TI_ARCH", value) for value in ("opengl", "", "cpu")),
+        *(("TI_ARCH", value) for value in ("opengl", "", "cpu", "riscv")),
         *(("TI_DEBUG", value) for value in ("nonsense",)),
     ],
 )
