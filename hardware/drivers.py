@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
-from hardware.errors import RigError
+from hardware.errors import CameraError, ProjectorError, RigError, TriggerError
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ PROJECTORS: Mapping[str, Driver] = {
     "pjlink": Driver("hardware.projector.pjlink:open_pjlink"),
     "infocus": Driver("hardware.projector.infocus:open_infocus"),
 }
+_OWN_ERRORS = (CameraError, ProjectorError, RigError, TriggerError)
 #: The driver of a trigger that is no instrument: this program tells the camera when to expose.
 SOFTWARE = "software"
 #: The driver of trigger and camera of a rig of which nothing is there.
@@ -61,7 +62,7 @@ def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: obje
     Raises
     ------
     RigError
-        There is no such module or class, or it lacks what the protocol asks for.
+        There is no such module or class, it lacks what the protocol asks for, or, if it is the user's, fails.
     TriggerError, CameraError, ProjectorError
         By the driver: the instrument cannot be reached, or is another one.
     """
@@ -74,7 +75,12 @@ def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: obje
     elif not callable(driver):
         what = protocol.__name__.lower()
         raise RigError(f"{key}: {place} cannot be called: name a class, or a function that opens a {what}")
-    instrument = driver(settings)
+    try:
+        instrument = driver(settings)
+    except Exception as error:
+        if name in table or isinstance(error, _OWN_ERRORS):
+            raise
+        raise RigError(f"{key}: {place} cannot be opened ({_described(error)}): mend it") from error
     _refuse_lacking(key, place, instrument, members, protocol)
     return instrument
 
@@ -91,12 +97,15 @@ def load(key: str, place: str) -> Any:
     try:
         module = import_module(module_name)
     except Exception as error:  # a user's module may raise anything
-        reason = " ".join(str(error).split()) or "it does not say why"
         cure = "install it, or put its folder on PYTHONPATH" if isinstance(error, ModuleNotFoundError) else "mend it"
-        raise RigError(f"{key}: {module_name} cannot be imported ({type(error).__name__}: {reason}): {cure}") from error
+        raise RigError(f"{key}: {module_name} cannot be imported ({_described(error)}): {cure}") from error
     if not hasattr(module, name):
         raise RigError(f"{key}: {module_name} ({getattr(module, '__file__', 'built in')}) has no {name}: correct it")
     return getattr(module, name)
+
+
+def _described(error: Exception) -> str:
+    return f"{type(error).__name__}: {' '.join(str(error).split()) or 'it does not say why'}"
 
 
 def _refuse_lacking(key: str, place: str, what: object, members: Collection[str], protocol: type) -> None:

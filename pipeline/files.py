@@ -22,6 +22,8 @@ _ADVICE = {
     errno.EROFS: "the disk is read-only: choose another folder",
     errno.ENOSPC: "the disk is full: free some space",
     errno.EDQUOT: "your disk quota is used up: free some space",
+    errno.EFBIG: "files may not be as large there: choose another disk, or raise your limit (ulimit -f)",
+    errno.EMFILE: "too many files are open: raise your limit (ulimit -n)",
 }
 
 

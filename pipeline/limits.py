@@ -1,8 +1,11 @@
 """Limits on the size of what is read: a small file can claim more than any machine holds."""
 
 import codecs
+import errno
 import os
 import re
+import stat
+from io import BufferedReader
 from pathlib import Path
 
 from pipeline.errors import FootageError, SettingsError
@@ -15,8 +18,15 @@ _MAX_PIXELS = 2**26
 _MOST_PIXELS = 2**30
 #: Bytes of a picture's file for each of its pixels, at most: four channels of float32, not compressed.
 BYTES_A_PIXEL = 16
-# Ten times a calibration with all that it can hold.
-_TEXT_BYTES = 2**20
+#: Frames of a recording or a result; a camera takes as many in a week, at 165 per second.
+MOST_FRAMES = 10**8
+# Of fewer frames than the second number a list of those that are missing is never too long; a recording that has lost
+# as many as the first for each that is there is not worth one.
+_MOST_MISSING, _FEW = 100, 10_000
+# Opening waits for no other end of a pipe, makes no terminal ours, and changes no line ends.
+_CAREFULLY = os.O_RDONLY | sum(getattr(os, name, 0) for name in ("O_NONBLOCK", "O_NOCTTY", "O_BINARY"))
+#: Ten times a calibration with all that it can hold.
+TEXT_BYTES = 2**20
 # The largest float, written out, has 309.
 _MOST_DIGITS = 400
 _LONG_NUMBER = re.compile(rf"[0-9_]{{{_MOST_DIGITS + 1}}}")
@@ -93,21 +103,74 @@ def check_mesh_size(vertices: int, faces: int, repeated: int = 1) -> None:
         )
 
 
+def check_missing(what: str, n_frames: int, n_there: int) -> None:
+    """Refuse footage that lacks nearly all of the frames that it claims to hold.
+
+    Raises
+    ------
+    FootageError
+        It does.
+    """
+    if n_frames > max(_FEW, _MOST_MISSING * (n_there + 1)):
+        raise FootageError(f"{what} says that it holds {n_frames} frames, but {n_there} are there: copy it again")
+
+
+def open_plain(path: str | Path) -> BufferedReader:
+    """Open a file for reading; what has its name may come from a stranger.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened, or is no plain file: a pipe or a device may never end.
+    """
+    _check_plain(os.stat(path))
+    descriptor = os.open(path, _CAREFULLY)
+    try:
+        _check_plain(os.fstat(descriptor))
+    except OSError:
+        os.close(descriptor)
+        raise
+    return open(descriptor, "rb")
+
+
+def _check_plain(about: os.stat_result) -> None:
+    if stat.S_ISDIR(about.st_mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder: give a file")
+    if not stat.S_ISREG(about.st_mode):
+        raise OSError(errno.EINVAL, "it is no file")
+
+
+def read_plain(path: str | Path, most_bytes: int) -> bytes:
+    """Return what a file holds: the one way to read a whole file that others may have made.
+
+    Raises
+    ------
+    OSError
+        It cannot be read, is no plain file, is longer than allowed, or does not fit into memory.
+    """
+    with open_plain(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        if size > most_bytes:
+            raise OSError(errno.EFBIG, f"it is larger than {most_bytes:,} bytes")
+        try:
+            if hasattr(os, "sysconf") and size > os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2:
+                raise MemoryError
+            return file.read(size)
+        except MemoryError:
+            raise OSError(errno.ENOMEM, f"its {size:,} bytes do not fit into memory") from None
+
+
 def read_text(path: str | Path) -> str:
     """Return what a text file in UTF-8 holds, without a byte order mark.
 
     Raises
     ------
     OSError
-        It cannot be read.
+        It cannot be read, or is longer than any file that a rig needs.
     ValueError
-        It is no text, or in another encoding, or longer than any file that a rig needs, or holds what takes its reader
-        too long.
+        It is no text, or in another encoding, or holds what takes its reader too long.
     """
-    with Path(path).open("rb") as file:
-        data = file.read(_TEXT_BYTES + 1)
-    if len(data) > _TEXT_BYTES:
-        raise ValueError(f"it is larger than {_TEXT_BYTES // 2**20} MB")
+    data = read_plain(path, TEXT_BYTES)
     for encoding, marks in _WIDE_MARKS.items():
         if data.startswith(marks):
             raise ValueError(f"it is text in {encoding}: save it as UTF-8")

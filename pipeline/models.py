@@ -95,11 +95,16 @@ def build(model: type[M], values: Any, error: type[Exception], where: str) -> M:
     try:
         return model.model_validate(values)
     except ValidationError as invalid:
-        faults = invalid.errors(include_url=False)
-        keys = ["".join(f"{part}." for part in _key(fault)).rstrip(".") for fault in faults]
-        more = f" (and {len({*keys}) - 1} more)" if len({*keys}) > 1 else ""
-        named = f"{keys[0]}: " if keys[0] else ""
-        raise error(f"{where}: {named}{_reason(model, faults[0])}{more}") from None
+        raise error(f"{where}: {first_fault(model, invalid)}") from None
+
+
+def first_fault(model: type[BaseModel], invalid: ValidationError) -> str:
+    """Return the first fault that a model has found, by its key, and how many more there are."""
+    faults = invalid.errors(include_url=False)
+    keys = ["".join(f"{part}." for part in _key(fault)).rstrip(".") for fault in faults]
+    more = f" (and {len({*keys}) - 1} more)" if len({*keys}) > 1 else ""
+    named = f"{keys[0]}: " if keys[0] else ""
+    return f"{named}{_reason(model, faults[0])}{more}"
 
 
 def _key(fault: Any) -> tuple[str | int, ...]:

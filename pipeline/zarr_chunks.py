@@ -4,6 +4,7 @@ Behind every chunk is its CRC-32C, by zarr's codec `crc32c`: one wrong bit would
 """
 
 import functools
+import math
 from typing import Any, Literal
 
 import google_crc32c
@@ -18,6 +19,8 @@ CHUNK_KEYS: Any = {"name": "default", "separator": "."}
 # `docs/footage.md` for recordings.
 _NAME: Literal["lz4"] = "lz4"
 _CHECKSUM_BYTES = 4
+# A head of 16 bytes, and the checksum; with a margin.
+_MOST_OVERHEAD = 64
 
 
 def chunk_codecs(level: int | None) -> list[Any]:
@@ -31,6 +34,11 @@ def chunk_codecs(level: int | None) -> list[Any]:
 def chunk_key(number: int, n_axes: int) -> str:
     """Return the name of a frame's chunk, in an array of `n_axes` axes beside the frames'."""
     return f"c.{number}" + ".0" * n_axes
+
+
+def chunk_bytes(dtype: npt.DTypeLike, shape: tuple[int, ...]) -> int:
+    """Return how many bytes a chunk of such values takes at most: those of noise are longer than the noise."""
+    return int(np.dtype(dtype).itemsize) * math.prod(shape) + _MOST_OVERHEAD
 
 
 def encode_chunk(values: npt.NDArray[Any], level: int) -> bytes:
@@ -49,10 +57,12 @@ def decode_chunk(chunk: bytes, dtype: npt.DTypeLike, shape: tuple[int, ...]) -> 
         It is not as it was written.
     """
     content = without_checksum(chunk)
-    values = np.empty(shape, np.dtype(dtype).newbyteorder("<"))
-    # A chunk of blosc says at its fifth byte how long its content is.
-    if int.from_bytes(content[4:8], "little") != values.nbytes:
+    # A chunk of blosc says at its fifth byte how long its content is, and at its thirteenth how long it is itself.
+    if int.from_bytes(content[4:8], "little") != np.dtype(dtype).itemsize * math.prod(shape):
         raise DamageError("it holds another number of values")
+    if int.from_bytes(content[12:16], "little") != len(content):
+        raise DamageError("it is cut off")
+    values = np.empty(shape, np.dtype(dtype).newbyteorder("<"))
     try:
         _compressor(1).decode(content, values)
     except (RuntimeError, ValueError) as error:  # what blosc makes of what it has not written

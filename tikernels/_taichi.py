@@ -4,9 +4,12 @@ Taichi needs X11's libraries even on a machine without a screen and has no wheel
 same language without either. Every kernel file takes ``ti`` and its array types from here.
 """
 
+import atexit
+import contextlib
 import ctypes
 import importlib
 import os
+import shutil
 import sys
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -17,14 +20,56 @@ os.environ.setdefault("ENABLE_QUADRANTS_HEADER_PRINT", "False")
 os.environ.setdefault("TI_SKIP_VERSION_CHECK", "ON")
 
 
-def _import_language() -> tuple[Any, str]:
+def _is_usable(folder: str) -> bool:
+    """Whether a folder is there, which may be read-only, or can be made."""
+    with contextlib.suppress(OSError):
+        os.makedirs(folder, exist_ok=True)
+        return os.access(folder, os.R_OK | os.X_OK)
+    return False
+
+
+def _temporary_folder() -> str:
+    """Make a folder that lives as long as this process, for it and those that it starts; `NOWHERE` if none can be."""
+    import tempfile  # slow to import, and seldom needed
+
+    try:
+        folder = tempfile.mkdtemp(prefix="colorphase-kernels-")
+    except OSError:
+        return NOWHERE
+    owner = os.getpid()  # not a fork of it
+    atexit.register(lambda: shutil.rmtree(folder, ignore_errors=True) if os.getpid() == owner else None)
+    return folder
+
+
+def _provide_cache(name: str) -> bool:
+    """Make sure that a language has a folder for what it compiles; return whether that stays.
+
+    Without a home it ends the process as soon as it is imported, and without a folder when it ends: services and
+    containers may have neither.
+    """
+    if os.name == "nt":
+        return True
+    prefix = "ti" if name == "taichi" else "qd"
+    variable = f"{prefix}_offline_cache_file_path".upper()
+    home = os.environ.get("XDG_CACHE_HOME") or ("HOME" in os.environ and os.path.join(os.environ["HOME"], ".cache"))
+    folder = os.environ.get(variable) or (home and os.path.join(home, name, f"{prefix}cache"))
+    stays = bool(folder) and _is_usable(str(folder))
+    if not stays:
+        os.environ[variable] = _temporary_folder()
+    if not home:
+        os.environ["XDG_CACHE_HOME"] = os.environ[variable]
+    return stays
+
+
+def _import_language() -> tuple[Any, str, bool]:
     reasons = []
     for name in ("taichi", "quadrants"):
         try:
             if name == "taichi" and sys.platform == "linux":
                 # Asked first, because a failing import prints advice that is of no help here.
                 ctypes.CDLL("libX11.so.6")
-            return importlib.import_module(name), name
+            stays = _provide_cache(name)
+            return importlib.import_module(name), name, stays
         except (ImportError, OSError) as error:
             reasons.append(f"{name}: {error}")
     raise ImportError(
@@ -32,7 +77,10 @@ def _import_language() -> tuple[Any, str]:
     )
 
 
-ti, language = _import_language()
+#: The cache folder where none can be made: one that is there, as the language wants it.
+NOWHERE = os.path.abspath(os.sep)
+#: The language, its name, and whether kernels are kept for the processes to come.
+ti, language, keeps_kernels = _import_language()
 #: Versions whose inner parts we know; others are used as they are. What is done outside their public interface must not
 #: change what kernels compute.
 TESTED = (language, tuple(ti.__version__)) == ("taichi", (1, 7, 4))

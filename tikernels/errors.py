@@ -7,3 +7,7 @@ class DeviceNotReady(RuntimeError):
 
 class ShapeError(ValueError):
     """An array has the wrong shape, dtype, or cannot be written."""
+
+
+class SlowStart(UserWarning):
+    """Kernels are compiled at each start, which could be avoided."""

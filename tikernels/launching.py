@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels._taichi import DEVICE_TYPES, TESTED, ti
+from tikernels.errors import DeviceNotReady
 from tikernels.traffic import traffic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -31,6 +32,8 @@ _kept: list[dict[Any, Any]] = []
 _constants: dict[int, list[Any]] = {}
 # A context is set and launched by one thread at a time.
 _lock = threading.Lock()
+# Why nothing can be launched any more.
+_closed: str | None = None
 
 
 @overload
@@ -67,6 +70,7 @@ def _kernel(function: Function, compiling: "_Compiling") -> Function:
 
     @functools.wraps(function)
     def plain(*arguments: Any) -> Any:
+        check_open()
         if traffic.on_device:
             arguments = tuple(_on_device(argument) for argument in arguments)
         traffic.count_call(arguments)
@@ -193,6 +197,26 @@ def forget() -> None:
         known[1] = None
     for kept in _kept:
         kept.clear()
+
+
+def close(why: str) -> None:
+    """Refuse every launch from now on, and say why."""
+    global _closed
+    _closed = why
+    for kept in _kept:
+        kept.clear()
+
+
+def check_open() -> None:
+    """Check that kernels can be launched.
+
+    Raises
+    ------
+    DeviceNotReady
+        They no longer can.
+    """
+    if _closed is not None:
+        raise DeviceNotReady(_closed)
 
 
 def _kind(annotation: Any) -> int | None:

@@ -3,10 +3,12 @@
 import atexit
 import contextlib
 import ctypes
+import functools
 import math
 import os
 import sys
 import threading
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeGuard
@@ -14,12 +16,12 @@ from typing import Any, TypeGuard
 import numpy as np
 import numpy.typing as npt
 
-from tikernels._taichi import DEVICE_TYPES, language, ti
+from tikernels._taichi import DEVICE_TYPES, NOWHERE, keeps_kernels, language, ti
 from tikernels.arrays import Array, DeviceArray, E
 from tikernels.compiled_kernels import list_locked
-from tikernels.errors import DeviceNotReady
+from tikernels.errors import DeviceNotReady, SlowStart
 from tikernels.lanes import VECTOR_BYTES
-from tikernels.launching import forget
+from tikernels.launching import check_open, close, forget
 from tikernels.traffic import traffic
 
 #: Every arch by name, in the order in which "auto" prefers them.
@@ -30,6 +32,18 @@ THREAD_VARIABLES = ("TI_CPU_MAX_NUM_THREADS", "QD_CPU_MAX_NUM_THREADS")
 
 #: Held while a frame is decoded, and while its results are read: kernels are to be launched by one thread at a time.
 lock = threading.RLock()
+
+_NOT_KEPT = (
+    "compiled kernels are not kept, so that each start takes long: set XDG_CACHE_HOME to a folder that can be written"
+)
+_FORKED = (
+    "this process was forked from one in which a device had been started, whose threads it lacks: start processes by "
+    'spawn, as multiprocessing.get_context("spawn") does, or before the first frame'
+)
+# Of the environment variables that the language reads.
+_PREFIX = "TI" if language == "taichi" else "QD"
+# Twice the cores of the largest machines.
+_MOST_THREADS = 1024
 
 _started: str | None = None
 _failed: str | None = None  # the arch that was named and could not be started
@@ -80,9 +94,12 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
     Raises
     ------
     DeviceNotReady
-        The machine lacks the arch.
+        The machine lacks the arch, or has not as many threads.
     """
     global _started, _failed, _cuda
+    check_open()
+    if cpu_threads is not None and not 1 <= cpu_threads <= _MOST_THREADS:
+        raise DeviceNotReady(f"cpu_threads is {cpu_threads}: give a number from 1 to {_MOST_THREADS}")
     if arch == "auto":
         if _started is not None:
             return _started
@@ -102,11 +119,19 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
             _cuda = _CudaContext() if candidate == "cuda" else None
             traffic.on_device = candidate != "cpu"
             traffic.clear()
+            _warn_of_slow_starts()
             return candidate
         _started = None  # a failed start has already ended what ran before
         reasons.append(reason)
     _failed = arch
     raise DeviceNotReady(f"{arch} cannot be started here ({'; '.join(reasons)}): `colorphase devices` lists what can")
+
+
+@functools.cache
+def _warn_of_slow_starts() -> None:
+    """Warn once of a cache that does not stay."""
+    if not keeps_kernels:
+        warnings.warn(_NOT_KEPT, SlowStart, stacklevel=3)
 
 
 def stop() -> None:
@@ -124,6 +149,20 @@ def stop() -> None:
 atexit.register(stop)
 
 
+def _refuse_fork() -> None:
+    """Refuse every launch in a process that was forked from one in which a device had been started."""
+    global lock, _started
+    if _started is not None:
+        close(_FORKED)
+        lock, _started = threading.RLock(), None  # another thread of the old process may have held it
+        # When this process ends the program must not wait for its threads: it is never taken apart.
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(ti.lang.impl.get_runtime().prog))
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_refuse_fork)
+
+
 def started() -> str:
     """Return the arch that runs; where none does yet, "auto" is started.
 
@@ -133,6 +172,7 @@ def started() -> str:
         One that was named could not be started: nothing else takes its place.
     """
     if _started is None:
+        check_open()
         if _failed is not None:
             raise DeviceNotReady(f"{_failed} could not be started: call tikernels.init with another arch, or with auto")
         return init("auto")
@@ -247,6 +287,7 @@ def to_host(buffer: Array[E]) -> npt.NDArray[E]:
     """Return a buffer as a NumPy array: itself on the CPU, a copy from a GPU."""  # synchronises
     if isinstance(buffer, np.ndarray):
         return buffer
+    check_open()
     array = buffer.to_numpy()
     traffic.reads += 1
     traffic.read_bytes += array.nbytes
@@ -279,6 +320,8 @@ def _start(arch: str, cpu_threads: int | None) -> str | None:
     """Start one arch; the reason where it cannot be."""
     if arch == "vulkan" and not vulkan_devices():
         return "vulkan: no driver"  # asked first because the runtime writes to stderr before it gives up
+    if (fault := _environment_fault(arch)) is not None:
+        return fault
     threads: dict[str, int] = {}
     if cpu_threads is not None and not any(name in os.environ for name in THREAD_VARIABLES):
         threads = {"cpu_max_num_threads": cpu_threads}
@@ -288,13 +331,26 @@ def _start(arch: str, cpu_threads: int | None) -> str | None:
         try:
             with list_locked(), bound_to_cores() if arch == "cpu" else contextlib.nullcontext():
                 ti.init(
-                    arch=getattr(ti, arch), enable_fallback=False, log_level=ti.ERROR, offline_cache=True, **threads
+                    arch=getattr(ti, arch),
+                    enable_fallback=False,
+                    log_level=ti.ERROR,
+                    offline_cache=os.environ.get(f"{_PREFIX}_OFFLINE_CACHE_FILE_PATH") != NOWHERE,
+                    **threads,
                 )
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:  # also of a variable that is no number
             return f"{arch}: {str(error).splitlines()[-1].strip()}"
-    running = ti.lang.impl.current_cfg().arch
-    if running != getattr(ti, arch):
-        return f"{arch}: the environment variable TI_ARCH asks for {running}"
+    return None
+
+
+def _environment_fault(arch: str) -> str | None:
+    """Return what in the environment keeps an arch from being started; most such ends the process otherwise."""
+    named = os.environ.get(f"{_PREFIX}_ARCH")
+    if named is not None and named != getattr(ti, arch).name:
+        return f"{arch}: the environment variable {_PREFIX}_ARCH asks for {named!r}"
+    for name in THREAD_VARIABLES:
+        said = os.environ.get(name)
+        if said and not (said.isdecimal() and 1 <= int(said) <= _MOST_THREADS):
+            return f"the environment variable {name} is {said!r}: give a number of threads from 1 to {_MOST_THREADS}"
     return None
 
 

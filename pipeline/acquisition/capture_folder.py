@@ -23,6 +23,7 @@ from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.files import LEFTOVER, explain, write_atomically
 from pipeline.footage.zarr_recording import MOST_FRAMES_A_SECOND
+from pipeline.limits import read_plain
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
 from tikernels.raw.pixel_format import PixelFormat
@@ -30,6 +31,8 @@ from tikernels.raw.pixel_format import PixelFormat
 #: What a capture's folder holds.
 RECORDING, LOG, CALIBRATION = "recording.zarr", "log.jsonl", "calibration.json"
 SETTINGS, PREVIEW = "settings.toml", "live.png"
+# Bytes of a log; three million frames take as much.
+_MOST_LOG = 2**30
 # Rates are averages over this many bursts.
 _RATE_BURSTS = 10
 # How long kernels of live decoding may be compiled before the first burst is fired all the same, s.
@@ -396,12 +399,12 @@ def end_log(path: Path, n_frames: int) -> None:
     """
     kept = []
     try:
-        for line in path.read_bytes().splitlines():
+        for line in read_plain(path, _MOST_LOG).splitlines():
             try:
                 event = json.loads(line)
                 ahead = event["event"] == "frame" and event["frame"] >= n_frames
                 ahead |= event["event"] == "burst" and event["first_frame"] >= n_frames
-            except (ValueError, KeyError, TypeError):
+            except (ValueError, KeyError, TypeError, RecursionError):
                 ahead = True  # the last line, cut off
             if not ahead:
                 kept.append(line)

@@ -26,6 +26,7 @@ from pipeline.calibration.pose_guide import BentBoardError, PoseGuide
 from pipeline.calibration.radiometry import radiometry_codes, radiometry_sequence
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain, write_atomically
+from pipeline.limits import read_text
 from pipeline.models import FloatArray, ImageArray
 
 #: The folders of the captures.
@@ -366,8 +367,8 @@ def _continue_session(folder: Path, identity: dict[str, Any]) -> None:
     before: dict[str, Any] = {}
     if file.exists():
         try:
-            before = dict(json.loads(file.read_bytes()))
-        except (OSError, ValueError, TypeError):
+            before = dict(json.loads(read_text(file)))
+        except (OSError, ValueError, TypeError, RecursionError):
             raise OutputError(f"{file} cannot be read: choose another folder") from None
     changed = [key for key, value in identity.items() if before.get(key, value) != value]
     if changed:

@@ -10,7 +10,7 @@ from tomlkit.exceptions import TOMLKitError
 from hardware.errors import RigError
 from pipeline.errors import OutputError
 from pipeline.files import explain, write_atomically
-from pipeline.limits import read_text
+from pipeline.limits import TEXT_BYTES, read_plain, read_text
 
 
 def with_values(text: str, values: Mapping[str, float]) -> str:
@@ -75,7 +75,7 @@ def change_file(path: Path, values: Mapping[str, float]) -> tuple[Path | None, l
     """
     try:
         read_text(path)  # which refuses what is no text
-        old = path.read_bytes()
+        old = read_plain(path, TEXT_BYTES)
     except (OSError, ValueError) as error:
         reason = explain(error) if isinstance(error, OSError) else error
         raise RigError(f"cannot read {path}: {reason}") from None

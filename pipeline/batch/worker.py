@@ -13,8 +13,6 @@ from typing import Any
 
 from pipeline.batch.job import Job, join_ranges
 from pipeline.decoding.frame import DecodedFrame
-from pipeline.decoding.front_side import RimVotes
-from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.errors import DecodeWarning, FootageError
 from pipeline.footage.source import BadFrame, Frames, Source, StoredFrame
 from pipeline.output.store import ResultStore, WrittenFrame
@@ -64,10 +62,9 @@ class Worker:
         self._source = job.open()
         self._store = job.open_store(self._source)
         self._decoder = job.decoder()
-        light = self._store.attributes["light"]
-        self._decoder.use_code(self._store.attributes["code"])
-        self._decoder.use_light(None if light is None else LightEstimate.from_json(light))
-        self._decoder.use_rims(RimVotes(**self._store.attributes["rims"]))
+        self._decoder.use_code(self._store.says.code)
+        self._decoder.use_light(self._store.says.light)
+        self._decoder.use_rims(self._store.says.rim_votes)
         width, height = job.size_px(self._source)
         self._image = runtime.empty((height, width, 3), self._source.format.rgb_dtype)
         self._results = [_Result() for _ in range(_RESULTS)]

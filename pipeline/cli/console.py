@@ -1,5 +1,7 @@
 """Shared by all commands: two consoles, one progress bar, bounds of options, and how a mistake is reported."""
 
+import errno
+import os
 import re
 import sys
 import time
@@ -27,7 +29,7 @@ from rich.progress import (
 )
 from rich.segment import Segment
 
-from pipeline.errors import DecodeWarning, OutputError, SettingsError
+from pipeline.errors import OutputError, SettingsError
 from pipeline.text import one_line
 
 if TYPE_CHECKING:
@@ -94,6 +96,17 @@ class _Printed(Console):
             else:
                 lines = "\n".join(one_line(line) for line in segment.text.split("\n"))
                 yield Segment(lines, segment.style)
+
+    def _check_buffer(self) -> None:
+        """Write what has been rendered; where a remark cannot be written, there is no place to say so."""
+        try:
+            super()._check_buffer()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self.file.fileno())  # what is left would be written at the end
+            if not self.stderr:
+                from pipeline.files import explain  # seldom needed
+
+                raise OutputError(f"cannot write to standard output: {explain(error)}") from None
 
 
 #: Results, and remarks. Names of files may look like markup.
@@ -302,8 +315,19 @@ def read_calibration(path: Path | None) -> "Calibration | None":
 
 
 def _show_warning(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
-    prefix = "warning" if issubclass(category, DecodeWarning) else category.__name__
+    prefix = "warning" if category.__module__ in USER_ERRORS else category.__name__
     remark(f"{prefix}: {message}")
+
+
+def _limit_of_the_system(error: Exception) -> str | None:
+    """Return which limit of the system an error that nobody has caught shows; None: it is a mistake of ours."""
+    if isinstance(error, MemoryError):
+        return "memory is used up: decode smaller frames, or with fewer --workers"
+    if isinstance(error, RuntimeError) and "can't start new thread" in str(error):  # Python has no class for it
+        return "the system starts no more threads: raise your limit (ulimit -u)"
+    if isinstance(error, OSError) and error.errno in (errno.EMFILE, errno.ENFILE, errno.EAGAIN):
+        return f"{error.strerror}: raise your limits (ulimit -n, ulimit -u)"
+    return None
 
 
 def run(command: Callable[[], object]) -> None:
@@ -315,9 +339,11 @@ def run(command: Callable[[], object]) -> None:
     try:
         command()
     except Exception as error:
-        if not any(kind.__module__ in USER_ERRORS for kind in type(error).__mro__):
+        known = any(kind.__module__ in USER_ERRORS for kind in type(error).__mro__)
+        line = str(error) if known else _limit_of_the_system(error)
+        if line is None:
             raise
-        _tell(f"error: {error}", "red")
+        _tell(f"error: {line}", "red")
         sys.exit(1)
     except KeyboardInterrupt as stopped:
         _tell(str(stopped) or "interrupted", "red")

@@ -8,7 +8,7 @@ from cyclopts import App, Parameter
 from rich.text import Text
 
 from pipeline import __version__
-from pipeline.cli.console import run
+from pipeline.cli.console import run, stdout
 from pipeline.text import one_line
 
 # Each command's file, and what `--help` lists without importing it.
@@ -40,6 +40,7 @@ def command_line(words: Sequence[str]) -> App:
         version=__version__,
         version_flags=["--version"],
         default_parameter=Parameter(negative_iterable=()),  # there is nothing that --empty-... would empty
+        console=stdout,
         suppress_keyboard_interrupt=False,  # `run` says what it has stopped
         error_formatter=lambda error: Text(one_line(f"error: {' '.join(str(error).split())}"), style="red"),
     )

@@ -14,7 +14,11 @@ def main() -> None:
     it would be lost in some of the libraries that are imported, or end in a traceback.
     """
     if sys.argv[1:] == ["--version"]:
-        print(__version__)
+        try:
+            print(__version__, flush=True)
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # what is left would be written at the end
+            sys.exit(f"error: cannot write to standard output: {error.strerror}")
         return
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):

@@ -137,12 +137,13 @@ def over_exposure_doubt(clipped: float) -> Cause | None:
     return Cause("over-exposed", words)
 
 
-def repeated_chroma_doubt(repeated: RepeatedChroma) -> str:
+def repeated_chroma_doubt(repeated: RepeatedChroma) -> Cause:
     """Say how a frame's colours were repeated, and what is better."""
-    return (
+    words = (
         f"each colour of this frame is repeated for {repeated}, as cv2.VideoCapture and ffmpeg make RGB of a video; it "
         "was interpolated instead, which leaves more error than the video itself: decode that, or record its planes"
     )
+    return Cause("repeated-chroma", words)
 
 
 def finest_fringe(light: LevelsImage) -> float | None:

@@ -51,6 +51,8 @@ _SAMPLES = 50000
 _TURN_PRIOR, _RESPONSE_PRIOR = 0.1, 0.03
 # A turn less sure than this, rad, or a rest beyond it, leaves the phase's constant unknown.
 _MAX_CONSTANT = 0.03
+# Of an estimate's arrays; all else are numbers.
+_SHAPES = {"crosstalk_matrix": (3, 3), "crosstalk_sigma": (3, 3), "response": (256,), "correction": (257,)}
 # No rig leaks more than this of a colour.
 _MAX_LEAK = 0.4
 
@@ -92,11 +94,23 @@ class LightEstimate:
 
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> "LightEstimate":
-        """Return what `as_json` wrote; null becomes NaN."""
+        """Return what `as_json` wrote; null becomes NaN.
+
+        Raises
+        ------
+        ValueError
+            It is something else.
+        """
         kinds: dict[str, Any] = {"correction": np.float32, "constant_known": np.bool_, "reliable": np.bool_}
-        arrays = {name: np.array(value, kinds.get(name, np.float64)) for name, value in values.items()}
-        fields: dict[str, Any] = {name: array if array.ndim else array.item() for name, array in arrays.items()}
-        return cls(**fields)
+        try:
+            arrays = {name: np.array(value, kinds.get(name, np.float64)) for name, value in values.items()}
+            fields: dict[str, Any] = {name: array if array.ndim else array.item() for name, array in arrays.items()}
+            estimate = cls(**fields)
+        except (TypeError, AttributeError, OverflowError) as error:
+            raise ValueError(str(error)) from None
+        if any(np.shape(value) != _SHAPES.get(name, ()) for name, value in vars(estimate).items()):
+            raise ValueError("its arrays have other shapes")
+        return estimate
 
 
 def _wrap(phase: Any) -> Any:

@@ -4,6 +4,7 @@ JPEG is decoded by FFmpeg, which says what is wrong with a picture where other d
 the planes of WebP; HEIC by libheif; all else by OpenCV.
 """
 
+import errno
 import struct
 import zlib
 from contextlib import suppress
@@ -38,7 +39,7 @@ from pipeline.footage.tiff_file import (
     read_directory,
     select_page,
 )
-from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels
+from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels, read_plain
 from pipeline.models import ImageArray
 
 _NONSENSE = (struct.error, ValueError)
@@ -54,18 +55,13 @@ def read_bytes(path: Path) -> bytes:
     """
     most = BYTES_A_PIXEL * max_pixels()
     try:
-        if path.exists() and not path.is_file():  # a pipe may never end
-            what = "it is a folder, give one picture" if path.is_dir() else "it is no file"
-            raise FootageError(f"cannot read {path}: {what}")
-        if path.stat().st_size > most:
+        return read_plain(path, most)
+    except OSError as error:
+        if error.errno == errno.EFBIG:
             raise FootageError(
                 f"{path} is larger than a picture of {max_pixels()} pixels, which are read at most: "
                 f"set {MAX_PIXELS} to a larger number if your camera has that many"
-            )
-        return path.read_bytes()
-    except FootageError:
-        raise
-    except OSError as error:
+            ) from None
         raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
 
 

@@ -19,6 +19,7 @@ from pipeline.footage.source import Source, StoredAs
 from pipeline.footage.tiff_file import RAW
 from pipeline.footage.video_file import VideoFile
 from pipeline.footage.zarr_recording import ZarrRecording
+from pipeline.limits import open_plain
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import Bayer, Matrix, Siting
 
@@ -74,7 +75,7 @@ def open_source(
         if not path.is_file():
             what = "it is neither a file nor a folder" if path.exists() else "there is no such file"
             raise FootageError(f"cannot read {path}: {what}")
-        with path.open("rb") as file:
+        with open_plain(path) as file:
             head = file.read(12)
         if (kind := _unread_kind(head)) is not None:
             raise FootageError(f"cannot read {path}: it is a picture in {kind}: save it as PNG, TIFF or JPEG")
@@ -105,6 +106,11 @@ class FrameTimes:
     seconds: Times  # (frames,), ascending
     since: str | None  # what they count from, UTC, as "2026-11-25T10:00:00Z"; None: the first frame
 
+    @property
+    def known(self) -> bool:
+        """Whether there are any, and each is later than the one before."""
+        return len(self.seconds) > 0 and _ascend(self.seconds) and self.seconds[-1] < _LATEST
+
     def of(self, number: int) -> float:
         """Return a frame's time, s, since 1970 where the day is known, else since the first frame."""
         start = 0.0 if self.since is None else datetime.fromisoformat(self.since).timestamp()
@@ -133,14 +139,14 @@ def _logged_times(log: Path, n_frames: int) -> Times | None:
     """Return when each frame was exposed, s since 1970, by a capture's log; None where it does not tell of them all."""
     times = np.full(n_frames, np.nan)
     try:
-        with log.open("rb") as lines:
+        with open_plain(log) as lines:
             while line := lines.readline(_LONGEST_LINE):
                 event = json.loads(line)
                 if event["event"] == "frame":
                     times[event["frame"]] = event["time"]
     except (OSError, ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError):
         return None
-    return times if 0 < times[0] and times[-1] < _LATEST and _ascend(times) else None
+    return times if FrameTimes(times, None).known and times[0] > 0 else None
 
 
 def _ascend(times: Times) -> bool:

@@ -1,6 +1,5 @@
 """Recordings in a Zarr group, a chunk per frame, as a source of frames; `recording.zarr_writer` writes them."""
 
-import math
 import os
 import re
 from dataclasses import dataclass
@@ -12,8 +11,8 @@ import numpy as np
 
 from pipeline.errors import DamageError, FootageError
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame
-from pipeline.limits import check_size, read_text
-from pipeline.zarr_chunks import chunk_key, decode_chunk
+from pipeline.limits import check_missing, check_size, read_plain, read_text
+from pipeline.zarr_chunks import chunk_bytes, chunk_key, decode_chunk
 from tikernels.errors import ShapeError
 from tikernels.raw.linearization import TRANSFERS
 from tikernels.raw.pixel_format import PixelFormat
@@ -25,11 +24,6 @@ MOST_FRAMES_A_SECOND = 500
 #: Attribute of the group that says how its frames are stored, and the name of their array.
 ATTRIBUTE = "colorphase_recording"
 FRAMES = "frames"
-# Chunks of noise are a head of 16 bytes and a checksum longer than the noise.
-_MOST_OVERHEAD = 64
-# A recording that has lost this many of its frames for each that is there is not worth looking for them; of fewer
-# frames than the second number nobody waits for the list of those that are missing.
-_MOST_MISSING, _FEW = 100, 10_000
 
 
 def rate_of(text: str) -> Fraction:
@@ -151,22 +145,16 @@ class ZarrRecording:
         """Check that the head says what a camera can have taken, and what is there."""
         if self._n_frames:
             check_size(str(self._path), width, height)
-        if self._n_frames > _FEW:
-            n_there = sum(entry.name.startswith("c.") for entry in os.scandir(self._path / FRAMES))
-            if self._n_frames > _MOST_MISSING * (n_there + 1):
-                raise FootageError(
-                    f"{self._path} says that it holds {self._n_frames} frames, but {n_there} are there: copy it again"
-                )
+        n_there = sum(entry.name.startswith("c.") for entry in os.scandir(self._path / FRAMES))
+        check_missing(str(self._path), self._n_frames, n_there)
 
     def _read(self, number: int) -> StoredFrame | BadFrame:
         chunk = self._path / FRAMES / chunk_key(number, len(self._shape))
-        if not chunk.is_file():
-            return BadFrame(number, "it is missing: its chunk is not there")
         try:
-            most = self._dtype.itemsize * math.prod(self._shape) + _MOST_OVERHEAD
-            if chunk.stat().st_size > most:
-                raise DamageError("its chunk is longer than a frame")
-            levels = decode_chunk(chunk.read_bytes(), self._dtype, self._shape)
+            stored = read_plain(chunk, chunk_bytes(self._dtype, self._shape))
+            levels = decode_chunk(stored, self._dtype, self._shape)
+        except FileNotFoundError:
+            return BadFrame(number, "it is missing: its chunk is not there")
         except (DamageError, OSError) as error:
-            return BadFrame(number, f"it is damaged: {error}")
+            return BadFrame(number, f"it is damaged: {error.strerror or error}")
         return StoredFrame(number, (levels,), self.format)

@@ -6,7 +6,6 @@ was stopped goes on where it was, and what has changed since is drawn anew. At t
 """
 
 import hashlib
-import json
 import os
 import shutil
 import tempfile
@@ -25,12 +24,15 @@ import numpy.typing as npt
 
 from pipeline.errors import OutputError, RenderError
 from pipeline.files import explain, write_atomically
+from pipeline.limits import check_missing
 from pipeline.locking import locked
+from pipeline.output.folder import file_digest
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import write_mesh
 from pipeline.output.pictures.drawing_process import FilmPart, PictureJob, PictureOptions, draw_apart
 from pipeline.output.pictures.picture_source import MeshSource, StoreSource
 from pipeline.output.render import absolute_location, refuse_empty, write_compared
+from pipeline.output.stored_result import StoredResult
 
 # Pictures of a part: the most that a process loses where a film is stopped, and between two pictures that players can
 # jump to. Short films have four parts, for more than one process to draw.
@@ -113,7 +115,7 @@ def render_film(
             numbers = _lasting(0, options)
         else:
             source, where = StoreSource(subject, options.colors), {"store": absolute_location(subject)}
-            numbers = tuple(source.result.wanted) if frame is None else (frame,)
+            numbers = _wanted(source.result) if frame is None else (frame,)
             numbers = _lasting(numbers[0], options) if len(numbers) == 1 else numbers
         compared_name = write_compared(compared, folder)
         if compared_name is not None:
@@ -121,6 +123,12 @@ def render_film(
         job = PictureJob.model_validate({**where, "options": options, "numbers": numbers, "compared": compared_name})
         with locked(path):
             return _FilmRun(job, source, path, folder, timeout_s, tell, remark).run()
+
+
+def _wanted(result: StoredResult) -> tuple[int, ...]:
+    """Return the frames that a film shows: all from the first to the last, as long as enough of them are there."""
+    check_missing(result.name, len(result.wanted), len(result.done))
+    return tuple(result.wanted)
 
 
 def _lasting(number: int, options: PictureOptions) -> tuple[int, ...]:
@@ -165,8 +173,8 @@ class _FilmRun:
         self._drawn = {part.first: part.stop - part.first for part in parts if part not in todo}
         self._tell(before, len(self._job.numbers))
         renderer = self._draw(todo) if todo else "an earlier run"
-        about = [json.loads(Path(part.path).with_suffix(".json").read_text(encoding="utf-8")) for part in parts]
-        held = [number for part in about for number in part["held"]]
+        records = [part.record() for part in parts]
+        held = [number for record in records for number in record.held]
         if len(held) == len(self._job.numbers):
             shutil.rmtree(self._work)
             raise RenderError("no frame shows a surface: run colorphase inspect on the footage")
@@ -175,9 +183,9 @@ class _FilmRun:
         with joined.open("rb") as film:
             write_atomically(self._path, lambda file: shutil.copyfileobj(film, file))
         shutil.rmtree(self._work)
-        broken = {int(number): why for part in about for number, why in part["broken"].items()}
+        broken = {number: why for record in records for number, why in record.broken.items()}
         held = list(dict.fromkeys(held))
-        return Film(len(self._job.numbers), before, tuple(held), broken, about[0]["codec"], renderer)
+        return Film(len(self._job.numbers), before, tuple(held), broken, records[0].codec, renderer)
 
     def _parts(self) -> list[FilmPart]:
         """Return the film's parts; a file's name is a hash of all that it depends on."""
@@ -186,7 +194,7 @@ class _FilmRun:
         digests = [self._source.digest(number) for number in dict.fromkeys(self._job.numbers)]
         shared = [version("colorphase"), self._job.options.model_dump_json(), str(n_pictures), *digests]
         if self._job.compared is not None:
-            shared.append(hashlib.sha256(Path(self._job.compared).read_bytes()).hexdigest())
+            shared.append(str(file_digest(Path(self._job.compared))))
         parts = []
         for first in range(0, n_pictures, length):
             stop = min(first + length, n_pictures)
@@ -241,10 +249,11 @@ class _FilmRun:
 
 def _whole(part: FilmPart) -> bool:
     """Whether a part is there, and none of its frames was damaged, which may have been repaired since."""
+    file = Path(part.path)
     try:
-        about = json.loads(Path(part.path).with_suffix(".json").read_text(encoding="utf-8"))
-        return bool(Path(part.path).stat().st_size == about["bytes"] and not about["broken"])
-    except (OSError, ValueError, KeyError, TypeError):
+        record = part.record()
+        return file.is_file() and file.stat().st_size == record.bytes and not record.broken
+    except (OSError, ValueError):
         return False
 
 

@@ -19,6 +19,7 @@ from pipeline.calibration import Calibration
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.files import explain, sync
+from pipeline.limits import open_plain, read_plain
 from pipeline.locking import LOCK, locked
 from pipeline.output.formats.ply import ply_bytes
 from pipeline.output.mesh import provenance_of
@@ -92,7 +93,7 @@ def _move(work: Path, path: Path) -> None:
         new = {entry.name: file_digest(entry) for entry in written if entry.name != _REPORT}
         synced.result()
     if (work / _REPORT).exists():
-        report = json.loads((work / _REPORT).read_bytes())
+        report = json.loads((work / _REPORT).read_bytes())  # which has just been written
         kept = {name: digest for name, digest in _reported(path).items() if file_digest(path / name) == digest}
         text = json.dumps({**report, _FILES: {**kept, **new}}, indent=1) + "\n"
         (work / _REPORT).write_text(text, encoding="utf-8")
@@ -136,10 +137,9 @@ def changed_files(path: Path) -> list[str]:
 def _reported(path: Path) -> dict[str, str]:
     """Return the files that a folder's report names, and their SHA-256; none where there is no report."""
     try:
-        with (path / _REPORT).open("rb") as file:
-            report = json.loads(file.read(_MOST_REPORT))
-        files = report[_FILES]
-        return {name: digest for name, digest in files.items() if isinstance(digest, str)}
+        files = json.loads(read_plain(path / _REPORT, _MOST_REPORT))[_FILES]
+        # Others' reports name files elsewhere, too.
+        return {name: digest for name, digest in files.items() if is_plain_name(name) and isinstance(digest, str)}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}
 
@@ -150,12 +150,17 @@ def store_in(place: str) -> str:
     return str(inside) if "://" not in place and inside.is_dir() else place
 
 
+def is_plain_name(name: str) -> bool:
+    """Whether a name is that of something in a folder, and not of what is elsewhere."""
+    return Path(name).name == name and name not in ("", "..")
+
+
 def file_digest(file: Path) -> str | None:
-    """Return a file's SHA-256; None where there is no file."""
+    """Return a file's SHA-256; None where there is no plain file."""
     try:
-        with file.open("rb") as opened:
+        with open_plain(file) as opened:
             return hashlib.file_digest(opened, "sha256").hexdigest()
-    except OSError:
+    except (OSError, ValueError):  # of a name that no file can have
         return None
 
 

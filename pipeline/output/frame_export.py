@@ -20,8 +20,9 @@ import numpy as np
 
 from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.files import explain, replace_file, write_atomically
+from pipeline.limits import read_plain
 from pipeline.locking import locked
-from pipeline.output.folder import file_digest
+from pipeline.output.folder import file_digest, is_plain_name
 from pipeline.output.formats.ros_bag import write_bag
 from pipeline.output.formats.table import FORMATS, Kind, encode_as
 from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
@@ -296,14 +297,21 @@ class _Export:
         return OutputError(f"{self._folder} holds something else ({name} {why}): choose another folder, or add --force")
 
 
+def _is_inside(name: str) -> bool:
+    """Whether a name is that of a file in the folder of an export, or in the folder of its bag."""
+    return is_plain_name(name.removeprefix(f"{_BAG}/"))
+
+
 def _read_record(folder: Path) -> dict[str, _Item]:
     """Return what is known of what was exported to a folder, by name; nothing where there is no record."""
     try:
-        with (folder / _RECORD).open("rb") as file:
-            items = json.loads(file.read(_MOST_RECORD))[_ITEMS]
-        return {
-            str(name): _Item(str(about["made_of"]), dict(about["sha256"]), dict(about["counts"]))
+        items = json.loads(read_plain(folder / _RECORD, _MOST_RECORD))[_ITEMS]
+        read = {
+            name: _Item(str(about["made_of"]), dict(about["sha256"]), dict(about["counts"]))
             for name, about in items.items()
         }
+        # Others' records name files elsewhere, too, and what is of no use any more is removed.
+        inside = all(_is_inside(file) for item in read.values() for file in item.sha256)
+        return read if inside else {}
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return {}

@@ -1,5 +1,6 @@
 """Meshes to files that other programs open, and back."""
 
+import errno
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import numpy as np
 
 from pipeline.errors import FootageError, OutputError
 from pipeline.files import write_atomically
+from pipeline.limits import MAX_PIXELS, max_pixels, open_plain, read_plain
 from pipeline.output.formats.camera_grids import decode_depth, decode_pcd
 from pipeline.output.formats.obj_stl_gltf import READ_SUFFIXES, read_foreign
 from pipeline.output.formats.ply import decode_ply
@@ -31,6 +33,8 @@ _GRID_DECODERS = {"pcd": decode_pcd, "png": decode_depth, "tiff": decode_depth, 
 _BAG = "mcap"
 _POINTS = ("xyz", "csv", "npz")
 _FORMS: dict[str, FileFormat] = dict(FORMATS.items()) | {"gltf": FORMATS["glb"], "tif": FORMATS["tiff"]}
+# A vertex and its two triangles take some 150 bytes as text, and colours and normals some more.
+_BYTES_A_PIXEL = 250
 
 
 def write_mesh(mesh: Mesh, path: str | Path) -> None:
@@ -100,25 +104,29 @@ def read_placed(
     kind = path.suffix.lower()[1:]
     if kind not in (*_POINTS, *_DECODERS, *_GRID_DECODERS, _BAG) and f".{kind}" not in READ_SUFFIXES:
         kind = "ply"
+    most = _BYTES_A_PIXEL * max_pixels()
     try:
         if kind in _POINTS:
             raise ValueError("it holds points alone: give a mesh, or export the same as pcd, which keeps the grid")
         if frame is not None and kind != _BAG:
             raise ValueError(f"it holds one frame: leave out frame {frame}")
         if kind in (*_GRID_DECODERS, _BAG):
-            grid = read_bag(path, frame) if kind == _BAG else _GRID_DECODERS[kind](path.read_bytes())
+            if kind == _BAG:
+                open_plain(path).close()
+            grid = read_bag(path, frame) if kind == _BAG else _GRID_DECODERS[kind](read_plain(path, most))
             if axes not in (None, "camera"):
                 raise ValueError("a camera's grid has the camera's axes: leave out others")
             if unit is not None:
                 usual = MM[_FORMS[kind].unit]
                 grid = replace(grid, points=grid.points * np.float32(MM[unit] / usual))
             return grid_mesh(grid), True
-        mesh, said = _DECODERS[kind](path.read_bytes()) if kind in _DECODERS else read_foreign(path)
+        mesh, said = _DECODERS[kind](read_plain(path, most)) if kind in _DECODERS else read_foreign(path, most)
         in_rad = said.get("unit") == "rad"
         if in_rad and (axes or unit):
             raise ValueError("it is in rad, not in mm: decode with a calibration")
     except OSError as error:
-        raise FootageError(f"cannot read {path}: {error.strerror}") from error
+        more = f": set {MAX_PIXELS} to a larger number if it is whole" if error.errno == errno.EFBIG else ""
+        raise FootageError(f"cannot read {path}: {error.strerror}{more}") from error
     except ValueError as error:
         raise FootageError(f"cannot read {path} as a surface ({kind.upper()}): {error}") from error
     form = _FORMS[kind]

@@ -108,7 +108,7 @@ class ResultStore:
 
     Attributes
     ----------
-    attributes : dict
+    says : StoreAttributes
         What the store says.
 
     Raises
@@ -127,8 +127,8 @@ class ResultStore:
             raise OutputError(f"{error}: run again, which repairs it") from None
         if found is None:
             raise OutputError(f"{location} is not there: every worker must see it under this name")
-        self.attributes = found[0]
-        _refuse_mixing(self._files.name, self.attributes, whole)
+        self.says, self._shapes, self._n_frames = found.says, found.shapes, found.n_frames
+        _refuse_mixing(self._files.name, found.attributes, whole)
         self._identity = identity_digest(whole)
 
     @classmethod
@@ -180,7 +180,7 @@ class ResultStore:
     def done(self) -> set[int]:
         """Return the numbers of the frames that have a mark."""
         with self._files.explained():
-            return marked_frames(self._files)
+            return marked_frames(self._files, self._n_frames)
 
     def faults(self, numbers: Iterable[int], made_of: Callable[[int], str]) -> dict[int, str]:
         """Check whether frames that have a mark are whole, and return what is wrong, by number.
@@ -208,7 +208,7 @@ class ResultStore:
                 for name in self._fields
                 if chunk_key(number, keys[name]) not in names[name]
             }
-        read = () if remote else self._fields
+        read = {} if remote else self._shapes
 
         def fault(number: int) -> str | None:
             return frame_fault(self._files, number, read, self._identity, made_of(number))
@@ -334,7 +334,7 @@ def holds_footage(location: Path) -> bool:
     except DamageError:
         with files.explained():
             return len(marked_frames(files)) > 1
-    return found is not None and "footage" in found[0]
+    return found is not None and found.says.footage is not None
 
 
 def write_store(path: Path, frame: DecodedFrame, settings: DecodeSettings, calibration: Calibration | None) -> None:

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ConfigDict, TypeAdapter
 
 from pipeline.decoding.frame import FIELDS, DecodedFrame
 from pipeline.decoding.labels import (
@@ -38,7 +39,17 @@ from pipeline.decoding.labels import (
 from pipeline.errors import DamageError, OutputError
 from pipeline.files import LEFTOVER, explain, replace_file, sync
 from pipeline.footage.opening import FrameTimes
-from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codecs, chunk_key, decode_chunk, with_checksum, without_checksum
+from pipeline.limits import MOST_FRAMES, check_size, read_plain
+from pipeline.output.store_model import ArraySays, GroupSays, StoreAttributes, TimesSay, parsed
+from pipeline.zarr_chunks import (
+    CHUNK_KEYS,
+    chunk_bytes,
+    chunk_codecs,
+    chunk_key,
+    decode_chunk,
+    with_checksum,
+    without_checksum,
+)
 
 #: How the names of files end that we, and zarr, have not finished.
 LEFTOVERS = (LEFTOVER, ".partial")
@@ -100,7 +111,7 @@ class StoreFiles:
             except (ImportError, ValueError) as error:
                 raise OutputError(f"cannot write to {self.name}: {' '.join(str(error).split())}") from None
 
-    def read(self, key: str) -> bytes:
+    def read(self, key: str, most_bytes: int) -> bytes:
         """Return what a file holds.
 
         Raises
@@ -108,12 +119,14 @@ class StoreFiles:
         FileNotFoundError, NotADirectoryError
             It is not there.
         OSError
-            It cannot be read.
+            It cannot be read, or is longer than allowed.
         """
         if self.folder is not None:
-            return (self.folder / key).read_bytes()
+            return read_plain(self.folder / key, most_bytes)
         with self._as_os_error():
-            content: bytes = self._remote.cat_file(f"{self._path}/{key}")
+            content: bytes = self._remote.cat_file(f"{self._path}/{key}", end=most_bytes + 1)
+        if len(content) > most_bytes:
+            raise OSError(errno.EFBIG, f"it is larger than {most_bytes:,} bytes")
         return content
 
     def put(self, key: str, content: bytes) -> None:
@@ -233,11 +246,11 @@ def new_metadata(
 
     coordinates = _coordinates(attributes, fields, n_frames, size_px, times)
     labels = {**dataset_labels(attributes.get("colorphase_version")), "coordinates": " ".join(coordinates)}
-    lengths = {"y": size_px[1], "x": size_px[0], "xyz": 3, "rgb": 3, "record": MARK_BYTES}
+    lengths = _axis_lengths(size_px)
     held: dict[str, Any] = {}
     group = zarr.create_group(zarr.storage.MemoryStore(held), attributes={**labels, **attributes})
     for name in (*fields, DONE):
-        axes = ("record",) if name == DONE else FIELDS[name].axes
+        axes = _axes(name)
         dtype = np.dtype(np.uint8 if name == DONE else FIELDS[name].dtype)
         fill = _BLANK if name == DONE else np.nan if dtype.kind == "f" else 0
         shape = tuple(lengths[axis] for axis in axes)
@@ -298,8 +311,23 @@ def _described(name: str, attributes: dict[str, Any], *, timed: bool) -> dict[st
     return {**labels, **({"coordinates": "time"} if timed else {})}
 
 
-def read_metadata(files: StoreFiles) -> tuple[dict[str, Any], dict[str, tuple[int, ...]]] | None:
-    """Return a store's attributes, and the shape of each of its arrays; None where there is no store yet.
+@dataclass(frozen=True)
+class Metadata:
+    """The metadata of a store, which is as it was written."""
+
+    attributes: dict[str, Any]  # all that it says of how its frames were decoded, as JSON
+    says: StoreAttributes  # what is read again of them
+    shapes: dict[str, tuple[int, ...]]  # of the array of each field, and of the marks; the frames come first
+    size_px: tuple[int, int]  # width and height of a frame
+
+    @property
+    def n_frames(self) -> int:
+        """How many frames the footage has."""
+        return self.shapes[DONE][0]
+
+
+def read_metadata(files: StoreFiles) -> Metadata | None:
+    """Return a store's metadata; None where there is no store yet.
 
     Labels and coordinates, which follow from the others and from the footage, are checked and left out.
 
@@ -307,13 +335,15 @@ def read_metadata(files: StoreFiles) -> tuple[dict[str, Any], dict[str, tuple[in
     ------
     DamageError
         It is a result, but its metadata is not as it was written.
+    FootageError
+        Its frames are larger than those that are read.
     OutputError
         Something else is there, or it cannot be read.
     """
     foreign = OutputError(f"{files.name} is not a result of ours: choose another folder")
     try:
         content = _content(files, _METADATA)
-        about = _parsed(files, _METADATA, content)
+        says = parsed(GroupSays, content, f"{files.name}: {_METADATA}").attributes
     except (FileNotFoundError, NotADirectoryError):
         if _half_made(files):
             return None
@@ -324,46 +354,80 @@ def read_metadata(files: StoreFiles) -> tuple[dict[str, Any], dict[str, tuple[in
         if not _holds_marks(files):
             raise foreign from None
         raise
-    attributes = about.get("attributes")
-    if not isinstance(attributes, dict) or not {"settings", "colorphase_version"} <= attributes.keys():
-        if not _holds_marks(files):
-            raise foreign
-        raise DamageError(f"{files.name}: {_METADATA} is not what was written")
+    coordinates = says.coordinates.split()
+    if not set(coordinates) <= set(COORDINATES):
+        raise DamageError(f"{files.name}: the metadata of an array is missing (coordinates)")
     try:
-        coordinates = attributes.get("coordinates", "").split()  # stores that an earlier version made have none
-        if not set(coordinates) <= set(COORDINATES):
-            raise KeyError("coordinates")
-        names = [f"{name}/{_METADATA}" for name in (*attributes["fields"], DONE)]
-        names += [f"{name}/{key}" for name in coordinates for key in (_METADATA, _VALUES)]
-        held = {key: _content(files, key) for key in names}
-    except (FileNotFoundError, NotADirectoryError, KeyError, TypeError, AttributeError) as error:
+        held, shapes = {}, {}
+        for name in (*sorted((*says.fields, DONE)), *coordinates):
+            key = f"{name}/{_METADATA}"
+            held[key] = _content(files, key)
+            shapes[name] = parsed(ArraySays, held[key], f"{files.name}: {key}").shape
+        for name in coordinates:
+            most = _MOST_BYTES + chunk_bytes(np.float64, shapes.pop(name))
+            held[f"{name}/{_VALUES}"] = _content(files, f"{name}/{_VALUES}", most)
+    except (FileNotFoundError, NotADirectoryError) as error:
         raise DamageError(f"{files.name}: the metadata of an array is missing ({error})") from None
-    if attributes.get(_CHECKSUM) != _digest(about, held) or content != _text(about):
+    about = json.loads(content)
+    if about["attributes"].get(_CHECKSUM) != _digest(about, held) or content != _text(about):
         raise DamageError(f"{files.name}: its metadata is not what was written")
-    shapes = {
-        name: tuple(json.loads(held[f"{name}/{_METADATA}"])["shape"]) for name in sorted((*attributes["fields"], DONE))
+    size_px = _checked_size(files.name, shapes)
+    attributes = {
+        name: value for name, value in about["attributes"].items() if name not in (_CHECKSUM, *DATASET_LABELS)
     }
-    return {name: value for name, value in attributes.items() if name not in (_CHECKSUM, *DATASET_LABELS)}, shapes
+    return Metadata(attributes, says, shapes, size_px)
 
 
-def read_times(files: StoreFiles) -> FrameTimes | None:
+def _checked_size(name: str, shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, int]:
+    """Return width and height of a store's frames, if its arrays are for the same number of frames of that size.
+
+    Raises
+    ------
+    DamageError
+        They are not.
+    FootageError
+        The frames are too large.
+    """
+    known = {field: shape for field, shape in shapes.items() if field in FIELDS}
+    height, width = next((shape[1:3] for shape in known.values() if len(shape) > 2), (0, 0))
+    check_size(name, width, height)
+    lengths = _axis_lengths((width, height))
+    for field, shape in {**known, DONE: shapes[DONE]}.items():
+        if shape != shapes[DONE][:1] + tuple(lengths[axis] for axis in _axes(field)):
+            raise DamageError(f"{name}: {field} has the shape {shape}, which is not that of a result")
+    return width, height
+
+
+def _axes(name: str) -> tuple[str, ...]:
+    """Return the axes of an array behind that of the frames."""
+    return ("record",) if name == DONE else FIELDS[name].axes
+
+
+def _axis_lengths(size_px: tuple[int, int]) -> dict[str, int]:
+    return {"y": size_px[1], "x": size_px[0], "xyz": 3, "rgb": 3, "record": MARK_BYTES}
+
+
+def read_times(files: StoreFiles, n_frames: int) -> FrameTimes | None:
     """Return when the frames of a store whose metadata is whole were taken; None: nothing has told.
 
     Raises
     ------
     DamageError
-        The metadata is no longer whole.
+        The metadata is no longer whole, or holds no times.
     """
+    where = f"{files.name}: time"
     try:
-        about = json.loads(files.read(f"time/{_METADATA}"))
-        chunk = files.read(f"time/{_VALUES}")
-    except OSError:
+        says = parsed(TimesSay, files.read(f"time/{_METADATA}", _MOST_BYTES), where)
+        chunk = files.read(f"time/{_VALUES}", chunk_bytes(np.float64, (n_frames,)))
+    except (FileNotFoundError, NotADirectoryError):
         return None
-    _, _, since = about["attributes"]["units"].partition(" since ")
-    return FrameTimes(decode_chunk(chunk, np.float64, tuple(about["shape"])), since or None)
+    times = FrameTimes(decode_chunk(chunk, np.float64, (n_frames,)), says.attributes.since)
+    if not times.known:
+        raise DamageError(f"{where} holds no times")
+    return times
 
 
-def _content(files: StoreFiles, key: str) -> bytes:
+def _content(files: StoreFiles, key: str, most_bytes: int = _MOST_BYTES) -> bytes:
     """Return a file of metadata.
 
     Raises
@@ -374,28 +438,11 @@ def _content(files: StoreFiles, key: str) -> bytes:
         It cannot be read.
     """
     try:
-        return files.read(key)
+        return files.read(key, most_bytes)
     except (FileNotFoundError, NotADirectoryError):
         raise
     except OSError as error:
         raise OutputError(f"cannot read {files.name}: {error.strerror or error}") from None
-
-
-def _parsed(files: StoreFiles, key: str, content: bytes) -> dict[str, Any]:
-    """Return what a file of metadata says.
-
-    Raises
-    ------
-    DamageError
-        It is not JSON.
-    """
-    try:
-        parsed = json.loads(content) if len(content) <= _MOST_BYTES else None
-    except (ValueError, RecursionError):
-        parsed = None
-    if not isinstance(parsed, dict):
-        raise DamageError(f"{files.name}: {key} is not what was written")
-    return parsed
 
 
 def _half_made(files: StoreFiles) -> bool:
@@ -436,6 +483,8 @@ class OtherFrame(DamageError):
 class FrameMark:
     """The record of a frame as a whole."""
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     period_px: float | None
     noise_levels: float
     constant_known: bool
@@ -467,14 +516,17 @@ class FrameMark:
         return with_checksum(text.ljust(MARK_BYTES))
 
 
+_MARKS = TypeAdapter(FrameMark)
+
+
 def identity_digest(attributes: dict[str, Any]) -> str:
     """Return a short name of all that a frame's result depends on, except its number."""
     given = {name: value for name, value in attributes.items() if name not in LEARNT}
     return hashlib.sha256(json.dumps(given, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def marked_frames(files: StoreFiles) -> set[int]:
-    """Return the numbers of a store's frames that have a mark, which is not read.
+def marked_frames(files: StoreFiles, n_frames: int = MOST_FRAMES) -> set[int]:
+    """Return the numbers of a store's frames, of so many, that have a mark, which is not read.
 
     Raises
     ------
@@ -482,7 +534,7 @@ def marked_frames(files: StoreFiles) -> set[int]:
         The store cannot be read.
     """
     keys = (_KEY.fullmatch(name) for name, size in files.sizes(DONE).items() if size == _STORED_BYTES)
-    return {int(key[1]) for key in keys if key is not None}
+    return {number for key in keys if key is not None and (number := int(key[1])) < n_frames}
 
 
 def read_mark(files: StoreFiles, number: int, identity: str) -> FrameMark:
@@ -494,22 +546,23 @@ def read_mark(files: StoreFiles, number: int, identity: str) -> FrameMark:
         It is not there, is not as it was written, or is that of a frame that was decoded otherwise.
     """
     try:
-        mark = FrameMark(**json.loads(without_checksum(files.read(f"{DONE}/{chunk_key(number, 1)}"))))
+        stored = files.read(f"{DONE}/{chunk_key(number, 1)}", _STORED_BYTES)
+        mark = _MARKS.validate_json(without_checksum(stored))
     except DamageError as error:
         raise DamageError(f"its mark is damaged: {error}") from None
     except FileNotFoundError:
         raise DamageError("it has no mark, and so is not whole") from None
     except OSError as error:
         raise DamageError(f"its mark cannot be read: {error.strerror or error}") from None
-    except (ValueError, TypeError):
+    except ValueError:
         raise DamageError("its mark is of another program, or of a newer version of this one") from None
     if mark.identity != identity:
         raise OtherFrame("it was decoded otherwise than its store says")
     return mark
 
 
-def read_chunk(files: StoreFiles, number: int, name: str, mark: FrameMark) -> bytes:
-    """Return the chunk of a frame's field.
+def read_chunk(files: StoreFiles, number: int, name: str, shape: tuple[int, ...], mark: FrameMark) -> bytes:
+    """Return the chunk of a frame's field, whose array has this shape.
 
     Raises
     ------
@@ -517,7 +570,8 @@ def read_chunk(files: StoreFiles, number: int, name: str, mark: FrameMark) -> by
         It is not as it was written, or not there.
     """
     try:
-        chunk = files.read(f"{name}/{chunk_key(number, len(FIELDS[name].axes))}")
+        key = f"{name}/{chunk_key(number, len(FIELDS[name].axes))}"
+        chunk = files.read(key, chunk_bytes(FIELDS[name].dtype, shape[1:]))
     except FileNotFoundError:
         raise DamageError(f"{name} is missing") from None
     except OSError as error:
@@ -532,7 +586,11 @@ def read_chunk(files: StoreFiles, number: int, name: str, mark: FrameMark) -> by
 
 
 def frame_fault(
-    files: StoreFiles, number: int, fields: Sequence[str], identity: str, made_of: str | None = None
+    files: StoreFiles,
+    number: int,
+    shapes: Mapping[str, tuple[int, ...]],
+    identity: str,
+    made_of: str | None = None,
 ) -> str | None:
     """Return what is wrong with a frame that has a mark; None: all of it is as it was written.
 
@@ -542,8 +600,8 @@ def frame_fault(
         mark = read_mark(files, number, identity)
         if made_of not in (None, mark.made_of):
             return "the footage has changed there since it was decoded"
-        for name in fields:
-            read_chunk(files, number, name, mark)
+        for name in sorted(shapes.keys() & FIELDS.keys()):
+            read_chunk(files, number, name, shapes[name], mark)
     except DamageError as error:
         return str(error)
     return None

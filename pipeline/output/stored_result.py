@@ -12,7 +12,6 @@ import numpy.typing as npt
 
 from pipeline.calibration.model import Lens
 from pipeline.decoding.frame import FIELDS
-from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import DamageError, DecodeWarning, FootageError
 from pipeline.output.mesh import Mesh, RangeGrid, provenance_of
 from pipeline.output.store_files import (
@@ -65,21 +64,23 @@ class StoredResult:
         try:
             self._files = StoreFiles(location)
             found = read_metadata(self._files)
-            self.done = () if found is None else tuple(sorted(marked_frames(self._files)))
-            self._times = None if found is None else read_times(self._files)
+            self.done = () if found is None else tuple(sorted(marked_frames(self._files, found.n_frames)))
+            self._times = None if found is None else read_times(self._files, found.n_frames)
+        except FootageError:
+            raise
         except DamageError as error:
             raise FootageError(f"{error}: run colorphase decode again as before, which repairs it") from None
         except OSError as error:
             raise FootageError(f"{self.name} is not a result.zarr that can be read: decode first") from error
         if found is None:
             raise FootageError(f"{self.name} is not a result.zarr that can be read: decode first")
-        self.attributes: dict[str, Any] = found[0]
-        self._shapes = found[1]
+        self.attributes = found.attributes
+        self._metadata = found
         self._identity = identity_digest(self.attributes)
-        stored = frozenset(self._shapes) - {DONE}
+        stored = frozenset(found.shapes) - {DONE}
         self.fields = stored & FIELDS.keys()
         if strange := sorted(stored - FIELDS.keys()):
-            by = self.attributes["colorphase_version"]
+            by = found.says.colorphase_version
             warnings.warn(
                 f"{self.name} was written by colorphase {by}, and this version leaves out fields that it does not know "
                 f"({', '.join(strange)}): update colorphase to read them",
@@ -91,25 +92,25 @@ class StoredResult:
     @property
     def size_px(self) -> tuple[int, int]:
         """Width and height of what was decoded of each frame."""
-        return next((shape[2], shape[1]) for shape in self._shapes.values() if len(shape) > 2)
+        return self._metadata.size_px
 
     @property
     def in_mm(self) -> bool:
         """Whether ranges are in mm, and a mesh therefore needs points."""
-        return bool(self.attributes.get("range_unit") == "mm")
+        return self._metadata.says.range_unit == "mm"
 
     @property
     def front_is_clear(self) -> bool:
         """Whether it is clear which side of the ranges faces the camera: by a calibration, the settings or rims."""
-        rims = RimVotes(**self.attributes.get("rims", {}))
-        return self.in_mm or self.attributes["settings"].get("projector_side") is not None or rims.clear
+        says = self._metadata.says
+        return self.in_mm or says.settings.get("projector_side") is not None or says.rim_votes.clear
 
     @property
     def wanted(self) -> range:
         """The numbers that the run was to decode, from its first to its last one that is done."""
         if not self.done:
             return range(0)
-        return range(self.done[0], self.done[-1] + 1, int(self.attributes.get("step", 1)))
+        return range(self.done[0], self.done[-1] + 1, self._metadata.says.step)
 
     def read(self, name: str, number: int) -> npt.NDArray[Any]:
         """Return a field of a frame.
@@ -121,8 +122,9 @@ class StoredResult:
         """
         self.require(name)
         try:
-            chunk = read_chunk(self._files, number, name, self._mark_of(number))
-            return decode_chunk(chunk, FIELDS[name].dtype, self._shapes[name][1:])
+            shape = self._metadata.shapes[name]
+            chunk = read_chunk(self._files, number, name, shape, self._mark_of(number))
+            return decode_chunk(chunk, FIELDS[name].dtype, shape[1:])
         except DamageError as error:
             raise self._damaged(number, error) from None
 
@@ -160,7 +162,7 @@ class StoredResult:
 
     def fault(self, number: int) -> str | None:
         """Return what is wrong with a frame that is done; None: all of it is as it was written."""
-        return frame_fault(self._files, number, sorted(self.fields), self._identity)
+        return frame_fault(self._files, number, self._metadata.shapes, self._identity)
 
     def _mark_of(self, number: int) -> FrameMark:
         if self._mark is None or self._mark[0] != number:
@@ -176,8 +178,7 @@ class StoredResult:
     @property
     def camera(self) -> Lens | None:
         """The camera whose pixels the frames have; None: without a calibration."""
-        lens = self.attributes.get("camera")
-        return None if lens is None else Lens.model_validate(lens)
+        return self._metadata.says.camera
 
     def provenance(self, number: int) -> dict[str, str]:
         """Return how a frame was made, as files carry it."""

@@ -16,6 +16,7 @@ import numpy as np
 from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.files import LEFTOVER, explain, replace_file, sync
 from pipeline.footage.zarr_recording import ATTRIBUTE, FRAMES, VERSION, RecordingTags
+from pipeline.limits import MOST_FRAMES, read_text
 from pipeline.locking import locked
 from pipeline.models import ImageArray
 from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codecs, chunk_key, encode_chunk
@@ -154,13 +155,15 @@ def _cut_off(path: Path) -> int:
     """
     chunks = any(_KEY.fullmatch(file.name) for file in (path / FRAMES).glob("c.*"))
     try:
-        n_frames = int(json.loads((path / FRAMES / "zarr.json").read_bytes())["shape"][0])
+        n_frames = json.loads(read_text(path / FRAMES / "zarr.json"))["shape"][0]
     except FileNotFoundError:
         if not chunks:  # it was killed while it made this
             return 0
         raise DamageError(f"{path.name} does not say how many frames it holds") from None
-    except (ValueError, KeyError, TypeError, IndexError):
-        raise DamageError(f"{path.name} does not say how many frames it holds") from None
+    except (ValueError, KeyError, TypeError, IndexError, RecursionError):
+        n_frames = None
+    if type(n_frames) is not int or not 0 <= n_frames <= MOST_FRAMES:
+        raise DamageError(f"{path.name} does not say how many frames it holds")
     _remove_from(path / FRAMES, n_frames)
     return n_frames
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from support.damage import damaged, with_png_checksums
 from support.numbered_frames import record
-from support.stored_planes import store
+from support.stored_planes import LENS, reseal, store
 from support.video_files import H264, MJPEG, encode, moving_planes
 
 from hardware import errors as hardware_errors
@@ -27,6 +27,7 @@ from pipeline.footage.opening import open_source
 from pipeline.footage.source import StoredFrame
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh, write_mesh
+from pipeline.output.store_files import MARK_BYTES
 from pipeline.output.stored_result import StoredResult
 from pipeline.recording.video_export import export_video
 from pipeline.settings import DecodeSettings
@@ -103,6 +104,17 @@ def _read_store(path: Path) -> Reading:
     return Reading(parts, told)
 
 
+def _read_all_of_a_store(path: Path) -> Reading:
+    """Read whatever can be asked of a store; nothing tells its checksums' damage, which is none."""
+    stored = StoredResult(path)
+    known = [stored.size_px, len(stored.wanted), stored.front_is_clear, stored.camera, bool(stored._repr_html_())]
+    for number in stored.done:
+        with suppress(*OWN_ERRORS):
+            known += [stored.warnings(number), stored.time_s(number), stored.provenance(number)]
+            known += [stored.fault(number), len(stored.mesh(number).vertices)]
+    return Reading({"all": _digest(*known)})
+
+
 def _read_mesh(path: Path) -> Reading:
     mesh = read_mesh(path)
     return Reading({"mesh": _digest(mesh.vertices, mesh.faces, mesh.colors, *sorted(mesh.properties.items()))})
@@ -141,6 +153,7 @@ SAMPLES = {
         Sample("film.mp4", _read_frames),
         Sample("recording.zarr", _read_frames, checked=True),
         Sample("result.zarr", _read_store, checked=True),
+        Sample("resealed.zarr", _read_all_of_a_store),
         Sample("calibration.json", _reader_of(Calibration.read), text=True),
         Sample("settings.toml", _reader_of(DecodeSettings.read), text=True),
         Sample("rig.toml", _reader_of(read_rig), text=True),
@@ -199,6 +212,7 @@ def make_samples(folder: Path) -> None:
     record(folder / "recording.zarr")
     export_video(folder / "recording.zarr", folder / "recording.mkv")
     store(folder / "result.zarr", _DISTANCES)
+    store(folder / "resealed.zarr", _DISTANCES, lens=LENS)
     yuv = moving_planes(6, PixelFormat("yuv", subsampling=(2, 2)))
     encode(folder / "film.avi", yuv, *MJPEG)
     encode(folder / "film.mp4", yuv, *H264)
@@ -238,6 +252,9 @@ def damage_sample(sample: Sample, whole: Path, target: Path, rng: np.random.Gene
         target.write_bytes(with_png_checksums(data) if intent else data)
         return intent
     shutil.copytree(whole, target)
+    if sample.name == "resealed.zarr":
+        _damage_and_reseal(target, rng)
+        return True
     files = sorted(path for path in target.rglob("*") if path.is_file())
     heads = [path for path in files if path.suffix == ".json"]
     chosen = heads if rng.random() < 0.5 else [path for path in files if path not in heads]
@@ -254,6 +271,33 @@ def damage_sample(sample: Sample, whole: Path, target: Path, rng: np.random.Gene
     else:
         path.write_bytes(damaged(path.read_bytes(), rng))
     return False
+
+
+def _damage_and_reseal(store_path: Path, rng: np.random.Generator) -> None:
+    """Damage a head, a frame's mark or a chunk of a store, so that no checksum tells."""
+    kind = rng.random()
+    files = sorted(path for path in store_path.rglob("*") if path.is_file())
+    if kind < 0.7:
+        heads = [path for path in files if path.name == "zarr.json"]
+        path = store_path / "zarr.json" if kind < 0.4 else heads[rng.integers(len(heads))]
+        path.write_bytes(damaged(path.read_bytes(), rng, text=True))
+        with suppress(ValueError, RecursionError):
+            path.write_text(json.dumps(json.loads(path.read_bytes()), indent=2))
+        reseal(store_path)
+        return
+    mark = store_path / "done" / "c.0.0"
+    said = without_checksum(mark.read_bytes())
+    if kind < 0.85:
+        said = damaged(said.rstrip(), rng, text=True)
+    else:
+        name = str(rng.choice(["mask", "points", "range_image"]))
+        (chunk,) = (store_path / name).glob("c.0.*")
+        content = with_checksum(damaged(without_checksum(chunk.read_bytes()), rng))
+        chunk.write_bytes(content)
+        about = json.loads(said)
+        about["chunks"][name] = content[-4:].hex()
+        said = json.dumps(about).encode()
+    mark.write_bytes(with_checksum(said.ljust(MARK_BYTES)[:MARK_BYTES]))
 
 
 def outcome(sample: Sample, path: Path, whole: Reading) -> str:

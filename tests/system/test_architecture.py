@@ -15,7 +15,7 @@ PACKAGES = ("tikernels", "pipeline", "hardware")
 #: The rooms of each package, from the ground up: one imports those to the left of it, and what lies in it.
 FLOORS = {
     "tikernels": (
-        "lazy_names _front_end _taichi traffic launching errors arrays lanes file_lock compiled_kernels "
+        "errors lazy_names _front_end _taichi traffic launching arrays lanes file_lock compiled_kernels "
         "runtime checks strips transposing raw phase depth unwrapping order_evidence scene"
     ),
     "pipeline": (

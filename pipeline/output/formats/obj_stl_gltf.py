@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import OutputError
-from pipeline.limits import MAX_PIXELS, check_mesh_size, max_pixels
+from pipeline.limits import check_mesh_size, read_plain
 from pipeline.output.formats import Content, Heading, remarks_in, text_rows
 from pipeline.output.mesh import Mesh, face_normals, vertex_normals
 from pipeline.output.range_image import encode_png
@@ -31,8 +31,6 @@ _SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1
 
 #: What this reads.
 READ_SUFFIXES = (".obj", ".stl", ".glb", ".gltf")
-# A vertex and its two triangles take some 150 bytes as text, and a texture some more.
-_BYTES_A_PIXEL = 1000
 # Bytes of an OBJ file in which its remarks are.
 _HEAD = 2**16
 # A corner that is counted from the last vertex.
@@ -161,8 +159,8 @@ def encode_glb(mesh: Mesh, heading: Heading) -> dict[str, Content]:
     return {".glb": b"".join(parts)}
 
 
-def read_foreign(path: Path) -> tuple[Mesh, dict[str, str]]:
-    """Return the mesh that a file holds, with the coordinates that it has there and its colours by vertex; its remarks.
+def read_foreign(path: Path, most_bytes: int) -> tuple[Mesh, dict[str, str]]:
+    """Return the mesh of a file, of so many bytes at most, in its own coordinates and with colours by vertex; its remarks.
 
     Raises
     ------
@@ -173,14 +171,13 @@ def read_foreign(path: Path) -> tuple[Mesh, dict[str, str]]:
     """
     import trimesh  # slow to import, and seldom needed
 
-    most = _BYTES_A_PIXEL * max_pixels()
-    if path.stat().st_size > most:
-        raise ValueError(f"it has more than {most} bytes: set {MAX_PIXELS} to a larger number if it is whole")
+    data = read_plain(path, most_bytes)
+    beside = _Beside(path.parent, most_bytes)
     try:
-        data, kind = path.read_bytes(), path.suffix[1:].lower()
+        kind = path.suffix[1:].lower()
         if kind == "obj":
             data = _numbered_from_first(data)
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=_Beside(path.parent), process=False)
+        scene = trimesh.load_scene(io.BytesIO(data), file_type=kind, resolver=beside, process=False)
         places = list(scene.graph.nodes_geometry)
         if len(places) == 1:  # joining parts, even a single one, loses colours next to a material
             transform, name = scene.graph[places[0]]
@@ -258,16 +255,15 @@ def _colors(solid: Any) -> npt.NDArray[np.uint8] | None:
 class _Beside(Mapping[str, bytes]):
     """The files next to a mesh, by their plain names, which a mesh may name."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, most_bytes: int) -> None:
+        self._folder, self._most_bytes = folder, most_bytes
 
     def __getitem__(self, name: str) -> bytes:
         if Path(name).name != name:
             raise KeyError(name)
         try:
-            with (self._folder / name).open("rb") as file:
-                return file.read(_BYTES_A_PIXEL * max_pixels())
-        except OSError:
+            return read_plain(self._folder / name, self._most_bytes)
+        except (OSError, ValueError):
             raise KeyError(name) from None
 
     def __iter__(self) -> Iterator[str]:

@@ -20,7 +20,7 @@ from pipeline.output.film import FilmEncoder
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.pictures.color_meaning import check_boxes, distance_from
-from pipeline.output.pictures.drawing_process import DONE, FilmPart, PictureJob
+from pipeline.output.pictures.drawing_process import DONE, FilmPart, PartRecord, PictureJob
 from pipeline.output.pictures.picture_source import MeshSource, StoreSource
 from pipeline.output.pictures.scene import BLACK, GROUND, WHITE, Scene, SurfaceRenderer
 from pipeline.output.range_image import write_png
@@ -106,9 +106,9 @@ class _Drawing:
                 _say({"part": part.first, "drawn": i + 1 - part.first})
         broken = {number: why for number, why in self._broken().items() if number in held}
         size = Path(partial).stat().st_size
-        about = {"held": held, "broken": broken, "codec": encoder.codec, "bytes": size}
+        record = PartRecord(held=tuple(held), broken=broken, codec=encoder.codec, bytes=size)
         sync(Path(partial))
-        Path(part.path).with_suffix(".json").write_text(json.dumps(about), encoding="utf-8")
+        part.record_file.write_text(record.model_dump_json(), encoding="utf-8")
         os.replace(partial, part.path)
 
     def _show_what_was_before(self, first: int) -> int | None:

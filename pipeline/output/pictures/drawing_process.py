@@ -18,6 +18,7 @@ from typing import IO, Annotated, Any, Literal
 from pydantic import Field, PlainValidator, model_validator
 
 from pipeline.errors import RenderError
+from pipeline.limits import read_text
 from pipeline.models import Model, Signed
 from pipeline.output.pictures.color_meaning import Colors
 from pipeline.output.pictures.picture_overlay import Colormap
@@ -108,6 +109,30 @@ class FilmPart(Model):
     first: int
     stop: int
     path: _Place
+
+    @property
+    def record_file(self) -> Path:
+        """Where the record of what was drawn is."""
+        return Path(self.path).with_suffix(".json")
+
+    def record(self) -> "PartRecord":
+        """Return the record of what was drawn.
+
+        Raises
+        ------
+        OSError, ValueError
+            It is not there, or is none.
+        """
+        return PartRecord.model_validate_json(read_text(self.record_file))
+
+
+class PartRecord(Model):
+    """The record of a part that was drawn."""
+
+    held: tuple[int, ...]  # frames for which the one before stands
+    broken: dict[int, str]  # those of them that are damaged, and how
+    codec: str
+    bytes: int
 
 
 class PictureJob(Model):

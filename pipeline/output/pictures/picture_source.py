@@ -1,11 +1,11 @@
 """Sources of the surfaces in pictures: a mesh, or the frames of a ``result.zarr``."""
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.errors import FootageError, RenderError
+from pipeline.output.folder import file_digest
 from pipeline.output.mesh import Mesh
 from pipeline.output.mesh_files import read_mesh
 from pipeline.output.pictures.color_meaning import Colors
@@ -40,7 +40,7 @@ class MeshSource:
 
     def digest(self, number: int) -> str:
         """Return a digest that distinguishes the mesh from others."""
-        return hashlib.sha256(self._path.read_bytes()).hexdigest()
+        return str(file_digest(self._path))
 
 
 class StoreSource:

@@ -143,6 +143,7 @@ def test_what_an_own_driver_raises_comes_through(own):
             "own_drivers:WithoutTwo",
             "own_drivers:WithoutTwo lacks disarm, close: give it what hardware.protocols.Camera",
         ),
+        ("os:abort", "os:abort cannot be opened .TypeError: .*: mend it"),
         ("own_drivers:WIRES", "own_drivers:WIRES cannot be called: name a class, or a function that opens a camera"),
     ],
 )

@@ -53,8 +53,15 @@ def test_an_unknown_arch_is_refused():
         tikernels.init("gpu")
 
 
-def run(program: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+@pytest.mark.parametrize("threads", [0, -3, 100_000])
+def test_a_number_of_threads_that_ends_processes_is_refused(threads):
+    with pytest.raises(DeviceNotReady, match=f"cpu_threads is {threads}: give a number from 1 to 1024"):
+        tikernels.init("cpu", cpu_threads=threads)
+
+
+def run(program: str, environment: dict[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", program]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120, check=False)
 
 
 def test_a_missing_arch_is_one_line():
@@ -151,3 +158,90 @@ def test_the_end_keeps_kernels_on_the_disk(tmp_path):
     command = [sys.executable, "-c", KERNELS_ARE_KEPT, str(tmp_path)]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
+
+
+LINEARIZE = """
+import tempfile
+def nowhere(*given, **more): raise FileNotFoundError("no folder")
+if {nowhere}: tempfile.mkdtemp = nowhere
+import numpy as np, tikernels
+print(tikernels.linearize(np.zeros((4, 4, 3), np.float32)).shape)
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="its users always have a home")
+@pytest.mark.parametrize("nowhere", [False, True])
+@pytest.mark.parametrize(
+    "folders",
+    [
+        {},
+        {"HOME": "{file}"},
+        {"HOME": "{folder}", "XDG_CACHE_HOME": "{file}"},
+        {"HOME": "{folder}", "TI_OFFLINE_CACHE_FILE_PATH": "{file}", "QD_OFFLINE_CACHE_FILE_PATH": "{file}"},
+    ],
+    ids=["no home", "a file as home", "a file as cache", "a file as kernels"],
+)
+def test_without_a_cache_kernels_are_compiled(tmp_path, folders, nowhere):
+    (tmp_path / "file").touch()
+    (tmp_path / "temporary").mkdir()
+    environment = {name: value for name, value in os.environ.items() if not name.endswith(("HOME", "CACHE_FILE_PATH"))}
+    environment |= {name: value.format(file=tmp_path / "file", folder=tmp_path) for name, value in folders.items()}
+    done = run(LINEARIZE.format(nowhere=nowhere), environment | {"TMPDIR": str(tmp_path / "temporary")})
+    assert (done.returncode, done.stdout) == (0, "(4, 4, 3)\n"), done.stderr
+    assert "compiled kernels are not kept, so that each start takes long: set XDG_CACHE_HOME" in done.stderr
+    assert not list((tmp_path / "temporary").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"),
+    [
+        *(("TI_CPU_MAX_NUM_THREADS", value) for value in ("nonsense", "0", "-3", "100000", "1.5")),
+        *(("TI_ARCH", value) for value in ("opengl", "", "cpu", "riscv")),
+        *(("TI_DEBUG", value) for value in ("nonsense",)),
+    ],
+)
+def test_an_environment_that_no_device_can_start_in_is_told_in_one_line(variable, value):
+    variable = variable if runtime.kernel_language() == "taichi" else variable.replace("TI_", "QD_")
+    done = run(
+        "import tikernels\ntry: tikernels.init('auto')\nexcept tikernels.DeviceNotReady as error: print(error)\n",
+        os.environ | {variable: value},
+    )
+    assert done.returncode == 0 and done.stdout.count("\n") == 1, done.stderr
+    assert done.stdout.startswith("auto cannot be started here (") and repr(value) in done.stdout
+
+
+FORKED = """
+import multiprocessing, os, sys
+import numpy as np, tikernels
+from tikernels import runtime
+
+def work(number):
+    try:
+        tikernels.linearize(np.zeros((4, 4, 3), np.float32))
+    except tikernels.DeviceNotReady as error:
+        return str(error)
+
+assert work(0) is None
+with runtime.lock:  # which nobody in the child lets go
+    pool = multiprocessing.get_context("fork").Pool(1)
+with pool:
+    print(pool.map(work, [1])[0])
+child = os.fork()
+if child == 0:
+    sys.exit("start processes by spawn" not in work(2))
+assert os.waitpid(child, 0)[1] == 0 and work(3) is None
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system forks no processes")
+def test_a_process_forked_from_a_started_device_launches_nothing():
+    """It ends as any other, and its parent goes on."""
+    done = run(FORKED)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("this process was forked from one in which a device had been started")
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system forks no processes")
+def test_a_process_forked_before_may_start_one():
+    done = run(FORKED.replace("assert work(0) is None\n", "").replace(" and work(3) is None", ""))
+    assert done.stdout == "None\n", done.stderr

@@ -69,7 +69,7 @@ def test_what_is_missing_is_named():
         (tomllib.loads, "a = " + "[" * 100_000, "nested too deep"),
         (tomllib.loads, "a." * 100_000 + "a = 1", "nested too deep"),  # takes minutes, and all memory
         (json.loads, '{"watts": ' + "9" * 5000 + "}", "a number in it has more than 400 digits"),
-        (json.loads, " " * 2**21, "larger than 1 MB"),
+        (json.loads, " " * 2**21, "larger than 1,048,576 bytes"),
         (json.loads, '{"watts": 1, "colour": ' + "[" * 300 + "]" * 300 + "}", "colour: must be 3 numbers|colour: must"),
     ],
 )

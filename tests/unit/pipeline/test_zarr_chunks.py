@@ -1,12 +1,22 @@
 """Chunks that zarr itself reads and writes."""
 
 import numpy as np
+import pytest
 import zarr
 from support.numbered_frames import RGB8, frame_of
 from zarr.codecs import BloscCodec, Crc32cCodec
 
+from pipeline.errors import DamageError
 from pipeline.recording.recorder import Recorder
-from pipeline.zarr_chunks import CHUNK_KEYS, chunk_codecs, chunk_key, encode_chunk
+from pipeline.zarr_chunks import (
+    CHUNK_KEYS,
+    chunk_codecs,
+    chunk_key,
+    decode_chunk,
+    encode_chunk,
+    with_checksum,
+    without_checksum,
+)
 from tikernels.raw.pixel_format import PixelFormat
 
 RGB12 = PixelFormat("rgb", 12)
@@ -51,3 +61,17 @@ def test_a_chunk_is_little_endian_whatever_the_array_is(tmp_path):
 
 def test_a_key_has_a_zero_for_every_other_axis():
     assert [chunk_key(7, n_axes) for n_axes in range(4)] == ["c.7", "c.7.0", "c.7.0.0", "c.7.0.0.0"]
+
+
+@pytest.mark.parametrize("shape", [(10**9, 10**9), (2**16, 2**14), (3, 5), (0,), ()])
+def test_a_chunk_of_another_length_takes_no_memory(shape):
+    chunk = encode_chunk(np.zeros((3, 4), np.uint8), 1)
+    with pytest.raises(DamageError, match="another number of values"):
+        decode_chunk(chunk, np.uint8, shape)
+
+
+def test_a_chunk_that_says_that_it_is_longer_than_it_is():
+    content = bytearray(without_checksum(encode_chunk(np.arange(12.0), 1)))
+    content[12:16] = (2**30).to_bytes(4, "little")
+    with pytest.raises(DamageError, match="it is cut off"):
+        decode_chunk(with_checksum(bytes(content)), np.float64, (12,))

@@ -1,5 +1,6 @@
 """What all commands share."""
 
+import errno
 import inspect
 import time
 import warnings
@@ -146,6 +147,26 @@ def test_other_errors_are_not_hidden(monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
     with pytest.raises(ZeroDivisionError):
         console.run(lambda: 1 / 0)
+
+
+@pytest.mark.parametrize(
+    ("error", "said"),
+    [
+        (MemoryError(), "memory is used up: decode smaller frames, or with fewer --workers"),
+        (RuntimeError("can't start new thread"), "the system starts no more threads: raise your limit (ulimit -u)"),
+        (OSError(errno.EMFILE, "Too many open files"), "Too many open files: raise your limits (ulimit -n, ulimit -u)"),
+    ],
+)
+def test_limits_of_the_system_are_one_line(error, said, monkeypatch, capsys):
+    monkeypatch.setattr(warnings, "showwarning", warnings.showwarning)
+
+    def command():
+        raise error
+
+    with pytest.raises(SystemExit) as stopped:
+        console.run(command)
+    assert stopped.value.code == 1
+    assert capsys.readouterr().err == f"error: {said}\n"
 
 
 @pytest.mark.parametrize(("message", "said"), [("", "interrupted"), ("stopped: run it again", "stopped: run it again")])

@@ -57,3 +57,29 @@ def test_linear_algebra_has_one_thread_unless_the_user_wants_more(monkeypatch):
     monkeypatch.setenv("MKL_NUM_THREADS", "3")
     start.main()
     assert [os.environ[name] for name in names] == ["1", "3", "1"]
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no disk that is always full")
+@pytest.mark.parametrize("words", [["--version"], ["--help"], ["verify", "--help"], ["settings", "s.toml"]])
+def test_a_result_that_cannot_be_written_is_one_line(tmp_path, words):
+    program = f"import sys; from pipeline.cli.start import main; sys.argv = ['colorphase', *{words}]; main()"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=tmp_path,
+            env=environment,
+        )
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert done.stderr.startswith("error: cannot write to standard output: ")
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="this system has no disk that is always full")
+def test_a_remark_that_cannot_be_written_ends_nothing():
+    program = "from pipeline.cli.console import remark, say; remark('a'); say('b')"
+    with open("/dev/full", "w") as full:
+        done = subprocess.run([sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=full, text=True)
+    assert (done.returncode, done.stdout) == (0, "b\n")

@@ -99,7 +99,7 @@ def test_a_chunk_longer_than_a_frame_is_not_read(tmp_path):
     with (tmp_path / "a.zarr" / "frames" / "c.2.0.0.0").open("ab") as file:
         file.truncate(2**40)
     (frame,) = open_source(tmp_path / "a.zarr").frames(2, 3)
-    assert frame == BadFrame(2, "it is damaged: its chunk is longer than a frame")
+    assert frame == BadFrame(2, "it is damaged: it is larger than 2,308 bytes")
 
 
 def test_an_older_zarr_is_no_recording(tmp_path):

@@ -1,6 +1,8 @@
 """The folder that decoding fills: whole or not at all, and nothing of the user's is lost."""
 
+import hashlib
 import json
+import os
 
 import numpy as np
 import pytest
@@ -121,3 +123,37 @@ def test_places_that_are_no_folders(tmp_path):
             with output_folder(place):
                 pass
     assert names(tmp_path) == ["file"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="this system has no pipes among its files")
+@pytest.mark.parametrize("name", ["/dev/zero", "../secret", "..", "", ".", "pipe", "a/b", "nul\0l", "\ud800", "link"])
+def test_a_report_does_not_choose_what_is_read(tmp_path, name):
+    """Names of other folders, what has no end, and names that no file can have."""
+    out = tmp_path / "out"
+    written(out)
+    (tmp_path / "secret").write_text("secret")
+    os.mkfifo(out / "pipe")
+    (out / "link").symlink_to("/dev/zero")
+    report = json.loads((out / "report.json").read_text())
+    report["files_sha256"] |= {name: hashlib.sha256(b"secret").hexdigest()}
+    (out / "report.json").write_text(json.dumps(report))
+    assert set(changed_files(out)) <= {name}
+    with pytest.raises(OutputError, match=r"holds something else \((link|pipe)"):
+        written(out)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="this system has no pipes among its files")
+def test_a_report_that_is_no_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "report.json")
+    assert changed_files(tmp_path) == []
+
+
+def test_a_link_named_like_a_result_file_leads_nowhere(tmp_path):
+    (tmp_path / "mine").write_text("mine")
+    (tmp_path / "out").mkdir()
+    for name in ("mesh.ply", "report.json"):
+        (tmp_path / "out" / name).symlink_to(tmp_path / "mine")
+    with pytest.raises(OutputError, match="holds something else"):
+        written(tmp_path / "out")
+    written(tmp_path / "out", force=True)
+    assert (tmp_path / "mine").read_text() == "mine" and changed_files(tmp_path / "out") == []

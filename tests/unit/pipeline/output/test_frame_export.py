@@ -12,6 +12,7 @@ from support.stored_planes import LENS, plane, store
 from pipeline.errors import FootageError, OutputError, SettingsError
 from pipeline.locking import locked
 from pipeline.output import frame_export
+from pipeline.output.folder import file_digest
 from pipeline.output.formats.table import FORMATS
 from pipeline.output.frame_export import export_frames
 from pipeline.output.mesh_files import read_mesh
@@ -254,3 +255,20 @@ def test_a_place_that_is_no_folder(result, tmp_path):
     (tmp_path / "file").write_text("mine")
     with pytest.raises(OutputError, match="cannot write"):
         export_frames(result, tmp_path / "file", "ply")
+
+
+@pytest.mark.parametrize("name", ["../mine", "/mine", "bag/../../mine", "..", "deep/er/mine", "bag/mcap/x"])
+def test_a_record_does_not_choose_what_is_removed(result, tmp_path, name):
+    """The file has the digest that is recorded of it, and no frame needs it any more."""
+    out = tmp_path / "out"
+    export_frames(result, out, "ply")
+    (tmp_path / "mine").write_text("mine")
+    record = json.loads((out / "exported.json").read_text())
+    item = record["items"]["frame_000000.ply"]
+    item["made_of"] = "other"
+    item["sha256"][name] = file_digest(tmp_path / "mine")
+    (out / "exported.json").write_text(json.dumps(record))
+    with pytest.raises(OutputError, match=r"holds something else \(exported.json is not ours\)"):
+        export_frames(result, out, "ply")
+    export_frames(result, out, "ply", force=True)
+    assert (tmp_path / "mine").read_text() == "mine"

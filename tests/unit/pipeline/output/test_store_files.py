@@ -1,6 +1,7 @@
 """A store's files, its metadata and the marks of its frames: there and back, and whatever changes them is noticed."""
 
 import json
+import os
 import shutil
 
 import numpy as np
@@ -8,13 +9,14 @@ import pytest
 import xarray
 import zarr
 from support.missing import import_but_fail_in_ci
-from support.stored_planes import HEIGHT, WIDTH, plane, store
+from support.stored_planes import HEIGHT, WIDTH, edit, plane, store
 
 from pipeline.errors import DamageError, FootageError, OutputError
 from pipeline.footage.opening import FrameTimes
 from pipeline.output import store_files
 from pipeline.output.store import ResultStore, is_there
 from pipeline.output.store_files import (
+    MARK_BYTES,
     OtherFrame,
     StoreFiles,
     identity_digest,
@@ -24,6 +26,7 @@ from pipeline.output.store_files import (
     read_times,
 )
 from pipeline.output.stored_result import StoredResult
+from pipeline.zarr_chunks import with_checksum, without_checksum
 
 pytestmark = pytest.mark.usefixtures("cpu")
 
@@ -42,13 +45,19 @@ def test_there_and_back(files):
     files.put("done/c.0.0", b"one")
     files.put("done/c.0.0", b"mark")
     files.sync_folder("done")
-    assert files.read("done/c.0.0") == b"mark"
+    assert files.read("done/c.0.0", 4) == b"mark"
     assert files.sizes("done") == {"c.0.0": 4}
     files.remove("done/c.0.0")
     files.remove("done/c.0.0")
     assert files.sizes("done") == {}
     with pytest.raises(FileNotFoundError):
-        files.read("done/c.0.0")
+        files.read("done/c.0.0", 4)
+
+
+def test_what_is_longer_than_it_can_be_is_not_read(files):
+    files.put("done/c.0.0", b"mark")
+    with pytest.raises(OSError, match="it is larger than 3 bytes"):
+        files.read("done/c.0.0", 3)
 
 
 def test_nothing_is_written_where_the_store_has_gone(tmp_path):
@@ -87,7 +96,7 @@ def test_attributes_that_were_edited(tmp_path, edit):
     about = json.loads((path / "zarr.json").read_text())
     edit(about)
     (path / "zarr.json").write_text(json.dumps(about))
-    with pytest.raises(FootageError, match="its metadata is not what was written"):
+    with pytest.raises(FootageError, match="is not what was written"):
         StoredResult(path)
     with pytest.raises(DamageError):
         is_there(path)
@@ -170,7 +179,7 @@ def test_times_since_the_first_frame(tmp_path):
         np.testing.assert_array_equal(result.time, SECONDS)
         assert result.time.attrs["units"] == "s"
     assert StoredResult(tmp_path / "result.zarr").time_s(2) == 3.25
-    times = read_times(StoreFiles(tmp_path / "result.zarr"))
+    times = read_times(StoreFiles(tmp_path / "result.zarr"), 3)
     assert times.since is None
     np.testing.assert_array_equal(times.seconds, SECONDS)
 
@@ -228,7 +237,7 @@ def test_a_store_that_has_no_coordinates_yet_stays_readable(tmp_path, monkeypatc
     about = json.loads((path / "zarr.json").read_text())
     assert about["attributes"].pop("coordinates") == ""
     old = read_metadata(StoreFiles(path))
-    files = {f"{name}/zarr.json": (path / name / "zarr.json").read_bytes() for name in old[1]}
+    files = {f"{name}/zarr.json": (path / name / "zarr.json").read_bytes() for name in old.shapes}
     about["attributes"]["metadata_sha256"] = store_files._digest(about, files)
     (path / "zarr.json").write_text(json.dumps(about, indent=2))
     result = StoredResult(path)
@@ -295,3 +304,94 @@ def test_faults_are_named_by_frame(path):
     assert [result.fault(number) is None for number in range(3)] == [True, False, False]
     assert result.fault(1) == "points is missing"
     assert result.fault(2).startswith("mask is damaged: ")
+
+
+def set_to(**values):
+    return lambda about: about["attributes"].update(values)
+
+
+def shape(*lengths):
+    return lambda about: about.update(shape=list(lengths))
+
+
+@pytest.mark.parametrize(
+    ("key", "change"),
+    [
+        *(("zarr.json", set_to(step=step)) for step in (0, -1, "two", 10**30, None)),
+        *(("zarr.json", set_to(rims=rims)) for rims in ({"falls": "x"}, {"side": 1}, [1], 3, {"grows": 10**400})),
+        *(("zarr.json", set_to(footage=footage)) for footage in ([1], "film", {"frames": 3})),
+        *(("zarr.json", set_to(fields=fields)) for fields in ([], ["../mask"], ["/dev"], "mask", [3], ["mask/"])),
+        *(("zarr.json", set_to(light=light)) for light in ({}, {"ripple": [1]}, 5, {"cycles": {}})),
+        *(("zarr.json", set_to(camera=camera)) for camera in ({}, 1, {"size_px": [10**9, 10**9]})),
+        ("zarr.json", set_to(range_unit="furlong")),
+        ("zarr.json", set_to(code="unknown")),
+        ("zarr.json", set_to(coordinates=3)),
+        ("zarr.json", set_to(settings=[])),
+        ("zarr.json", set_to(colorphase_version=1)),
+        ("mask/zarr.json", shape(4, 10**7, 10**7)),
+        ("mask/zarr.json", shape(10**18, 60, 80)),
+        ("mask/zarr.json", shape(4, 60)),
+        ("mask/zarr.json", shape(4, -60, -80)),
+        ("points/zarr.json", shape(4, 60, 80, 10**6)),
+        ("points/zarr.json", shape(4, 60, 81, 3)),
+        ("done/zarr.json", shape(4, 2)),
+        ("done/zarr.json", shape()),
+        ("x/zarr.json", shape(10**30)),
+        ("time/zarr.json", lambda about: about["attributes"].update(units="seconds since the flood")),
+        ("time/zarr.json", lambda about: about.pop("attributes")),
+    ],
+)
+def test_metadata_that_no_run_writes_is_told_in_one_line(tmp_path, key, change):
+    """Though its checksum is right."""
+    make(tmp_path / "result.zarr", also={"colorphase_version": "1"})
+    edit(tmp_path / "result.zarr" / key, change)
+    with pytest.raises((FootageError, OutputError)) as raised:
+        StoredResult(tmp_path / "result.zarr")
+    assert "\n" not in str(raised.value)
+
+
+def test_marks_of_frames_that_there_are_not(tmp_path):
+    path = store(tmp_path / "result.zarr", [400.0, 410.0])
+    for number in (2, 10**9, 10**17):
+        (path / "done" / f"c.{number}.0").write_bytes((path / "done" / "c.0.0").read_bytes())
+    assert StoredResult(path).done == (0, 1)
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"warnings": 3},
+        {"warnings": [3]},
+        {"chunks": []},
+        {"chunks": {"mask": 3}},
+        {"period_px": "x"},
+        {"noise_levels": None},
+        {"more": 1},
+    ],
+)
+def test_a_mark_that_no_run_writes(tmp_path, said):
+    path = store(tmp_path / "result.zarr", [400.0])
+    mark = path / "done" / "c.0.0"
+    about = {**json.loads(without_checksum(mark.read_bytes())), **said}
+    mark.write_bytes(with_checksum(json.dumps(about).encode().ljust(MARK_BYTES)))
+    assert "its mark is of another program" in StoredResult(path).fault(0)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="this system has no pipes among its files")
+@pytest.mark.parametrize("make_it", [os.mkfifo, lambda path: path.symlink_to("/dev/zero")], ids=["pipe", "device"])
+@pytest.mark.parametrize("key", ["zarr.json", "mask/zarr.json", "x/c.0", "mask/c.0.0.0", "done/c.0.0"])
+def test_what_is_no_file_is_not_waited_for(tmp_path, key, make_it):
+    path = store(tmp_path / "result.zarr", [400.0])
+    (path / key).unlink()
+    make_it(path / key)
+    try:
+        result = StoredResult(path)
+        assert result.done == () or "it is no file" in result.fault(0)
+    except (FootageError, OutputError) as error:
+        assert "\n" not in str(error)
+
+
+def test_a_chunk_longer_than_its_frame_is_not_read(tmp_path):
+    path = store(tmp_path / "result.zarr", [400.0])
+    os.truncate(path / "mask" / "c.0.0.0", 2**36)
+    assert "mask cannot be read: it is larger than 4,864 bytes" in StoredResult(path).fault(0)

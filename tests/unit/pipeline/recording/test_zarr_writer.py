@@ -1,5 +1,6 @@
 """Chunks behind an array's end, which a commit moves; and what a recorder leaves that was killed."""
 
+import json
 import shutil
 from fractions import Fraction
 
@@ -112,3 +113,15 @@ def test_what_was_only_begun_is_removed(tmp_path):
     (part / "frames" / "zarr.json").unlink()
     with pytest.raises(FootageError, match="does not say how many frames it holds"):
         finish_recording(part)
+
+
+@pytest.mark.parametrize("said", [-1, True, 2.5, "3", None, [], 10**30])
+def test_a_number_of_frames_that_is_none_removes_nothing(left, said):
+    head = left / "frames" / "zarr.json"
+    about = json.loads(head.read_text())
+    about["shape"][0] = said
+    head.write_text(json.dumps(about))
+    before = sorted(left.rglob("*"))
+    with pytest.raises(FootageError, match="does not say how many frames it holds"):
+        finish_recording(left)
+    assert sorted(left.rglob("*")) == before

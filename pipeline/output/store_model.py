@@ -1,0 +1,105 @@
+"""The metadata of a ``result.zarr`` as it may be: its checksum tells accidents, and not who has written it."""
+
+from datetime import datetime
+from typing import Annotated, Any, Literal, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from pipeline.calibration.model import Lens
+from pipeline.decoding.front_side import RimVotes
+from pipeline.decoding.self_calibration import LightEstimate
+from pipeline.errors import DamageError
+from pipeline.limits import MOST_FRAMES
+from pipeline.models import first_fault
+
+_Count = Annotated[int, Field(ge=0, le=MOST_FRAMES)]
+# A plain name: it chooses what is read.
+_Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,63}$")]
+M = TypeVar("M", bound=BaseModel)
+
+
+class _Said(BaseModel):
+    """What a file says; what a later version adds to it is left alone."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", arbitrary_types_allowed=True)
+
+
+class _Footage(_Said):
+    name: str
+
+
+class StoreAttributes(_Said):
+    """What a store says of how its frames were decoded, as far as it is read again."""
+
+    colorphase_version: str
+    settings: dict[str, Any]
+    fields: tuple[_Name, ...]
+    coordinates: str = ""  # stores that an earlier version made have none
+    calibration_sha256: str | None = None
+    range_unit: Literal["mm", "rad"] = "rad"
+    footage: _Footage | None = None
+    step: Annotated[int, Field(ge=1, le=MOST_FRAMES)] = 1
+    rims: dict[Literal["falls", "grows", "needed"], _Count] = {}
+    code: Literal["contrast"] | None = None
+    light: Any = None
+    camera: Lens | None = None
+
+    @field_validator("light")
+    @classmethod
+    def _read_light(cls, value: Any) -> LightEstimate | None:
+        return None if value is None else LightEstimate.from_json(value)
+
+    @property
+    def rim_votes(self) -> RimVotes:
+        """Which side is in front, by the rims of frames."""
+        return RimVotes(**self.rims)
+
+
+class GroupSays(_Said):
+    """A store's own ``zarr.json``."""
+
+    attributes: StoreAttributes
+
+
+class ArraySays(_Said):
+    """The ``zarr.json`` of one of its arrays."""
+
+    shape: tuple[_Count, ...]
+
+
+class TimeLabels(_Said):
+    """What the array of times says of itself."""
+
+    units: str
+
+    @property
+    def since(self) -> str | None:
+        """What the times count from; None: the first frame."""
+        return self.units.partition(" since ")[2] or None
+
+    @field_validator("units")
+    @classmethod
+    def _check_units(cls, units: str) -> str:
+        if units.partition(" since ")[2]:
+            datetime.fromisoformat(units.partition(" since ")[2])
+        return units
+
+
+class TimesSay(_Said):
+    """The ``zarr.json`` of the array of times."""
+
+    attributes: TimeLabels
+
+
+def parsed(model: type[M], content: bytes, where: str) -> M:
+    """Return what a file of metadata says.
+
+    Raises
+    ------
+    DamageError
+        It says what none of ours does; `where` names the file.
+    """
+    try:
+        return model.model_validate_json(content)
+    except ValidationError as invalid:
+        raise DamageError(f"{where} is not what was written ({first_fault(model, invalid)})") from None
