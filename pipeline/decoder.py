@@ -187,8 +187,8 @@ class Decoder:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
                         measured = replace(measured, range_sign=sign, front_is_clear=clear)
             if frame.repeated is not None:
-                doubt = repeated_chroma_doubt(frame.repeated)
-                measured = replace(measured, light_doubts=(*measured.light_doubts, doubt))
+                found = (*measured.light_doubts, repeated_chroma_doubt(frame.repeated))
+                measured = replace(measured, light_doubts=found)
             for doubt in measured.doubts:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
             result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)

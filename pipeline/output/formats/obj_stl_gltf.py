@@ -160,7 +160,7 @@ def encode_glb(mesh: Mesh, heading: Heading) -> dict[str, Content]:
 
 
 def read_foreign(path: Path, most_bytes: int) -> tuple[Mesh, dict[str, str]]:
-    """Return the mesh of a file, of so many bytes at most, in its own coordinates and with colours by vertex; its remarks.
+    """Return the mesh of a file of so many bytes at most, in its own coordinates, with colours by vertex; its remarks.
 
     Raises
     ------
