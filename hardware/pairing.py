@@ -294,13 +294,8 @@ def _frame_faults(seen: Evidence) -> list[Fault]:
             found.append(Fault("frame not whole", f"its frame is not whole ({frame.fault}): {_DATA}", pulse))
         if before is not None:
             if frame.frame_id is not None and before.frame_id is not None and frame.frame_id != before.frame_id + 1:
-                found.append(
-                    Fault(
-                        "frame lost",
-                        f"frame {frame.frame_id} follows frame {before.frame_id}: {_lost_by(seen)[1]}",
-                        pulse,
-                    )
-                )
+                key, look = _lost_by(seen)
+                found.append(Fault(key, f"frame {frame.frame_id} follows frame {before.frame_id}: {look}", pulse))
             elif frame.triggers is not None and before.triggers is not None:
                 ignored = frame.triggers - before.triggers - 1
                 if ignored:
@@ -398,10 +393,10 @@ def _likely(seen: Evidence) -> str:
 
 
 def _lost_by(seen: Evidence) -> tuple[str, str]:
-    """Return what has lost frames that were exposed: a machine that was busy took others late, a cable does not."""
+    """Return what has lost frames that were exposed: a busy machine took others a period late, a cable does not."""
     times_s = [(frame.host_time_s, frame.device_time_s) for frame in seen.frames]
     delays_s = [host_s - device_s for host_s, device_s in times_s if device_s is not None]
-    if delays_s and max(delays_s) - min(delays_s) > _ARRIVAL_TOLERANCE * seen.train.period_s:
+    if delays_s and max(delays_s) - min(delays_s) > seen.train.period_s:
         late_ms = 1e3 * (max(delays_s) - min(delays_s))
         return "computer busy", f"other frames arrived up to {late_ms:.0f} ms late: {_BUSY}"
     return "frames lost", _DATA

@@ -151,7 +151,7 @@ def read_plain(path: str | Path, most_bytes: int) -> bytes:
     with open_plain(path) as file:
         size = os.fstat(file.fileno()).st_size
         if size > most_bytes:
-            raise OSError(errno.EFBIG, f"it is larger than {most_bytes:,} bytes")
+            raise OSError(errno.EOVERFLOW, f"it is larger than {most_bytes:,} bytes")
         try:
             if hasattr(os, "sysconf") and size > os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2:
                 raise MemoryError

@@ -7,7 +7,7 @@ from tikernels.lazy_names import lazily
 if TYPE_CHECKING:
     from tikernels.depth.meshing import triangulate_mesh
     from tikernels.depth.triangulation import ProjectorGeometry, triangulate
-    from tikernels.errors import DeviceNotReady, ShapeError
+    from tikernels.errors import DeviceNotReady, ShapeError, SlowStart
     from tikernels.phase.color_balance import balance_color
     from tikernels.phase.crosstalk import correct_crosstalk
     from tikernels.phase.equalization import equalize_phase
@@ -25,6 +25,7 @@ __all__ = [
     "PixelFormat",
     "ProjectorGeometry",
     "ShapeError",
+    "SlowStart",
     "balance_color",
     "compute_wrapped_phase",
     "correct_crosstalk",

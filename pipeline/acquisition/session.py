@@ -153,7 +153,6 @@ def capture_bursts(
                     n_taken += 1
                 tell(kept.progress())
             kept.wait_for_live()
-            tell(kept.progress())
         except KeyboardInterrupt:
             stopped = n_taken != plan.n_bursts
         finally:

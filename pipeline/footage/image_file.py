@@ -57,7 +57,7 @@ def read_bytes(path: Path) -> bytes:
     try:
         return read_plain(path, most)
     except OSError as error:
-        if error.errno == errno.EFBIG:
+        if error.errno == errno.EOVERFLOW:
             raise FootageError(
                 f"{path} is larger than a picture of {max_pixels()} pixels, which are read at most: "
                 f"set {MAX_PIXELS} to a larger number if your camera has that many"

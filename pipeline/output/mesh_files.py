@@ -125,7 +125,7 @@ def read_placed(
         if in_rad and (axes or unit):
             raise ValueError("it is in rad, not in mm: decode with a calibration")
     except OSError as error:
-        more = f": set {MAX_PIXELS} to a larger number if it is whole" if error.errno == errno.EFBIG else ""
+        more = f": set {MAX_PIXELS} to a larger number if it is whole" if error.errno == errno.EOVERFLOW else ""
         raise FootageError(f"cannot read {path}: {error.strerror}{more}") from error
     except ValueError as error:
         raise FootageError(f"cannot read {path} as a surface ({kind.upper()}): {error}") from error

@@ -126,7 +126,7 @@ class StoreFiles:
         with self._as_os_error():
             content: bytes = self._remote.cat_file(f"{self._path}/{key}", end=most_bytes + 1)
         if len(content) > most_bytes:
-            raise OSError(errno.EFBIG, f"it is larger than {most_bytes:,} bytes")
+            raise OSError(errno.EOVERFLOW, f"it is larger than {most_bytes:,} bytes")
         return content
 
     def put(self, key: str, content: bytes) -> None:

@@ -70,8 +70,14 @@ FAULTS = {
     "extra picture": (Faulty(extra_picture=one), r"pulse 2: its frame shows the picture before"),
     "lost strobe": (Faulty(lost_strobe=one), r"pulse 2: 5 exposures were counted for 6 frames: check the strobe cable"),
     "extra strobe": (Faulty(extra_strobe=one), r"7 exposures, and not one to every one of 6 pulses"),
-    "lost frame": (Faulty(lost_frame=one), r"pulse 2: .*check the camera's data cable"),
-    "last frame lost": (Faulty(lost_frame=frozenset({5})), r"pulse 5: .*check the camera's data cable"),
+    "lost frame": (
+        Faulty(lost_frame=one),
+        r"pulse 2: .*(check the camera's data cable|let nothing else keep this machine busy)",
+    ),
+    "last frame lost": (
+        Faulty(lost_frame=frozenset({5})),
+        r"pulse 5: .*(check the camera's data cable|let nothing else keep this machine busy)",
+    ),
     "broken frame": (Faulty(broken_frame=one), r"pulse 2: its frame is not whole \(missing packets\)"),
     "cloned frame": (Faulty(cloned_frame=one), r"pulse 3: its frame is the one before once more"),
     "restart": (Faulty(restart=3), r"the trigger source restarted in mid-burst: check its power"),

@@ -60,5 +60,5 @@ def test_a_place_that_cannot_be_written_comes_with_advice(tmp_path, place, advic
 
 def test_what_nobody_has_advice_for_is_told_as_the_system_tells_it():
     assert explain(OSError(errno.ENOSPC, "No space left")) == "the disk is full: free some space"
-    assert explain(OSError(errno.EFBIG, "File too large")) == "File too large"
+    assert explain(OSError(errno.EIO, "Input/output error")) == "Input/output error"
     assert explain(OSError("odd")) == "odd"

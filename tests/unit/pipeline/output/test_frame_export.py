@@ -77,15 +77,15 @@ def test_all_kinds_share_a_folder(result, tmp_path):
     assert names(tmp_path / "out" / "bag") == ["bag.mcap", "metadata.yaml"]
 
 
-def test_a_name_that_is_not_utf8_is_a_line_of_text_in_every_kind(tmp_path):
-    path = store(tmp_path / "r.zarr", [400.0], footage="m\udcfcller\r\u2028.mkv", lens=LENS)
+def test_a_name_with_controls_is_a_line_of_text_in_every_kind(tmp_path):
+    path = store(tmp_path / "r.zarr", [400.0], footage="m\u202cller\r\u2028.mkv", lens=LENS)
     for kind in FORMATS:
         export_frames(path, tmp_path / "out", kind)
         whole = [file.read_bytes() for file in (tmp_path / "out").rglob("*") if file.is_file()]
         if kind == "npz":  # text of four bytes a letter, compressed
             whole = [str(np.load(tmp_path / "out" / "frame_000000.npz")["source"]).encode()]
         # An STL's 80 bytes end before it, and points as text are numbers alone.
-        assert any(b"m?ller  .mkv" in content for content in whole) or kind in ("stl", "xyz", "csv"), kind
+        assert any(b"mller  .mkv" in content for content in whole) or kind in ("stl", "xyz", "csv"), kind
         shutil.rmtree(tmp_path / "out")
 
 
