@@ -62,9 +62,7 @@ def test_an_error_keeps_what_was_committed(tmp_path, n_more):
 
 def test_the_disk_is_full_in_mid_burst(tmp_path):
     path = tmp_path / "a.zarr"
-    with pytest.raises(
-        OutputError, match=r"cannot record to .*: files may not be as large there.*; its first 5 frames are kept"
-    ):
+    with pytest.raises(OutputError, match=r"to .*: files may not be as large .*; its first 5 frames are kept"):
         with Recorder(path, RGB8) as recorder:
             add(recorder, BURST)
             recorder.commit()
