@@ -23,13 +23,11 @@ _OPENCV = (
     ("M1", "D1", "M2", "D2"),
     ("cam_K", "cam_kc", "proj_K", "proj_kc"),
 )
+# Matrices, and vectors, which OpenCV 5 stores as "nd-matrix"; their names and numbers.
 _YAML_MATRIX = re.compile(
-    r"^(\w+):\s*!!opencv-matrix\s+rows:\s*(\d+)\s+cols:\s*(\d+)\s+dt:\s*\w+\s+data:\s*\[([^\]]*)\]", re.MULTILINE
+    r"^(\w+):\s*!!opencv-(?:nd-)?matrix\s(?:(?!\n\S).)*?data:\s*\[([^\]]*)\]", re.MULTILINE | re.DOTALL
 )
-_XML_MATRIX = re.compile(
-    r"<(\w+) type_id=\"opencv-matrix\">\s*<rows>(\d+)</rows>\s*<cols>(\d+)</cols>\s*<dt>\w+</dt>\s*"
-    r"<data>([^<]*)</data>"
-)
+_XML_MATRIX = re.compile(r"<(\w+) type_id=\"opencv-(?:nd-)?matrix\">(?:(?!</\1>).)*?<data>([^<]*)</data>", re.DOTALL)
 # MATLAB's names of units, in mm.
 _UNITS_MM = {"mm": 1.0, "millimeters": 1.0, "cm": 10.0, "centimeters": 10.0, "m": 1000.0, "meters": 1000.0, "in": 25.4}
 _SKEW = "the pixels are skewed, which no lens here has: calibrate without skew"
@@ -118,16 +116,16 @@ def _opencv(text: str) -> _Rig:
     """Read OpenCV's storage of matrices, YAML or XML; its own reader ends the program on some damaged files."""
     found = {}
     for pattern in (_YAML_MATRIX, _XML_MATRIX):
-        for name, rows, columns, numbers in pattern.findall(text):
-            values = np.array(re.split(r"[\s,]+", numbers.strip(" \n,")), np.float64)
-            found[name] = values.reshape(int(rows), int(columns))
+        for name, numbers in pattern.findall(text):
+            found[name] = np.array(re.split(r"[\s,]+", numbers.strip(" \n,")), np.float64)
     if "camera_matrix" in found:
         raise ValueError("it holds one lens, and a rig has two and a step between them: calibrate them as a pair")
     names = next((names for names in _OPENCV if found.keys() >= {*names, "R", "T"}), None)
     if names is None:
         raise ValueError(f"it holds no calibration of OpenCV ({', '.join(_OPENCV[0])}, R, T), Kalibr or MATLAB")
     first, bent, second, other = (found[name] for name in names)
-    return _Rig(_Lens(first, bent.ravel()), _Lens(second, other.ravel()), found["R"], found["T"].ravel(), None)
+    lenses = _Lens(first.reshape(3, 3), bent), _Lens(second.reshape(3, 3), other)
+    return _Rig(*lenses, found["R"].reshape(3, 3), found["T"], None)
 
 
 def _kalibr(text: str) -> _Rig:

@@ -43,6 +43,13 @@ def make_things(folder: Path) -> None:
     response = np.tile(np.linspace(0, 1, 256) ** light.gamma, (3, 1))
     calibrated = rig.model_copy(update={"crosstalk_matrix": light.crosstalk_matrix, "response": response})
     calibrated.write(folder / "calibration.json")
+    stereo = cv2.FileStorage(str(folder / "stereo.yml"), cv2.FILE_STORAGE_WRITE)
+    for number, lens in enumerate((rig.camera, rig.projector), start=1):
+        stereo.write(f"cameraMatrix{number}", lens.matrix)
+        stereo.write(f"distCoeffs{number}", lens.distortion)
+    stereo.write("R", rig.rotation)
+    stereo.write("T", rig.translation_mm.reshape(3, 1))
+    stereo.release()
     for name in ("picture.png", "frame.png"):
         write_png(folder / name, np.asarray(images[0], np.uint8))
     cv2.imwrite(str(folder / "wide.tif"), np.ascontiguousarray(images[0][..., ::-1]))

@@ -20,11 +20,17 @@ def rig(camera=(-0.2, 0.05, 1e-3, -1e-3, 0.01), projector=(0.1, -0.05, 1e-3, 2e-
     return simulated_rig(CAMERA_PX, tilt_deg=3, period_px=16, camera_distortion=camera, projector_distortion=projector)
 
 
-def opencv(path, truth, names=("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"), unit_mm=1.0):
+def opencv(
+    path,
+    truth,
+    names=("cameraMatrix1", "distCoeffs1", "cameraMatrix2", "distCoeffs2"),
+    unit_mm=1.0,
+    vectors=np.atleast_2d,
+):
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
     lenses = (truth.camera.matrix, truth.camera.distortion, truth.projector.matrix, truth.projector.distortion)
     for name, values in zip(names, lenses, strict=True):
-        storage.write(name, np.atleast_2d(values))
+        storage.write(name, vectors(values))
     storage.write("R", np.asarray(truth.rotation))
     storage.write("T", np.asarray(truth.translation_mm / unit_mm)[:, None])
     storage.release()
@@ -93,6 +99,12 @@ def test_opencv(tmp_path, suffix, names):
     truth = rig(camera=RATIONAL)
     opencv(tmp_path / f"stereo.{suffix}", truth, names, unit_mm=24.0)
     assert_same(read(tmp_path / f"stereo.{suffix}", (CAMERA_PX, PROJECTOR_PX), 24.0), truth)
+
+
+@pytest.mark.parametrize("suffix", ["yml", "xml"])
+def test_opencvs_vectors_of_one_axis(tmp_path, suffix):
+    opencv(tmp_path / f"stereo.{suffix}", rig(), vectors=np.asarray)
+    assert_same(read(tmp_path / f"stereo.{suffix}", (CAMERA_PX, PROJECTOR_PX), 1.0), rig())
 
 
 def test_kalibr(tmp_path):
