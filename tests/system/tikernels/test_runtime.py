@@ -208,6 +208,7 @@ def test_an_environment_that_no_device_can_start_in_is_told_in_one_line(variable
     )
     assert done.returncode == 0 and done.stdout.count("\n") == 1, done.stderr
     assert done.stdout.startswith("auto cannot be started here (") and repr(value) in done.stdout
+    assert done.stdout.count("TI_CPU") == (variable == "TI_CPU_MAX_NUM_THREADS"), "what is so for all is said once"
 
 
 FORKED = """
