@@ -124,7 +124,8 @@ def init(arch: str = "auto", *, cpu_threads: int | None = None) -> str:
         _started = None  # a failed start has already ended what ran before
         reasons.append(reason)
     _failed = arch
-    raise DeviceNotReady(f"{arch} cannot be started here ({'; '.join(reasons)}): `colorphase devices` lists what can")
+    why = "; ".join(dict.fromkeys(reasons))  # what is wrong with the environment is so for all
+    raise DeviceNotReady(f"{arch} cannot be started here ({why}): `colorphase devices` lists what can")
 
 
 @functools.cache

@@ -385,7 +385,7 @@ class Calibration(Model):
         CalibrationError
             The file cannot be read, or a key is missing, unknown or wrong; the message names it.
         """
-        return read_file(path, cls, json.loads, CalibrationError)
+        return read_file(path, cls, _parse, CalibrationError)
 
     def write(self, path: str | Path, *, force: bool = True) -> None:
         """Write ``calibration.json``, whole or not at all.
@@ -412,6 +412,19 @@ class Calibration(Model):
 
     def _repr_html_(self) -> str | None:
         return to_html(self)
+
+
+def _parse(text: str) -> Any:
+    """Return what JSON holds.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    if not text.lstrip().startswith("{"):
+        raise ValueError("it is no JSON: those of OpenCV and Kalibr are converted by colorphase calibrate import")
+    return json.loads(text)
 
 
 def choose_pattern(

@@ -1,7 +1,7 @@
 """`colorphase decode`: a picture, or footage."""
 
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -163,9 +163,8 @@ def decode(
         _decode_video(input, out, how, rig, arch, video, part.options(), stored_as, force=force)
         return
     if video != _FOOTAGE:
-        raise SettingsError(
-            f"{input.name} is a picture, and these options are for footage: omit them, or give its folder"
-        )
+        given = ", ".join(f"--{each.name}" for each in fields(video) if getattr(video, each.name) != each.default)
+        raise SettingsError(f"{input.name} is a picture, and only footage takes {given}: omit that, or give its folder")
     if not mesh and part != _ALL:
         raise SettingsError("--no-mesh leaves nothing for --crop, --no-background and --triangles: leave them out")
     from pipeline.batch.one_frame import decode_picture

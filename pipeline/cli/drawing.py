@@ -80,7 +80,7 @@ class Placement:
         """
         mesh, known = read_placed(path, frame, self.axes, self.unit)
         if not known and compared:
-            raise SettingsError(_UNKNOWN.format(path, "--axes", "--unit"))
+            raise SettingsError(_unknown(path, "", self.axes, self.unit))
         if not known:
             remark(f"{path} does not say its axes and unit, and is shown as if it were ours: see --axes and --unit")
         return mesh
@@ -95,12 +95,19 @@ class Placement:
         """
         mesh, known = read_placed(path, None, self.compare_axes, self.compare_unit)
         if not known:
-            raise SettingsError(_UNKNOWN.format(path, "--compare-axes", "--compare-unit"))
+            raise SettingsError(_unknown(path, "compare-", self.compare_axes, self.compare_unit))
         return mesh
 
 
 _CLAY, _AS_IT_SAYS = ColorChoice(), Placement()
-_UNKNOWN = "{} does not say its axes and unit: give {} y-up, z-up or camera, and {} mm, cm, m or in"
+
+
+def _unknown(path: str | Path, prefix: str, axes: AxesName | None, unit: UnitName | None) -> str:
+    """Return what to ask for of a mesh that does not say how it lies, without what was given."""
+    asked = {"axes": "y-up, z-up or camera"} if axes is None else {}
+    asked |= {"unit": "mm, cm, m or in"} if unit is None else {}
+    options = (f"--{prefix}{name} {allowed}" for name, allowed in asked.items())
+    return f"{path} does not say its {' and '.join(asked)}: give {', and '.join(options)}"
 
 
 def render(

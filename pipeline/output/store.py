@@ -388,10 +388,9 @@ def _refuse_mixing(name: str, found: dict[str, Any], identity: dict[str, Any]) -
     for key in {**here, **there}:  # what is null on one side has no key of its own on the other
         if there.get(key) != here.get(key):
             was, now = json.dumps(there.get(key)), json.dumps(here.get(key))
-            raise OutputError(
-                f"{name} holds frames made otherwise ({key} is {was} there, {now} here): choose another folder, or run "
-                "as before"
-            )
+            what = key.removesuffix("_sha256")
+            other = f"{key} is {was} there, {now} here" if what == key else f"{what} is another one"
+            raise OutputError(f"{name} holds frames made otherwise ({other}): choose another folder, or run as before")
 
 
 def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """Overlays of a picture: letters, the bar that explains its colours, the scale bar, the frame's number."""
 
+import logging
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -71,6 +72,7 @@ def darken(image: npt.NDArray[np.uint8], left: float, top: float, right: float, 
 
 @cache
 def _font() -> Any:
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # that a home cannot be written is told without it
     import matplotlib  # slow to import
     from matplotlib.ft2font import FT2Font
 

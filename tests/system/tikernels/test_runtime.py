@@ -175,11 +175,13 @@ print(tikernels.linearize(np.zeros((4, 4, 3), np.float32)).shape)
     "folders",
     [
         {},
+        {"HOME": ""},
+        {"HOME": "{folder}", "XDG_CACHE_HOME": "cache"},
         {"HOME": "{file}"},
         {"HOME": "{folder}", "XDG_CACHE_HOME": "{file}"},
         {"HOME": "{folder}", "TI_OFFLINE_CACHE_FILE_PATH": "{file}", "QD_OFFLINE_CACHE_FILE_PATH": "{file}"},
     ],
-    ids=["no home", "a file as home", "a file as cache", "a file as kernels"],
+    ids=["no home", "an empty home", "a relative cache", "a file as home", "a file as cache", "a file as kernels"],
 )
 def test_without_a_cache_kernels_are_compiled(tmp_path, folders, nowhere):
     (tmp_path / "file").touch()
@@ -208,6 +210,7 @@ def test_an_environment_that_no_device_can_start_in_is_told_in_one_line(variable
     )
     assert done.returncode == 0 and done.stdout.count("\n") == 1, done.stderr
     assert done.stdout.startswith("auto cannot be started here (") and repr(value) in done.stdout
+    assert done.stdout.count("TI_CPU") == (variable == "TI_CPU_MAX_NUM_THREADS"), "what is so for all is said once"
 
 
 FORKED = """

@@ -291,7 +291,7 @@ def test_a_run_without_the_region_of_interest_does_not_mix(job):
 
 def test_other_footage_and_other_rigs_do_not_mix(job, rig, tmp_path):
     decode_footage(job, stop=1)
-    with pytest.raises(OutputError, match="calibration_sha256"):
+    with pytest.raises(OutputError, match="calibration is another one"):
         decode_footage(replace(job, calibration=rig))
     (tmp_path / "other").mkdir()
     record(tmp_path / "other" / "film.zarr", 3)
@@ -331,6 +331,14 @@ def test_a_result_is_never_another_pictures(pictures, tmp_path, change, again):
     decode_footage(fresh)
     assert contents(Path(job.store)) == contents(Path(fresh.store))
     assert decode_footage(job).n_before == 5
+
+
+def test_another_first_picture_is_told_without_digests(pictures):
+    there, job = pictures
+    decode_footage(job)
+    shutil.copy(there / "4.bmp", there / "0.bmp")
+    with pytest.raises(OutputError, match=r"made otherwise \(footage\.first_frame is another one\): choose"):
+        decode_footage(job)
 
 
 def test_a_bad_picture_that_is_copied_again_is_decoded(pictures, tmp_path):

@@ -109,6 +109,8 @@ def test_a_mesh_of_another_program_is_compared_where_its_axes_and_unit_are_given
         "error: same.ply does not say its axes and unit: give --compare-axes y-up, z-up or camera, and "
         "--compare-unit mm, cm, m or in\n"
     )
+    code, said, complained = command("render", "mesh.ply", "--compare", "same.ply", "--compare-axes", "y-up", *view)
+    assert complained == "error: same.ply does not say its unit: give --compare-unit mm, cm, m or in\n"
     code, said, complained = command("render", "same.ply", "--compare", "mesh.ply", *view)
     assert (code, said) == (1, "") and "same.ply does not say its axes and unit: give --axes y-up" in complained
     ours = ("--compare-axes", "y-up", "--compare-unit")

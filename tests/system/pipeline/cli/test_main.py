@@ -23,7 +23,7 @@ from pipeline.cli.main import command_line
         (("decode", "frame.png", "--out", "frame.png/x"), "its folder is a file"),
         (("decode", "frame.png", "--out", "."), "holds something else"),
         (("decode", "frame.png", "--out", "x", "--arch", "abacus"), "Invalid value"),
-        (("decode", "frame.png", "--out", "x", "--roi", "0,0,64,64"), "options are for footage"),
+        (("decode", "frame.png", "--out", "x", "--roi", "0,0,64,64"), "only footage takes --roi: omit"),
         (("decode", "pictures", "--out", "x", "--fields", "mask", "--export", "ply"), "made of range_image: add that"),
         (("decode", "pictures", "--out", "memory://x", "--export", "ply"), "run colorphase export"),
         (("capture", "--rig", "simulated", "--out", "x", "--settings", "settings.toml"), "add --live, or omit"),

@@ -77,6 +77,9 @@ def test_a_missing_key_and_a_broken_file(tmp_path):
     path.write_text("{")
     with pytest.raises(CalibrationError, match="not what it should be"):
         Calibration.read(path)
+    path.write_text("%YAML:1.0\n---\n")
+    with pytest.raises(CalibrationError, match=r"it is no JSON: .* converted by colorphase calibrate import"):
+        Calibration.read(path)
     with pytest.raises(CalibrationError, match="No such file"):
         Calibration.read(tmp_path / "none.json")
 
