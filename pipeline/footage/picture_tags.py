@@ -36,6 +36,7 @@ from pipeline.footage.tiff_file import (
     unfit_page,
 )
 from tikernels.raw.linearization import TRANSFERS, linear_values
+from tikernels.raw.pixel_format import Matrix
 
 #: How files begin.
 PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
@@ -63,8 +64,11 @@ _ANIMATION = "it is an animation: save its frames as PNG files in a folder"
 _MOST_PROFILE = 2**22
 # A gamma of 2.2 is within 0.009 of sRGB's curve, in linear light; what is further off is another curve.
 _ALIKE = 0.015
-_H273 = {1: "bt709", 6: "bt709", 8: "linear", 13: "srgb"}
-_OTHER_CURVES, _UNSPECIFIED = {4: "gamma 2.2", 16: "PQ", 18: "HLG"}, 2
+#: ITU-T H.273's numbers of transfers, of those that are not undone, and of matrices.
+H273_TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 8: "linear", 13: "srgb"}
+H273_OTHERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SMPTE 428", 9: "logarithmic"}
+H273_MATRICES: dict[int, Matrix] = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
+_UNSPECIFIED = 2
 _ODD = (struct.error, zlib.error, ValueError, IndexError, KeyError, ZeroDivisionError)
 
 
@@ -284,9 +288,9 @@ def _after(tags: PictureTags, kind: str, content: bytes) -> PictureTags:
 
 def _with_code(tags: PictureTags, code: int, because: str) -> PictureTags:
     """Take the transfer of a number of ITU-T H.273; 2 is none."""
-    if code in _H273:
-        return replace(tags, transfer=_H273[code], because=because)
-    return tags if code == _UNSPECIFIED else _with_other(tags, f"{because}: {_OTHER_CURVES.get(code, f'code {code}')}")
+    if code in H273_TRANSFERS:
+        return replace(tags, transfer=H273_TRANSFERS[code], because=because)
+    return tags if code == _UNSPECIFIED else _with_other(tags, f"{because}: {H273_OTHERS.get(code, f'code {code}')}")
 
 
 def _with_other(tags: PictureTags, because: str) -> PictureTags:
