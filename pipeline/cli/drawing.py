@@ -70,37 +70,8 @@ class Placement:
     compare_unit: UnitName | None = None
     """Unit of the mesh to compare with."""
 
-    def read(self, path: str, frame: int | None, *, compared: bool) -> Mesh:
-        """Return the input, which must say how it lies where it is compared; else what is usual is told.
-
-        Raises
-        ------
-        SettingsError
-            It does not say its axes or its unit, and nor do these.
-        """
-        mesh, known = read_placed(path, frame, self.axes, self.unit)
-        if not known and compared:
-            raise SettingsError(_UNKNOWN.format(path, "--axes", "--unit"))
-        if not known:
-            remark(f"{path} does not say its axes and unit, and is shown as if it were ours: see --axes and --unit")
-        return mesh
-
-    def read_compared(self, path: Path) -> Mesh:
-        """Return the mesh to compare with.
-
-        Raises
-        ------
-        SettingsError
-            It does not say its axes or its unit, and nor do these.
-        """
-        mesh, known = read_placed(path, None, self.compare_axes, self.compare_unit)
-        if not known:
-            raise SettingsError(_UNKNOWN.format(path, "--compare-axes", "--compare-unit"))
-        return mesh
-
 
 _CLAY, _AS_IT_SAYS = ColorChoice(), Placement()
-_UNKNOWN = "{} does not say its axes and unit: give {} y-up, z-up or camera, and {} mm, cm, m or in"
 
 
 def render(
@@ -187,7 +158,9 @@ def render(
         raise SettingsError(f"--size is {size[0]}x{size[1]}: give 16 to {MOST_SIDE_PX} px")
     known = {name: value for name, value in chosen.items() if value is not None}
     options = build(PictureOptions, known, SettingsError, "options")
-    compared = None if compare is None else placed.read_compared(compare)
+    compared = None
+    if compare is not None:
+        compared = _read(compare, None, placed.compare_axes, placed.compare_unit, "--compare-")
     pictures = _pictures_in(out, (input, *more)) if more else {input: out}
     whole = True
     for each, picture in pictures.items():
@@ -196,7 +169,7 @@ def render(
         _refuse_useless(given, result, frame, film=film, of_bag=Path(each).suffix.lower() == ".mcap")
         number = frame if result is None or frame is not None else _only_frame(result)
         if store is None:
-            subject: str | Mesh = placed.read(each, number, compared=compare is not None)
+            subject: str | Mesh = _read(each, number, placed.axes, placed.unit, None if compare is None else "--")
         elif placed.axes is not None or placed.unit is not None:
             raise SettingsError("--axes and --unit do nothing for a result: leave them out")
         else:
@@ -223,6 +196,21 @@ def _pictures_in(folder: Path, inputs: tuple[str, ...]) -> dict[str, Path]:
                 raise OutputError(f"cannot write {folder}: {explain(error)}") from error
             return {each: folder / f"{name}.png" for each, name in names.items()}
     raise SettingsError("two inputs have the same name: render them one at a time")
+
+
+def _read(
+    path: str | Path, frame: int | None, axes: AxesName | None, unit: UnitName | None, options: str | None
+) -> Mesh:
+    """Return a mesh; one that does not say how it lies is refused where options that say it are named, else told of."""
+    mesh, known = read_placed(path, frame, axes, unit)
+    if not known and options is not None:
+        raise SettingsError(
+            f"{path} does not say its axes and unit: give {options}axes y-up, z-up or camera, and {options}unit mm, "
+            "cm, m or in"
+        )
+    if not known:
+        remark(f"{path} does not say its axes and unit, and is shown as if it were ours: see --axes and --unit")
+    return mesh
 
 
 def _store(input: str) -> str | None:
