@@ -21,15 +21,9 @@ import numpy.typing as npt
 
 from pipeline.footage.tiff_file import (
     CMYK,
-    COLOR_SPACE,
-    EXIF,
-    HEIGHT,
-    MP_IMAGES,
-    ORIENTATION,
     PALETTE,
-    PROFILE,
     TIFF_MARKS,
-    WIDTH,
+    Tag,
     is_cut_off,
     read_directory,
     transfer_curve,
@@ -96,7 +90,7 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
             return None if frame is None else (frame.width, frame.height)
         if data[:4] in TIFF_MARKS:
             page = read_directory(data)
-            size = page.first(WIDTH, 0), page.first(HEIGHT, 0)
+            size = page.first(Tag.WIDTH, 0), page.first(Tag.HEIGHT, 0)
             return size if all(size) else None
         if data.startswith(b"BM"):
             width, height = _bmp_size(data)
@@ -262,15 +256,16 @@ def _after(tags: PictureTags, kind: str, content: bytes) -> PictureTags:
     """Return the tags with what one part of the file says."""
     if kind in ("exif", "tiff"):
         page = read_directory(content)
-        orientation = page.first(ORIENTATION, 1)
+        orientation = page.first(Tag.ORIENTATION, 1)
         if 1 <= orientation <= 8:
             tags = replace(tags, orientation=orientation)
-        if PROFILE in page.values:
-            return _with_profile(tags, page.values[PROFILE].tobytes())
+        if Tag.PROFILE in page.values:
+            return _with_profile(tags, page.values[Tag.PROFILE].tobytes())
         if (curve := transfer_curve(page)) is not None:
             light = np.interp(np.linspace(0, 1, 256), np.linspace(0, 1, len(curve)), curve)
             return _with_curve(tags, light, "its transfer function says so")
-        if EXIF in page.values and read_directory(content, page.first(EXIF, 0)).first(COLOR_SPACE, 0) == _SRGB:
+        exif = page.first(Tag.EXIF, 0)
+        if exif and read_directory(content, exif).first(Tag.COLOR_SPACE, 0) == _SRGB:
             return replace(tags, transfer="srgb", because="its Exif data say sRGB")
     elif kind == "profile":
         return _with_profile(tags, content)
@@ -281,7 +276,7 @@ def _after(tags: PictureTags, kind: str, content: bytes) -> PictureTags:
     elif kind == "gamma":
         gamma = struct.unpack(">I", content)[0] / 1e5
         return _with_curve(tags, np.linspace(0, 1, 256) ** (1 / gamma), f"it is marked with a gamma of {gamma:.3g}")
-    elif kind == "pictures" and (count := read_directory(content).first(MP_IMAGES, 1)) > 1:
+    elif kind == "pictures" and (count := read_directory(content).first(Tag.MP_IMAGES, 1)) > 1:
         return replace(tags, notes=(*tags.notes, several(count)))
     return tags
 
