@@ -10,7 +10,7 @@ G. Turk, The PLY polygon file format, 1994.
 import re
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, BinaryIO
 
@@ -35,7 +35,7 @@ _BLOCK = 2**14
 # What lists of corners are called, and the elements that are used.
 _CORNERS = ("vertex_indices", "vertex_index")
 _USED = ("vertex", "face", "tristrips")
-_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "ascii"}
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def encode_ply(mesh: Mesh, heading: Heading) -> dict[str, Content]:
@@ -103,18 +103,19 @@ def decode_ply(data: bytes) -> tuple[Mesh, dict[str, str]]:
         raise ValueError(f"its header has no end within {_LONGEST_HEAD} bytes")
     body = data[len(head) + len(end) :]
     lines = head.decode("ascii", "replace").splitlines()
-    order, elements = _parse_header([line.split() for line in lines])
+    is_text, elements = _parse_header([line.split() for line in lines])
     counts = {element.name: element.count for element in elements}
     vertices = next(element for element in elements if element.name == "vertex")
     if not {*POSITION} <= {name for name, (count, _) in vertices.properties.items() if count is None}:
         raise ValueError("its vertices have no x, y and z")
     check_mesh_size(counts["vertex"], sum(counts.get(name, 0) for name in _USED[1:]))
-    if order == "ascii":
-        elements = [element.as_doubles() for element in elements]
+    if is_text:
         body = np.array(body.split(), np.float64).tobytes()
     else:
         body = body[2 if body[:2] == b"\r\n" else 1 :]
-    tables = _read_elements(body, elements)
+    tables, at = {}, 0
+    for element in elements[: max(i for i, element in enumerate(elements) if element.name in _USED) + 1]:
+        tables[element.name], at = _read_rows(body, at, element)
     vertex, triangles = tables["vertex"], [np.empty((0, 3), np.int64)]
     for name, joined in (("face", _fans), ("tristrips", _strips)):
         table = tables.get(name, {})
@@ -150,12 +151,7 @@ class _Element:
 
     name: str
     count: int
-    properties: dict[str, tuple[str | None, str]] = field(default_factory=dict)
-
-    def as_doubles(self) -> "_Element":
-        """Return the same of numbers that were read from text."""
-        as_read = {name: (count and "=f8", "=f8") for name, (count, _) in self.properties.items()}
-        return _Element(self.name, self.count, as_read)
+    properties: dict[str, tuple[str | None, str]]
 
     def layout(self, lengths: Sequence[int]) -> np.dtype:
         """Return the layout of a row whose lists have these lengths; a list's count has the name before its own."""
@@ -164,15 +160,6 @@ class _Element:
         for name, (count, kind) in self.properties.items():
             fields += [(name, kind)] if count is None else [(f"#{name}", count), (name, kind, (next(left),))]
         return np.dtype(fields)
-
-
-def _read_elements(body: bytes, elements: Sequence[_Element]) -> dict[str, dict[str, _Column]]:
-    """Return each element's properties by name, up to the last that is used."""
-    used = [index for index, element in enumerate(elements) if element.name in _USED]
-    tables, at = {}, 0
-    for element in elements[: used[-1] + 1]:
-        tables[element.name], at = _read_rows(body, at, element)
-    return tables
 
 
 def _read_rows(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Column], int]:
@@ -186,12 +173,8 @@ def _read_rows(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Colu
     if end <= len(body):  # of almost all files lists are of one length
         rows = np.frombuffer(body, layout, element.count, at)
         if all((rows[f"#{name}"] == length).all() for name, length in zip(lists, lengths, strict=True)):
-            return {
-                name: _Column(rows[name])
-                if name not in lists
-                else _Column(rows[name].ravel(), rows[f"#{name}"].astype(np.int64))
-                for name in element.properties
-            }, end
+            flat = {name: _Column(rows[name].ravel(), rows[f"#{name}"].astype(np.int64)) for name in lists}
+            return {name: flat.get(name) or _Column(rows[name]) for name in element.properties}, end
     elif not lists:
         raise ValueError(
             f"it is truncated: its header promises {end - at} bytes of {element.name}, {len(body) - at} follow"
@@ -285,34 +268,30 @@ def _whole(values: npt.NDArray[Any], what: str, dtype: type[np.integer[Any]]) ->
     return values.astype(dtype)
 
 
-def _parse_header(lines: list[list[str]]) -> tuple[str, list[_Element]]:
-    """Return a PLY header's byte order, or that it is text, and its elements."""
-    order = ""
+def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
+    """Return whether a PLY file's numbers are text, and its elements."""
+    is_text, types = False, dict[str, str]()
     elements: list[_Element] = []
     for line in lines:
         match line:
+            case ["format", "ascii", "1.0"]:
+                is_text, types = True, dict.fromkeys(_TYPES, "=f8")  # as they are read
             case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS:
-                order = _BYTE_ORDERS[encoding]
+                types = {name: _BYTE_ORDERS[encoding] + kind for name, kind in _TYPES.items()}
             case ["element", name, count] if re.fullmatch("[0-9]{1,18}", count):
-                elements.append(_Element(name, int(count)))
-            case ["property", "list", count, kind, name] if elements and {count, kind} <= _TYPES.keys():
-                _add_property(elements[-1], name, _TYPES[count], _TYPES[kind])
-            case ["property", kind, name] if elements and kind in _TYPES:
-                _add_property(elements[-1], name, None, _TYPES[kind])
+                elements.append(_Element(name, int(count), {}))
+            case ["property", "list", count, kind, name] if elements and {count, kind} <= types.keys():
+                _add_property(elements[-1], name, types[count], types[kind])
+            case ["property", kind, name] if elements and kind in types:
+                _add_property(elements[-1], name, None, types[kind])
             case [] | ["ply"] | ["comment" | "obj_info", *_]:
                 pass
             case _:
                 raise ValueError(f"its header says {' '.join(line)[:80]!r}")
     names = [element.name for element in elements]
-    if not order or "vertex" not in names or len({*names}) < len(names):
+    if not types or "vertex" not in names or len({*names}) < len(names):
         raise ValueError("its header does not announce vertices, once, and how they are stored")
-    mark = "=" if order == "ascii" else order
-    return order, [
-        replace(
-            each, properties={k: (count and mark + count, mark + kind) for k, (count, kind) in each.properties.items()}
-        )
-        for each in elements
-    ]
+    return is_text, elements
 
 
 def _add_property(element: _Element, name: str, count: str | None, kind: str) -> None:
