@@ -163,23 +163,32 @@ class _Element:
 
 
 def _read_rows(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Column], int]:
-    """Return an element's properties, and where its rows end."""
+    """Return an element's properties, if it is used, and where its rows end."""
     if not element.properties:
         return {}, at
     lists = [name for name, (count, _) in element.properties.items() if count is not None]
-    lengths = _lengths(body, at, element) if element.count else [0] * len(lists)
-    layout = element.layout(lengths)
-    end = at + element.count * layout.itemsize
-    if end <= len(body):  # of almost all files lists are of one length
-        rows = np.frombuffer(body, layout, element.count, at)
-        if all((rows[f"#{name}"] == length).all() for name, length in zip(lists, lengths, strict=True)):
-            flat = {name: _Column(rows[name].ravel(), rows[f"#{name}"].astype(np.int64)) for name in lists}
-            return {name: flat.get(name) or _Column(rows[name]) for name in element.properties}, end
-    elif not lists:
+    shortest = element.layout([0] * len(lists))
+    if not lists and at + element.count * shortest.itemsize > len(body):
+        promised = element.count * shortest.itemsize
         raise ValueError(
-            f"it is truncated: its header promises {end - at} bytes of {element.name}, {len(body) - at} follow"
+            f"it is truncated: its header promises {promised} bytes of {element.name}, {len(body) - at} follow"
         )
-    return _read_uneven(body, at, element)
+    parts, left, layouts = [np.empty(0, shortest)], element.count, dict[tuple[int, ...], np.dtype]()
+    at_once = left  # of almost all files lists are of one length
+    while left:
+        lengths = tuple(_lengths(body, at, element))
+        layout = layouts[lengths] = layouts.get(lengths) or element.layout(lengths)
+        rows = np.frombuffer(body, layout, min(at_once, left, (len(body) - at) // layout.itemsize), at)
+        said = zip(lists, lengths, strict=True)
+        if at_once > 1 and not all((rows[f"#{name}"] == length).all() for name, length in said):
+            at_once = 1
+            continue
+        if element.name in _USED:
+            parts.append(rows)
+        at, left = at + rows.nbytes, left - len(rows)
+    columns = {name: np.concatenate([part[name].ravel() for part in parts]) for name in element.properties}
+    counts = {name: np.concatenate([part[f"#{name}"] for part in parts]).astype(np.int64) for name in lists}
+    return {name: _Column(values, counts.get(name)) for name, values in columns.items()}, at
 
 
 def _lengths(body: bytes, at: int, element: _Element) -> list[int]:
@@ -205,27 +214,6 @@ def _lengths(body: bytes, at: int, element: _Element) -> list[int]:
 def _number(kind: str) -> struct.Struct:
     """Return what reads one number of a NumPy type; many of them are read one after another."""
     return struct.Struct(kind[0] + np.dtype(kind).char)
-
-
-def _read_uneven(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Column], int]:
-    """Return the properties of rows whose lists differ in length, row by row."""
-    layouts: dict[tuple[int, ...], np.dtype] = {}
-    rows = []
-    for _ in range(element.count):
-        lengths = tuple(_lengths(body, at, element))
-        if lengths not in layouts:
-            layouts[lengths] = element.layout(lengths)
-        if element.name in _USED:
-            rows.append(np.frombuffer(body, layouts[lengths], 1, at)[0])
-        at += layouts[lengths].itemsize
-    if not rows:
-        return {}, at
-    return {
-        name: _Column(np.array([row[name] for row in rows]))
-        if count is None
-        else _Column(np.concatenate([row[name] for row in rows]), np.array([len(row[name]) for row in rows]))
-        for name, (count, _) in element.properties.items()
-    }, at
 
 
 def _fans(corners: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
