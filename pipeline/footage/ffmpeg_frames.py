@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from pipeline.footage.picture_tags import H273_MATRICES, H273_OTHERS, H273_TRANS
 from pipeline.footage.source import GREY, StoredAs
 from pipeline.footage.tiff_file import PALETTE
 from pipeline.models import ImageArray
-from tikernels.raw.pixel_format import BAYER_PATTERNS, FLOAT_BITS, Bayer, PixelFormat, Siting
+from tikernels.raw.pixel_format import FLOAT_BITS, Bayer, PixelFormat, Siting
 
 # How messages begin that FFmpeg calls errors, in streams that decode well.
 _HARMLESS = ("mmco:", "co located POCs")
@@ -213,10 +213,6 @@ def _with_colors(format: PixelFormat, frame: Any, codec: str, says: StoredAs) ->
     return replace(format, matrix=matrix, full_range=full_range, siting=siting), tuple(notes)
 
 
-def _bayer(pattern: str) -> Bayer:
-    return next(known for known in BAYER_PATTERNS if known == pattern)
-
-
 @cache
 def _names(name: str) -> _Names | None:
     whole = (0, 0, 1)
@@ -242,7 +238,7 @@ def _names(name: str) -> _Names | None:
         format = PixelFormat("rgb", bits, 16 - bits if match[2] else 0, channels="gbr")
         return _Names(format, (whole, (1, 0, 1), (2, 0, 1)))
     if match := _BAYER.fullmatch(name):
-        return _Names(PixelFormat("bayer", int(match[2]), bayer=_bayer(match[1])), (whole,))
+        return _Names(PixelFormat("bayer", int(match[2]), bayer=cast(Bayer, match[1])), (whole,))
     if match := _GREY.fullmatch(name):
         return _Names(PixelFormat("bayer", int(match[2] or 8)), ((0, 0, 2 if match[1] == "ya" else 1),))
     if (match := _PACKED_RGB.fullmatch(name)) and set("rgb") <= set(match[1]):

@@ -151,17 +151,11 @@ def as_stored(data: bytes) -> bytes:
     return bytes(copy)
 
 
-def stored_bits(page: Directory) -> int:
-    """Return how many bits each of a page's values has."""
-    return page.first(Tag.BITS, 1)
-
-
 def transfer_curve(page: Directory) -> npt.NDArray[np.float64] | None:
     """Return the linear light, 0..1, of a page's levels, in ascending order, if it says so."""
     table = page.values.get(Tag.TRANSFER)
-    if table is None or len(table) < 2 ** min(stored_bits(page), 16):
-        return None
-    return np.asarray(table[: 2 ** stored_bits(page)] / 65535)
+    bits = page.first(Tag.BITS, 1)
+    return None if table is None or len(table) < 2 ** min(bits, 16) else np.asarray(table[: 2**bits] / 65535)
 
 
 def unfit_page(page: Directory) -> str | None:
