@@ -32,6 +32,7 @@ from pipeline.output.mesh_files import write_mesh
 from pipeline.output.pictures.drawing_process import FilmPart, PictureJob, PictureOptions, draw_apart
 from pipeline.output.pictures.picture_source import MeshSource, StoreSource
 from pipeline.output.render import absolute_location, refuse_empty, write_compared
+from pipeline.output.stored_result import StoredResult
 
 # Pictures of a part: the most that a process loses where a film is stopped, and between two pictures that players can
 # jump to. Short films have four parts, for more than one process to draw.
@@ -114,10 +115,7 @@ def render_film(
             numbers = _lasting(0, options)
         else:
             source, where = StoreSource(subject, options.colors), {"store": absolute_location(subject)}
-            result = source.result
-            if frame is None:
-                check_missing(result.name, len(result.wanted), len(result.done))
-            numbers = tuple(result.wanted) if frame is None else (frame,)
+            numbers = _wanted(source.result) if frame is None else (frame,)
             numbers = _lasting(numbers[0], options) if len(numbers) == 1 else numbers
         compared_name = write_compared(compared, folder)
         if compared_name is not None:
@@ -125,6 +123,12 @@ def render_film(
         job = PictureJob.model_validate({**where, "options": options, "numbers": numbers, "compared": compared_name})
         with locked(path):
             return _FilmRun(job, source, path, folder, timeout_s, tell, remark).run()
+
+
+def _wanted(result: StoredResult) -> tuple[int, ...]:
+    """Return the frames that a film shows: all from the first to the last, as long as enough of them are there."""
+    check_missing(result.name, len(result.wanted), len(result.done))
+    return tuple(result.wanted)
 
 
 def _lasting(number: int, options: PictureOptions) -> tuple[int, ...]:
