@@ -151,14 +151,13 @@ def _trigger_faults(seen: Evidence) -> list[Fault]:
 
 
 def _count_faults(seen: Evidence) -> list[Fault]:
+    pulses, strobes = seen.ended.pulses or 0, seen.ended.strobes or 0
     if seen.strobes is not None:
-        found = _strobe_faults(seen, len(seen.strobes))
-        if found:
+        if found := _strobe_faults(seen, len(seen.strobes)):
             return found
-    elif seen.strobe_wired:
-        found = _strobe_count_faults(seen)
-        if found:
-            return found
+    elif seen.strobe_wired and strobes != pulses:
+        key, look = ("exposures missing", _TRIGGER) if strobes < pulses else ("too many exposures", _NOISE)
+        return [Fault(key, f"{strobes} exposures to {pulses} pulses: {look}")]
     n = len(seen.frames)
     if n > seen.count:
         return [Fault("too many frames", f"{n} frames to {seen.count} pulses: {_NOISE}")]
@@ -173,14 +172,6 @@ def _count_faults(seen: Evidence) -> list[Fault]:
         return [Fault("no frame", f"no frame came: {look}", seen.first_pulse)]
     look = _SOFTWARE if seen.by_software else f"{_TRIGGER}, then its data cable"
     return [Fault("frames missing", f"{n} frames to {seen.count} pulses: {look}", _first_gap(seen))]
-
-
-def _strobe_count_faults(seen: Evidence) -> list[Fault]:
-    pulses, strobes = seen.ended.pulses or 0, seen.ended.strobes or 0
-    if strobes == pulses:
-        return []
-    key, look = ("exposures missing", _TRIGGER) if strobes < pulses else ("too many exposures", _NOISE)
-    return [Fault(key, f"{strobes} exposures to {pulses} pulses: {look}")]
 
 
 def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
