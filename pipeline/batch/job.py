@@ -47,9 +47,7 @@ class Crop:
         """Return this part of a frame's planes, as views, and how they are stored."""
         cut = []
         for plane, chroma in zip(planes, (False, True, True), strict=False):
-            # Three planes of RGB have one size; two of chroma have fewer pixels.
-            subsampled = chroma and format.layout == "yuv"
-            (across, down), (left, above) = (format.subsampling, format.origin) if subsampled else ((1, 1), (0, 0))
+            (across, down), (left, above) = (format.subsampling, format.origin) if chroma else ((1, 1), (0, 0))
             x, y = self.x + left, self.y + above
             cut.append(plane[y // down : -(-(y + self.height) // down), x // across : -(-(x + self.width) // across)])
         (across, down), (left, above) = format.subsampling, format.origin
