@@ -167,7 +167,7 @@ def render(
         store = _store(each)
         result = None if store is None else StoredResult(store)
         _refuse_useless(given, result, frame, film=film, of_bag=Path(each).suffix.lower() == ".mcap")
-        number = frame if result is None or frame is not None else _only_frame(result)
+        number = result.done[0] if frame is None and result is not None and len(result.done) == 1 else frame
         if store is None:
             subject: str | Mesh = _read(each, number, placed.axes, placed.unit, None if compare is None else "--")
         elif placed.axes is not None or placed.unit is not None:
@@ -242,10 +242,6 @@ def _refuse_pairs(*groups: dict[str, object]) -> None:
         given = [f"--{name}" for name, value in group.items() if value is not None]
         if len(given) > 1:
             raise SettingsError(f"{' and '.join(given[:2])} contradict each other: leave one of them out")
-
-
-def _only_frame(result: StoredResult) -> int | None:
-    return result.done[0] if len(result.done) == 1 else None
 
 
 def _render_still(
