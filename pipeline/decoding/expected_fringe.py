@@ -66,23 +66,20 @@ class ExpectedFringe:
 
     def contradiction(self, rate_rad: float) -> Cause | None:
         """Say why the size of a frame's usual change from row to row is none of this rig's; None: it may be."""
-        if rate_rad == 0 or self.possible[0] <= rate_rad <= self.possible[1]:
-            return None
-        return Cause("impossible period", f"no depth can be told: {self._sizes(rate_rad, self.possible)}")
+        return self._beyond(self.possible, rate_rad, "impossible period", "no depth can be told")
 
     def surprise(self, rate_rad: float) -> Cause | None:
         """Say that a usual surface of this rig shows another period; None: it shows this one."""
-        if rate_rad == 0 or self.usual[0] <= rate_rad <= self.usual[1]:
-            return None
-        words = "depths are wrong, unless the surface is steep"
-        return Cause("unusual period", f"{words}: {self._sizes(rate_rad, self.usual)}")
+        return self._beyond(self.usual, rate_rad, "unusual period", "depths are wrong, unless the surface is steep")
 
-    def _sizes(self, rate_rad: float, expected: Bounds) -> str:
-        seen, *bounds = (2 * np.pi / abs(rate) for rate in (rate_rad, *expected))
-        return (
-            f"the fringe has {seen:.1f} px per cycle, and the calibrated rig shows {min(bounds):.1f} to "
-            f"{max(bounds):.1f}: {_OTHER.format(self.period_px)}"
+    def _beyond(self, bounds: Bounds, rate_rad: float, key: str, what: str) -> Cause | None:
+        if rate_rad == 0 or bounds[0] <= rate_rad <= bounds[1]:
+            return None
+        seen, *ends = (2 * np.pi / abs(rate) for rate in (rate_rad, *bounds))
+        sizes = (
+            f"the fringe has {seen:.1f} px per cycle, and the calibrated rig shows {min(ends):.1f} to {max(ends):.1f}"
         )
+        return Cause(key, f"{what}: {sizes}: {_OTHER.format(self.period_px)}")
 
 
 def _bounds(geometry: Geometry, depths_mm: tuple[float, float], most_tilt: float) -> Bounds | None:
