@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from pipeline.recording import Recorder
     from pipeline.settings import DecodeSettings
     from pipeline.simulation import SimulatedFrame, SimulationSettings, simulate_frame, simulated_rig
-    from tikernels.errors import DeviceNotReady, ShapeError
+    from tikernels.errors import DeviceNotReady, ShapeError, SlowStart
     from tikernels.raw.pixel_format import PixelFormat
     from tikernels.runtime import init, supported_archs
     from tikernels.unwrapping import UserUnwrapper
@@ -99,6 +99,7 @@ __all__ = [
     "ShapeError",
     "SimulatedFrame",
     "SimulationSettings",
+    "SlowStart",
     "StoredAs",
     "StoredResult",
     "TriggerError",
