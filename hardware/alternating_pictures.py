@@ -49,13 +49,11 @@ class Alternation:
         steps = _steps(frames)
         self._step = float(np.abs(steps).max())
         if self._step < _LEAST_VISIBLE:
-            return [
-                Fault(
-                    "no alternating pictures",
-                    "the frames show no two pictures in turns: check the projector's trigger cable, and that one of "
-                    f"its pictures is dimmer (colorphase pattern --brightness {DIM})",
-                )
-            ]
+            reason = (
+                "the frames show no two pictures in turns: check the projector's trigger cable, and that one of its "
+                f"pictures is dimmer (colorphase pattern --brightness {DIM})"
+            )
+            return [Fault("no alternating pictures", reason)]
         return self._follow(steps, None, 0)
 
     def check(self, frames: Sequence[CameraFrame], first_pulse: int) -> list[Fault]:
@@ -72,13 +70,8 @@ class Alternation:
             if shown is None and due is not None and 1 - now != due:
                 return [_lost(first_pulse)]
             if shown is not None and now == shown:
-                return [
-                    Fault(
-                        "light changed",
-                        "the brightness jumps twice the same way: keep the light even",
-                        first_pulse + i + 1,
-                    )
-                ]
+                reason = "the brightness jumps twice the same way: keep the light even"
+                return [Fault("light changed", reason, first_pulse + i + 1)]
             shown = now
         if shown is not None:
             self._step = _MEMORY * self._step + (1 - _MEMORY) * float(np.median(np.abs(steps)))

@@ -27,6 +27,7 @@ _ARRIVAL_TOLERANCE = 0.5
 _REGULAR_MISSES, _CLOSEST_MISSES = 3, 2
 # What to look at, the likeliest first.
 _TRIGGER = "check the camera's trigger cable"
+_LINE = f"{_TRIGGER}, and that its trigger line is the one in use"
 _NOISE = "check the shields of the camera's cables"
 _SOFTWARE = "the camera or this machine is too slow; make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
@@ -128,11 +129,8 @@ def _cable_faults(seen: Evidence) -> list[Fault]:
     """Say where neither camera nor projector is heard of, whose cables have the trigger source in common."""
     whole = seen.ended.pulses == seen.train.count or seen.train.count is None
     if seen.picture_a_pulse and whole and not (seen.frames or seen.ended.strobes or seen.ended.vsyncs):
-        return [
-            Fault(
-                "no frame, no picture", "neither a frame nor a picture came: check both trigger cables and their ground"
-            )
-        ]
+        reason = "neither a frame nor a picture came: check both trigger cables and their ground"
+        return [Fault("no frame, no picture", reason)]
     return []
 
 
@@ -142,32 +140,24 @@ def _trigger_faults(seen: Evidence) -> list[Fault]:
     if restarted:
         found.append(Fault("trigger restarted", "the trigger source restarted in mid-burst: check its power supply"))
     # It says why; that pulses are missing is what comes of it.
-    found += [
-        Fault("trigger complains", f"the trigger source says: {complaint}") for complaint in seen.ended.complaints
-    ]
-    if not restarted and seen.train.count is not None and seen.ended.pulses not in (None, seen.train.count):
-        found.append(
-            Fault("pulses missing", f"the trigger source made {seen.ended.pulses} pulses instead of {seen.train.count}")
-        )
-    n, vsyncs = seen.ended.pulses, seen.ended.vsyncs
+    found += [Fault("trigger complains", f"the trigger source says: {line}") for line in seen.ended.complaints]
+    n, asked, vsyncs = seen.ended.pulses, seen.train.count, seen.ended.vsyncs
+    if not restarted and asked is not None and n not in (None, asked):
+        found.append(Fault("pulses missing", f"the trigger source made {n} pulses instead of {asked}"))
     if seen.picture_a_pulse and n is not None and vsyncs is not None and vsyncs != n:
-        found.append(
-            Fault(
-                "pictures missing", f"the projector reported {vsyncs} pictures to {n} pulses: check its trigger cable"
-            )
-        )
+        reason = f"the projector reported {vsyncs} pictures to {n} pulses: check its trigger cable"
+        found.append(Fault("pictures missing", reason))
     return found
 
 
 def _count_faults(seen: Evidence) -> list[Fault]:
+    pulses, strobes = seen.ended.pulses or 0, seen.ended.strobes or 0
     if seen.strobes is not None:
-        found = _strobe_faults(seen, len(seen.strobes))
-        if found:
+        if found := _strobe_faults(seen, len(seen.strobes)):
             return found
-    elif seen.strobe_wired:
-        found = _strobe_count_faults(seen)
-        if found:
-            return found
+    elif seen.strobe_wired and strobes != pulses:
+        key, look = ("exposures missing", _TRIGGER) if strobes < pulses else ("too many exposures", _NOISE)
+        return [Fault(key, f"{strobes} exposures to {pulses} pulses: {look}")]
     n = len(seen.frames)
     if n > seen.count:
         return [Fault("too many frames", f"{n} frames to {seen.count} pulses: {_NOISE}")]
@@ -178,18 +168,10 @@ def _count_faults(seen: Evidence) -> list[Fault]:
         key, look = _lost_by(seen)
         return [Fault(key, f"{came} of {seen.count} exposures arrived: {look}", _first_gap(seen))]
     if n == 0:
-        look = _DATA if seen.by_software else f"{_TRIGGER}, and that its trigger line is the one in use"
+        look = _DATA if seen.by_software else _LINE
         return [Fault("no frame", f"no frame came: {look}", seen.first_pulse)]
     look = _SOFTWARE if seen.by_software else f"{_TRIGGER}, then its data cable"
     return [Fault("frames missing", f"{n} frames to {seen.count} pulses: {look}", _first_gap(seen))]
-
-
-def _strobe_count_faults(seen: Evidence) -> list[Fault]:
-    pulses, strobes = seen.ended.pulses or 0, seen.ended.strobes or 0
-    if strobes == pulses:
-        return []
-    key, look = ("exposures missing", _TRIGGER) if strobes < pulses else ("too many exposures", _NOISE)
-    return [Fault(key, f"{strobes} exposures to {pulses} pulses: {look}")]
 
 
 def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
@@ -199,30 +181,18 @@ def _strobe_faults(seen: Evidence, n: int) -> list[Fault]:
     without = [pulse for pulse in pulses if pulse not in with_exposure]
     if n >= seen.count:
         if without or n > seen.count:
-            return [
-                Fault(
-                    "too many exposures",
-                    f"{n} exposures, and not one to every one of {seen.count} pulses: {_NOISE}",
-                    without[0] if without else None,
-                )
-            ]
+            reason = f"{n} exposures, and not one to every one of {seen.count} pulses: {_NOISE}"
+            return [Fault("too many exposures", reason, without[0] if without else None)]
         return _strobe_time_faults(seen)
     gaps = set(np.diff(without).tolist())
     if n == 0 and not seen.frames:
-        key, reason = (
-            "no frame",
-            f"no exposure was seen, and no frame came: {_TRIGGER}, and that its trigger line is the one in use",
-        )
+        key, reason = "no frame", f"no exposure was seen, and no frame came: {_LINE}"
     elif len(seen.frames) == seen.count and not _time_faults(seen):
-        key, reason = (
-            "strobe",
-            f"{n} exposures were counted for {seen.count} frames: check the strobe cable, and camera.strobe_line",
-        )
+        look = "check the strobe cable, and camera.strobe_line"
+        key, reason = "strobe", f"{n} exposures were counted for {seen.count} frames: {look}"
     elif len(without) >= _REGULAR_MISSES and len(gaps) == 1 and gaps.pop() >= _CLOSEST_MISSES:
-        key, reason = (
-            "camera busy",
-            f"the camera misses pulses regularly ({n} exposures to {seen.count}): make the period longer",
-        )
+        missed = f"the camera misses pulses regularly ({n} exposures to {seen.count})"
+        key, reason = "camera busy", f"{missed}: make the period longer"
     else:
         key, reason = "exposures missing", f"{n} exposures to {seen.count} pulses: {_TRIGGER}"
     return [Fault(key, reason, without[0])]
@@ -236,9 +206,8 @@ def _strobe_time_faults(seen: Evidence) -> list[Fault]:
     off = np.abs(delays_s - usual_s) / seen.train.period_s
     for strobe, periods in zip(seen.strobes or (), off, strict=True):
         if periods > seen.tolerance:
-            return [
-                Fault("exposure off its pulse", f"its exposure is off by {periods:.2f} periods: {_NOISE}", strobe.pulse)
-            ]
+            reason = f"its exposure is off by {periods:.2f} periods: {_NOISE}"
+            return [Fault("exposure off its pulse", reason, strobe.pulse)]
     return []
 
 
@@ -299,17 +268,11 @@ def _frame_faults(seen: Evidence) -> list[Fault]:
             elif frame.triggers is not None and before.triggers is not None:
                 ignored = frame.triggers - before.triggers - 1
                 if ignored:
-                    found.append(
-                        Fault("trigger ignored", f"the camera ignored {ignored} triggers before it: {_IGNORED}", pulse)
-                    )
+                    reason = f"the camera ignored {ignored} triggers before it: {_IGNORED}"
+                    found.append(Fault("trigger ignored", reason, pulse))
             if is_same_image(before.image, frame.image):
-                found.append(
-                    Fault(
-                        "same frame",
-                        "its frame is the one before once more, to the last bit: is the lens covered?",
-                        pulse,
-                    )
-                )
+                reason = "its frame is the one before once more, to the last bit: is the lens covered?"
+                found.append(Fault("same frame", reason, pulse))
         before = frame
     return found
 

@@ -12,6 +12,7 @@ from pipeline.errors import FootageError, SettingsError
 
 #: The environment variable by which users of larger cameras allow more.
 MAX_PIXELS = "COLORPHASE_MAX_PIXELS"
+ALLOW_MORE = f"set {MAX_PIXELS} to a larger number if your camera has that many"
 # The largest colour cameras for machine vision have 65 megapixels; decoding one such frame takes 8 GB.
 _MAX_PIXELS = 2**26
 # Above this OpenCV reads no picture.
@@ -75,21 +76,11 @@ def check_size(what: str, width: int, height: int) -> None:
     if width < 1 or height < 1:
         raise FootageError(f"{what} says that it has {width}x{height} px: copy it again")
     if width * height > max_pixels():
-        raise FootageError(
-            f"{what} has {width}x{height} px, and {max_pixels()} pixels are read at most: "
-            f"set {MAX_PIXELS} to a larger number if your camera has that many"
-        )
+        raise FootageError(f"{what} has {width}x{height} px, and {max_pixels()} pixels are read at most: {ALLOW_MORE}")
 
 
 def check_mesh_size(vertices: int, faces: int, repeated: int = 1) -> None:
-    """Refuse meshes larger than a frame's: a pixel is a vertex, and four make two triangles.
-
-    Parameters
-    ----------
-    vertices, faces : int
-        How many there are.
-    repeated : int
-        How often the file's kind may repeat a vertex.
+    """Refuse meshes larger than a frame's: a pixel is a vertex, which may be repeated, and four make two triangles.
 
     Raises
     ------
@@ -98,8 +89,7 @@ def check_mesh_size(vertices: int, faces: int, repeated: int = 1) -> None:
     """
     if vertices > repeated * max_pixels() or faces > 2 * max_pixels():
         raise ValueError(
-            f"it has {vertices} vertices and {faces} faces, and {max_pixels()} pixels make fewer: "
-            f"set {MAX_PIXELS} to a larger number if your camera has that many"
+            f"it has {vertices} vertices and {faces} faces, and {max_pixels()} pixels make fewer: {ALLOW_MORE}"
         )
 
 

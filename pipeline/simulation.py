@@ -15,6 +15,7 @@ from pipeline.calibration.model import DEFAULT_PERIOD_PX, DEFAULT_PROJECTOR_PX, 
 from pipeline.models import Matrix3, Model, NonNegative, Positive
 from pipeline.pattern import make_pattern
 from tikernels import runtime
+from tikernels.raw.linearization import srgb_values
 from tikernels.scene import scene_rendering as projection
 
 # A 640 px wide image at this focal length sees 12 px a cycle at the working distance below.
@@ -257,7 +258,7 @@ def _expose(
     noise = np.random.default_rng(settings.seed).standard_normal(light.shape, dtype=np.float32)
     signal = np.clip(exposure * light + settings.noise_levels / 255 * noise, 0, 1)
     if settings.transfer == "srgb":
-        signal = np.where(signal <= 0.0031308, 12.92 * signal, 1.055 * signal ** (1 / 2.4) - 0.055)
+        signal = srgb_values(signal)
     white_level = 2**settings.bits - 1
     levels = np.rint(signal * white_level)
     return (levels.astype(np.uint8) if settings.bits == 8 else levels.astype(np.uint16)), white_level

@@ -8,6 +8,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tikernels.raw.linearization import srgb_values
+
 # Automatic exposure aims at this mean of a frame, of full scale, and reaches it with this time constant, as automatic
 # white balance does; both change the picture by at most these factors.
 _AIM, _SETTLES_S, _MOST_GAIN, _MOST_BALANCE = 0.3, 0.2, 4.0, 2.0
@@ -113,8 +115,7 @@ def _curved(values: _Light, curve: str, strength: float) -> _Light:
 @cache
 def _srgb() -> _Light:
     """Return the sRGB value of each of 65536 steps of light (IEC 61966-2-1)."""
-    light = np.linspace(0, 1, 65536, dtype=np.float32)
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** np.float32(1 / 2.4) - np.float32(0.055))
+    return srgb_values(np.linspace(0, 1, 65536, dtype=np.float32))
 
 
 def _subsampled(levels: npt.NDArray[np.uint8], way: str) -> npt.NDArray[np.uint8]:

@@ -19,6 +19,7 @@ from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
 from pipeline.models import ImageArray
+from pipeline.output.folder import file_digest
 from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes
 from pipeline.settings import DecodeSettings
 from pipeline.text import one_line
@@ -46,9 +47,7 @@ class Crop:
         """Return this part of a frame's planes, as views, and how they are stored."""
         cut = []
         for plane, chroma in zip(planes, (False, True, True), strict=False):
-            # Three planes of RGB have one size; two of chroma have fewer pixels.
-            subsampled = chroma and format.layout == "yuv"
-            (across, down), (left, above) = (format.subsampling, format.origin) if subsampled else ((1, 1), (0, 0))
+            (across, down), (left, above) = (format.subsampling, format.origin) if chroma else ((1, 1), (0, 0))
             x, y = self.x + left, self.y + above
             cut.append(plane[y // down : -(-(y + self.height) // down), x // across : -(-(x + self.width) // across)])
         (across, down), (left, above) = format.subsampling, format.origin
@@ -313,10 +312,4 @@ def _fingerprint(source: Source) -> str | None:
 
 def _digest(path: Path) -> bytes:
     """Return a digest of a file, of 16 bytes; of one that cannot be read, whose frame is bad, zeros."""
-    try:
-        if path.is_file():
-            with path.open("rb") as file:
-                return hashlib.file_digest(file, "sha256").digest()[:16]
-    except OSError:
-        pass
-    return bytes(16)
+    return bytes.fromhex(file_digest(path) or "00" * 16)[:16]

@@ -75,8 +75,6 @@ _MIN_FIELD = 0.5
 # A projector that warps its picture leaves its corners this many times as far off as the camera's: corners dragged by
 # 15 px leave 0.35 and 0.04 px, a board bent by 3 mm 0.73 and 0.51.
 _WARPED = 2.0
-# corners dragged by 15 px leave 0.35 and 0.04 px, a board bent by 3 mm 0.73 and 0.51.
-_WARPED_PX, _WARPED = 0.2, 2.0
 # Corners further off than this, px RMS, are twice what a ChArUco board and three times what a chessboard leaves.
 _MAX_CORNER_PX = 0.2
 

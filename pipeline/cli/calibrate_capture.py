@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from cyclopts import App
+from cyclopts import App, Parameter
 
 from hardware.drivers import SIMULATED
 from hardware.settings import RigSettings
@@ -25,6 +25,19 @@ from pipeline.cli.project import BoardOptions, PatternOptions
 _BOARD, _FRINGES = BoardOptions(), PatternOptions()
 #: The picture for whoever holds the board, and the calibration where the rig's file names none.
 GUIDE, CALIBRATION = "guide.png", "calibration.json"
+_Rig = Annotated[
+    str,
+    Parameter(
+        help="The rig's TOML file, whose projector.display shows the pictures; or simulated, which needs nothing to be "
+        "there."
+    ),
+]
+_Captures = Annotated[Path, Parameter(help=f"The folder of the captures; {GUIDE} in it shows where to hold the board.")]
+_Shown = Annotated[Literal["charuco", "chessboard"], Parameter(help="What the board is.")]
+_Baseline = Annotated[
+    float | None,
+    Parameter(help="The distance between camera and projector where it is known; a wrong square size shows in it."),
+]
 
 
 @dataclass(frozen=True)
@@ -37,21 +50,13 @@ class _Capture:
     target: Path  # the calibration to write
 
 
-def radiometry(*, rig: str, out: Path) -> None:
+def radiometry(*, rig: _Rig, out: _Captures) -> None:
     """Show 33 plain pictures on a white sheet, take each, and measure the rig's light.
 
     Stopped at any time, it goes on where it was when it is called again. The calibration is the one that the rig's file
     names, else calibration.json in the folder; its geometry is kept.
 
     Example: colorphase calibrate capture radiometry --rig rig.toml --out captures
-
-    Parameters
-    ----------
-    rig
-        The rig's TOML file, whose projector.display shows the pictures; or "simulated", which needs nothing to be
-        there.
-    out
-        The folder of the captures.
     """
     with _capturing(rig, out, None) as capture:
         folder = capture.guided.take_light()
@@ -68,12 +73,12 @@ def radiometry(*, rig: str, out: Path) -> None:
 
 def geometry(
     *,
-    rig: str,
-    out: Path,
-    board: Literal["charuco", "chessboard"] = "charuco",
+    rig: _Rig,
+    out: _Captures,
+    board: _Shown = "charuco",
     options: BoardOptions = _BOARD,
     fringes: PatternOptions = _FRINGES,
-    baseline_mm: float | None = None,
+    baseline_mm: _Baseline = None,
 ) -> None:
     """Say where to hold a board, take its pictures in each pose, and measure lenses and places.
 
@@ -83,18 +88,6 @@ def geometry(
 
     Example: colorphase calibrate capture geometry --rig rig.toml --out captures --board chessboard --squares 11x8
     --square-mm 24
-
-    Parameters
-    ----------
-    rig
-        The rig's TOML file, whose projector.display shows the pictures; or "simulated", which needs nothing to be
-        there.
-    out
-        The folder of the captures; guide.png in it shows where to hold the board.
-    board
-        What the board is.
-    baseline_mm
-        The distance between camera and projector where it is known; a wrong square size shows in it.
     """
     described = options.board(board)
     with _capturing(rig, out, described) as capture:
@@ -141,12 +134,12 @@ def _kept(target: Path, out: Path) -> Path | None:
 
 def everything(
     *,
-    rig: str,
-    out: Path,
-    board: Literal["charuco", "chessboard"] = "charuco",
+    rig: _Rig,
+    out: _Captures,
+    board: _Shown = "charuco",
     options: BoardOptions = _BOARD,
     fringes: PatternOptions = _FRINGES,
-    baseline_mm: float | None = None,
+    baseline_mm: _Baseline = None,
 ) -> None:
     """Show and take the pictures of a calibration, and calibrate the rig: its light, then its geometry.
 
@@ -154,18 +147,6 @@ def everything(
     on where it was when it is called again. radiometry and geometry do one of the two.
 
     Example: colorphase calibrate capture --rig rig.toml --out captures --board chessboard --squares 11x8 --square-mm 24
-
-    Parameters
-    ----------
-    rig
-        The rig's TOML file, whose projector.display shows the pictures; or "simulated", which needs nothing to be
-        there.
-    out
-        The folder of the captures; guide.png in it shows where to hold the board.
-    board
-        What the board is.
-    baseline_mm
-        The distance between camera and projector where it is known; a wrong square size shows in it.
     """
     radiometry(rig=rig, out=out)
     geometry(rig=rig, out=out, board=board, options=options, fringes=fringes, baseline_mm=baseline_mm)

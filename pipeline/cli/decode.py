@@ -99,18 +99,6 @@ class FootageOptions:
     export: Kind | None = None
     """Write each frame in another format, too, as ply, glb or pcd, into the folder meshes."""
 
-    def crop(self) -> Crop | None:
-        """Return the part of each frame that is decoded.
-
-        Raises
-        ------
-        SettingsError
-            It is not described by four whole numbers.
-        """
-        if self.roi is None:
-            return None
-        return Crop(*part_of(self.roi, "--roi"))
-
 
 _FOOTAGE, _AS_SET, _ALL = FootageOptions(), SettingsOptions(), MeshChoice()
 _AS_IT_SAYS = StoredAs()
@@ -215,7 +203,7 @@ def _decode_video(
         says=stored_as,
         settings=settings,
         calibration=calibration,
-        crop=options.crop(),
+        crop=None if options.roi is None else Crop(*part_of(options.roi, "--roi")),
         step=options.step,
         first=options.start % options.step,
         fields=chosen_fields(_wanted_fields(options.fields, in_mm=in_mm), in_mm=in_mm),

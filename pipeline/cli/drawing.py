@@ -70,44 +70,8 @@ class Placement:
     compare_unit: UnitName | None = None
     """Unit of the mesh to compare with."""
 
-    def read(self, path: str, frame: int | None, *, compared: bool) -> Mesh:
-        """Return the input, which must say how it lies where it is compared; else what is usual is told.
-
-        Raises
-        ------
-        SettingsError
-            It does not say its axes or its unit, and nor do these.
-        """
-        mesh, known = read_placed(path, frame, self.axes, self.unit)
-        if not known and compared:
-            raise SettingsError(_unknown(path, "", self.axes, self.unit))
-        if not known:
-            remark(f"{path} does not say its axes and unit, and is shown as if it were ours: see --axes and --unit")
-        return mesh
-
-    def read_compared(self, path: Path) -> Mesh:
-        """Return the mesh to compare with.
-
-        Raises
-        ------
-        SettingsError
-            It does not say its axes or its unit, and nor do these.
-        """
-        mesh, known = read_placed(path, None, self.compare_axes, self.compare_unit)
-        if not known:
-            raise SettingsError(_unknown(path, "compare-", self.compare_axes, self.compare_unit))
-        return mesh
-
 
 _CLAY, _AS_IT_SAYS = ColorChoice(), Placement()
-
-
-def _unknown(path: str | Path, prefix: str, axes: AxesName | None, unit: UnitName | None) -> str:
-    """Return what to ask for of a mesh that does not say how it lies, without what was given."""
-    asked = {"axes": "y-up, z-up or camera"} if axes is None else {}
-    asked |= {"unit": "mm, cm, m or in"} if unit is None else {}
-    options = (f"--{prefix}{name} {allowed}" for name, allowed in asked.items())
-    return f"{path} does not say its {' and '.join(asked)}: give {', and '.join(options)}"
 
 
 def render(
@@ -194,16 +158,18 @@ def render(
         raise SettingsError(f"--size is {size[0]}x{size[1]}: give 16 to {MOST_SIDE_PX} px")
     known = {name: value for name, value in chosen.items() if value is not None}
     options = build(PictureOptions, known, SettingsError, "options")
-    compared = None if compare is None else placed.read_compared(compare)
+    compared = None
+    if compare is not None:
+        compared = _read(compare, None, placed.compare_axes, placed.compare_unit, "--compare-")
     pictures = _pictures_in(out, (input, *more)) if more else {input: out}
     whole = True
     for each, picture in pictures.items():
         store = _store(each)
         result = None if store is None else StoredResult(store)
         _refuse_useless(given, result, frame, film=film, of_bag=Path(each).suffix.lower() == ".mcap")
-        number = frame if result is None or frame is not None else _only_frame(result)
+        number = result.done[0] if frame is None and result is not None and len(result.done) == 1 else frame
         if store is None:
-            subject: str | Mesh = placed.read(each, number, compared=compare is not None)
+            subject: str | Mesh = _read(each, number, placed.axes, placed.unit, None if compare is None else "--")
         elif placed.axes is not None or placed.unit is not None:
             raise SettingsError("--axes and --unit do nothing for a result: leave them out")
         else:
@@ -230,6 +196,21 @@ def _pictures_in(folder: Path, inputs: tuple[str, ...]) -> dict[str, Path]:
                 raise OutputError(f"cannot write {folder}: {explain(error)}") from error
             return {each: folder / f"{name}.png" for each, name in names.items()}
     raise SettingsError("two inputs have the same name: render them one at a time")
+
+
+def _read(
+    path: str | Path, frame: int | None, axes: AxesName | None, unit: UnitName | None, options: str | None
+) -> Mesh:
+    """Return a mesh; one that does not say how it lies is refused where options that say it are named, else told of."""
+    mesh, known = read_placed(path, frame, axes, unit)
+    if not known and options is not None:
+        asked = {"axes": "y-up, z-up or camera"} if axes is None else {}
+        asked |= {"unit": "mm, cm, m or in"} if unit is None else {}
+        give = ", and ".join(f"{options}{name} {allowed}" for name, allowed in asked.items())
+        raise SettingsError(f"{path} does not say its {' and '.join(asked)}: give {give}")
+    if not known:
+        remark(f"{path} does not say its axes and unit, and is shown as if it were ours: see --axes and --unit")
+    return mesh
 
 
 def _store(input: str) -> str | None:
@@ -261,10 +242,6 @@ def _refuse_pairs(*groups: dict[str, object]) -> None:
         given = [f"--{name}" for name, value in group.items() if value is not None]
         if len(given) > 1:
             raise SettingsError(f"{' and '.join(given[:2])} contradict each other: leave one of them out")
-
-
-def _only_frame(result: StoredResult) -> int | None:
-    return result.done[0] if len(result.done) == 1 else None
 
 
 def _render_still(

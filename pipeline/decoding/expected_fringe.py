@@ -8,7 +8,6 @@ whose phase runs the other way is therefore no picture that this rig took, and d
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
 from pipeline.calibration import Geometry
 from pipeline.causes import Cause
@@ -67,33 +66,27 @@ class ExpectedFringe:
 
     def contradiction(self, rate_rad: float) -> Cause | None:
         """Say why the size of a frame's usual change from row to row is none of this rig's; None: it may be."""
-        if rate_rad == 0 or self.possible[0] <= rate_rad <= self.possible[1]:
-            return None
-        return Cause("impossible period", f"no depth can be told: {self._sizes(rate_rad, self.possible)}")
+        return self._beyond(self.possible, rate_rad, "impossible period", "no depth can be told")
 
     def surprise(self, rate_rad: float) -> Cause | None:
         """Say that a usual surface of this rig shows another period; None: it shows this one."""
-        if rate_rad == 0 or self.usual[0] <= rate_rad <= self.usual[1]:
-            return None
-        words = "depths are wrong, unless the surface is steep"
-        return Cause("unusual period", f"{words}: {self._sizes(rate_rad, self.usual)}")
+        return self._beyond(self.usual, rate_rad, "unusual period", "depths are wrong, unless the surface is steep")
 
-    def _sizes(self, rate_rad: float, expected: Bounds) -> str:
-        seen, *bounds = (2 * np.pi / abs(rate) for rate in (rate_rad, *expected))
-        return (
-            f"the fringe has {seen:.1f} px per cycle, and the calibrated rig shows {min(bounds):.1f} to "
-            f"{max(bounds):.1f}: {_OTHER.format(self.period_px)}"
+    def _beyond(self, bounds: Bounds, rate_rad: float, key: str, what: str) -> Cause | None:
+        if rate_rad == 0 or bounds[0] <= rate_rad <= bounds[1]:
+            return None
+        seen, *ends = (2 * np.pi / abs(rate) for rate in (rate_rad, *bounds))
+        sizes = (
+            f"the fringe has {seen:.1f} px per cycle, and the calibrated rig shows {min(ends):.1f} to {max(ends):.1f}"
         )
+        return Cause(key, f"{what}: {sizes}: {_OTHER.format(self.period_px)}")
 
 
 def _bounds(geometry: Geometry, depths_mm: tuple[float, float], most_tilt: float) -> Bounds | None:
     """Return the bounds of surfaces at some depths that are tilted by no more than this, rad; None: none is lit."""
-    places = _seen_places(geometry, depths_mm)
-    rates = 2 * np.pi * (geometry.pattern_cycles(places.below) - geometry.pattern_cycles(places.above))
-    rates = rates[places.lit]
+    rates, angle = _lit_places(geometry, depths_mm)
     if len(rates) == 0 or not rates.min() * rates.max() > 0:
         return None
-    angle = places.angle_rad[places.lit]
     stretch = np.cos(most_tilt - angle) / np.cos(most_tilt) / np.cos(angle)
     ends = np.sort([np.abs(rates) / stretch, np.abs(rates) * stretch], axis=0)
     sign = float(np.sign(rates[0]))
@@ -101,40 +94,33 @@ def _bounds(geometry: Geometry, depths_mm: tuple[float, float], most_tilt: float
     return least, most
 
 
-@dataclass(frozen=True)
-class _SeenPlaces:
-    above: FloatArray  # (N, 3) mm, half a camera row above the place at its depth
-    below: FloatArray  # (N, 3) half a row below
-    angle_rad: FloatArray  # (N,) between the camera's and the projector's ray
-    lit: npt.NDArray[np.bool_]  # (N,) whether the projector's picture reaches it
+def _lit_places(geometry: Geometry, depths_mm: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
+    """Return places that the projector's picture reaches, of a grid in the camera's picture at several depths.
 
-
-def _seen_places(geometry: Geometry, depths_mm: tuple[float, float]) -> _SeenPlaces:
-    """Return places on a grid in the camera's picture at several depths."""
-    axis = geometry.phase_axis
+    Returns
+    -------
+    (N,) array
+        Change of phase from row to row at one depth, rad per px.
+    (N,) array
+        Angle between the camera's and the projector's ray, rad.
+    """
     width, height = geometry.camera.size_px
     rows, columns = (np.linspace(1, n - 2, _PLACES).round().astype(int) for n in (height, width))
-    y, x = (grid.ravel() for grid in np.meshgrid(rows, columns, indexing="ij"))
-    down = (1, 0) if axis == 1 else (0, 1)
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2).astype(np.float64)
+    half_a_row = np.array([0, 0.5] if geometry.phase_axis == 1 else [0.5, 0])
     depth = np.geomspace(*depths_mm, _DEPTHS)[:, None, None]
 
-    def points(step: int) -> FloatArray:
-        places = np.column_stack([x + step * down[1], y + step * down[0]]).astype(np.float64)
-        along = np.column_stack([geometry.camera.rays_through(places), np.ones(len(y))])
-        return np.asarray((depth * along).reshape(-1, 3))
+    def points(rows_down: float) -> FloatArray:
+        rays = geometry.camera.rays_through(pixels + rows_down * half_a_row)
+        return np.asarray((depth * np.column_stack([rays, np.ones(len(rays))])).reshape(-1, 3))
 
-    here, before, after = points(0), points(-1), points(1)
-    projector = -geometry.rotation.T @ geometry.translation_mm
-    away = here - projector
+    here, above, below = points(0), points(-1), points(1)
+    away = here + geometry.rotation.T @ geometry.translation_mm  # from the projector
     cosine = (here * away).sum(axis=1) / np.linalg.norm(here, axis=1) / np.linalg.norm(away, axis=1)
     seen = here @ geometry.rotation.T + geometry.translation_mm
-    pixels = seen @ geometry.projector.matrix.T
     with np.errstate(divide="ignore", invalid="ignore"):
-        pixels = pixels[:, :2] / pixels[:, 2:]
-    inside = (pixels >= 0) & (pixels <= np.array(geometry.projector.size_px) - 1)
-    return _SeenPlaces(
-        above=(here + before) / 2,
-        below=(here + after) / 2,
-        angle_rad=np.arccos(np.clip(cosine, -1, 1)),
-        lit=inside.all(axis=1) & (seen[:, 2] > 0),
-    )
+        shown = (seen @ geometry.projector.matrix.T / seen[:, 2:])[:, :2]
+    inside = (shown >= 0) & (shown <= np.array(geometry.projector.size_px) - 1)
+    lit = inside.all(axis=1) & (seen[:, 2] > 0)
+    rates = 2 * np.pi * (geometry.pattern_cycles(below) - geometry.pattern_cycles(above))
+    return rates[lit], np.arccos(np.clip(cosine, -1, 1))[lit]

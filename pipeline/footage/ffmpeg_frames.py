@@ -6,25 +6,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from pipeline.errors import FootageError
+from pipeline.footage.picture_tags import H273_MATRICES, H273_OTHERS, H273_TRANSFERS
 from pipeline.footage.source import GREY, StoredAs
 from pipeline.footage.tiff_file import PALETTE
 from pipeline.models import ImageArray
-from tikernels.raw.pixel_format import BAYER_PATTERNS, FLOAT_BITS, Bayer, Matrix, PixelFormat, Siting
+from tikernels.raw.pixel_format import FLOAT_BITS, Bayer, PixelFormat, Siting
 
 # How messages begin that FFmpeg calls errors, in streams that decode well.
 _HARMLESS = ("mmco:", "co located POCs")
 # Messages that nobody catches are not printed.
 _SILENT = logging.NullHandler()
-# ITU-T H.273: matrix coefficients, and transfer characteristics.
-_MATRICES: dict[int, Matrix] = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
+# Of ITU-T H.273.
 _UNKNOWN_MATRIX = 2
-_TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 8: "linear", 13: "srgb"}
-_OTHER_TRANSFERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SMPTE 428", 9: "logarithmic"}
 _LIMITED_RANGE, _FULL_RANGE = 1, 2
 # Codecs whose chroma sits in the middle of its pixels (JFIF, MPEG-1); all others' sits left, as H.264's does.
 _CENTRED = ("mjpeg", "mjpegb", "mpeg1video", "webp")
@@ -102,7 +100,7 @@ class _Names:
 def transfer_of(frame: Any) -> tuple[str | None, str | None]:
     """Return how a frame says that its light is encoded, or what else it says that is not undone."""
     number = int(frame.color_trc)
-    return _TRANSFERS.get(number), _OTHER_TRANSFERS.get(number)
+    return H273_TRANSFERS.get(number), H273_OTHERS.get(number)
 
 
 def stored_planes(
@@ -192,7 +190,7 @@ def _advice(format: Any) -> str:
 
 def _with_colors(format: PixelFormat, frame: Any, codec: str, says: StoredAs) -> tuple[PixelFormat, tuple[str, ...]]:
     number = int(frame.colorspace)
-    tagged = _MATRICES.get(number)
+    tagged = H273_MATRICES.get(number)
     if tagged is None and number != _UNKNOWN_MATRIX and says.matrix is None:
         raise FootageError(f"its colour matrix (number {number} of ITU-T H.273) is not supported: give the nearest")
     matrix = says.matrix or tagged or ("bt601" if frame.height < _HD_ROWS else "bt709")
@@ -213,10 +211,6 @@ def _with_colors(format: PixelFormat, frame: Any, codec: str, says: StoredAs) ->
         notes.append(f"the file says otherwise, but this is taken, as you say: {overruled}")
     siting: Siting = "centre" if codec in _CENTRED else "left"
     return replace(format, matrix=matrix, full_range=full_range, siting=siting), tuple(notes)
-
-
-def _bayer(pattern: str) -> Bayer:
-    return next(known for known in BAYER_PATTERNS if known == pattern)
 
 
 @cache
@@ -244,7 +238,7 @@ def _names(name: str) -> _Names | None:
         format = PixelFormat("rgb", bits, 16 - bits if match[2] else 0, channels="gbr")
         return _Names(format, (whole, (1, 0, 1), (2, 0, 1)))
     if match := _BAYER.fullmatch(name):
-        return _Names(PixelFormat("bayer", int(match[2]), bayer=_bayer(match[1])), (whole,))
+        return _Names(PixelFormat("bayer", int(match[2]), bayer=cast(Bayer, match[1])), (whole,))
     if match := _GREY.fullmatch(name):
         return _Names(PixelFormat("bayer", int(match[2] or 8)), ((0, 0, 2 if match[1] == "ya" else 1),))
     if (match := _PACKED_RGB.fullmatch(name)) and set("rgb") <= set(match[1]):

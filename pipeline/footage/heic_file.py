@@ -16,18 +16,16 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.errors import FootageError
-from pipeline.footage.picture_tags import TRANSPARENT, PictureTags, is_transparent, several, with_colors
+from pipeline.footage.picture_tags import H273_MATRICES, TRANSPARENT, PictureTags, is_transparent, several, with_colors
 from pipeline.limits import check_size
 from pipeline.models import ImageArray
-from tikernels.raw.pixel_format import LUMA_WEIGHTS, Matrix, PixelFormat, Siting
+from tikernels.raw.pixel_format import Matrix, PixelFormat
+from tikernels.raw.repeated_chroma import RepeatedChroma, luma_and_chroma, repeated_samples
 
 _BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 _INSTALL = "it is a picture in HEIC: pip install 'colorphase[heic]' to read it, or save it as PNG, TIFF or JPEG"
-# ITU-T H.273; what libheif takes where the file says nothing is BT.601.
-_MATRICES: dict[int, Matrix] = {1: "bt709", 9: "bt2020"}
-# Pixels of a chroma sample, down and across.
-_PAIRED = {420: (2, 2), 422: (1, 2)}
-_SIXTEEN = 65535
+# Pixels of a chroma sample, across and down.
+_PAIRED = {420: (2, 2), 422: (2, 1)}
 # A chroma sample differs between its two pixels by rounding, in 1/255; where a colour is cut off by more.
 _ROUNDING, _MOST_CUT = 2, 0.1
 
@@ -70,7 +68,8 @@ def read_heic(data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat, Picture
     half = picture.info.get("chroma")
     if half not in _PAIRED:
         return (levels,), PixelFormat("rgb", 8 * levels.itemsize), tags
-    return *_planes(levels, half, _MATRICES.get(marked.get("matrix_coefficients", 0), "bt601")), tags
+    matrix = H273_MATRICES.get(marked.get("matrix_coefficients", 0), "bt601")  # as libheif takes
+    return *_planes(levels, half, matrix), tags
 
 
 def _planes(levels: npt.NDArray[Any], half: int, matrix: Matrix) -> tuple[tuple[ImageArray, ...], PixelFormat]:
@@ -81,31 +80,16 @@ def _planes(levels: npt.NDArray[Any], half: int, matrix: Matrix) -> tuple[tuple[
     FootageError
         They are not in pairs, as in a part of a picture, and in 4:2:2 that is turned.
     """
-    red, blue = LUMA_WEIGHTS[matrix]
-    light = levels.astype(np.float32) * np.float32(_SIXTEEN / np.iinfo(levels.dtype).max)
-    luma = light @ np.array([red, 1 - red - blue, blue], np.float32)
-    middle = (_SIXTEEN + 1) / 2
-    chroma = [(light[..., k] - luma) / (2 * (1 - weight)) + middle for k, weight in ((2, blue), (0, red))]
-    down, across = _PAIRED[half]
-    if any(_unlike_pairs(part, axis) > _MOST_CUT for part in chroma for axis in range(2) if (down, across)[axis] == 2):
+    white, pixels = np.iinfo(levels.dtype).max, _PAIRED[half]
+    chroma = luma_and_chroma(levels, white, matrix)[1:]
+    if any(_unlike_pairs(part, axis) > _MOST_CUT for part in chroma for axis in range(2) if pixels[1 - axis] == 2):
         raise FootageError("its colours have half the resolution, and cannot be told apart again: save it as PNG")
-    planes = (luma, *(_means(part, down, across) for part in chroma))
-    rounded = tuple(np.rint(np.clip(plane, 0, _SIXTEEN)).astype(np.uint16) for plane in planes)
     # HEVC's 4:2:2 sits left; encoders of pictures average 4:2:0 in the middle.
-    siting: Siting = "centre" if down == 2 else "left"
-    return rounded, PixelFormat("yuv", 16, subsampling=(across, down), siting=siting, matrix=matrix, full_range=True)
-
-
-def _means(chroma: npt.NDArray[np.floating], down: int, across: int) -> npt.NDArray[np.floating]:
-    """Return the mean of each cell of pixels; the last ones may be incomplete."""
-    height, width = chroma.shape
-    whole = np.pad(chroma, ((0, -height % down), (0, -width % across)), "edge")
-    cells = whole.reshape(-(-height // down), down, -(-width // across), across)
-    return np.asarray(cells.mean(axis=(1, 3)))
+    return repeated_samples(levels, white, RepeatedChroma(pixels, (0, 0), matrix, "centre" if half == 420 else "left"))
 
 
 def _unlike_pairs(chroma: npt.NDArray[np.floating], axis: int) -> float:
     """Return the share of pairs of values along an axis that are not alike."""
     half = chroma.shape[axis] // 2
     first, second = (np.take(chroma, range(begin, 2 * half, 2), axis) for begin in (0, 1))
-    return float(np.mean(np.abs(first - second) > _ROUNDING * _SIXTEEN / 255)) if half else 0.0
+    return float(np.mean(np.abs(first - second) > _ROUNDING * 257)) if half else 0.0

@@ -7,7 +7,8 @@ the planes of WebP; HEIC by libheif; all else by OpenCV.
 import errno
 import struct
 import zlib
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -39,7 +40,7 @@ from pipeline.footage.tiff_file import (
     read_directory,
     select_page,
 )
-from pipeline.limits import BYTES_A_PIXEL, MAX_PIXELS, check_size, ffmpeg_limits, max_pixels, read_plain
+from pipeline.limits import ALLOW_MORE, BYTES_A_PIXEL, check_size, ffmpeg_limits, max_pixels, read_plain
 from pipeline.models import ImageArray
 
 _NONSENSE = (struct.error, ValueError)
@@ -59,8 +60,7 @@ def read_bytes(path: Path) -> bytes:
     except OSError as error:
         if error.errno == errno.EOVERFLOW:
             raise FootageError(
-                f"{path} is larger than a picture of {max_pixels()} pixels, which are read at most: "
-                f"set {MAX_PIXELS} to a larger number if your camera has that many"
+                f"{path} is larger than a picture of {max_pixels()} pixels, which are read at most: {ALLOW_MORE}"
             ) from None
         raise FootageError(f"cannot read {path}: {error.strerror or error}") from None
 
@@ -127,7 +127,8 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
         if data.startswith(PNG):
             data = _only_pixels(path, data)
         elif data.startswith(JPEG):
-            _check_jpeg(path, data)
+            with _named(path):  # OpenCV only prints damage, past everything that could catch it
+                PlaneDecoder("mjpeg").decode(data)
         elif data[:4] in TIFF_MARKS:
             data = _checked_page(path, data)
         with suppress(cv2.error):  # the message below says it in one line
@@ -142,6 +143,15 @@ def decode_levels(path: Path, data: bytes) -> npt.NDArray[Any]:
     return levels
 
 
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Name the file whose picture is damaged."""
+    try:
+        yield
+    except FootageError as error:
+        raise FootageError(f"{path}: {error}") from None
+
+
 def _checked_page(path: Path, data: bytes) -> bytes:
     """Return a TIFF whose page OpenCV decodes as it is stored; of what is damaged there it makes black."""
     with suppress(*_NONSENSE):
@@ -150,24 +160,11 @@ def _checked_page(path: Path, data: bytes) -> bytes:
     raise FootageError(f"{path} is damaged: copy it again")
 
 
-def _check_jpeg(path: Path, data: bytes) -> None:
-    """Check a JPEG for damage, which OpenCV only prints, past everything that could catch it."""
-    try:
-        PlaneDecoder("mjpeg").decode(data)
-    except FootageError as error:
-        raise FootageError(f"{path}: {error}") from None
-
-
 def _only_pixels(path: Path, data: bytes) -> bytes:
-    """Return a PNG with nothing but the chunks that make its levels, each checked.
+    """Return a PNG with nothing but the chunks that make its levels, each with a right checksum.
 
     OpenCV decodes damaged chunks as far as it can, and libpng prints warnings of them, and of colour profiles and
     texts, past everything that could catch them.
-
-    Raises
-    ------
-    FootageError
-        A checksum is wrong.
     """
     kept: list[bytes | memoryview] = [PNG]
     view = memoryview(data)
@@ -223,10 +220,8 @@ def read_image(path: str | Path) -> ImageArray:
     path = Path(path)
     data = read_picture(path)
     if is_heic(data[:12]):
-        try:
+        with _named(path):
             planes, format, _ = read_heic(data)
-        except FootageError as error:
-            raise FootageError(f"{path}: {error}") from None
         if format.layout != "rgb":
             raise FootageError(
                 f"{path}: its colours have half the resolution: open_source and develop interpolate them"

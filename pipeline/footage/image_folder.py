@@ -13,13 +13,7 @@ import cv2
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import stored_planes
 from pipeline.footage.heic_file import is_heic, read_heic
-from pipeline.footage.image_file import (
-    PlaneDecoder,
-    decode_levels,
-    read_bytes,
-    read_picture,
-    tiff_pages,
-)
+from pipeline.footage.image_file import PlaneDecoder, decode_levels, read_bytes, read_picture, tiff_pages
 from pipeline.footage.picture_tags import (
     TRANSPARENT,
     PictureTags,
@@ -27,18 +21,18 @@ from pipeline.footage.picture_tags import (
     picture_end,
     plane_codec,
     read_tags,
+    stored_bits,
     unfit_colors,
 )
-from pipeline.footage.picture_tags import stored_bits as pnm_bits
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
-from pipeline.footage.tiff_file import TIFF_MARKS, read_directory, select_page, stored_bits
+from pipeline.footage.tiff_file import TIFF_MARKS, Tag, read_directory, select_page
+from pipeline.limits import open_plain
 from pipeline.models import ImageArray
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 
-_JPEG_SUFFIXES, _TIFF_SUFFIXES = (".jpg", ".jpeg", ".jpe"), (".tif", ".tiff")
 #: How the names of image files end.
-IMAGE_SUFFIXES = (".png", *_TIFF_SUFFIXES, ".bmp", ".ppm", ".pgm", ".pnm", ".webp", ".heic", ".heif", *_JPEG_SUFFIXES)
+IMAGE_SUFFIXES = tuple(".png .tif .tiff .bmp .ppm .pgm .pnm .webp .heic .heif .jpg .jpeg .jpe".split())
 _DIGITS = re.compile(r"(\d+)")
 # Full scale of most cameras with more than 8 bits, levels.
 _TWELVE_BITS = 2**12 - 1
@@ -175,9 +169,9 @@ class ImageFolder:
     def _read_levels(self, path: Path, data: bytes) -> tuple[tuple[ImageArray, ...], PixelFormat, PictureTags]:
         image, tags = decode_levels(path, data), read_tags(data)
         bits, shift = {"uint8": 8, "uint16": 16}.get(image.dtype.name, FLOAT_BITS), 0
-        if data[:4] in TIFF_MARKS and (fewer := stored_bits(read_directory(data))) in range(9, 16):
+        if data[:4] in TIFF_MARKS and (fewer := read_directory(data).first(Tag.BITS, 1)) in range(9, 16):
             bits, shift = fewer, 16 - fewer  # OpenCV shifts them up
-        bits = pnm_bits(data) or bits
+        bits = stored_bits(data) or bits
         if bits == 16 and self._says.bits is None and image.max(initial=0) <= _TWELVE_BITS:
             note = f"none of its levels, of 16 bits, is above {_TWELVE_BITS}: if the camera gives 12, add --bits 12"
             tags = replace(tags, notes=(*tags.notes, note))
@@ -222,7 +216,7 @@ def _stack_of(path: Path) -> _Stack | None:
     FootageError
         One of its pages is damaged.
     """
-    with path.open("rb") as file:
+    with open_plain(path) as file:
         if file.read(4) not in TIFF_MARKS:
             return None
     data = read_bytes(path)

@@ -21,21 +21,16 @@ import numpy.typing as npt
 
 from pipeline.footage.tiff_file import (
     CMYK,
-    COLOR_SPACE,
-    EXIF,
-    HEIGHT,
-    MP_IMAGES,
-    ORIENTATION,
     PALETTE,
-    PROFILE,
     TIFF_MARKS,
-    WIDTH,
+    Tag,
     is_cut_off,
     read_directory,
     transfer_curve,
     unfit_page,
 )
 from tikernels.raw.linearization import TRANSFERS, linear_values
+from tikernels.raw.pixel_format import Matrix
 
 #: How files begin.
 PNG, JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
@@ -63,8 +58,11 @@ _ANIMATION = "it is an animation: save its frames as PNG files in a folder"
 _MOST_PROFILE = 2**22
 # A gamma of 2.2 is within 0.009 of sRGB's curve, in linear light; what is further off is another curve.
 _ALIKE = 0.015
-_H273 = {1: "bt709", 6: "bt709", 8: "linear", 13: "srgb"}
-_OTHER_CURVES, _UNSPECIFIED = {4: "gamma 2.2", 16: "PQ", 18: "HLG"}, 2
+#: ITU-T H.273's numbers of transfers, of those that are not undone, and of matrices.
+H273_TRANSFERS = {1: "bt709", 6: "bt709", 14: "bt709", 15: "bt709", 8: "linear", 13: "srgb"}
+H273_OTHERS = {4: "gamma 2.2", 5: "gamma 2.8", 16: "PQ", 18: "HLG", 17: "SMPTE 428", 9: "logarithmic"}
+H273_MATRICES: dict[int, Matrix] = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
+_UNSPECIFIED = 2
 _ODD = (struct.error, zlib.error, ValueError, IndexError, KeyError, ZeroDivisionError)
 
 
@@ -92,7 +90,7 @@ def picture_size(data: bytes) -> tuple[int, int] | None:
             return None if frame is None else (frame.width, frame.height)
         if data[:4] in TIFF_MARKS:
             page = read_directory(data)
-            size = page.first(WIDTH, 0), page.first(HEIGHT, 0)
+            size = page.first(Tag.WIDTH, 0), page.first(Tag.HEIGHT, 0)
             return size if all(size) else None
         if data.startswith(b"BM"):
             width, height = _bmp_size(data)
@@ -258,15 +256,16 @@ def _after(tags: PictureTags, kind: str, content: bytes) -> PictureTags:
     """Return the tags with what one part of the file says."""
     if kind in ("exif", "tiff"):
         page = read_directory(content)
-        orientation = page.first(ORIENTATION, 1)
+        orientation = page.first(Tag.ORIENTATION, 1)
         if 1 <= orientation <= 8:
             tags = replace(tags, orientation=orientation)
-        if PROFILE in page.values:
-            return _with_profile(tags, page.values[PROFILE].tobytes())
+        if Tag.PROFILE in page.values:
+            return _with_profile(tags, page.values[Tag.PROFILE].tobytes())
         if (curve := transfer_curve(page)) is not None:
             light = np.interp(np.linspace(0, 1, 256), np.linspace(0, 1, len(curve)), curve)
             return _with_curve(tags, light, "its transfer function says so")
-        if EXIF in page.values and read_directory(content, page.first(EXIF, 0)).first(COLOR_SPACE, 0) == _SRGB:
+        exif = page.first(Tag.EXIF, 0)
+        if exif and read_directory(content, exif).first(Tag.COLOR_SPACE, 0) == _SRGB:
             return replace(tags, transfer="srgb", because="its Exif data say sRGB")
     elif kind == "profile":
         return _with_profile(tags, content)
@@ -277,16 +276,16 @@ def _after(tags: PictureTags, kind: str, content: bytes) -> PictureTags:
     elif kind == "gamma":
         gamma = struct.unpack(">I", content)[0] / 1e5
         return _with_curve(tags, np.linspace(0, 1, 256) ** (1 / gamma), f"it is marked with a gamma of {gamma:.3g}")
-    elif kind == "pictures" and (count := read_directory(content).first(MP_IMAGES, 1)) > 1:
+    elif kind == "pictures" and (count := read_directory(content).first(Tag.MP_IMAGES, 1)) > 1:
         return replace(tags, notes=(*tags.notes, several(count)))
     return tags
 
 
 def _with_code(tags: PictureTags, code: int, because: str) -> PictureTags:
     """Take the transfer of a number of ITU-T H.273; 2 is none."""
-    if code in _H273:
-        return replace(tags, transfer=_H273[code], because=because)
-    return tags if code == _UNSPECIFIED else _with_other(tags, f"{because}: {_OTHER_CURVES.get(code, f'code {code}')}")
+    if code in H273_TRANSFERS:
+        return replace(tags, transfer=H273_TRANSFERS[code], because=because)
+    return tags if code == _UNSPECIFIED else _with_other(tags, f"{because}: {H273_OTHERS.get(code, f'code {code}')}")
 
 
 def _with_other(tags: PictureTags, because: str) -> PictureTags:

@@ -13,6 +13,7 @@ import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -20,16 +21,18 @@ import numpy.typing as npt
 
 #: How such files begin; the last two have offsets of eight bytes.
 TIFF_MARKS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-#: Tags.
-WIDTH, HEIGHT, ORIENTATION, EXIF, COLOR_SPACE, PROFILE, MP_IMAGES = 256, 257, 274, 34665, 40961, 34675, 0xB001
-_KIND, _OLD_KIND, _BITS, _COMPRESSION, _PHOTOMETRIC, _DESCRIPTION, _SAMPLES = 254, 255, 258, 259, 262, 270, 277
-_PLANAR, _EXTRA_SAMPLES, _SAMPLE_FORMAT, _DNG, _TRANSFER = 284, 338, 339, 50706, 301
-_PLACES, _SIZES = (273, 324), (279, 325)  # of strips and of tiles
-_READ = {
-    *(WIDTH, HEIGHT, ORIENTATION, EXIF, COLOR_SPACE, PROFILE, MP_IMAGES, _KIND, _OLD_KIND, _BITS, _COMPRESSION),
-    *(_PHOTOMETRIC, _DESCRIPTION, _SAMPLES, _PLANAR, _EXTRA_SAMPLES, _SAMPLE_FORMAT, _DNG, _TRANSFER),
-    *(*_PLACES, *_SIZES),
-}
+
+
+class Tag(IntEnum):
+    """What is read of a directory."""
+
+    KIND, OLD_KIND, WIDTH, HEIGHT, BITS, COMPRESSION, PHOTOMETRIC, DESCRIPTION = 254, 255, 256, 257, 258, 259, 262, 270
+    STRIP_PLACES, ORIENTATION, SAMPLES, STRIP_SIZES, PLANAR, TRANSFER = 273, 274, 277, 279, 284, 301
+    TILE_PLACES, TILE_SIZES, EXTRA_SAMPLES, SAMPLE_FORMAT = 324, 325, 338, 339
+    PROFILE, EXIF, COLOR_SPACE, MP_IMAGES, DNG = 34675, 34665, 40961, 0xB001, 50706
+
+
+_TAGS = frozenset(Tag)
 # Of the types of values that are read here.
 _TYPES = {1: "u1", 2: "u1", 3: "u2", 4: "u4", 7: "u1", 13: "u4", 16: "u8", 18: "u8"}
 # Kinds of pages that are no frames: smaller versions, and masks.
@@ -90,7 +93,7 @@ def read_directory(data: bytes, begin: int | None = None) -> Directory:
     values, places = {}, {}
     for entry in range(first, min(end, len(data)), entry_bytes):
         tag, kind, n_values = struct.unpack_from(f"{order}HH{offset}", data, entry)
-        if tag not in _READ or kind not in _TYPES:
+        if tag not in _TAGS or kind not in _TYPES:
             continue
         dtype = np.dtype(order + _TYPES[kind])
         at = entry + 4 + struct.calcsize(offset)
@@ -121,7 +124,7 @@ def page_places(data: bytes) -> list[int]:
     while begin and begin not in seen:  # damage may lead in a circle
         seen.add(begin)
         page = read_directory(data, begin)
-        smaller = page.first(_KIND, 0) & _SMALLER_OR_MASK or page.first(_OLD_KIND, 0) == _OLD_SMALLER
+        smaller = page.first(Tag.KIND, 0) & _SMALLER_OR_MASK or page.first(Tag.OLD_KIND, 0) == _OLD_SMALLER
         if not smaller:
             pages.append(begin)
         begin = page.following
@@ -137,7 +140,7 @@ def select_page(data: bytearray, begin: int) -> None:
 def as_stored(data: bytes) -> bytes:
     """Return a file whose first page OpenCV neither turns nor multiplies by its transparency."""
     page = read_directory(data)
-    said = {ORIENTATION: 1, _EXTRA_SAMPLES: 0}
+    said = {Tag.ORIENTATION: 1, Tag.EXTRA_SAMPLES: 0}
     changed = {tag: value for tag, value in said.items() if page.first(tag, value) != value}
     if not changed:
         return data
@@ -148,26 +151,21 @@ def as_stored(data: bytes) -> bytes:
     return bytes(copy)
 
 
-def stored_bits(page: Directory) -> int:
-    """Return how many bits each of a page's values has."""
-    return page.first(_BITS, 1)
-
-
 def transfer_curve(page: Directory) -> npt.NDArray[np.float64] | None:
     """Return the linear light, 0..1, of a page's levels, in ascending order, if it says so."""
-    table = page.values.get(_TRANSFER)
-    if table is None or len(table) < 2 ** min(stored_bits(page), 16):
-        return None
-    return np.asarray(table[: 2 ** stored_bits(page)] / 65535)
+    table = page.values.get(Tag.TRANSFER)
+    bits = page.first(Tag.BITS, 1)
+    return None if table is None or len(table) < 2 ** min(bits, 16) else np.asarray(table[: 2**bits] / 65535)
 
 
 def unfit_page(page: Directory) -> str | None:
     """Say why a page is not decoded as it is stored; None: it is."""
-    compression, colors, channels = page.first(_COMPRESSION, 1), page.first(_PHOTOMETRIC, _RGB), page.first(_SAMPLES, 1)
-    bits, kinds = page.values.get(_BITS, (1,)), page.values.get(_SAMPLE_FORMAT, (_UNSIGNED,))
+    compression, colors = page.first(Tag.COMPRESSION, 1), page.first(Tag.PHOTOMETRIC, _RGB)
+    channels = page.first(Tag.SAMPLES, 1)
+    bits, kinds = page.values.get(Tag.BITS, (1,)), page.values.get(Tag.SAMPLE_FORMAT, (_UNSIGNED,))
     stored = {(int(size), int(kind)) for size in bits for kind in kinds}
     reason = None
-    if _DNG in page.values:
+    if Tag.DNG in page.values:
         reason = RAW
     elif colors in _COLORS:
         reason = _COLORS[colors]
@@ -180,7 +178,7 @@ def unfit_page(page: Directory) -> str | None:
         size, kind = min(stored)
         values = {2: "signed ", 3: "floating-point "}.get(kind, "")
         reason = f"it holds {values}values of {size} bits: save it with 8 or 16 bits, or as floats of 32 bits"
-    elif page.first(_PLANAR, 1) != 1 and channels > 1 and stored != {(8, _UNSIGNED)}:
+    elif page.first(Tag.PLANAR, 1) != 1 and channels > 1 and stored != {(8, _UNSIGNED)}:
         reason = "its colours are stored one after another (planar configuration 2): save it with them interleaved"
     return reason
 
@@ -191,7 +189,7 @@ def _said(colors: int) -> str:
 
 def pages_elsewhere(page: Directory, n_pages: int) -> int:
     """Return how many pages ImageJ says there are beyond those with a directory, as in its files of more than 4 GB."""
-    words = page.values.get(_DESCRIPTION, np.zeros(0, np.uint8)).tobytes().split()
+    words = page.values.get(Tag.DESCRIPTION, np.zeros(0, np.uint8)).tobytes().split()
     said = [word[7:] for word in words if word.startswith(b"images=") and word[7:].isdigit()]
     is_imagej = bool(words) and words[0].startswith(b"ImageJ=")
     return max(0, int(said[0][:9]) - n_pages) if is_imagej and said else 0
@@ -204,14 +202,15 @@ def is_cut_off(data: bytes, page: Directory) -> bool:
 
 def is_damaged(data: bytes, page: Directory) -> bool:
     """Return whether a page's values are not as they were written, where that can be told: deflate has checksums."""
-    is_deflated = page.first(_COMPRESSION, 1) in _DEFLATE
+    is_deflated = page.first(Tag.COMPRESSION, 1) in _DEFLATE
     return is_deflated and not all(_is_deflated(data[begin:end]) for begin, end in _strips(page) if begin)
 
 
 def _strips(page: Directory) -> list[tuple[int, int]]:
     """Return where each strip or tile begins and ends, as far as the page says so."""
-    begins, sizes = ([int(value) for tag in tags for value in page.values.get(tag, ())] for tags in (_PLACES, _SIZES))
-    return [(begin, begin + size) for begin, size in zip(begins, sizes, strict=False)]
+    places, sizes = (Tag.STRIP_PLACES, Tag.TILE_PLACES), (Tag.STRIP_SIZES, Tag.TILE_SIZES)
+    begins, lengths = ([int(value) for tag in tags for value in page.values.get(tag, ())] for tags in (places, sizes))
+    return [(begin, begin + size) for begin, size in zip(begins, lengths, strict=False)]
 
 
 def _is_deflated(strip: bytes) -> bool:

@@ -112,11 +112,12 @@ class ZarrRecording:
                 raise ValueError(f"its frames have shape {array.shape[1:]} {array.dtype}")
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise FootageError(f"{path} is damaged: {error}") from None
-        self._check_claims(width, height)
+        if self._n_frames == 0:
+            raise FootageError(f"{path} holds no frames")
+        check_size(str(path), width, height)
+        check_missing(str(path), self._n_frames, sum(name.startswith("c.") for name in os.listdir(path / FRAMES)))
         self.transfer = tags.transfer
         self.transfer_because = "the recording says so" if tags.transfer else "the recording does not say"
-        if len(self) == 0:
-            raise FootageError(f"{path} holds no frames")
         self.rate_hz = tags.rate_hz
         self.size_px = (width, height)
         self.format = says.applied_to(format)
@@ -140,13 +141,6 @@ class ZarrRecording:
 
     def close(self) -> None:
         """Do nothing: no file is open between two frames."""
-
-    def _check_claims(self, width: int, height: int) -> None:
-        """Check that the head says what a camera can have taken, and what is there."""
-        if self._n_frames:
-            check_size(str(self._path), width, height)
-        n_there = sum(entry.name.startswith("c.") for entry in os.scandir(self._path / FRAMES))
-        check_missing(str(self._path), self._n_frames, n_there)
 
     def _read(self, number: int) -> StoredFrame | BadFrame:
         chunk = self._path / FRAMES / chunk_key(number, len(self._shape))

@@ -24,26 +24,10 @@ _ASKED_LINES = 500
 
 
 def depth_colors(
-    values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], limits: tuple[float, float] | None = None
+    values: npt.NDArray[np.float32], mask: npt.NDArray[np.bool_], scale: ColorScale
 ) -> npt.NDArray[np.uint8]:
-    """Colour a range image from blue to red.
-
-    Parameters
-    ----------
-    values : (H, W) float32
-        Range in mm or rad.
-    mask : (H, W) bool
-        Pixels that hold a value; NaN pixels are left out too.
-    limits : (float, float), optional
-        What is blue, and what is red; None: the 1st and the 99th percentile.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        RGB; dark grey where there is no value.
-    """
+    """Return a range image in the colours of a scale, (H, W, 3) RGB; dark grey where there is no value."""
     mask = mask & np.isfinite(values)
-    scale = ColorScale.over(values[mask], "", "") if limits is None else ColorScale(*limits, "", "")
     return np.where(mask[..., None], scale.colors(np.where(mask, values, scale.low)), np.uint8(_HIDDEN))
 
 
@@ -74,7 +58,7 @@ def write_range_image(
     chosen = object_pixels(some, seen) if unit == "mm" else seen
     name, told = ("depth", "mm") if unit == "mm" else ("", "rad, not mm")
     scale = ColorScale.over(some[chosen], name, told, grey_beyond=not np.array_equal(chosen, seen))
-    image = np.where(mask[..., None], scale.colors(np.where(mask, values, scale.low)), np.uint8(_HIDDEN))
+    image = depth_colors(values, mask, scale)
     height = max(len(image), 160)  # room for the scale's numbers next to a small image
     gap = round(height / 40)
     width = gap * 3 + color_bar_width(scale, height - 2 * gap)

@@ -185,15 +185,8 @@ class ResultStore:
     def faults(self, numbers: Iterable[int], made_of: Callable[[int], str]) -> dict[int, str]:
         """Check whether frames that have a mark are whole, and return what is wrong, by number.
 
-        Behind a URL, where reading all may cost more than decoding it anew, only the marks, and the presence of all
-        files, are checked.
-
-        Parameters
-        ----------
-        numbers : iterable of int
-            The frames.
-        made_of : callable
-            Digest of what a frame with this number is decoded from.
+        Behind a URL, where reading all may cost more than decoding it anew, only the marks, with the digest of what
+        the frame with a number is made of, and the presence of all files are checked.
         """
         numbers = sorted(numbers)
         missing: dict[int, str] = {}
@@ -244,16 +237,7 @@ class ResultStore:
             raise OutputError(f"{self._files.name}: {frames} vanished after being stored: run again")
 
     def write(self, number: int, frame: DecodedFrame, made_of: str = "") -> WrittenFrame:
-        """Write a frame's chunks; may be called again, and from several threads.
-
-        Parameters
-        ----------
-        number : int
-            Its number in the footage.
-        frame : DecodedFrame
-            What to write.
-        made_of : str
-            Digest of what it was decoded from.
+        """Write a frame's chunks, with a digest of what it is made of; may be called again, and from several threads.
 
         Returns
         -------

@@ -40,7 +40,7 @@ from pipeline.errors import DamageError, OutputError
 from pipeline.files import LEFTOVER, explain, replace_file, sync
 from pipeline.footage.opening import FrameTimes
 from pipeline.limits import MOST_FRAMES, check_size, read_plain
-from pipeline.output.store_model import ArraySays, GroupSays, StoreAttributes, TimesSay, parsed
+from pipeline.output.store_model import ArraySays, GroupSays, StoreAttributes, parsed
 from pipeline.zarr_chunks import (
     CHUNK_KEYS,
     chunk_bytes,
@@ -319,6 +319,7 @@ class Metadata:
     says: StoreAttributes  # what is read again of them
     shapes: dict[str, tuple[int, ...]]  # of the array of each field, and of the marks; the frames come first
     size_px: tuple[int, int]  # width and height of a frame
+    times: FrameTimes | None  # when the frames were taken; None: nothing has told
 
     @property
     def n_frames(self) -> int:
@@ -329,7 +330,7 @@ class Metadata:
 def read_metadata(files: StoreFiles) -> Metadata | None:
     """Return a store's metadata; None where there is no store yet.
 
-    Labels and coordinates, which follow from the others and from the footage, are checked and left out.
+    Labels and coordinates other than the time, which follow from the others, are checked and left out.
 
     Raises
     ------
@@ -358,24 +359,31 @@ def read_metadata(files: StoreFiles) -> Metadata | None:
     if not set(coordinates) <= set(COORDINATES):
         raise DamageError(f"{files.name}: the metadata of an array is missing (coordinates)")
     try:
-        held, shapes = {}, {}
+        held, arrays = {}, {}
         for name in (*sorted((*says.fields, DONE)), *coordinates):
             key = f"{name}/{_METADATA}"
             held[key] = _content(files, key)
-            shapes[name] = parsed(ArraySays, held[key], f"{files.name}: {key}").shape
+            arrays[name] = parsed(ArraySays, held[key], f"{files.name}: {key}")
         for name in coordinates:
-            most = _MOST_BYTES + chunk_bytes(np.float64, shapes.pop(name))
+            most = _MOST_BYTES + chunk_bytes(np.float64, arrays[name].shape)
             held[f"{name}/{_VALUES}"] = _content(files, f"{name}/{_VALUES}", most)
     except (FileNotFoundError, NotADirectoryError) as error:
         raise DamageError(f"{files.name}: the metadata of an array is missing ({error})") from None
     about = json.loads(content)
     if about["attributes"].get(_CHECKSUM) != _digest(about, held) or content != _text(about):
         raise DamageError(f"{files.name}: its metadata is not what was written")
+    shapes = {name: array.shape for name, array in arrays.items() if name not in coordinates}
     size_px = _checked_size(files.name, shapes)
     attributes = {
         name: value for name, value in about["attributes"].items() if name not in (_CHECKSUM, *DATASET_LABELS)
     }
-    return Metadata(attributes, says, shapes, size_px)
+    times = None
+    if "time" in coordinates:
+        labels = arrays["time"].attributes
+        times = FrameTimes(decode_chunk(held[f"time/{_VALUES}"], np.float64, shapes[DONE][:1]), labels.since)
+        if labels.units is None or not times.known:
+            raise DamageError(f"{files.name}: time holds no times")
+    return Metadata(attributes, says, shapes, size_px, times)
 
 
 def _checked_size(name: str, shapes: Mapping[str, tuple[int, ...]]) -> tuple[int, int]:
@@ -405,26 +413,6 @@ def _axes(name: str) -> tuple[str, ...]:
 
 def _axis_lengths(size_px: tuple[int, int]) -> dict[str, int]:
     return {"y": size_px[1], "x": size_px[0], "xyz": 3, "rgb": 3, "record": MARK_BYTES}
-
-
-def read_times(files: StoreFiles, n_frames: int) -> FrameTimes | None:
-    """Return when the frames of a store whose metadata is whole were taken; None: nothing has told.
-
-    Raises
-    ------
-    DamageError
-        The metadata is no longer whole, or holds no times.
-    """
-    where = f"{files.name}: time"
-    try:
-        says = parsed(TimesSay, files.read(f"time/{_METADATA}", _MOST_BYTES), where)
-        chunk = files.read(f"time/{_VALUES}", chunk_bytes(np.float64, (n_frames,)))
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    times = FrameTimes(decode_chunk(chunk, np.float64, (n_frames,)), says.attributes.since)
-    if not times.known:
-        raise DamageError(f"{where} holds no times")
-    return times
 
 
 def _content(files: StoreFiles, key: str, most_bytes: int = _MOST_BYTES) -> bytes:
@@ -545,15 +533,11 @@ def read_mark(files: StoreFiles, number: int, identity: str) -> FrameMark:
     DamageError
         It is not there, is not as it was written, or is that of a frame that was decoded otherwise.
     """
+    stored = _read_checked(files, f"{DONE}/{chunk_key(number, 1)}", _STORED_BYTES, "its mark")
+    if stored is None:
+        raise DamageError("it has no mark, and so is not whole")
     try:
-        stored = files.read(f"{DONE}/{chunk_key(number, 1)}", _STORED_BYTES)
         mark = _MARKS.validate_json(without_checksum(stored))
-    except DamageError as error:
-        raise DamageError(f"its mark is damaged: {error}") from None
-    except FileNotFoundError:
-        raise DamageError("it has no mark, and so is not whole") from None
-    except OSError as error:
-        raise DamageError(f"its mark cannot be read: {error.strerror or error}") from None
     except ValueError:
         raise DamageError("its mark is of another program, or of a newer version of this one") from None
     if mark.identity != identity:
@@ -569,20 +553,27 @@ def read_chunk(files: StoreFiles, number: int, name: str, shape: tuple[int, ...]
     DamageError
         It is not as it was written, or not there.
     """
-    try:
-        key = f"{name}/{chunk_key(number, len(FIELDS[name].axes))}"
-        chunk = files.read(key, chunk_bytes(FIELDS[name].dtype, shape[1:]))
-    except FileNotFoundError:
-        raise DamageError(f"{name} is missing") from None
-    except OSError as error:
-        raise DamageError(f"{name} cannot be read: {error.strerror or error}") from None
-    try:
-        without_checksum(chunk)
-    except DamageError as error:
-        raise DamageError(f"{name} is damaged: {error}") from None
+    key = f"{name}/{chunk_key(number, len(FIELDS[name].axes))}"
+    chunk = _read_checked(files, key, chunk_bytes(FIELDS[name].dtype, shape[1:]), name)
+    if chunk is None:
+        raise DamageError(f"{name} is missing")
     if chunk[_CHUNK_CHECKSUM].hex() != mark.chunks.get(name):
         raise DamageError(f"{name} is another frame's, or of another run")
     return chunk
+
+
+def _read_checked(files: StoreFiles, key: str, most_bytes: int, what: str) -> bytes | None:
+    """Return a file whose checksum is right, or say what is wrong with what it is; None: there is none."""
+    try:
+        content = files.read(key, most_bytes)
+        without_checksum(content)
+    except FileNotFoundError:
+        return None
+    except DamageError as error:
+        raise DamageError(f"{what} is damaged: {error}") from None
+    except OSError as error:
+        raise DamageError(f"{what} cannot be read: {error.strerror or error}") from None
+    return content
 
 
 def frame_fault(

@@ -3,7 +3,7 @@
 from datetime import datetime
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from pipeline.calibration.model import Lens
 from pipeline.decoding.front_side import RimVotes
@@ -61,34 +61,26 @@ class GroupSays(_Said):
     attributes: StoreAttributes
 
 
+class _ArrayLabels(_Said):
+    units: str | None = None
+
+    @property
+    def since(self) -> str | None:
+        """What times count from; None: the first frame."""
+        return (self.units or "").partition(" since ")[2] or None
+
+    @model_validator(mode="after")
+    def _check(self) -> "_ArrayLabels":
+        if self.since is not None:
+            datetime.fromisoformat(self.since)
+        return self
+
+
 class ArraySays(_Said):
     """The ``zarr.json`` of one of its arrays."""
 
     shape: tuple[_Count, ...]
-
-
-class TimeLabels(_Said):
-    """What the array of times says of itself."""
-
-    units: str
-
-    @property
-    def since(self) -> str | None:
-        """What the times count from; None: the first frame."""
-        return self.units.partition(" since ")[2] or None
-
-    @field_validator("units")
-    @classmethod
-    def _check_units(cls, units: str) -> str:
-        if units.partition(" since ")[2]:
-            datetime.fromisoformat(units.partition(" since ")[2])
-        return units
-
-
-class TimesSay(_Said):
-    """The ``zarr.json`` of the array of times."""
-
-    attributes: TimeLabels
+    attributes: _ArrayLabels = _ArrayLabels()
 
 
 def parsed(model: type[M], content: bytes, where: str) -> M:

@@ -24,7 +24,6 @@ from pipeline.output.store_files import (
     read_chunk,
     read_mark,
     read_metadata,
-    read_times,
 )
 from pipeline.output.surface_mesh import MeshCounts, MeshOptions, surface_mesh
 from pipeline.showing import to_html
@@ -65,7 +64,6 @@ class StoredResult:
             self._files = StoreFiles(location)
             found = read_metadata(self._files)
             self.done = () if found is None else tuple(sorted(marked_frames(self._files, found.n_frames)))
-            self._times = None if found is None else read_times(self._files, found.n_frames)
         except FootageError:
             raise
         except DamageError as error:
@@ -249,7 +247,8 @@ class StoredResult:
 
     def time_s(self, number: int) -> float | None:
         """Return when a frame was taken, s, since 1970 or since the first frame; None: the footage does not say."""
-        return None if self._times is None else self._times.of(number)
+        times = self._metadata.times
+        return None if times is None else times.of(number)
 
     def warnings(self, number: int) -> list[str]:
         """Return what the user should know of a frame.

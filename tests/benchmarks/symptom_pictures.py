@@ -31,6 +31,7 @@ from pipeline import Decoder, DecodeSettings
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.footage.opening import open_source
 from pipeline.footage.source import StoredFrame
+from pipeline.output.pictures.picture_overlay import ColorScale
 from pipeline.output.range_image import depth_colors, shade_range
 from pipeline.simulation import SimulatedFrame
 from tikernels import runtime
@@ -73,12 +74,13 @@ def shaded(frame: DecodedFrame, part: Any = WHOLE) -> Picture:
 
 def ranges(frame: DecodedFrame, *truths: SimulatedFrame, part: Any = WHOLE) -> Picture:
     """Return a range image as `range.png` shows it, in the colours of the true depths where these are given."""
-    limits = None
+    values = frame.range_image
+    scale = ColorScale.over(values[frame.mask & np.isfinite(values)], "", "")
     if truths:
         depths_mm = np.concatenate([truth.points[..., 2][truth.mask] for truth in truths])
         near, far = np.percentile(depths_mm, (1, 99)).tolist()
-        limits = (near - 25.0, far + 25.0)
-    return depth_colors(frame.range_image, frame.mask, limits)[part]
+        scale = ColorScale(near - 25.0, far + 25.0, "", "")
+    return depth_colors(values, frame.mask, scale)[part]
 
 
 def seen(name: str) -> tuple[Symptom, DecodedFrame]:

@@ -8,6 +8,7 @@ import numpy as np
 from pipeline.calibration.model import Lens
 from pipeline.output.store import ResultStore, chosen_fields
 from pipeline.output.store_files import _digest
+from pipeline.text import one_line
 
 HEIGHT, WIDTH = 60, 80
 #: That sees a plane at 400 mm.
@@ -29,7 +30,7 @@ def store(path, distances, missing=(), in_mm=True, step=1, leave_out=(), also=()
     fields = chosen_fields([name for name in fields if name not in leave_out], in_mm=in_mm)
     identity = {"colorphase_version": "1", "settings": {}, "step": step, "range_unit": "mm" if in_mm else "rad"}
     if footage is not None:
-        identity["footage"] = {"name": footage}
+        identity["footage"] = {"name": one_line(footage)}
     if lens is not None:
         identity["camera"] = lens.model_dump(mode="json")
     written = ResultStore.make(path, identity, fields, len(distances), (WIDTH, HEIGHT))

@@ -16,6 +16,7 @@ from tikernels.launching import constant, kernel
 from tikernels.phase.brightness_ripple import contrast_slope, exponential_near_zero, measure_ripple, ripple_at
 from tikernels.phase.phase_vector import color_at
 from tikernels.phase.white_light import FrameLight, light_by_white
+from tikernels.raw.linearization import srgb_values
 from tikernels.strips import STRIP, strip_at, strip_count
 
 #: What 255 stands for, in units of full scale: under white all primaries reach a channel, under a fringe hardly more
@@ -63,8 +64,7 @@ def encode_texture_kernel(
 def srgb_table() -> npt.NDArray[np.int32]:
     """Return sRGB of 0 to 255 for evenly spaced square roots of light of 0 to 1 (IEC 61966-2-1)."""
     light = np.linspace(0, 1, _ROOTS) ** 2
-    encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-    return constant(np.rint(255 * encoded).astype(np.int32))
+    return constant(np.rint(255 * srgb_values(light)).astype(np.int32))
 
 
 def measure_texture(light: FrameLight, phase: F32, mask: Mask, period_px: float, out: U8 | None = None) -> U8:

@@ -5,7 +5,7 @@ Rec. ITU-R BT.709-6.
 """
 
 from functools import cache
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +15,8 @@ from tikernels._taichi import AnyArray3, F32Array1, F32Array3, f32, ti
 from tikernels.arrays import F32, LevelsImage
 from tikernels.errors import ShapeError
 from tikernels.launching import kernel
+
+Float = TypeVar("Float", np.float32, np.float64)
 
 TRANSFERS = ("linear", "srgb", "bt709")
 
@@ -105,6 +107,11 @@ def linear_values(encoded: npt.ArrayLike, transfer: Transfer) -> npt.NDArray[np.
     if transfer != "linear":
         raise ShapeError(f"transfer is {transfer!r}: choose {', '.join(TRANSFERS)}")
     return values
+
+
+def srgb_values(light: npt.NDArray[Float]) -> npt.NDArray[Float]:
+    """Return the encoded values of linear light, both in 0..1, in its type; the inverse of `linear_values`."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 def linearize(

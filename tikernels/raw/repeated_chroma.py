@@ -6,6 +6,7 @@ pairs. Luma is what is smooth across both steps, which shows its weights of red 
 levels were whole ones, of 256 as in JPEG or of 220 as in video, which shows where the samples sat.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tikernels import runtime
-from tikernels.raw.chroma_upsampling import chroma_gains, convert_chroma
+from tikernels.raw.chroma_upsampling import convert_chroma
 from tikernels.raw.pixel_format import LUMA_WEIGHTS, Matrix, PixelFormat, Siting
 
 # Lines of a frame that are looked at in each direction: 1 % of its pixels and 0.1 ms show it.
@@ -67,6 +68,15 @@ def find_repeated_chroma(image: Levels, white: float) -> RepeatedChroma | None:
 
 def undo_repeated_chroma(image: Levels, white: float, found: RepeatedChroma) -> Levels:
     """Return an RGB frame with chroma interpolated between its samples, as `convert_chroma` does; of the same type."""
+    rgb = white * runtime.to_host(convert_chroma(*repeated_samples(image, white, found)))
+    return (rgb if image.dtype.kind == "f" else np.rint(rgb)).astype(image.dtype)
+
+
+def repeated_samples(
+    image: Levels, white: float, found: RepeatedChroma
+) -> tuple[tuple[npt.NDArray[np.uint16], ...], PixelFormat]:
+    """Return the luma and the chroma samples, of 16 bits, of which an RGB frame was made, and how they are stored."""
+    (across, down), (left, above) = found.pixels, found.origin
     format = PixelFormat(
         "yuv",
         16,
@@ -77,13 +87,7 @@ def undo_repeated_chroma(image: Levels, white: float, found: RepeatedChroma) -> 
         full_range=True,
     )
     height, width = image.shape[:2]
-    red, blue = LUMA_WEIGHTS[found.matrix]
-    of_red, _, _, of_blue = chroma_gains(format)
-    luma = np.array([red, 1 - red - blue, blue])
-    ycc = np.array([luma, (np.array([0, 0, 1]) - luma) / of_blue, (np.array([1, 0, 0]) - luma) / of_red])
-    scale = format.white_level / white
-    planes = cv2.split(cv2.transform(image.astype(np.float32), np.column_stack([scale * ycc, [0, 2**15, 2**15]])))
-    (across, down), (left, above) = found.pixels, found.origin
+    planes = luma_and_chroma(image, white, found.matrix)
     rows, columns = format.plane_shapes(height, width)[1]
     # Each sample is the mean of its pixels that are there, or rather of those that no end of the scale has cut.
     size = (rows * down, columns * across)
@@ -98,9 +102,16 @@ def undo_repeated_chroma(image: Levels, white: float, found: RepeatedChroma) -> 
 
     weights = sums(uncut_weight)
     parts = (planes[0], *(sums(uncut_weight * plane) / weights for plane in planes[1:]))
-    stored = tuple(np.rint(np.clip(part, 0, format.white_level)).astype(np.uint16) for part in parts)
-    rgb = white * runtime.to_host(convert_chroma(stored, format))
-    return (rgb if image.dtype.kind == "f" else np.rint(rgb)).astype(image.dtype)
+    return tuple(np.rint(np.clip(part, 0, format.white_level)).astype(np.uint16) for part in parts), format
+
+
+def luma_and_chroma(image: Levels, white: float, matrix: Matrix) -> Sequence[npt.NDArray[np.float32]]:
+    """Return Y, Cb and Cr of an RGB frame, (H, W) each, in full range of 16 bits."""
+    red, blue = LUMA_WEIGHTS[matrix]
+    luma = np.array([red, 1 - red - blue, blue])
+    blue_chroma, red_chroma = (np.array([0, 0, 1]) - luma) / (1 - blue), (np.array([1, 0, 0]) - luma) / (1 - red)
+    ycc = 65535 / white * np.array([luma, blue_chroma / 2, red_chroma / 2])
+    return cv2.split(cv2.transform(image.astype(np.float32), np.column_stack([ycc, [0, 2**15, 2**15]])))
 
 
 @np.errstate(invalid="ignore")  # of infinities, which are no levels

@@ -25,10 +25,9 @@ from pipeline.limits import check_mesh_size, read_plain
 from pipeline.output.formats import Content, Heading, remarks_in, text_rows
 from pipeline.output.mesh import Mesh, face_normals, vertex_normals
 from pipeline.output.range_image import encode_png
+from tikernels.raw.linearization import linear_values, srgb_values
 
-_SRGB = np.arange(256) / 255
-_SRGB_TO_LINEAR = np.where(_SRGB <= 0.04045, _SRGB / 12.92, ((_SRGB + 0.055) / 1.055) ** 2.4)
-
+_SRGB_TO_LINEAR = linear_values(np.arange(256) / 255, "srgb")
 #: What this reads.
 READ_SUFFIXES = (".obj", ".stl", ".glb", ".gltf")
 # Bytes of an OBJ file in which its remarks are.
@@ -244,8 +243,7 @@ def _colors(solid: Any) -> npt.NDArray[np.uint8] | None:
             return None
         full = np.iinfo(linear.dtype).max if linear.dtype.kind == "u" else 1.0
         light = np.clip(linear[:, :3].astype(np.float64) / full, 0, 1)
-        encoded = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-        return np.asarray(np.rint(255 * encoded), np.uint8)
+        return np.asarray(np.rint(255 * srgb_values(light)), np.uint8)
     if not visual.defined:
         return None
     found = np.asarray((visual.to_color() if visual.kind == "texture" else visual).vertex_colors, np.uint8)

@@ -10,7 +10,7 @@ G. Turk, The PLY polygon file format, 1994.
 import re
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, BinaryIO
 
@@ -35,7 +35,7 @@ _BLOCK = 2**14
 # What lists of corners are called, and the elements that are used.
 _CORNERS = ("vertex_indices", "vertex_index")
 _USED = ("vertex", "face", "tristrips")
-_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "ascii"}
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 
 
 def encode_ply(mesh: Mesh, heading: Heading) -> dict[str, Content]:
@@ -103,18 +103,19 @@ def decode_ply(data: bytes) -> tuple[Mesh, dict[str, str]]:
         raise ValueError(f"its header has no end within {_LONGEST_HEAD} bytes")
     body = data[len(head) + len(end) :]
     lines = head.decode("ascii", "replace").splitlines()
-    order, elements = _parse_header([line.split() for line in lines])
+    is_text, elements = _parse_header([line.split() for line in lines])
     counts = {element.name: element.count for element in elements}
     vertices = next(element for element in elements if element.name == "vertex")
     if not {*POSITION} <= {name for name, (count, _) in vertices.properties.items() if count is None}:
         raise ValueError("its vertices have no x, y and z")
     check_mesh_size(counts["vertex"], sum(counts.get(name, 0) for name in _USED[1:]))
-    if order == "ascii":
-        elements = [element.as_doubles() for element in elements]
+    if is_text:
         body = np.array(body.split(), np.float64).tobytes()
     else:
         body = body[2 if body[:2] == b"\r\n" else 1 :]
-    tables = _read_elements(body, elements)
+    tables, at = {}, 0
+    for element in elements[: max(i for i, element in enumerate(elements) if element.name in _USED) + 1]:
+        tables[element.name], at = _read_rows(body, at, element)
     vertex, triangles = tables["vertex"], [np.empty((0, 3), np.int64)]
     for name, joined in (("face", _fans), ("tristrips", _strips)):
         table = tables.get(name, {})
@@ -150,12 +151,7 @@ class _Element:
 
     name: str
     count: int
-    properties: dict[str, tuple[str | None, str]] = field(default_factory=dict)
-
-    def as_doubles(self) -> "_Element":
-        """Return the same of numbers that were read from text."""
-        as_read = {name: (count and "=f8", "=f8") for name, (count, _) in self.properties.items()}
-        return _Element(self.name, self.count, as_read)
+    properties: dict[str, tuple[str | None, str]]
 
     def layout(self, lengths: Sequence[int]) -> np.dtype:
         """Return the layout of a row whose lists have these lengths; a list's count has the name before its own."""
@@ -166,37 +162,33 @@ class _Element:
         return np.dtype(fields)
 
 
-def _read_elements(body: bytes, elements: Sequence[_Element]) -> dict[str, dict[str, _Column]]:
-    """Return each element's properties by name, up to the last that is used."""
-    used = [index for index, element in enumerate(elements) if element.name in _USED]
-    tables, at = {}, 0
-    for element in elements[: used[-1] + 1]:
-        tables[element.name], at = _read_rows(body, at, element)
-    return tables
-
-
 def _read_rows(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Column], int]:
-    """Return an element's properties, and where its rows end."""
+    """Return an element's properties, if it is used, and where its rows end."""
     if not element.properties:
         return {}, at
     lists = [name for name, (count, _) in element.properties.items() if count is not None]
-    lengths = _lengths(body, at, element) if element.count else [0] * len(lists)
-    layout = element.layout(lengths)
-    end = at + element.count * layout.itemsize
-    if end <= len(body):  # of almost all files lists are of one length
-        rows = np.frombuffer(body, layout, element.count, at)
-        if all((rows[f"#{name}"] == length).all() for name, length in zip(lists, lengths, strict=True)):
-            return {
-                name: _Column(rows[name])
-                if name not in lists
-                else _Column(rows[name].ravel(), rows[f"#{name}"].astype(np.int64))
-                for name in element.properties
-            }, end
-    elif not lists:
+    shortest = element.layout([0] * len(lists))
+    if not lists and at + element.count * shortest.itemsize > len(body):
+        promised = element.count * shortest.itemsize
         raise ValueError(
-            f"it is truncated: its header promises {end - at} bytes of {element.name}, {len(body) - at} follow"
+            f"it is truncated: its header promises {promised} bytes of {element.name}, {len(body) - at} follow"
         )
-    return _read_uneven(body, at, element)
+    parts, left, layouts = [np.empty(0, shortest)], element.count, dict[tuple[int, ...], np.dtype]()
+    at_once = left  # of almost all files lists are of one length
+    while left:
+        lengths = tuple(_lengths(body, at, element))
+        layout = layouts[lengths] = layouts.get(lengths) or element.layout(lengths)
+        rows = np.frombuffer(body, layout, min(at_once, left, (len(body) - at) // layout.itemsize), at)
+        said = zip(lists, lengths, strict=True)
+        if at_once > 1 and not all((rows[f"#{name}"] == length).all() for name, length in said):
+            at_once = 1
+            continue
+        if element.name in _USED:
+            parts.append(rows)
+        at, left = at + rows.nbytes, left - len(rows)
+    columns = {name: np.concatenate([part[name].ravel() for part in parts]) for name in element.properties}
+    counts = {name: np.concatenate([part[f"#{name}"] for part in parts]).astype(np.int64) for name in lists}
+    return {name: _Column(values, counts.get(name)) for name, values in columns.items()}, at
 
 
 def _lengths(body: bytes, at: int, element: _Element) -> list[int]:
@@ -222,27 +214,6 @@ def _lengths(body: bytes, at: int, element: _Element) -> list[int]:
 def _number(kind: str) -> struct.Struct:
     """Return what reads one number of a NumPy type; many of them are read one after another."""
     return struct.Struct(kind[0] + np.dtype(kind).char)
-
-
-def _read_uneven(body: bytes, at: int, element: _Element) -> tuple[dict[str, _Column], int]:
-    """Return the properties of rows whose lists differ in length, row by row."""
-    layouts: dict[tuple[int, ...], np.dtype] = {}
-    rows = []
-    for _ in range(element.count):
-        lengths = tuple(_lengths(body, at, element))
-        if lengths not in layouts:
-            layouts[lengths] = element.layout(lengths)
-        if element.name in _USED:
-            rows.append(np.frombuffer(body, layouts[lengths], 1, at)[0])
-        at += layouts[lengths].itemsize
-    if not rows:
-        return {}, at
-    return {
-        name: _Column(np.array([row[name] for row in rows]))
-        if count is None
-        else _Column(np.concatenate([row[name] for row in rows]), np.array([len(row[name]) for row in rows]))
-        for name, (count, _) in element.properties.items()
-    }, at
 
 
 def _fans(corners: npt.NDArray[np.int64], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
@@ -285,34 +256,30 @@ def _whole(values: npt.NDArray[Any], what: str, dtype: type[np.integer[Any]]) ->
     return values.astype(dtype)
 
 
-def _parse_header(lines: list[list[str]]) -> tuple[str, list[_Element]]:
-    """Return a PLY header's byte order, or that it is text, and its elements."""
-    order = ""
+def _parse_header(lines: list[list[str]]) -> tuple[bool, list[_Element]]:
+    """Return whether a PLY file's numbers are text, and its elements."""
+    is_text, types = False, dict[str, str]()
     elements: list[_Element] = []
     for line in lines:
         match line:
+            case ["format", "ascii", "1.0"]:
+                is_text, types = True, dict.fromkeys(_TYPES, "=f8")  # as they are read
             case ["format", encoding, "1.0"] if encoding in _BYTE_ORDERS:
-                order = _BYTE_ORDERS[encoding]
+                types = {name: _BYTE_ORDERS[encoding] + kind for name, kind in _TYPES.items()}
             case ["element", name, count] if re.fullmatch("[0-9]{1,18}", count):
-                elements.append(_Element(name, int(count)))
-            case ["property", "list", count, kind, name] if elements and {count, kind} <= _TYPES.keys():
-                _add_property(elements[-1], name, _TYPES[count], _TYPES[kind])
-            case ["property", kind, name] if elements and kind in _TYPES:
-                _add_property(elements[-1], name, None, _TYPES[kind])
+                elements.append(_Element(name, int(count), {}))
+            case ["property", "list", count, kind, name] if elements and {count, kind} <= types.keys():
+                _add_property(elements[-1], name, types[count], types[kind])
+            case ["property", kind, name] if elements and kind in types:
+                _add_property(elements[-1], name, None, types[kind])
             case [] | ["ply"] | ["comment" | "obj_info", *_]:
                 pass
             case _:
                 raise ValueError(f"its header says {' '.join(line)[:80]!r}")
     names = [element.name for element in elements]
-    if not order or "vertex" not in names or len({*names}) < len(names):
+    if not types or "vertex" not in names or len({*names}) < len(names):
         raise ValueError("its header does not announce vertices, once, and how they are stored")
-    mark = "=" if order == "ascii" else order
-    return order, [
-        replace(
-            each, properties={k: (count and mark + count, mark + kind) for k, (count, kind) in each.properties.items()}
-        )
-        for each in elements
-    ]
+    return is_text, elements
 
 
 def _add_property(element: _Element, name: str, count: str | None, kind: str) -> None:

@@ -37,9 +37,8 @@ class _Drawing:
         if job.compared is not None:
             compared = read_mesh(job.compared)
             distance = distance_from(compared)
-            if (
-                note := check_boxes(np.concatenate([mesh.vertices for mesh in samples]), compared.vertices)
-            ) is not None:
+            note = check_boxes(np.concatenate([mesh.vertices for mesh in samples]), compared.vertices)
+            if note is not None:
                 _say({"note": note})
         self._scene = Scene(samples, job.options, distance)
         ground = BLACK if job.options.transparent else GROUND
@@ -61,7 +60,9 @@ class _Drawing:
         """Return the surface of a still."""
         mesh = self._source.mesh(self._job.numbers[0])
         if mesh is None:
-            raise RenderError(_nothing(self._source, self._job.numbers[0]))
+            number = self._job.numbers[0]
+            empty = f"frame {number} shows no surface: choose another --frame"
+            raise RenderError(self._source.broken.get(number, empty))
         return mesh
 
     def _draw_still(self, path: str) -> None:
@@ -104,7 +105,7 @@ class _Drawing:
                 else:
                     encoder.add(self._scene.picture(self._renderer, i / max(len(numbers) - 1, 1), label))
                 _say({"part": part.first, "drawn": i + 1 - part.first})
-        broken = {number: why for number, why in self._broken().items() if number in held}
+        broken = {number: why for number, why in self._source.broken.items() if number in held}
         size = Path(partial).stat().st_size
         record = PartRecord(held=tuple(held), broken=broken, codec=encoder.codec, bytes=size)
         sync(Path(partial))
@@ -123,9 +124,6 @@ class _Drawing:
                 return number
         return None
 
-    def _broken(self) -> dict[int, str]:
-        return self._source.broken if isinstance(self._source, StoreSource) else {}
-
 
 def _with_opacity(on_black: npt.NDArray[np.uint8], on_white: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
     """Return what is the same before black and before white, (H, W, 4) RGB and opacity."""
@@ -140,12 +138,6 @@ def _source_of(job: PictureJob) -> MeshSource | StoreSource:
         return MeshSource(job.mesh)
     runtime.init("cpu")  # meshes are joined while a graphics card draws
     return StoreSource(str(job.store), job.options.colors)
-
-
-def _nothing(source: MeshSource | StoreSource, number: int) -> str:
-    if isinstance(source, StoreSource) and number in source.broken:
-        return source.broken[number]
-    return f"frame {number} shows no surface: choose another --frame"
 
 
 def _say(what: dict[str, Any]) -> None:

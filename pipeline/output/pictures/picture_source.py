@@ -29,6 +29,7 @@ class MeshSource:
     def __init__(self, path: str | Path) -> None:
         self._path = Path(path)
         self._mesh = read_mesh(path)
+        self.broken: dict[int, str] = {}
 
     def samples(self) -> list[Mesh]:
         """Return the meshes that set the limits and the eye's place."""

@@ -15,9 +15,9 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-import tifffile
 from PIL import Image, ImageCms
 from support.missing import import_but_fail_in_ci
+from support.tiff_samples import packed_tiff, tiff
 
 from pipeline.decoder import Decoder
 from pipeline.errors import FootageError
@@ -41,17 +41,6 @@ RIG = simulated_rig(code="contrast").model_copy(
         "response": np.tile(np.linspace(0, 1, 256) ** LIGHT.gamma, (3, 1)),
     }
 )
-#: How a picture is stored that Exif turns upright.
-STORED = {
-    1: lambda a: a,
-    2: lambda a: a[:, ::-1],
-    3: lambda a: a[::-1, ::-1],
-    4: lambda a: a[::-1],
-    5: lambda a: a.swapaxes(0, 1),
-    6: lambda a: a.swapaxes(0, 1)[::-1],
-    7: lambda a: a.swapaxes(0, 1)[::-1, ::-1],
-    8: lambda a: a.swapaxes(0, 1)[:, ::-1],
-}
 
 
 @dataclass(frozen=True)
@@ -156,24 +145,8 @@ def by_opencv(image, suffix, *options):
     return cv2.imencode(suffix, np.ascontiguousarray(image[..., [2, 1, 0, 3][: image.shape[2]]]), options)[1].tobytes()
 
 
-def tiff(*pages, **options):
-    file = io.BytesIO()
-    own = {key: options.pop(key) for key in ("bigtiff", "byteorder") if key in options}
-    with tifffile.TiffWriter(file, **own) as writer:
-        for page in pages:
-            image, more = page if isinstance(page, tuple) else (page, {})
-            writer.write(image, contiguous=False, metadata=None, **{"photometric": "rgb", **options, **more})
-    return file.getvalue()
-
-
 def converted(kind, mode, **options):
     return lambda levels: pil(Image.fromarray(levels.eight).convert(mode), kind, **options)
-
-
-def exif(orientation):
-    tags = Image.Exif()
-    tags[274] = orientation
-    return tags
 
 
 def profile(gamma):
@@ -237,28 +210,20 @@ def heic(image, **options):
     return file.getvalue()
 
 
-def packed_tiff(levels, bits):
-    """Return a TIFF whose values have no gaps between them, as libtiff reads them: the highest bit first."""
-    values = np.rint((2**bits - 1) * levels.light).astype(np.uint16).reshape(HEIGHT, -1, 1)
-    rows = np.packbits((values >> np.arange(bits - 1, -1, -1) & 1).reshape(HEIGHT, -1).astype(np.uint8), axis=1)
-    usual = {256: WIDTH, 257: HEIGHT, 259: 1, 262: 2, 273: 200, 277: 3, 278: HEIGHT, 279: rows.size}
-    entries = sorted([*((tag, 4, 1, value) for tag, value in usual.items()), (258, 3, 3, 190)])
-    head = b"II*\0" + struct.pack("<IH", 8, len(entries)) + b"".join(struct.pack("<HHII", *each) for each in entries)
-    return head.ljust(190, b"\0") + struct.pack("<HHH", bits, bits, bits).ljust(10, b"\0") + rows.tobytes()
+def of_bits(levels, bits):
+    return np.rint((2**bits - 1) * levels.light).astype(np.uint16)
 
 
 def packed(bits):
-    return lambda levels: (
-        (np.rint((2**bits - 1) * levels.light).astype(np.uint16),),
-        PixelFormat("rgb", bits),
-        "linear",
-    )
+    return lambda levels: ((of_bits(levels, bits),), PixelFormat("rgb", bits), "linear")
 
 
 MOTION, ZEROS = b"MotionPhoto_Data" + bytes(range(256)) * 40, bytes(20000)
 CUT, DAMAGED = "is truncated: copy it again", "is damaged: copy it again"
 GREY, RAW = "it is grey, but the phase is in the colours", "it is a camera's raw file"
 ALPHA = "it is transparent in parts, which is not used"
+TURNED = Image.Exif()
+TURNED[274] = 6
 SAVE_ALL = {"save_all": True, "append_images": [Image.new("RGB", SIZE), Image.new("RGB", SIZE)]}
 
 FILES = {
@@ -340,7 +305,10 @@ FILES = {
     "strips.tif": File(lambda f: tiff(f.sixteen, rowsperstrip=7), SIXTEEN),
     "big.tif": File(lambda f: tiff(f.sixteen, bigtiff=True), SIXTEEN),
     "planes 8.tif": File(lambda f: tiff(np.moveaxis(f.eight, -1, 0), planarconfig="separate"), EIGHT),
-    **{f"packed {bits}.tif": File(lambda f, bits=bits: packed_tiff(f, bits), packed(bits)) for bits in (10, 12, 14)},
+    **{
+        f"packed {bits}.tif": File(lambda f, bits=bits: packed_tiff(of_bits(f, bits), bits), packed(bits))
+        for bits in (10, 12, 14)
+    },
     **{
         f"{kind} {bits}.tif": File(
             lambda f, kind=kind, key=key: tiff(with_alpha(getattr(f, key)), extrasamples=[kind]), wanted, note=ALPHA
@@ -430,22 +398,11 @@ FILES = {
     "lossless.heic": File(lambda f: heic(f.srgb, chroma=444, matrix_coefficients=0), SRGB),
     "a phone's.heic": File(lambda f: heic(f.srgb, chroma=420), planes(2, 2)),
     "gif.gif": File(converted("GIF", "P"), "it is a picture in GIF"),
-    **{
-        f"turned {orientation}{suffix}": File(make, wanted)
-        for orientation in range(2, 9)
-        for suffix, wanted, make in (
-            (".jpg", planes(1, 1), lambda f, n=orientation: jpeg(STORED[n](f.srgb), exif=exif(n))),
-            (".png", EIGHT, lambda f, n=orientation: pil(STORED[n](f.eight), "PNG", exif=exif(n))),
-            (
-                ".tif",
-                SIXTEEN,
-                lambda f, n=orientation: tiff(
-                    np.ascontiguousarray(STORED[n](f.sixteen)), extratags=[(274, 3, 1, n, True)]
-                ),
-            ),
-        )
-    },
-    "turned 6.webp": File(lambda f: pil(STORED[6](f.srgb), "WEBP", lossless=True, exif=exif(6)), SRGB),
+    # What a camera that was turned to the left stores.
+    "turned.jpg": File(lambda f: jpeg(np.rot90(f.srgb), exif=TURNED), planes(1, 1)),
+    "turned.png": File(lambda f: pil(np.rot90(f.eight), "PNG", exif=TURNED), EIGHT),
+    "turned.tif": File(lambda f: tiff(np.rot90(f.sixteen), extratags=[(274, 3, 1, 6, True)]), SIXTEEN),
+    "turned.webp": File(lambda f: pil(np.rot90(f.srgb), "WEBP", lossless=True, exif=TURNED), SRGB),
 }
 _REFERENCES: dict[Any, float] = {}
 

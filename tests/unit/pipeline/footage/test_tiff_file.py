@@ -1,12 +1,11 @@
 """Pages of TIFF files are frames; a page that OpenCV would read otherwise than it is stored is refused."""
 
-import io
 import struct
 
 import cv2
 import numpy as np
 import pytest
-import tifffile
+from support.tiff_samples import packed_tiff, tiff
 
 from pipeline.errors import FootageError
 from pipeline.footage.image_file import read_image
@@ -19,18 +18,6 @@ HEIGHT, WIDTH = 24, 40
 RNG = np.random.default_rng(2)
 PAGES = RNG.integers(0, 65536, (3, HEIGHT, WIDTH, 3)).astype(np.uint16)
 SMALL = (PAGES[0] >> 8).astype(np.uint8)
-
-
-def tiff(*pages, **options):
-    """Return a file of some pages, each an array, or an array and options of its own."""
-    file = io.BytesIO()
-    with tifffile.TiffWriter(
-        file, **{key: options.pop(key) for key in ("bigtiff", "byteorder") if key in options}
-    ) as writer:
-        for page in pages:
-            levels, own = page if isinstance(page, tuple) else (page, {})
-            writer.write(levels, contiguous=False, metadata=None, **{"photometric": "rgb", **options, **own})
-    return file.getvalue()
 
 
 def written(folder, data, name="stack.tif"):
@@ -121,15 +108,8 @@ def test_colours_are_not_multiplied_by_their_transparency(tmp_path, levels, alph
 
 @pytest.mark.parametrize("bits", [10, 12, 14])
 def test_bits_that_are_packed(tmp_path, bits):
-    """What is written here is what libtiff reads: rows of values, the highest bit first."""
     levels = PAGES[0] >> (16 - bits)
-    digits = (levels.reshape(HEIGHT, -1, 1) >> np.arange(bits - 1, -1, -1)) & 1
-    rows = np.packbits(digits.reshape(HEIGHT, -1).astype(np.uint8), axis=1)
-    entries = [(256, WIDTH), (257, HEIGHT), (259, 1), (262, 2), (273, 200), (277, 3), (278, HEIGHT), (279, rows.size)]
-    entries = sorted([*((tag, 4, 1, value) for tag, value in entries), (258, 3, 3, 190)])
-    head = b"II*\0" + struct.pack("<IH", 8, len(entries)) + b"".join(struct.pack("<HHII", *entry) for entry in entries)
-    data = head.ljust(190, b"\0") + struct.pack("<HHH", bits, bits, bits).ljust(10, b"\0") + rows.tobytes()
-    (frame,) = open_source(written(tmp_path, data)).frames()
+    (frame,) = open_source(written(tmp_path, packed_tiff(levels, bits))).frames()
     assert (frame.format.bits, frame.format.shift) == (bits, 16 - bits)
     np.testing.assert_array_equal(frame.planes[0] >> (16 - bits), levels)
 

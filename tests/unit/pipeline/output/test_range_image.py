@@ -7,9 +7,14 @@ import cv2
 import numpy as np
 import pytest
 
+from pipeline.output.pictures.picture_overlay import ColorScale
 from pipeline.output.range_image import depth_colors, shade_range, write_range_image
 
 GREY = 48
+
+
+def colored(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    return depth_colors(values, mask, ColorScale.over(values[mask & np.isfinite(values)], "", ""))
 
 
 def read_png(path: Path) -> np.ndarray:
@@ -42,7 +47,7 @@ def test_range_image_shows_values_and_scale(tmp_path: Path, unit: Any) -> None:
         assert rim[0] > rim[2] + 50, "the object's far rim is red"
         assert np.ptp(far) == 0, "the wall behind it has no colour"
     else:
-        np.testing.assert_array_equal(picture[:, :200], depth_colors(depth, mask))
+        np.testing.assert_array_equal(picture[:, :200], colored(depth, mask))
         assert far[0] > far[2] + 50, "far is red"
     assert (picture[:, 200:] > 200).all(axis=-1).sum() > 30, "numbers in white"
 
@@ -51,9 +56,9 @@ def test_outliers_do_not_take_the_colors() -> None:
     values = np.linspace(0, 1, 10_000, dtype=np.float32).reshape(100, 100)
     spiked = values.copy()
     spiked[0, 0], spiked[-1, -1] = -1e6, np.inf
-    usual, whole = depth_colors(values, values >= 0), np.ones((100, 100), bool)
+    usual, whole = colored(values, values >= 0), np.ones((100, 100), bool)
     # Two of 10,000 pixels move the limits by a level of the map at most.
-    np.testing.assert_allclose(depth_colors(spiked, whole)[1:-1].astype(float), usual[1:-1], atol=6)
+    np.testing.assert_allclose(colored(spiked, whole)[1:-1].astype(float), usual[1:-1], atol=6)
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (9, 1), (480, 640)])
@@ -67,7 +72,7 @@ def test_all_masked_pictures_are_grey(tmp_path: Path, shape: tuple[int, int]) ->
 
 def test_a_constant_range_has_one_color(tmp_path: Path) -> None:
     flat, mask = np.full((30, 40), 812.5, np.float32), np.ones((30, 40), bool)
-    assert len(np.unique(depth_colors(flat, mask).reshape(-1, 3), axis=0)) == 1
+    assert len(np.unique(colored(flat, mask).reshape(-1, 3), axis=0)) == 1
     assert len(np.unique(shade_range(flat, mask).reshape(-1, 3), axis=0)) == 1
     write_range_image(tmp_path / "range.png", flat, mask, "mm")
 

@@ -23,7 +23,6 @@ from pipeline.output.store_files import (
     marked_frames,
     read_mark,
     read_metadata,
-    read_times,
 )
 from pipeline.output.stored_result import StoredResult
 from pipeline.zarr_chunks import with_checksum, without_checksum
@@ -179,7 +178,7 @@ def test_times_since_the_first_frame(tmp_path):
         np.testing.assert_array_equal(result.time, SECONDS)
         assert result.time.attrs["units"] == "s"
     assert StoredResult(tmp_path / "result.zarr").time_s(2) == 3.25
-    times = read_times(StoreFiles(tmp_path / "result.zarr"), 3)
+    times = read_metadata(StoreFiles(tmp_path / "result.zarr")).times
     assert times.since is None
     np.testing.assert_array_equal(times.seconds, SECONDS)
 
