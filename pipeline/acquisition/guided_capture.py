@@ -53,7 +53,7 @@ _SHEET, _ONE_COLOR = 0.3, 0.03
 _STILL_S, _STILL_PX = 2.0, 0.3
 # Time between two looks at it, s.
 _LOOK_S = 0.2
-# A board is at another place where a corner is further than this part of the picture's width from all before.
+# A board has moved since the pose before if a corner is further away than this part of the picture's width.
 _OTHER_PLACE = 0.02
 # Time that somebody has to bring the board, s.
 _PATIENCE_S = 900.0
@@ -277,7 +277,7 @@ class GuidedCapture:
     def _hold_board(self, name: str, board: Board, guide: PoseGuide) -> None:
         """Wait until the board is held still at another place than before, or a key is pressed."""
         suggestion = guide.suggest()
-        before = {pose.name: _by_corner(board, pose.corners_mm, pose.camera_px) for pose in guide.poses}
+        before = _by_corner(board, guide.poses[-1].corners_mm, guide.poses[-1].camera_px) if guide.poses else {}
         covered = np.concatenate([pose.camera_px for pose in guide.poses]) if guide.poses else None
         line = f"{name}: {suggestion.words}"
         self._settled(1.0)
@@ -291,9 +291,8 @@ class GuidedCapture:
             except CalibrationError as error:
                 seen, problem = {}, f" ({error})"
             moves = np.median(_ways_px(last, seen)) > _STILL_PX * width / 640
-            for earlier, pose in before.items():
-                if _ways_px(pose, seen).max() < _OTHER_PLACE * width:
-                    problem = f" (it is where it was in {earlier}: turn it)"
+            if _ways_px(before, seen).max() < _OTHER_PLACE * width:
+                problem = " (it has not moved since the pose before)"
             if moves or problem:
                 since_s = self._studio.now_s()
             last = seen
