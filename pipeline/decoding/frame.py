@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
+from pipeline.causes import Cause
 from pipeline.decoding.buffers import PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.fields import (
     MODULATION_DIGITS,
@@ -122,8 +123,8 @@ class Measured:
 
     phases: PhaseBuffers
     surface: SurfaceBuffers
-    order_doubt: str | None = None  # what the user should know of the orders, or why there are none
-    light_doubts: tuple[str, ...] = ()  # and of the light
+    order_doubt: Cause | None = None  # what the user should know of the orders, or why there are none
+    light_doubts: tuple[Cause, ...] = ()  # and of the light
     n_measured: int = 0  # pixels that belong to regions
     orders: RegionOrders = attribute(default_factory=RegionOrders.of_no_region)
     surfaces: FoundSurfaces | OnlyColor | None = None
@@ -137,7 +138,7 @@ class Measured:
     contrast_doubt: ContrastDoubt = attribute(default=ContrastDoubt(0.0, 0.0))  # of the fit of the phases
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def doubts(self) -> tuple[Cause, ...]:
         """What the user should know."""
         return self.light_doubts if self.order_doubt is None else (self.order_doubt, *self.light_doubts)
 
@@ -154,8 +155,8 @@ class DecodedFrame:
     """Camera px a cycle that the frame was decoded with; None: no fringe was found."""
     noise_levels: float
     """Standard deviation of a channel where the frame is half as bright as at its brightest, grey levels."""
-    warnings: tuple[str, ...]
-    """What the user should know about this frame."""
+    warnings: tuple[Cause, ...]
+    """What the user should know about this frame, each with the `key` of its cause."""
     _measured: Measured = attribute(repr=False)
     _setup: FrameSetup = attribute(repr=False)
 

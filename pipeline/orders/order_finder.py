@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
+from pipeline.causes import Cause
 from pipeline.decoding.buffers import SurfaceBuffers
 from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
@@ -60,7 +61,7 @@ _OUT_OF_RANGE = (
     "{:.0%} of the surface fits at no order into the depth range of {:g} to {:g} mm, which therefore tells none: "
     "give the range of all that is in view"
 )
-_OTHER_SCENE = "nothing of the frame before is seen again: the orders start afresh"
+_OTHER_SCENE = Cause("other scene", "nothing of the frame before is seen again: the orders start afresh")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class Placement:
     carried: CarriedOrders | None  # by the frame before, absolute or not
     coded: bool  # whether a code tells
     left_out: npt.NDArray[np.bool_] | None  # (P,) patches of specks that nothing places, and torn ones
-    warning: str | None  # what the user should know
+    warning: Cause | None  # what the user should know
 
     def offsets(self) -> tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]]:
         """Return the roots of regions, and the whole cycles to add to their orders; later ones overrule earlier ones.
@@ -216,7 +217,10 @@ class OrderFinder:
             found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
             absolute, roots = found.absolute, found.roots
             patches.shift_orders(found.shifts)
-            warning, left_out = None if found.readable else _code_lost(_CODE_NOT_SEEN, seen), found.torn
+            warning, left_out = (
+                None if found.readable else _code_lost("code not seen", _CODE_NOT_SEEN, seen),
+                found.torn,
+            )
         if memory is not None:
             change = memory.orders.change
             votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region, change)
@@ -243,7 +247,7 @@ class OrderFinder:
         orders = with_frame_before(absolute, carried, None if memory is None else memory.orders)
         return Placement(roots, orders, carried, found is not None, left_out, warning)
 
-    def refine(self, seen: SeenPhase, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers) -> str | None:
+    def refine(self, seen: SeenPhase, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers) -> Cause | None:
         """With a code, correct the phases by the modulation that their cycles have.
 
         Parameters
@@ -274,7 +278,7 @@ class OrderFinder:
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
         if lost > _MAX_LOST:
             text = f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
-            return _code_lost(text, seen)
+            return _code_lost("orders guessed", text, seen)
         return None
 
     def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
@@ -295,7 +299,7 @@ class OrderFinder:
 
     def _place_by_depth(
         self, seen: SeenPhase, graph: PatchGraph, roots: npt.NDArray[np.int32] | None, rays: CameraRays | None
-    ) -> tuple[AbsoluteOrders | None, str | None]:
+    ) -> tuple[AbsoluteOrders | None, Cause | None]:
         """Find the orders that the depth range leaves possible, and say if it does not hold what is in view."""
         order_range = self._order_range(seen, graph, rays)
         if order_range is None or self._depth_range_mm is None:
@@ -308,7 +312,7 @@ class OrderFinder:
         if outside > _MAX_OUT_OF_RANGE:
             # What of the rest fits, fits by chance.
             unknown = AbsoluteOrders(parts, (NOTHING_KNOWN,) * len(parts))
-            return unknown, _OUT_OF_RANGE.format(outside, *self._depth_range_mm)
+            return unknown, Cause("out of range", _OUT_OF_RANGE.format(outside, *self._depth_range_mm))
         return AbsoluteOrders(parts, tuple(within.alone() for within in ranges)), None
 
     def _order_range(self, seen: SeenPhase, graph: PatchGraph, rays: CameraRays | None) -> OrderRange | None:
@@ -328,9 +332,11 @@ class OrderFinder:
         return OrderRange(least - here, most - here, self._depth_range_mm is not None)
 
 
-def _code_lost(text: str, seen: SeenPhase) -> str:
+def _code_lost(key: str, text: str, seen: SeenPhase) -> Cause:
     """Return why a code was not read, with the cause where it is other light."""
-    return text if seen.contrast >= _CODE_CONTRAST else text + _OTHER_LIGHT.format(seen.contrast)
+    if seen.contrast >= _CODE_CONTRAST:
+        return Cause(key, text)
+    return Cause("other light", text + _OTHER_LIGHT.format(seen.contrast))
 
 
 def _check_view(geometry: Geometry, depth_mm: float) -> None:

@@ -232,6 +232,8 @@ def test_a_cut_starts_afresh(scenes):
     with pytest.warns(DecodeWarning, match="nothing of the frame before is seen again"):
         frame = decoder.decode(image, previous=previous)
     alone = decoder.decode(image)
+    assert not alone.warnings
+    assert [doubt.key for doubt in frame.warnings] == ["other scene"]
     assert frame.mask.any()
     assert not frame.absolute.any()
     assert (frame.order_error_probability[frame.mask] == 1).all()

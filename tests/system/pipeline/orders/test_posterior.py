@@ -99,6 +99,7 @@ def test_a_range_that_the_surface_leaves_tells_nothing(scene, depth_range):
     """A plane from 815 to 1004 mm; and a wall in the range that is given, with things before it."""
     with pytest.warns(DecodeWarning, match="fits at no order into the depth range of"):
         frame, _ = decoded(scene, depth_range)
+    assert [doubt.key for doubt in frame.warnings] == ["out of range"]
     assert not frame.absolute.any()
 
 
