@@ -33,6 +33,8 @@ _SOFTWARE = "the camera or this machine is too slow; make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
 _BUSY = "let nothing else keep this machine busy, or make the period longer"
 _WRAPPED = "it has 32 bits and began again at 0; nothing is wrong, capture the burst again"
+_UNLIT = "it has one level throughout; take the cap off the lens, and look whether the exposure sees light at all"
+_TWICE = "the camera or its driver delivers frames twice; switch it off and on"
 _SET_BACK = "do not set or synchronise it, or restart the camera, during a capture"
 # Ticks of cameras' clocks of 32 bits, s.
 _TICKS_S = (1e-6, 1e-7, 1e-8, 8e-9, 1e-9)
@@ -270,9 +272,11 @@ def _frame_faults(seen: Evidence) -> list[Fault]:
                 if ignored:
                     reason = f"the camera ignored {ignored} triggers before it: {_IGNORED}"
                     found.append(Fault("trigger ignored", reason, pulse))
-            if is_same_image(before.image, frame.image):
-                reason = "its frame is the one before once more, to the last bit: is the lens covered?"
-                found.append(Fault("same frame", reason, pulse))
+            if frame.image is not None and is_same_image(before.image, frame.image):
+                # Without light a camera may show no noise.
+                one_level = frame.image.min() == frame.image.max()
+                key, look = ("one level", _UNLIT) if one_level else ("same frame", _TWICE)
+                found.append(Fault(key, f"its frame is the one before once more, to the last bit: {look}", pulse))
         before = frame
     return found
 

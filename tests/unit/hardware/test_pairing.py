@@ -114,8 +114,12 @@ def test_frames_that_are_broken_skipped_or_shown_twice():
     assert said(evidence(frames)) == [
         "pulse 1: its frame is not whole (missing packets): check the camera's data cable and its bandwidth",
         "pulse 3: frame 50 follows frame 42: check the camera's data cable and its bandwidth",
-        "pulse 4: its frame is the one before once more, to the last bit: is the lens covered?",
+        "pulse 4: its frame is the one before once more, to the last bit: the camera or its driver delivers frames "
+        "twice; switch it off and on",
     ]
+    assert "one level" not in keys(frames)
+    dark = [frame_of(number, image=np.zeros((4, 4, 3), np.uint8)) for number in range(COUNT)]
+    assert keys(dark) == {"one level"}
 
 
 def test_a_trigger_source_that_restarted_or_complains_comes_first():
