@@ -80,7 +80,7 @@ def open_driver(key: str, name: str, table: Mapping[str, Driver], settings: obje
     except Exception as error:
         if name in table or isinstance(error, _OWN_ERRORS):
             raise
-        raise RigError(f"{key}: {place} cannot be opened ({_described(error)}): mend it") from error
+        raise RigError(f"{key}: {place} cannot be opened ({_described(error)}): correct it") from error
     _refuse_lacking(key, place, instrument, members, protocol)
     return instrument
 
@@ -97,7 +97,7 @@ def load(key: str, place: str) -> Any:
     try:
         module = import_module(module_name)
     except Exception as error:  # a user's module may raise anything
-        cure = "install it, or put its folder on PYTHONPATH" if isinstance(error, ModuleNotFoundError) else "mend it"
+        cure = "install it, or put its folder on PYTHONPATH" if isinstance(error, ModuleNotFoundError) else "correct it"
         raise RigError(f"{key}: {module_name} cannot be imported ({_described(error)}): {cure}") from error
     if not hasattr(module, name):
         raise RigError(f"{key}: {module_name} ({getattr(module, '__file__', 'built in')}) has no {name}: correct it")

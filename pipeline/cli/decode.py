@@ -270,8 +270,11 @@ def _say_whether_relative(location: str) -> None:
 
 
 def _say_summary(summary: DecodeSummary, store: str) -> None:
+    first = min(summary.warned, default=None)
+    doubt = None if first is None else summary.warned[first][0]
     for note in summary.notes:
-        remark(f"note: {note}")
+        if note != doubt:  # which is said below
+            remark(f"note: {note}")
     if summary.damaged:
         number, fault = min(summary.damaged.items())
         remark(f"{frames(len(summary.damaged))} decoded again; frame {number}: {fault}")
@@ -279,9 +282,8 @@ def _say_summary(summary: DecodeSummary, store: str) -> None:
         remark(f"frame {bad.number} is bad: {bad.reason}")
     if len(summary.bad) > _SHOWN:
         remark(f"and {len(summary.bad) - _SHOWN} more frames are bad")
-    if summary.warned:
-        first = min(summary.warned)
-        remark(f"warning: {frames(len(summary.warned))} in doubt; frame {first}: {summary.warned[first][0]}")
+    if doubt is not None:
+        remark(f"warning: {frames(len(summary.warned))} in doubt; frame {first}: {doubt}")
     if summary.unmeasured:
         remark(f"{frames(len(summary.unmeasured))} empty, as frame {summary.unmeasured[0]}: nothing was measured there")
     n_good = summary.n_frames - len(summary.bad)

@@ -137,13 +137,13 @@ def test_what_an_own_driver_raises_comes_through(own):
     [
         ("no_such_module:Own", "no_such_module cannot be imported .*: install it, or put its folder on PYTHONPATH"),
         ("needs_more:Own", "needs_more cannot be imported .*No module named 'a_library_that_is_not_there'.*: install"),
-        ("misspelled:Own", "misspelled cannot be imported .SyntaxError: .*: mend it"),
+        ("misspelled:Own", "misspelled cannot be imported .SyntaxError: .*: correct it"),
         ("own_drivers:Misspelled", r"own_drivers .*own_drivers\.py.* has no Misspelled: correct it"),
         (
             "own_drivers:WithoutTwo",
             "own_drivers:WithoutTwo lacks disarm, close: give it what hardware.protocols.Camera",
         ),
-        ("os:abort", "os:abort cannot be opened .TypeError: .*: mend it"),
+        ("os:abort", "os:abort cannot be opened .TypeError: .*: correct it"),
         ("own_drivers:WIRES", "own_drivers:WIRES cannot be called: name a class, or a function that opens a camera"),
     ],
 )
