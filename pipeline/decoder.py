@@ -8,8 +8,9 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.calibration import Calibration
+from pipeline.calibration import Calibration, CodeName
 from pipeline.causes import Cause
+from pipeline.contrast_code import ContrastCode
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.doubts import (
     CODE_SHOWN,
@@ -195,9 +196,9 @@ class Decoder:
             return result if out is None else out.become(result)
 
     @property
-    def code(self) -> Literal["contrast"] | None:
+    def code(self) -> CodeName | None:
         """The pattern's code: by the settings, the calibration, or the first frame with fringes; None: none yet."""
-        return None if self._path.code_unknown else self._path.code
+        return None if self._path.code_unknown or self._path.code is None else self._path.code.name
 
     def use_code(self, code: Literal["contrast"] | None) -> None:
         """Take what another decoder has seen of a code, instead of looking for one in the first frame with fringes.
@@ -205,8 +206,8 @@ class Decoder:
         A code that settings or calibration state stays.
         """
         if self._path.code_unknown:
-            self._path.use_code(code)
-            self._orders.code = code
+            self._path.use_code(None if code is None else ContrastCode.named(code))
+            self._orders.code = self._path.code
 
     @property
     def asks_for_light(self) -> bool:
@@ -267,7 +268,7 @@ class Decoder:
         work.smoother.along(work.raw_phase, phases.precision, rates, out=work.phase)
         patches = work.unwrapper.join(work.phase, phases.modulation, rates)
         smoothed = (work.phase, phases.modulation, rates)
-        seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px, float(model.contrast))
+        seen = SeenPhase(image, gains, crosstalk, *smoothed, correction, period_px, float(model.contrast), levels.noise)
         if path.code_unknown:  # up to here as if there were a code: without, its contrasts look like more surfaces
             self.use_code("contrast" if self._orders.shows_a_code(seen, patches) else None)
             if path.code is None:

@@ -1,14 +1,13 @@
 """The picture that the projector shows: three sinusoids, a third of a cycle apart, in red, green and blue, and a code.
 
-The contrast of each cycle is one symbol of a sequence that never repeats. Every cycle is as bright as the projector can
-be where it is brightest, so that less contrast costs as little modulation as possible: the background is
-1 - modulation. Both go in straight lines from the middle of one cycle to the middle of the next. Their spectra then
-have a double zero at one per cycle, so the code hardly leaks into the balance of the channels, which shows the
-surface's colour; and there is no edge that blur could soften. `docs/coded_pattern.md` derives symbols and sequence.
+The code (`contrast_code.py`) is the contrast. Every cycle is as bright as the projector can be where it is brightest,
+so that less contrast costs as little modulation as possible: the background is 1 - modulation. Both go in straight
+lines from the middle of one cycle to the middle of the next. Their spectra then have a double zero at one per cycle, so
+the code hardly leaks into the balance of the channels, which shows the surface's colour; and there is no edge that blur
+could soften. `docs/coded_pattern.md` derives it.
 """
 
 import json
-from functools import cache
 from pathlib import Path
 
 import cv2
@@ -16,80 +15,12 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Pattern
+from pipeline.contrast_code import CYCLES, ContrastCode
 from pipeline.errors import OutputError, SettingsError
 from pipeline.files import write_atomically
 
-#: Contrast of the three symbols, modulation over background; a plain pattern's is 1.
-CONTRASTS = (0.72, 0.86, 1.0)
-#: One digit a cycle, from the projector's first row (or column) on. No two stretches of five cycles change alike.
-SYMBOLS = (
-    "02110212222212202220002020101200122102022110011202100200012120200212102101210002202120122012011220022120"
-    "00021022001002222020211201022210"
-)
-CYCLES = len(SYMBOLS)
-# Responses of which the code's levels are known, the weakest one first.
-_GAMMAS = (3.0, 2.6, 2.3, 2.0, 1.8, 1.6, 1.4, 1.2, 1.0, 0.8)
 #: Phase of R, G and B relative to the pattern's, rad.
 CHANNEL_PHASES = (-2 * np.pi / 3, 0.0, 2 * np.pi / 3)
-
-
-def cycle_contrasts() -> npt.NDArray[np.float64]:
-    """Return the (CYCLES,) contrast in the middle of each cycle."""
-    return np.array(CONTRASTS)[[int(symbol) for symbol in SYMBOLS]]
-
-
-def modulation_at(cycles: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the pattern's modulation at a phase in cycles, as a fraction of full scale."""
-    contrasts = cycle_contrasts()
-    return np.asarray(np.interp(cycles, np.arange(CYCLES), contrasts / (1 + contrasts)))
-
-
-@cache
-def _levels_by_response() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return the (R,) strengths of the code by responses of different gamma, rising, and the (R, CYCLES) levels."""
-    within = np.linspace(-0.5, 0.5, 129)  # cycles
-    weight = (1 - (2 * within) ** 2) ** 2
-    projected = modulation_at(np.arange(CYCLES)[:, None] + within)
-    # What of the light's own cycle is background and modulation, for every modulation of the codes.
-    modulations = np.linspace(projected.min(), projected.max(), 65)
-    wave = np.cos(2 * np.pi * np.arange(64) / 64)
-    codes = np.maximum(1 - modulations[:, None] * (1 - wave), 0)
-    levels = []
-    for gamma in _GAMMAS:
-        background, modulation = (codes**gamma).mean(axis=1), 2 * (codes**gamma * wave).mean(axis=1)
-        seen = [np.interp(projected, modulations, values) @ weight for values in (modulation, background)]
-        levels.append(np.log(seen[0] / seen[1]))
-    spans = np.ptp(levels, axis=1)
-    return spans / np.ptp(levels[_GAMMAS.index(1.0)]), np.array(levels)
-
-
-def contrast_levels(strength: float = 1.0) -> npt.NDArray[np.float64]:
-    """Return the logarithm of each cycle's contrast, as it is read.
-
-    A cycle's contrast is `measure_contrast_kernel`'s, to which its neighbours' symbols contribute 8 % each. In linear
-    light the strength is 1. A response that is not linear makes the differences smaller, and more so between the
-    symbols of high contrast: the levels are those of the gamma that leaves this strength.
-
-    Parameters
-    ----------
-    strength : float
-        The levels' differences relative to those in linear light; 0: there is no code.
-
-    Returns
-    -------
-    (CYCLES,) float64
-        Natural logarithm.
-    """
-    strengths, levels = _levels_by_response()
-    within = min(max(strength, strengths[0]), strengths[-1])
-    row = min(int(np.searchsorted(strengths, within, side="right")) - 1, len(strengths) - 2)
-    share = (within - strengths[row]) / (strengths[row + 1] - strengths[row])
-    return np.asarray((strength / within) * ((1 - share) * levels[row] + share * levels[row + 1]))
-
-
-def contrast_steps(strength: float = 1.0) -> npt.NDArray[np.float64]:
-    """Return by how much `contrast_levels` rises from each cycle to the next, (CYCLES - 1,) float64."""
-    return np.diff(contrast_levels(strength))
 
 
 def make_pattern(
@@ -128,22 +59,25 @@ def make_pattern(
     length = height if pattern.stripes == "horizontal" else width
     if width < 1 or height < 1 or pattern.period_px > length:
         raise SettingsError(f"a pattern of {width}x{height} px cannot hold a cycle of {pattern.period_px} px")
-    phase = 2 * np.pi / pattern.period_px * np.arange(length)
-    modulation: npt.NDArray[np.float64] | float = 0.5
-    if pattern.code == "contrast":
+    cycles = np.arange(length) / pattern.period_px
+    modulation = np.full((length, 1), 0.5)
+    code = ContrastCode.of(pattern)
+    if code is not None:
         if length > CYCLES * pattern.period_px:
             raise SettingsError(
                 f"the code distinguishes {CYCLES} cycles, but {length} px hold {length / pattern.period_px:.0f} of "
                 f"{pattern.period_px:g} px: take a period of {length / CYCLES:.3g} px or more, or no code"
             )
-        modulation = modulation_at(np.arange(length) / pattern.period_px)[:, None]
-    codes = brightness * (1 - modulation + modulation * np.cos(phase[:, None] + np.array(CHANNEL_PHASES)))
+        along = 1 if code.cell_px is None else width + height - length
+        modulation = code.modulation(cycles[:, None], np.arange(along))
+    wave = np.cos(2 * np.pi * cycles[:, None] + np.array(CHANNEL_PHASES))
+    codes = brightness * (1 - modulation[..., None] * (1 - wave[:, None]))
     if response is not None:
         # Every response rises from 0 to 1, so the whole range of light is there to be used.
-        codes = np.stack([codes_for_light(codes[:, j], response[j]) for j in range(3)], axis=-1)
+        codes = np.stack([codes_for_light(codes[..., j], response[j]) for j in range(3)], axis=-1)
     codes = codes.astype(np.float32)
-    line = codes[:, None] if pattern.stripes == "horizontal" else codes[None]
-    return np.ascontiguousarray(np.broadcast_to(line, (height, width, 3)))
+    rows = codes if pattern.stripes == "horizontal" else codes.swapaxes(0, 1)
+    return np.ascontiguousarray(np.broadcast_to(rows, (height, width, 3)))
 
 
 def codes_for_light(light: npt.NDArray[np.float64], response: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

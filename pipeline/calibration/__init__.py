@@ -7,6 +7,7 @@ from tikernels.lazy_names import lazily
 if TYPE_CHECKING:
     from pipeline.calibration.model import (
         Calibration,
+        CodeName,
         ColorShift,
         Geometry,
         Lens,
@@ -14,5 +15,5 @@ if TYPE_CHECKING:
         Uncertainty,
     )
 
-__all__ = ["Calibration", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
+__all__ = ["Calibration", "CodeName", "ColorShift", "Geometry", "Lens", "Pattern", "Uncertainty"]
 __getattr__, __dir__ = lazily(__name__)

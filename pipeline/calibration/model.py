@@ -142,12 +142,17 @@ class Lens(Model):
         return np.asarray(rays, np.float64)
 
 
+CodeName = Literal["contrast", "contrast2"]
+
+
 class Pattern(Model):
     """The pattern that the projector shows."""
 
     period_px: Annotated[float, Field(ge=4, le=LARGEST)]  # projector px per cycle
     stripes: Literal["horizontal", "vertical"] = "horizontal"
-    code: Literal["contrast"] | None = None  # "contrast": the modulation of each cycle identifies it
+    #: By what a place's cycle is told: "contrast": each cycle's modulation; "contrast2": that of its cells.
+    code: CodeName | None = None
+    cell_px: Annotated[float, Field(ge=2, le=LARGEST)] | None = None  # projector px along the stripe of a cell
     compensated: bool | None = None  # whether the projector's response is undone in it; None: unknown
 
 

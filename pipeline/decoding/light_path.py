@@ -1,18 +1,17 @@
 """The way of the light from the pattern's codes to the camera's levels, as far as settings and calibration tell it."""
 
 import warnings
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
 from pipeline.causes import Cause
+from pipeline.contrast_code import ContrastCode
 from pipeline.decoding.self_calibration import LightEstimate
 from pipeline.decoding.surface_finding import SurfaceFinder
 from pipeline.errors import DecodeWarning, SettingsError
 from pipeline.models import CameraState, FloatArray
-from pipeline.pattern import cycle_contrasts
 from pipeline.settings import DecodeSettings
 from tikernels.phase.channel_template import flat_template
 from tikernels.phase.crosstalk import Crosstalk
@@ -27,7 +26,7 @@ from tikernels.raw.linearization import Transfer
 _HARMONICS_A_PIXEL = 0.8
 # How far a pixel's contrast may be from what its neighbourhood shows: it hardly changes within a surface, but a code
 # changes it from cycle to cycle, and a fit to a constant one would bend the phase by 0.02 rad.
-_CONTRAST_DOUBT = {None: ContrastDoubt(0.02, 0.01), "contrast": ContrastDoubt(0.08, 0.08)}
+_PLAIN_DOUBT, _CODED_DOUBT = ContrastDoubt(0.02, 0.01), ContrastDoubt(0.08, 0.08)
 _LINEAR = np.array([[0.0, 1.0]] * 3)
 # Crosstalk of which nothing is known turns the phase about grey. Leaks to one side outweigh those to the other: camera
 # filters leak up to a quarter of the neighbouring primary, and turn it by 0.1 rad.
@@ -45,7 +44,7 @@ class LightPath:
         The camera's lateral colour.
     crosstalk : Crosstalk
         The crosstalk, where the surface's colour acts, and the projector's lateral colour.
-    code : {"contrast"} or None
+    code : ContrastCode or None
         The pattern's code; while it is unknown, "contrast".
     code_unknown : bool
         Whether neither settings nor calibration state one, so that a frame is to show whether there is one.
@@ -71,7 +70,7 @@ class LightPath:
         # What a frame has told of the light, and one cycle of each channel by that.
         self._learned: LightEstimate | None = None
         self._learned_cycle: npt.NDArray[np.float32] = flat_template()
-        matrix, code = settings.crosstalk_matrix, settings.code
+        matrix, code, cell_px = settings.crosstalk_matrix, settings.code, None
         if calibration is not None:
             if calibration.pattern is not None:
                 if calibration.pattern.stripes != settings.stripes:
@@ -80,7 +79,8 @@ class LightPath:
                         f"{calibration.pattern.stripes} ones: set stripes to {calibration.pattern.stripes!r}"
                     )
                 compensated = calibration.pattern.compensated
-                code = code or calibration.pattern.code
+                if code is None and calibration.pattern.code is not None:
+                    code, cell_px = calibration.pattern.code, calibration.pattern.cell_px
             self.transfer = _transfer(settings, calibration)
             matrix = calibration.crosstalk_matrix if matrix is None else matrix
             self._wavelengths_nm = calibration.wavelengths_nm
@@ -98,13 +98,13 @@ class LightPath:
         self.constant_sigma = 0.0 if self.constant_known else _UNKNOWN_CONSTANT
         self.white: FloatArray | None = None if matrix is None else matrix.sum(axis=1)
         self._matrix, self._responses = matrix, responses
-        self.use_code(None if code == "none" else "contrast")
+        self.use_code(None if code == "none" else ContrastCode.named(code or "contrast", cell_px))
         self.code_unknown = code is None
 
-    def use_code(self, code: Literal["contrast"] | None) -> None:
+    def use_code(self, code: ContrastCode | None) -> None:
         """Take the pattern's code; what was learnt of the light stays."""
         self.code, self.code_unknown = code, False
-        contrast = float(cycle_contrasts().mean()) if code == "contrast" else 1.0
+        contrast = 1.0 if code is None else code.usual
         self._priors = [ResponsePrior(response, self._lag, contrast) for response in self._responses]
         light = self._priors[0].light if len(self._priors) == 1 else np.ones(3)
         self._use(np.eye(3) if self._matrix is None else self._matrix @ np.diag(light))
@@ -164,13 +164,12 @@ class LightPath:
     @property
     def contrast_doubt(self) -> ContrastDoubt:
         """How uneven the contrast may be under this pattern."""
-        return _CONTRAST_DOUBT[self.code]
+        return _PLAIN_DOUBT if self.code is None else _CODED_DOUBT
 
     def _use(self, matrix: FloatArray) -> None:
         self.surfaces = None
         # Surfaces are fitted to the frame's contrast, not to the neighbourhood's: the code's whole spread is in doubt.
-        contrasts = cycle_contrasts()
-        coded = 0.0 if self.code is None else float(contrasts.std() / contrasts.mean())
+        coded = 0.0 if self.code is None else float(self.code.contrasts.std() / self.code.usual)
         if self._bands is None and self._learned is not None:
             self.surfaces = SurfaceFinder(None, coded, self._wavelengths_nm)
         elif self._bands is None and self.constant_known:

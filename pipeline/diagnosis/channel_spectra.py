@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration.model import Calibration
+from pipeline.contrast_code import CYCLES, ContrastCode
 from pipeline.models import FloatArray
-from pipeline.pattern import CHANNEL_PHASES, CYCLES, modulation_at
+from pipeline.pattern import CHANNEL_PHASES
 from pipeline.robust import robust_sigma
 from pipeline.settings import DecodeSettings
 
@@ -117,7 +118,7 @@ class ExpectedLight:
         cycles = np.arange((CYCLES if coded else 1) * _SAMPLES) / _SAMPLES
         lag = np.zeros(3) if known.lag_rad is None else known.lag_rad
         place = cycles[:, None] - lag / (2 * np.pi)
-        modulation = modulation_at(place) if coded else 0.5
+        modulation = ContrastCode.named("contrast").modulation(place) if coded else 0.5
         codes = 1 - modulation + modulation * np.cos(2 * np.pi * place + np.array(CHANNEL_PHASES))
         self._cycles = cycles
         self._light = []

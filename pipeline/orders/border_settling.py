@@ -11,37 +11,35 @@ wall three quarters, and as much is right.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.models import FloatArray
-from pipeline.orders.contrast_cycles import Cycles
+from pipeline.orders.code_evidence import CodeReader, Factor
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, Integers
-from pipeline.pattern import contrast_levels
 from pipeline.robust import robust_sigma
 from tikernels.order_evidence.offset_labelling import connected_parts
 from tikernels.unwrapping.patches import PatchGraph
 from tikernels.unwrapping.surface_borders import Borders
 
-# A part's contrast is its code's times a factor, whose logarithm is a plane, less ambient light's share: standard
-# deviations of the slopes (a px) and of that share, of what all of a clump is off the plane (light from a surface close
-# by changes that), and the smallest one of a level. A level may add as many variances.
-_SLOPE_SIGMA, _AMBIENT_SIGMA, _CLUMP_SIGMA, _MIN_SIGMA, _MAX_DEVIATION = 5e-4, 0.1, 0.03, 0.012, 9.0
-# How often the factor is fitted, each time with other weights, and to how many cycles at least of those that a large
-# part has.
-_ROUNDS, _FITTED_CYCLES = 5, 500
-# Fewer cycles tell no level. A patch that shows less than this share of a cycle shows none.
-_MIN_CYCLES, _MIN_SHOWN = 3.0, 0.3
+# What all of a clump is off its part's factor, as a standard deviation (light from a surface close by changes that), and
+# the smallest one of a block. A block may add as many variances, and counts as so many, for those side by side deviate
+# alike.
+_CLUMP_SIGMA, _MIN_SIGMA, _MAX_DEVIATION, _COUNTS = 0.03, 0.012, 9.0, 0.5
+# How often what a clump is off is fitted, each time with other weights.
+_ROUNDS = 5
+# Fewer blocks tell no level. A patch that shows less than this share of one shows none.
+_MIN_BLOCKS, _MIN_SHOWN = 6, 0.6
 # What a pixel costs, in units of the logarithm of the likelihood: over which the surface goes on to another part, or to
 # another order; and over which it steps inside a part. A clump is moved if that is better by this.
 _GOING_ON_COST, _STEPPING_COST, _MIN_GAIN = 0.15, 0.225, 4.0
 # Two parts go on where they do over more pixels than the first; over a cell's side they surely do. Two orders are as
 # good as each other where their logarithms differ by less than the third; a patch contradicts its part where it shows
-# the fourth share of a cycle, and its levels deviate by this many variances on average.
-_SOME_PX, _SIDE_PX, _UNDECIDED, _WELL_SHOWN, _CONTRADICTS = 3.0, 8.0, 4.0, 0.8, 7.0
+# so many blocks, and its levels deviate by this many variances on average.
+_SOME_PX, _SIDE_PX, _UNDECIDED, _WELL_SHOWN, _CONTRADICTS = 3.0, 8.0, 4.0, 1.6, 7.0
 # Orders that differ by more are a border's that has been misread.
 _MOST_CYCLES = 200
 # A part takes patches if its own place is likelier than not.
@@ -56,12 +54,17 @@ class SettledBorders:
     shifts: Integers  # (P,) whole cycles to add to the patches' orders so that they are their part's
     torn: npt.NDArray[np.bool_]  # (P,) patches that may belong to either of two parts
 
+    @classmethod
+    def none(cls, roots: npt.NDArray[np.int32]) -> "SettledBorders":
+        """Return borders of which nothing tells more."""
+        return cls(roots, np.zeros(len(roots), np.int64), np.zeros(len(roots), np.bool_))
+
 
 class _Levels(NamedTuple):
-    """The contrast of some cycles, less what their part predicts."""
+    """The contrast of some blocks, less what their part predicts."""
 
-    held: Integers  # (n,) which of the cycles
-    share: FloatArray  # (n,) see `Cycles`
+    held: Integers  # (n,) which of the blocks' shares
+    share: FloatArray  # (n,) how much each counts
     departs: FloatArray  # (n,) standard deviations
     inside: npt.NDArray[np.bool_]  # (n,) whether the code has such a cycle
     sigma: float  # a standard deviation, natural logarithm
@@ -75,67 +78,42 @@ class _Levels(NamedTuple):
 class _LevelCosts:
     """What the contrast says against the patches' belonging to a part."""
 
-    def __init__(
-        self,
-        cycles: Cycles,
-        graph: PatchGraph,
-        width: int,
-        strength: float,
-        roots: npt.NDArray[np.int32],
-        lacks: Integers,
-    ) -> None:
-        self._cycles, self._roots, self._lacks = cycles, roots, lacks
-        y, x = np.divmod(graph.first[cycles.patch], width)
-        self._y, self._x = y.astype(np.float64), x.astype(np.float64)
-        self._code = contrast_levels(strength)
-        self._fits: dict[int, tuple[FloatArray, tuple[float, float, float], float]] = {}
+    def __init__(self, reader: CodeReader, roots: npt.NDArray[np.int32], lacks: Integers) -> None:
+        self._reader, self._blocks, self._roots, self._lacks = reader, reader.blocks, roots, lacks
+        self._fits: dict[int, tuple[Factor, float]] = {}
         self._silent: set[int] = set()
-        #: (P,) how much of whole cycles each patch shows.
-        self.shown = np.bincount(cycles.patch, cycles.share, len(graph.root))
+        #: (P,) how many blocks each patch shows.
+        self.shown = np.bincount(self._blocks.patch, self._blocks.share, len(roots))
 
     def known(self, part: int) -> bool:
         """Whether a part shows how high its contrast is; measured when it is asked for the first time."""
         if part not in self._fits and part not in self._silent:
-            held = np.flatnonzero(self._roots[self._cycles.patch] == part)
-            if self._cycles.share[held].sum() >= _MIN_CYCLES:
-                self._fits[part] = self._fitted(held)
+            own = np.flatnonzero(self._blocks.root == part)
+            if len(own) >= _MIN_BLOCKS:
+                self._fits[part] = self._fitted(own, self._lacks[part])
             else:
                 self._silent.add(part)
         return part in self._fits
 
-    def _fitted(self, held: Integers) -> tuple[FloatArray, tuple[float, float, float], float]:
-        """Fit a part's factor to its cycles: a robust plane, and a share of ambient light."""
-        cycles, held = self._cycles, held[:: max(len(held) // _FITTED_CYCLES, 1)]
-        middle = float(self._x[held].mean()), float(self._y[held].mean()), float(np.median(cycles.brightness[held]))
-        terms = self._terms(held, middle)
-        remains = cycles.contrast[held] - self._code_at(held, self._lacks)[0]
-        fit = np.array([np.median(remains), 0.0, 0.0, 0.0])
-        prior = np.diag([0.0, _SLOPE_SIGMA**-2, _SLOPE_SIGMA**-2, _AMBIENT_SIGMA**-2])
-        sigma = _MIN_SIGMA
-        for _ in range(_ROUNDS):
-            departs = remains - fit @ terms
-            sigma = max(robust_sigma(departs), 0.5 * _MIN_SIGMA)
-            weights = cycles.share[held] / np.maximum(1, np.abs(departs) / (1.5 * sigma)) / sigma**2
-            weighted = terms * weights
-            fit = np.linalg.solve(weighted @ terms.T + prior, weighted @ remains)
-        return fit, middle, max(sigma, _MIN_SIGMA)
+    def _fitted(self, own: Integers, lacks: int) -> tuple[Factor, float]:
+        """Fit a part's factor to its blocks, and return by how much they scatter about it."""
+        _, factors = self._reader.fit(own, np.array([lacks]))
+        factor = replace(factors, terms=factors.terms[:, 0])
+        departs, _ = self._departs(factor, own, np.full(len(own), lacks))
+        return factor, max(robust_sigma(departs), _MIN_SIGMA)
 
-    def _terms(self, held: Integers, middle: tuple[float, float, float]) -> FloatArray:
-        """Return (4, N): what a part's factor is made of, at each of these cycles."""
-        x, y, brightness = middle
-        darker = np.clip(brightness / np.maximum(self._cycles.brightness[held], 1e-6) - 1, -1, 3)
-        return np.stack([np.ones(len(held)), self._x[held] - x, self._y[held] - y, darker])
-
-    def _code_at(self, held: Integers, lacks: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        place = self._cycles.order[held] + lacks[self._cycles.patch[held]]
-        inside = (place >= 0) & (place < len(self._code))
-        return self._code[np.clip(place, 0, len(self._code) - 1)], inside
+    def _departs(self, factor: Factor, which: Integers, lacks: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Return (n,) what is left of blocks' contrasts, and whether the code has such cycles."""
+        blocks = self._blocks
+        expected, inside = self._reader.expected(which, blocks.order[which] + lacks)
+        usual = factor.at(blocks.place[which], blocks.brightness[which])
+        return blocks.contrast[which] - expected - usual, inside
 
     def against(self, part: int, patches: npt.NDArray[np.bool_], lacks: Integers) -> FloatArray:
         """Return (P,) half the squared deviation, in variances, of these patches' levels from a part's."""
         levels = self._levels(part, patches, lacks)
         weights = 0.5 * levels.share * levels.cost(0.0)
-        return np.asarray(np.bincount(self._cycles.patch[levels.held], weights, len(patches)), np.float64)
+        return np.asarray(np.bincount(self._blocks.patch[levels.held], weights, len(patches)), np.float64)
 
     def against_together(self, part: int, clump: npt.NDArray[np.bool_], lacks: Integers) -> float:
         """Return the same of a clump of patches, (P,) bool, which may all be off the part's plane alike.
@@ -151,18 +129,15 @@ class _LevelCosts:
         return float(0.5 * (levels.share @ levels.cost(common) + off**2))
 
     def _levels(self, part: int, patches: npt.NDArray[np.bool_], lacks: Integers) -> _Levels:
-        fit, middle, sigma = self._fits[part]
-        held = np.flatnonzero(patches[self._cycles.patch])
-        code, inside = self._code_at(held, lacks)
-        departs = (self._cycles.contrast[held] - code - fit @ self._terms(held, middle)) / sigma
-        return _Levels(held, self._cycles.share[held], departs, inside, sigma)
+        factor, sigma = self._fits[part]
+        held = np.flatnonzero(patches[self._blocks.patch])
+        departs, inside = self._departs(factor, self._blocks.block[held], lacks[self._blocks.patch[held]])
+        return _Levels(held, _COUNTS * self._blocks.share[held], departs / sigma, inside, sigma)
 
 
 def settle_borders(
-    cycles: Cycles,
+    reader: CodeReader,
     graph: PatchGraph,
-    width: int,
-    strength: float,
     roots: npt.NDArray[np.int32],
     lacks: Integers,
     errors: FloatArray,
@@ -171,14 +146,10 @@ def settle_borders(
 
     Parameters
     ----------
-    cycles : Cycles
-        What the patches show.
+    reader : CodeReader
+        Of the blocks that the parts show.
     graph : PatchGraph
         Patches and borders.
-    width : int
-        The image's, px.
-    strength : float
-        Of the code's steps.
     roots : (P,) int32
         The patch that stands for each patch's part.
     lacks : (P,) int
@@ -187,10 +158,10 @@ def settle_borders(
         How probably that is wrong. A part that is probably misplaced takes no patches; orders that are not
         certain are flagged anyway, and their patches not torn.
     """
+    if graph.borders is None:
+        return SettledBorders.none(roots)
     torn = np.zeros(len(roots), np.bool_)
-    if graph.borders is None or strength == 0:
-        return SettledBorders(roots, np.zeros(len(roots), np.int64), torn)
-    borders, costs = graph.borders, _LevelCosts(cycles, graph, width, strength, roots, lacks)
+    borders, costs = graph.borders, _LevelCosts(reader, roots, lacks)
     roots, now = roots.copy(), lacks.astype(np.int64)
     for part, other, change, seeds in _going_on(borders, graph.offset + now, roots, _SOME_PX):
         if errors[other] > _MOST_ERROR or not (costs.known(part) and costs.known(other)):
@@ -220,7 +191,7 @@ def settle_borders(
     for part in np.unique(roots[beside]):
         if costs.known(part):
             asked = beside & (roots == part)
-            torn |= asked & (costs.against(part, asked, now) > 0.5 * _CONTRADICTS * costs.shown)
+            torn |= asked & (costs.against(part, asked, now) > 0.5 * _CONTRADICTS * _COUNTS * costs.shown)
     return SettledBorders(roots.astype(np.int32), now - lacks[roots], torn & known)
 
 

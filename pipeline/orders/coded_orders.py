@@ -1,10 +1,9 @@
 """Which cycle of a coded pattern a surface shows: the orders of a single frame, absolute.
 
-From cycle to cycle the logarithm of the contrast steps as the code says; a factor that changes slowly cancels in the
-steps (`contrast_cycles`). Regions that the code contradicts are cut (`region_cutting`). Every part gets a posterior
-over its offsets by its steps (`code_posterior`) and by where the rest of the frame is (`nearness`). Patches that lie on
-the wrong side of a border move to the other one (`border_settling`).
-`docs/coded_pattern.md` has the derivation.
+The logarithm of the contrast is the code's but for a factor that changes slowly (`code_blocks`). Regions that the code
+contradicts are cut (`region_cutting`). Every part gets a posterior over its offsets by what its blocks show
+(`code_evidence`) and by where the rest of the frame is (`nearness`). Patches that lie on the wrong side of a border move
+to the other one (`border_settling`). `docs/coded_pattern.md` has the derivation.
 """
 
 from dataclasses import dataclass, replace
@@ -12,9 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.orders.border_settling import settle_borders
-from pipeline.orders.code_posterior import CodeReading, code_posteriors, log_likelihoods, seen_steps
-from pipeline.orders.contrast_cycles import Steps, read_cycles
+from pipeline.contrast_code import ContrastCode
+from pipeline.orders.border_settling import SettledBorders, settle_borders
+from pipeline.orders.code_blocks import read_blocks
+from pipeline.orders.code_evidence import CodeReader
 from pipeline.orders.nearness import log_nearness, nearness
 from pipeline.orders.posterior import (
     MAX_ABSOLUTE_ERROR,
@@ -25,10 +25,11 @@ from pipeline.orders.posterior import (
     Posterior,
 )
 from pipeline.orders.region_cutting import cut_regions
+from pipeline.orders.stripe_columns import StripeColumns
 from tikernels.unwrapping.patches import MIN_REGION_PX, PatchGraph
 
 # How probably a piece that the labels have cut off, which hangs together with its region, has that one's orders before
-# its own steps are asked; and from which probability on it is no piece of its own.
+# its own blocks are asked; and from which probability on it is no piece of its own.
 _SAME_SURFACE, _REJOINS = 0.9, 0.93
 
 
@@ -46,35 +47,53 @@ class CodedOrders:
 def find_absolute_orders(
     sums: npt.NDArray[np.float32],
     graph: PatchGraph,
+    code: ContrastCode,
+    columns: StripeColumns | None,
+    *,
     width: int,
     rising: bool,
+    noise: float,
     order_range: OrderRange | None = None,
 ) -> CodedOrders:
     """Split regions where the code contradicts them, and place every part.
 
     Parameters
     ----------
-    sums : (P, ORDER_SLOTS, 4) float32
+    sums : (P, ORDER_SLOTS, BLOCKS, 4) float32
         What `measure_contrast` summed.
     graph : PatchGraph
         The patches, joined to regions.
+    code : ContrastCode
+        The pattern's.
+    columns : StripeColumns, optional
+        Where places look; a code that changes along the stripe needs them.
     width : int
         The image's, px.
     rising : bool
         Whether the orders grow with the rows.
+    noise : float
+        Standard deviation of a channel, levels.
     order_range : OrderRange, optional
         What else is known of the orders.
     """
-    cycles, steps = read_cycles(sums, graph, width, rising)
-    roots, main = cut_regions(steps, graph, order_range)
-    parts, code = _placed(steps, graph, width, roots, main)
+
+    def reader_of(graph: PatchGraph) -> CodeReader:
+        return CodeReader(read_blocks(sums, graph, width, rising, noise), code, columns)
+
+    reader = reader_of(graph)
+    shown = reader.learn()
+    roots, main = graph.root.copy(), np.full(len(graph.root), -1)
+    if shown:
+        roots, main = cut_regions(reader, graph, order_range)
+    parts, posteriors = _placed(reader.again(reader_of(graph._replace(root=roots))), graph, width, roots, main)
     if (main >= 0).any():
-        roots = _rejoined(roots, main, graph, parts, code.posteriors)
-        parts, code = _placed(steps, graph, width, roots, main)
+        roots = _rejoined(roots, main, graph, parts, posteriors)
+        reader = reader.again(reader_of(graph._replace(root=roots)))
+        parts, posteriors = _placed(reader, graph, width, roots, main)
     lacks, errors = np.zeros(len(roots), np.int64), np.ones(len(roots))
-    for part, posterior in zip(parts, code.posteriors, strict=True):
+    for part, posterior in zip(parts, posteriors, strict=True):
         lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
-    settled = settle_borders(cycles, graph, width, code.strength, roots, lacks[roots], errors[roots])
+    settled = settle_borders(reader, graph, roots, lacks[roots], errors[roots]) if shown else SettledBorders.none(roots)
     if (settled.roots != roots).any():
         standing = _standing(settled.roots, graph)
         roots, main = standing[settled.roots], np.where(main >= 0, standing[main], -1)
@@ -82,51 +101,47 @@ def find_absolute_orders(
         if order_range is not None:
             least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
             order_range = replace(order_range, least=least, most=most)
-        _, steps = read_cycles(sums, graph._replace(root=roots), width, rising)
-        parts, code = _placed(steps, graph, width, roots, main)
-    posteriors = code.posteriors
+        reader = reader.again(reader_of(graph._replace(root=roots)))
+        parts, posteriors = _placed(reader, graph, width, roots, main)
     if order_range is not None:
         ranges = order_range.by_part(roots, parts, graph.pixels)
         posteriors = [
             within.narrow(posterior) if posterior is not NOTHING_KNOWN else within.alone()
             for within, posterior in zip(ranges, posteriors, strict=True)
         ]
-    return CodedOrders(roots, AbsoluteOrders(parts, tuple(posteriors)), settled.shifts, settled.torn, code.strength > 0)
+    return CodedOrders(roots, AbsoluteOrders(parts, tuple(posteriors)), settled.shifts, settled.torn, shown)
 
 
 def _placed(
-    steps: Steps, graph: PatchGraph, width: int, roots: npt.NDArray[np.int32], main: Integers
-) -> tuple[Integers, CodeReading]:
-    """Return the parts that are large enough, and what they say of the code.
+    reader: CodeReader, graph: PatchGraph, width: int, roots: npt.NDArray[np.int32], main: Integers
+) -> tuple[Integers, list[Posterior]]:
+    """Return the parts that are large enough, and how probable each of their offsets is.
 
     A piece that was cut off hangs together with its region: that, too, is known of its offset.
     """
     pixels = np.bincount(roots, graph.pixels, len(roots)).astype(np.int64)
     parts = np.flatnonzero(pixels >= MIN_REGION_PX)
-    seen = seen_steps(steps, roots, parts)
+    read = reader.read_all(parts)
     # A piece is free to choose where it begins and where it ends, and chance has as many ways to look like the code.
     origin = main[graph.root[parts]]
-    places = np.ptp(steps.order) if len(steps.order) else 1
     ends = np.where(origin == parts, 1, 2)  # of what remains of the region the labels have found one
-    luck = np.where(origin >= 0, ends * np.log(max(places, 1)), 0.0)
-    likelihoods = log_likelihoods(seen)
-    code = code_posteriors(likelihoods, luck)
-    sure = [k for k, found in enumerate(code.posteriors) if found.error(found.best) < MAX_ABSOLUTE_ERROR]
-    if code.strength and sure:
+    luck = np.where(origin >= 0, ends * np.log(reader.cycles), 0.0)
+    posteriors = [part.posterior(0.0, float(more)) for part, more in zip(read, luck, strict=True)]
+    sure = [k for k, found in enumerate(posteriors) if found.error(found.best) < MAX_ABSOLUTE_ERROR]
+    if sure:
         # What these tell of the others.
-        lacking = nearness(graph, roots, width, {int(parts[k]): code.posteriors[k].best for k in sure})
-        for part, of_region, (first, likelihood) in zip(parts, origin, likelihoods, strict=True):
+        lacking = nearness(graph, roots, width, {int(parts[k]): posteriors[k].best for k in sure})
+        for k, (part, of_region, seen) in enumerate(zip(parts, origin, read, strict=True)):
             if of_region in (-1, part):
-                likelihood += log_nearness(lacking[part], first + np.arange(likelihood.shape[-1]))
-        code = code_posteriors(likelihoods, luck)
-    of_main = {int(part): posterior for part, posterior in zip(parts, code.posteriors, strict=True)}
-    posteriors = list(code.posteriors)
+                near = log_nearness(lacking[part], seen.first + np.arange(len(seen.likelihood)))
+                posteriors[k] = seen.posterior(near, float(luck[k]))
+    of_main = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
     for k, part in enumerate(parts):
         region = of_main.get(int(origin[k]))
         if region is not None and origin[k] != part:
             certain = 1 - region.error(region.best)
             posteriors[k] = posteriors[k].beside(region.best, _SAME_SURFACE * certain)
-    return parts, replace(code, posteriors=posteriors)
+    return parts, posteriors
 
 
 def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:

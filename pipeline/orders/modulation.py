@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.contrast_code import CYCLES, ContrastCode
 from pipeline.models import FloatArray
-from pipeline.pattern import CYCLES, modulation_at
 from tikernels.order_evidence.modulation_correction import SLOPE_REACH, TABLED
 from tikernels.phase.balance_window import SIGMA_ACROSS
 
@@ -19,21 +19,16 @@ _WINDOWS = 4
 
 
 @cache
-def code_deviations(usual: float) -> FloatArray:
+def code_deviations(code: ContrastCode) -> FloatArray:
     """Return how the code's contrast deviates from the usual one.
-
-    Parameters
-    ----------
-    usual : float
-        Contrast.
 
     Returns
     -------
     (TABLED (CYCLES - 1) + 1,) float64
         As a fraction of the usual one, TABLED a cycle from the first cycle's middle on.
     """
-    modulation = modulation_at(np.arange(TABLED * (CYCLES - 1) + 1) / TABLED)
-    return np.asarray(modulation / (1 - modulation) / usual - 1)
+    modulation = code.modulation(np.arange(TABLED * (CYCLES - 1) + 1) / TABLED)
+    return np.asarray(modulation / (1 - modulation) / code.usual - 1)
 
 
 def modulation_corrections(deviations: FloatArray, tables: npt.NDArray[np.floating]) -> FloatArray:
@@ -58,7 +53,7 @@ def modulation_corrections(deviations: FloatArray, tables: npt.NDArray[np.floati
 
 
 @cache
-def code_ripples() -> FloatArray:
+def code_ripples(code: ContrastCode) -> FloatArray:
     """Return the shapes of what the code may leave in the phase.
 
     Blur weakens the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of
@@ -71,9 +66,9 @@ def code_ripples() -> FloatArray:
         The slope, a cycle, and what the window passes, as a fraction; TABLED a cycle from the first cycle's middle on.
     """
     inside = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
-    low, here, high = (modulation_at(inside + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
+    low, here, high = (code.modulation(inside + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
     slopes = (high - low) / (2 * SLOPE_REACH * here)
-    modulation = modulation_at(np.arange(-_WINDOWS * TABLED, len(inside) + _WINDOWS * TABLED) / TABLED)
+    modulation = code.modulation(np.arange(-_WINDOWS * TABLED, len(inside) + _WINDOWS * TABLED) / TABLED)
     window = np.arange(-_WINDOWS * TABLED, _WINDOWS * TABLED + 1) / TABLED
     weight = np.exp(-0.5 * (window / SIGMA_ACROSS) ** 2)
     passed = np.convolve(modulation / (1 - modulation), weight / weight.sum() * np.sin(2 * np.pi * window), "valid")
@@ -86,6 +81,7 @@ def ripple_left(
     absolute: npt.NDArray[np.bool_],
     corrections: FloatArray,
     period_px: float,
+    code: ContrastCode,
 ) -> FloatArray:
     """Return what is left in a frame's phase of the code's ripples, by how the phase bends within cycles.
 
@@ -101,13 +97,15 @@ def ripple_left(
         rad to be added for the response, from `modulation_corrections`; the frame may show more or less of them.
     period_px : float
         Rows a cycle.
+    code : ContrastCode
+        The pattern's.
 
     Returns
     -------
     (N,) float64
         rad; 0 where nothing tells.
     """
-    ripples = np.vstack([code_ripples(), corrections])
+    ripples = np.vstack([code_ripples(code), corrections])
     half = max(1, round(period_px / 2))
     middle, above, below = region[half:-half], region[: -2 * half], region[2 * half :]
     inside = (middle > 0) & (middle == above) & (middle == below) & absolute[middle]

@@ -6,13 +6,13 @@ modulation.
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Geometry
 from pipeline.causes import Cause
+from pipeline.contrast_code import ContrastCode
 from pipeline.decoding.buffers import SurfaceBuffers
 from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
@@ -20,7 +20,7 @@ from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, cho
 from pipeline.orders.coded_orders import CodedOrders, find_absolute_orders
 from pipeline.orders.modulation import code_deviations, modulation_corrections, ripple_left
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, AbsoluteOrders, OrderRange
-from pipeline.pattern import cycle_contrasts
+from pipeline.orders.stripe_columns import StripeColumns
 from tikernels import runtime
 from tikernels.arrays import F32, LevelsImage
 from tikernels.order_evidence import correct_by_modulation, measure_contrast, vote_orders
@@ -77,6 +77,7 @@ class SeenPhase:
     correction: npt.NDArray[np.float32]  # (N,) rad, the response's, over a cycle
     period_px: float
     contrast: float  # of the fringe: its mean modulation over its mean background
+    noise: float  # standard deviation of a channel, levels
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +170,7 @@ class OrderFinder:
 
     Parameters
     ----------
-    code : {"contrast"} or None
+    code : ContrastCode or None
         The pattern's; it may be set later.
     geometry : Geometry, optional
         The rig's; with it, the depth tells what the orders may be.
@@ -184,11 +185,12 @@ class OrderFinder:
 
     def __init__(
         self,
-        code: Literal["contrast"] | None,
+        code: ContrastCode | None,
         geometry: Geometry | None,
         depth_range_mm: tuple[float, float] | None,
     ) -> None:
         self.code = code
+        self._columns: StripeColumns | None = None
         self._geometry = geometry
         self._depth_range_mm = depth_range_mm
         #: Where the object is expected, mm; regions that nothing places are put nearest to it.
@@ -212,9 +214,9 @@ class OrderFinder:
         """
         roots, absolute, carried, warning, left_out = None, None, None, None, None
         found: CodedOrders | None = None
-        if self.code == "contrast":
+        if self.code is not None:
             graph = patches.graph()
-            found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays))
+            found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays), rays)
             absolute, roots = found.absolute, found.roots
             patches.shift_orders(found.shifts)
             warning, left_out = (
@@ -264,15 +266,15 @@ class OrderFinder:
         str or None
             What the user should know.
         """
-        if self.code != "contrast":
+        if self.code is None:
             return None
         known = orders.known
         # The response's correction is for the pattern's mean contrast.
-        deviations = code_deviations(float(cycle_contrasts().mean()))
+        deviations = code_deviations(self.code)
         columns = (slice(None), slice(None, None, _EVERY_COLUMN))
         sampled = runtime.to_host(out.unwrapped)[columns], runtime.to_host(out.region)[columns]
         corrections = modulation_corrections(deviations, modulation_tables(seen.correction))
-        corrections -= ripple_left(*sampled, known, corrections, seen.period_px)
+        corrections -= ripple_left(*sampled, known, corrections, seen.period_px, self.code)
         if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
             correct_by_modulation(out.region, known, corrections, out=(seen.phase, out.unwrapped))
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
@@ -284,18 +286,28 @@ class OrderFinder:
     def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
         """Whether a frame shows a code that neither settings nor calibration state."""
         graph = patches.graph()
-        found = self._find_absolute(seen, patches, graph, None)
+        found = self._find_absolute(seen, patches, graph, None, None)
         absolute = found.absolute
         sure = absolute.error_probability(absolute.offsets) < MAX_ABSOLUTE_ERROR
         share = graph.pixels[np.isin(found.roots, absolute.parts[sure])].sum() / max(graph.pixels.sum(), 1)
         return found.readable and bool(share > _MIN_CODED)
 
     def _find_absolute(
-        self, seen: SeenPhase, patches: Patches, graph: PatchGraph, order_range: OrderRange | None
+        self,
+        seen: SeenPhase,
+        patches: Patches,
+        graph: PatchGraph,
+        order_range: OrderRange | None,
+        rays: CameraRays | None,
     ) -> CodedOrders:
+        if self._columns is None and self._geometry is not None and rays is not None:
+            self._columns = StripeColumns(self._geometry, runtime.to_host(rays.rays))
         sums = measure_contrast(seen.image, seen.crosstalk, seen.gains, seen.phase, seen.modulation, patches)
         rising = float(runtime.to_host(seen.rates)[-1, RATE_ACROSS]) > 0
-        return find_absolute_orders(sums, graph, int(seen.image.shape[1]), rising, order_range)
+        width = int(seen.image.shape[1])
+        return find_absolute_orders(
+            sums, graph, self.code, self._columns, width=width, rising=rising, noise=seen.noise, order_range=order_range
+        )
 
     def _place_by_depth(
         self, seen: SeenPhase, graph: PatchGraph, roots: npt.NDArray[np.int32] | None, rays: CameraRays | None

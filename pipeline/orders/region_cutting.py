@@ -1,8 +1,7 @@
 """Cut regions where the code contradicts them: several surfaces were joined across steps of whole cycles.
 
-The code's strength, and by how much the steps deviate from it, are estimated in every strip of a region
-(`code_posterior`). Then the region's patches are labelled with the offsets that their steps name, all at once
-(`tikernels.order_evidence.offset_labelling`).
+What blocks show beside the code is taken from the region as if it were one part (`code_evidence`). Then its patches are
+labelled with the offsets that their blocks name, all at once (`tikernels.order_evidence.offset_labelling`).
 """
 
 from dataclasses import replace
@@ -10,11 +9,10 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from pipeline.contrast_code import CYCLES
 from pipeline.models import FloatArray
-from pipeline.orders.code_posterior import CodeReading, PartSteps, code_posteriors, log_likelihoods, seen_steps
-from pipeline.orders.contrast_cycles import Steps
+from pipeline.orders.code_evidence import CodeReader
 from pipeline.orders.posterior import Integers, OrderRange
-from pipeline.pattern import CYCLES, contrast_steps
 from pipeline.robust import robust_sigma
 from tikernels.order_evidence.offset_labelling import (
     Links,
@@ -25,36 +23,31 @@ from tikernels.order_evidence.offset_labelling import (
 )
 from tikernels.unwrapping.patches import PatchGraph
 
-# The code's strength and spread are those of a strip so many patches wide, so that few strips show several surfaces.
-_STRIP = 8
-# Smallest standard deviation of a step's logarithm: what balance, slopes, ambient light and a lens that is not the
-# usual one leave of it on clean frames. With 0.03 a piece of a clean bust that a camera without blur sees is cut off.
-_MIN_SIGMA = 0.035
-# The scatter of single columns is estimated from pairs of columns this many patches apart, which is further than the
-# grain of a texture reaches, and for this many pairs of similar brightness at a time.
-_APART, _PAIRS = 6, 200
-# What a single step may add to the squared deviation from the code, in variances, that is three standard deviations:
+# Smallest standard deviation of a block's contrast: what its surface's factor may be off by. Blocks side by side deviate
+# alike: each counts as this many.
+_MIN_SIGMA, _COUNTS = 0.03, 0.5
+# What a single block may add to the squared deviation from the code, in variances, that is three standard deviations:
 # edges and blemishes deviate by more, and must not decide alone.
 _MAX_DEVIATION = 9.0
-# Regions of fewer pixels or steps are too small to be parted.
-_MIN_PARTED_PX, _MIN_STEPS = 600, 6
+# Regions of fewer pixels or blocks are too small to be parted.
+_MIN_PARTED_PX, _MIN_BLOCKS = 600, 12
 # An offset is a candidate where patches, with what comes over contacts of this support or more undiminished, prefer it
 # to their region's own by this margin, in variances; it takes this many such patches, and the commonest few are looked
 # at.
-_FULL_SUPPORT, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 250.0, 3, 12
+_FULL_SUPPORT, _MIN_MARGIN, _MIN_PATCHES, _CANDIDATES = 300, 70.0, 3, 12
 # What a difference of labels costs across a contact of full support, in variances, and the least share of it.
 _LABEL_COST, _LEAST_SUPPORT = 12.0, 0.05
 
 
 def cut_regions(
-    steps: Steps, graph: PatchGraph, order_range: OrderRange | None = None
+    reader: CodeReader, graph: PatchGraph, order_range: OrderRange | None = None
 ) -> tuple[npt.NDArray[np.int32], Integers]:
     """Cut pieces off regions that the code contradicts.
 
     Parameters
     ----------
-    steps : Steps
-        Of all columns of patches.
+    reader : CodeReader
+        Of the frame's blocks.
     graph : PatchGraph
         The patches, joined to regions.
     order_range : OrderRange, optional
@@ -68,33 +61,31 @@ def cut_regions(
     main : (P,) int64
         By region, the root of its largest part with the region's own offset; -1 where nothing was cut off.
     """
-    roots, main = graph.root.copy(), np.full(len(graph.root), -1)
+    roots, main, blocks = graph.root.copy(), np.full(len(graph.root), -1), reader.blocks
     least, most = -CYCLES, CYCLES
     if order_range is not None and not order_range.of_depth:
         least, most = int(np.floor(order_range.least.min())), int(np.ceil(order_range.most.max()))
-    owner = graph.root[steps.low].astype(np.int64)
-    pixels, count = np.bincount(graph.root, graph.pixels), np.bincount(owner, minlength=len(graph.root))
+    pixels, count = np.bincount(graph.root, graph.pixels), np.bincount(blocks.root, minlength=len(graph.root))
     regions = np.flatnonzero(pixels >= _MIN_PARTED_PX)
-    regions = regions[count[regions] >= _MIN_STEPS]
-    strip, seen, code = _read_strips(steps, owner)
-    if code.strength == 0:
-        return roots, main
-    expected = np.array([contrast_steps(strength) for strength in code.strengths])
-    usual = np.array([part.scatter for part in seen])
-    number = np.empty(len(graph.root), np.int64)
-    held = (_held_by(owners, regions) for owners in (graph.root, owner, graph.root[graph.ends[0]]))
-    for region, patches, own, within in zip(regions, *held, strict=True):
-        number[patches] = np.arange(len(patches))
-        ends, support = number[graph.ends[:, within]], np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
-        here = strip[own]
-        sigma = np.maximum(_MIN_SIGMA, np.hypot(code.spreads[here], _scatter(steps, own, usual[here])))
-        ends_of_steps = number[steps.low[own]], number[steps.high[own]]
-        shown = ends_of_steps, steps.order[own], steps.rise[own], sigma, here, expected
-        lowest, highest = int(steps.order[own].min()), int(steps.order[own].max())
-        offsets = range(max(-highest, least), min(CYCLES - 2 - lowest, most) + 1)
-        if len(offsets) == 0:
+    regions = regions[count[regions] >= _MIN_BLOCKS]
+    number = np.empty(max(len(graph.root), len(blocks.order)), np.int64)
+    held = (
+        _held_by(owners, regions)
+        for owners in (graph.root, blocks.root, blocks.root[blocks.block], graph.root[graph.ends[0]])
+    )
+    for region, patches, own, shares, within in zip(regions, *held, strict=True):
+        offsets = reader.offsets(own)
+        offsets = offsets[(offsets >= least) & (offsets <= most)]
+        if len(offsets) < 2:
             continue
-        labels = _labels(*shown, ends, support, len(patches), offsets)
+        number[patches] = np.arange(len(patches))
+        holder, ends = number[blocks.patch[shares]], number[graph.ends[:, within]]
+        number[own] = np.arange(len(own))
+        support = np.clip(graph.votes[within] / _FULL_SUPPORT, 0, 1)
+        evidence = _evidence(
+            reader, own, (number[blocks.block[shares]], holder, blocks.share[shares]), offsets, len(patches)
+        )
+        labels = _labels(evidence, ends, support)
         if labels is None:
             continue
         whole = labels[ends[0]] == labels[ends[1]]
@@ -105,30 +96,26 @@ def cut_regions(
     return roots, main
 
 
-def _read_strips(steps: Steps, owner: Integers) -> tuple[Integers, list[PartSteps], CodeReading]:
-    """Return the strip (N,) of every step, and what the strips show of the code, each read as a part of its own."""
-    columns = int(steps.column.max(initial=0)) + 1
-    strips, strip = np.unique(owner * columns + steps.column // _STRIP, return_inverse=True)
-    parts = np.arange(len(strips))
-    seen = seen_steps(replace(steps, low=strip, high=strip), parts.astype(np.int32), parts)
-    return strip, seen, code_posteriors(log_likelihoods(seen), np.zeros(len(strips)))
-
-
-def _scatter(steps: Steps, own: Integers, usual: FloatArray) -> FloatArray:
-    """Return the standard deviation (n,) of a region's steps by their brightness; the usual one if pairs are few."""
-    order, column, rise, brightness = steps.order[own], steps.column[own], steps.rise[own], steps.brightness[own]
-    place = order * (column.max() + _APART + 1) + column
-    sort = np.argsort(place, kind="stable")
-    other = np.searchsorted(place[sort], place + _APART)
-    one = np.flatnonzero(other < len(sort))
-    one = one[place[sort[other[one]]] == place[one] + _APART]
-    if len(one) < _PAIRS:
-        return usual
-    two = sort[other[one]]
-    apart, dim = np.abs(rise[one] - rise[two]), np.sqrt(brightness[one] * brightness[two])
-    bins = np.array_split(np.argsort(dim, kind="stable"), len(one) // _PAIRS)
-    middles, scatters = np.array([(np.median(dim[some]), robust_sigma(apart[some])) for some in bins]).T
-    return np.asarray(np.interp(np.log(brightness), np.log(middles), scatters / np.sqrt(2)))
+def _evidence(
+    reader: CodeReader,
+    own: Integers,
+    held: tuple[Integers, Integers, FloatArray],
+    offsets: Integers,
+    patches: int,
+) -> npt.NDArray[np.float32]:
+    """Return (patches, offsets) by how much a region's blocks contradict each offset, in variances."""
+    likelihood, factors = reader.fit(own, offsets)
+    best = int(likelihood.argmax())
+    factor, blocks = replace(factors, terms=factors.terms[:, best]), reader.blocks
+    level = blocks.contrast[own] - factor.at(blocks.place[own], blocks.brightness[own])
+    departs = level - reader.expected(own, blocks.order[own] + offsets[best])[0]
+    sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs)) ** 2)
+    shares = held[0], held[1], _COUNTS * held[2]
+    code = reader.levels_now
+    return weigh_offsets(
+        shares, blocks.order[own], level, sigma, reader.places[own], code,
+        range(int(offsets[0]), int(offsets[-1]) + 1), patches, _MAX_DEVIATION,
+    )  # fmt: skip
 
 
 def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integers]:
@@ -138,26 +125,15 @@ def _held_by(owners: npt.NDArray[np.integer], regions: Integers) -> list[Integer
     return [order[first:last] for first, last in zip(firsts, lasts, strict=True)]
 
 
-def _labels(
-    ends_of_steps: tuple[Integers, Integers],
-    order: Integers,
-    rise: FloatArray,
-    sigma: FloatArray,
-    strip: Integers,
-    code: FloatArray,
-    ends: Integers,
-    support: FloatArray,
-    patches: int,
-    offsets: range,
-) -> npt.NDArray[np.int32] | None:
-    """Label a region's patches with the offsets that their steps name, 0 for the region's own; None: all have that."""
-    evidence = weigh_offsets(ends_of_steps, order, rise, sigma, strip, code, offsets, patches, _MAX_DEVIATION)
+def _labels(evidence: npt.NDArray[np.float32], ends: Integers, support: FloatArray) -> npt.NDArray[np.int32] | None:
+    """Label a region's patches with the offsets that their blocks name, 0 for the region's own; None: all have that."""
+    patches, offsets = evidence.shape
     own = int(evidence.sum(axis=0).argmin())
     links = Links.of(ends, patches)
     pooled = pool_evidence(evidence, links, support)
     best = pooled.argmin(axis=1)
     margin = pooled[:, own] - pooled[np.arange(patches), best]
-    votes = np.bincount(best[(best != own) & (margin > _MIN_MARGIN)], minlength=len(offsets))
+    votes = np.bincount(best[(best != own) & (margin > _MIN_MARGIN)], minlength=offsets)
     named = np.argsort(-votes, kind="stable")[:_CANDIDATES]
     named = named[votes[named] >= _MIN_PATCHES]
     if len(named) == 0:

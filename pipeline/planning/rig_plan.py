@@ -29,9 +29,10 @@ import numpy as np
 
 from hardware.colour_cycle import check_exposure
 from pipeline.calibration.board import Board
+from pipeline.contrast_code import CYCLES, ContrastCode
 from pipeline.errors import SettingsError
 from pipeline.models import FloatArray, build
-from pipeline.pattern import CHANNEL_PHASES, CYCLES, modulation_at
+from pipeline.pattern import CHANNEL_PHASES
 from pipeline.planning.expected_calibration import planned_bias_mm
 from pipeline.planning.rig_choice import FringeGeometry, RigChoice, SeenFields, angle_deg, fringe_geometry, seen_fields
 from pipeline.settings import DecodeSettings
@@ -192,7 +193,7 @@ def expected_phase_sigma(
 
 def _light(cycles: FloatArray, shift: float, surface: str) -> FloatArray:
     """Return what the camera's channels see of the pattern, its phase shifted by this (rad), (N, 3)."""
-    modulation = modulation_at(cycles)[:, None]
+    modulation = ContrastCode.named("contrast").modulation(cycles)[:, None]
     wave = np.cos(2 * np.pi * cycles[:, None] + shift + np.array(CHANNEL_PHASES))
     primaries = (1 - modulation + modulation * wave) ** _GAMMA
     return np.asarray(primaries @ np.array(TYPICAL_CROSSTALK).T * np.array(REFLECTANCES[surface]))

@@ -1,8 +1,8 @@
 """Steps and cycles of surfaces that show the contrast code, without a picture."""
 
 import numpy as np
-
 from pipeline.orders.contrast_cycles import Cycles, Steps
+
 from pipeline.pattern import contrast_levels
 from tikernels.unwrapping import PatchGraph
 from tikernels.unwrapping.surface_borders import Borders

@@ -23,6 +23,7 @@ from tikernels.phase.surfaces import neutral_light, without_ambient
 from tikernels.raw.linearization import LEVEL_TYPES
 from tikernels.unwrapping.patches import Patches
 from tikernels.unwrapping.tables import (
+    CELL_WIDTH,
     NOTHING,
     ORDER_BITS,
     ORDER_MASK,
@@ -36,8 +37,9 @@ from tikernels.unwrapping.tables import (
 #: Orders that a patch may hold, its first pixel's in the middle: a cell of 16 rows holds at most four cycles of 4 px,
 #: and slopes may double them.
 ORDER_SLOTS = 17
-# Of a cell's columns, those that are looked at: one of each colour of a Bayer sensor.
-_COLUMNS = (1, 6)
+#: A cell's columns are read in blocks so wide, px.
+BLOCK_WIDTH = 4
+BLOCKS = CELL_WIDTH // BLOCK_WIDTH
 #: What is summed of a cycle: the weights, and the weighted modulation, background (levels) and phase (rad).
 TOTAL, MODULATION, BACKGROUND, PHASE = range(4)
 
@@ -50,13 +52,13 @@ def cycle_weight(phase: f32) -> f32:
 
 
 @ti.func
-def add_cycle(label: i32, sums: vec4, cells: I32Array2, draft_bits: i32, out_sums: F32Array3):
-    """Add what one column shows of a cycle to the sums of its patch and order."""
+def add_cycle(label: i32, sums: vec4, block: i32, cells: I32Array2, draft_bits: i32, out_sums: F32Array3):
+    """Add what one column shows of a cycle to the sums of its patch, order and block."""
     slot = (label & ORDER_MASK) - ORDER_ZERO + ORDER_SLOTS // 2
     if label >= 0 and slot >= 0 and slot < ORDER_SLOTS:
         patch = patch_number(label >> ORDER_BITS, cells, draft_bits)
         for k in ti.static(range(4)):
-            add_alone(out_sums[patch, slot, k], sums[k])
+            add_alone(out_sums[patch, slot, 4 * block + k], sums[k])
 
 
 @cache
@@ -77,7 +79,7 @@ def measure_contrast_kernel(mixed: bool) -> Any:
         labels: I32Array2,  # (H, W) patch and order inside it
         cells: I32Array2,  # (3, cells + 1) see `Cell`; numbered
         draft_bits: i32,
-        out_sums: F32Array3,  # (patches, ORDER_SLOTS, 4) weight, and weighted modulation, background, phase
+        out_sums: F32Array3,  # (patches, ORDER_SLOTS, 4 BLOCKS) weight, and weighted modulation, background, phase
     ):
         """Walk down the columns of each cell, cycle by cycle."""
         height, width = phase.shape[0], phase.shape[1]
@@ -87,18 +89,18 @@ def measure_contrast_kernel(mixed: bool) -> Any:
             means = matrix_of(inverse_matrix).transpose() @ vec3(1.0 / 3.0)
             for patch in range(cells[Cell.PATCHES, cell], cells[Cell.PATCHES, cell + 1]):
                 for slot in range(ORDER_SLOTS):
-                    for k in ti.static(range(4)):
+                    for k in range(4 * BLOCKS):
                         out_sums[patch, slot, k] = 0.0
-            # Two columns tell enough; down a column a cycle's pixels follow each other.
-            for column in ti.static(_COLUMNS):
-                x = ti.min(left + column, right - 1)
+            # Down a column a cycle's pixels follow each other.
+            for x in range(left, right):
+                block = (x - left) // BLOCK_WIDTH
                 label, sums, background = NOTHING, vec4(0.0), vec3(0.0)
                 for y in range(top, bottom):
                     if y & 3 == 0:  # one gain serves four rows of a cell
                         gain = gain_at(gains, spacing_px, y + 2, (left + right) // 2)
                         background = means * gain
                     if labels[y, x] != label:
-                        add_cycle(label, sums, cells, draft_bits, out_sums)
+                        add_cycle(label, sums, block, cells, draft_bits, out_sums)
                         label, sums = labels[y, x], vec4(0.0)
                     if label >= 0:
                         projected = without_ambient(color_at(image, y, x), besides, surface_labels, y, x, mixed)
@@ -106,7 +108,7 @@ def measure_contrast_kernel(mixed: bool) -> Any:
                         light = background.dot(channels)
                         seen = vec4(1.0, modulation[y, x], light, phase[y, x])
                         sums += cycle_weight(phase[y, x]) * seen
-                add_cycle(label, sums, cells, draft_bits, out_sums)
+                add_cycle(label, sums, block, cells, draft_bits, out_sums)
 
     return measure_contrast
 
@@ -133,8 +135,8 @@ def measure_contrast(
 
     Returns
     -------
-    (P, ORDER_SLOTS, 4) float32
-        By patch, and by the order in it with 0 in the middle: the sum of the weights, and the weighted sums of
+    (P, ORDER_SLOTS, BLOCKS, 4) float32
+        By patch, by the order in it with 0 in the middle, and by block: the sum of the weights, and the weighted sums of
         modulation and background (levels) and of the phase (rad).
 
     Raises
@@ -145,7 +147,7 @@ def measure_contrast(
     image = checks.read_array("image", image, (*patches.shape, 3), *LEVEL_TYPES)
     phase = checks.read_array("phase", phase, patches.shape, np.float32)
     modulation = checks.read_array("modulation", modulation, patches.shape, np.float32)
-    sums = runtime.empty((patches.count, ORDER_SLOTS, 4), np.float32)
+    sums = runtime.empty((patches.count, ORDER_SLOTS, 4 * BLOCKS), np.float32)
     surfaces = crosstalk.surfaces
     light = (
         image,
@@ -160,4 +162,4 @@ def measure_contrast(
     )
     of_patches = (patches.labels, patches.cell_table, patches.draft_bits)
     measure_contrast_kernel(surfaces.mixed)(*light, *of_patches, sums)
-    return runtime.to_host(sums)  # synchronises
+    return runtime.to_host(sums).reshape(patches.count, ORDER_SLOTS, BLOCKS, 4)  # synchronises

@@ -1,6 +1,6 @@
 """Label the patches of a region with the offsets that their code names, weighing all offsets and all patches at once.
 
-Each patch has evidence: by how much its steps deviate from the code at every offset. A patch alone tells little, so
+Each patch has evidence: by how much its blocks deviate from the code at every offset. A patch alone tells little, so
 evidence is pooled along contacts. The labels then settle between what a patch shows and what its neighbours are
 labelled with, a step at every contact that separates two labels costing more the better the contact is supported: a
 Potts model, by iterated conditional modes (J. Besag, On the statistical analysis of dirty pictures, J. R. Statist. Soc.
@@ -37,28 +37,29 @@ _NEVER = 1e30
 
 @kernel
 def weigh_offsets_kernel(
-    low: I32Array1,  # (S,) patch of each step's lower cycle
-    high: I32Array1,  # (S,) and of its higher one
-    order: I32Array1,  # (S,) the lower cycle's order
-    rise: F32Array1,  # (S,) of the contrast's logarithm
-    sigma: F32Array1,  # (S,) its standard deviation
-    strip: I32Array1,  # (S,) number of the strip that it is in
-    code: F32Array2,  # (strips, N) the code's, as strong as it is there
+    block: I32Array1,  # (M,) of each share
+    patch: I32Array1,  # (M,) and the patch that holds it
+    share: F32Array1,  # (M,) how much it counts
+    order: I32Array1,  # (N,) of each block
+    level: F32Array1,  # (N,) logarithm of its contrast
+    sigma: F32Array1,  # (N,) its standard deviation
+    places: I32Array2,  # (N, cycles or 1) where the code is read, at each cycle that it may be
+    code: F32Array2,  # (cycles, places) the code's levels
     first_offset: i32,
-    most: f32,  # what a step may deviate by, in variances
+    most: f32,  # what a block may deviate by, in variances
     out_evidence: Vec16Array2,  # (P, groups of offsets); 0 to begin with
 ):
-    """Sum up by how much the steps deviate from the code; half of it goes to either patch."""
+    """Sum up by how much the blocks deviate from the code."""
     for group in range(out_evidence.shape[1]):
-        for s in range(order.shape[0]):
-            half = vec16(0.5 * most)
+        for m in range(block.shape[0]):
+            n = block[m]
+            cost = vec16(most)
             for k in ti.static(range(LANES)):
-                place = order[s] + first_offset + group * LANES + k
-                if place >= 0 and place < code.shape[1]:
-                    departs = (rise[s] - code[strip[s], place]) / sigma[s]
-                    half[k] = 0.5 * ti.min(departs * departs, most)
-            add_alone(out_evidence[low[s], group], half)
-            add_alone(out_evidence[high[s], group], half)
+                cycle = order[n] + first_offset + group * LANES + k
+                if cycle >= 0 and cycle < code.shape[0]:
+                    departs = (level[n] - code[cycle, places[n, ti.min(cycle, places.shape[1] - 1)]]) / sigma[n]
+                    cost[k] = ti.min(departs * departs, most)
+            add_alone(out_evidence[patch[m], group], share[m] * cost)
 
 
 @kernel
@@ -129,38 +130,38 @@ class Links(NamedTuple):
 
 
 def weigh_offsets(
-    patches: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer]],
+    held: tuple[npt.NDArray[np.integer], npt.NDArray[np.integer], npt.NDArray[np.floating]],
     order: npt.NDArray[np.integer],
-    rise: npt.NDArray[np.floating],
+    level: npt.NDArray[np.floating],
     sigma: npt.NDArray[np.floating],
-    strip: npt.NDArray[np.integer],
+    places: npt.NDArray[np.int32],
     code: npt.NDArray[np.floating],
     offsets: range,
     count: int,
     most: float,
 ) -> npt.NDArray[np.float32]:
-    """Sum up for every patch and offset by how much its steps deviate from the code.
+    """Sum up for every patch and offset by how much its blocks deviate from the code.
 
     Parameters
     ----------
-    patches : two (S,) int
-        The patches of each step's lower and higher cycle: half of the deviation goes to either.
-    order : (S,) int
-        The lower cycle's order.
-    rise : (S,) float
-        By how much the logarithm of the contrast rises.
-    sigma : (S,) float
+    held : three (M,)
+        A block, a patch that holds some of it, and how much that counts.
+    order : (N,) int
+        Every block's cycle.
+    level : (N,) float
+        The logarithm of its contrast.
+    sigma : (N,) float
         Its standard deviation.
-    strip : (S,) int
-        Number of the strip that it is in.
-    code : (strips, N) float
-        The code's rises, as strong as it is there.
+    places : (N, cycles) or (N, 1) int32
+        Where the code is read in it, at each cycle that it may be.
+    code : (cycles, places) float
+        The code's levels.
     offsets : range
         Whole cycles that the orders may lack to be absolute.
     count : int
         Of patches, P.
     most : float
-        What a step may deviate by, in variances; so much does one outside the code.
+        What a block may deviate by, in variances; so much does one outside the code.
 
     Returns
     -------
@@ -168,10 +169,10 @@ def weigh_offsets(
         Squared deviations, in variances.
     """
     evidence = np.zeros((count, _groups(len(offsets)), LANES), np.float32)
-    low, high = (np.ascontiguousarray(ends, np.int32) for ends in patches)
-    seen = (np.ascontiguousarray(order, np.int32), rise.astype(np.float32), sigma.astype(np.float32))
-    expected = np.ascontiguousarray(strip, np.int32), code.astype(np.float32)
-    weigh_offsets_kernel(low, high, *seen, *expected, offsets.start, most, evidence)
+    block, patch = (np.ascontiguousarray(numbers, np.int32) for numbers in held[:2])
+    seen = (np.ascontiguousarray(order, np.int32), level.astype(np.float32), sigma.astype(np.float32))
+    expected = np.ascontiguousarray(places, np.int32), np.ascontiguousarray(code, np.float32)
+    weigh_offsets_kernel(block, patch, held[2].astype(np.float32), *seen, *expected, offsets.start, most, evidence)
     return evidence.reshape(count, -1)[:, : len(offsets)]
 
 

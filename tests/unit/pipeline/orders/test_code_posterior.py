@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from pipeline.orders.code_posterior import PartSteps, code_posteriors, log_likelihoods, seen_steps
 from support.coded_steps import shown
 
-from pipeline.orders.code_posterior import PartSteps, code_posteriors, log_likelihoods, seen_steps
 from pipeline.pattern import contrast_steps
 
 PART = np.array([0])

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from pipeline.orders.contrast_cycles import read_cycles
 from support.coded_steps import WIDTH, grid
 
-from pipeline.orders.contrast_cycles import read_cycles
 from tikernels.order_evidence.contrast_reading import BACKGROUND, MODULATION, ORDER_SLOTS, PHASE, TOTAL
 
 

@@ -1,0 +1,265 @@
+"""How probable each offset of a part is, by the contrast that its blocks show of the pattern's code.
+
+At every offset that a part may have, its blocks should show the code's contrasts there, but for a factor whose
+logarithm is a plane over the part less a share of ambient light, as where a surface turns away it is darker. Plane and
+share are fitted at each offset. A block deviates from the fit by noise and a spread, or shows something else, as at
+the edges of a surface does. The spread is not known, and integrated over. `docs/coded_pattern.md` has the derivation.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from pipeline.contrast_code import CYCLES, GAMMAS, ContrastCode
+from pipeline.models import FloatArray
+from pipeline.orders.code_blocks import Blocks
+from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
+from pipeline.orders.stripe_columns import StripeColumns
+
+# What a block's contrast deviates by beside the camera's noise (natural logarithm), and the one that is fitted with.
+SPREADS = np.array([0.006, 0.012, 0.024, 0.048])
+_FITTED = 0.012
+# How probably a block shows something else than the code, and how far that then lies off.
+_OTHER, _OTHER_SIGMA = 0.15, 0.2
+# Blocks side by side deviate alike: each counts as this many.
+_INDEPENDENT = 0.6
+# Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
+# frame's once that is known.
+_SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.1, 0.08, 0.5
+# A part's blocks that are looked at, and the rounds in which a fit finds out which of them show something else.
+_MOST_BLOCKS, _ROUNDS = 300, 3
+# Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no code.
+_STRAYS, _NO_CODE = 0.05, 0.1
+# So many of the largest parts tell what all parts of a frame have in common.
+_TELLING = 3
+
+
+@dataclass(frozen=True)
+class Factor:
+    """What a part's contrasts have in common beside the code: the logarithm of a factor."""
+
+    middle: FloatArray  # (2,) row and column, px
+    brightness: float  # levels
+    terms: FloatArray  # (4, ...) at the middle, slopes a row and a column, and by ambient light; one for each offset
+
+    @staticmethod
+    def shape(place: FloatArray, brightness: FloatArray, middle: FloatArray, usual: float) -> FloatArray:
+        """Return (n, 4): what a factor is made of, at these places."""
+        darker = np.clip(usual / brightness - 1, -1, 3)
+        return np.column_stack([np.ones(len(place)), place - middle, darker])
+
+    def at(self, place: FloatArray, brightness: FloatArray) -> FloatArray:
+        """Return the factor's logarithm (n, ...) at places (n, 2) that are so bright."""
+        return self.shape(place, brightness, self.middle, self.brightness) @ self.terms
+
+
+@dataclass(frozen=True)
+class PartEvidence:
+    """What a part's blocks say of each of its offsets."""
+
+    first: int  # the smallest offset
+    likelihood: FloatArray  # (n,) logarithm, of that offset and those that follow
+    no_code: float  # logarithm, if the part does not show the code
+    factor: Factor  # at each offset
+
+    def posterior(self, prior: FloatArray | float, luck: float) -> Posterior:
+        """Return how probable each offset is.
+
+        Parameters
+        ----------
+        prior : (n,) float
+            Logarithm of how probable the offsets are otherwise.
+        luck : float
+            Logarithm by how much likelier than it seems the part shows no code at all.
+        """
+        if len(self.likelihood) == 0:
+            return NOTHING_KNOWN
+        prior = prior - _log_sum(prior + np.zeros(len(self.likelihood)))
+        shown = np.log(1 - _NO_CODE) + self.likelihood + prior
+        none = np.log(_NO_CODE) + self.no_code + luck + prior
+        together = np.logaddexp(shown, none)
+        probability = np.exp(together - together.max())
+        return Posterior(self.first, probability / probability.sum())
+
+
+class CodeReader:
+    """Reads the code in the blocks of a frame.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Of the frame.
+    code : ContrastCode
+        The pattern's.
+    columns : StripeColumns, optional
+        Where places look at each order; only a code that changes along the stripe needs them.
+    """
+
+    def __init__(self, blocks: Blocks, code: ContrastCode, columns: StripeColumns | None) -> None:
+        self.blocks = blocks
+        self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
+        self.places = np.zeros((len(blocks.order), 1), np.int32)
+        width_px = 0.0
+        if code.cell_px is not None and columns is not None:
+            at = columns.at(blocks.place, np.arange(self.cycles)[None])
+            width_px = columns.block_px
+            share = np.nan_to_num(at / code.repeats_px)
+            count = code.levels().shape[-1]
+            self.places = np.floor((share - np.floor(share)) * count).astype(np.int32)
+        #: (gammas, cycles, places)
+        self.levels = code.levels(width_px)[:, : self.cycles]
+        self._gamma, self._gain = GAMMAS.index(2.0), None
+
+    @property
+    def levels_now(self) -> FloatArray:
+        """(cycles, places): the code's levels under the frame's response."""
+        return np.asarray(self.levels[self._gamma])
+
+    def expected(self, which: Integers, orders: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Return (n, ...) the code's levels where blocks (n,) have orders (n, ...), and whether the code has those."""
+        inside = (orders >= 0) & (orders < self.cycles)
+        orders = np.clip(orders, 0, self.cycles - 1)
+        rows = which.reshape(-1, *(1,) * (orders.ndim - 1))
+        places = self.places[rows, orders] if self.places.shape[1] > 1 else 0
+        return self.levels[self._gamma][orders, places], inside
+
+    def fit(self, which: Integers, offsets: Integers, *, no_code: bool = False) -> tuple[FloatArray, Factor]:
+        """Fit the factor of a part with these blocks (n,) at every offset (K,).
+
+        Parameters
+        ----------
+        which, offsets
+            At most a few hundred blocks are looked at.
+        no_code : bool
+            Fit it as well as if all blocks had the same contrast, in a last column.
+
+        Returns
+        -------
+        (K,) float64
+            Logarithm of the likelihood.
+        Factor
+            At each offset.
+        """
+        which = which[:: -(-len(which) // _MOST_BLOCKS)]
+        blocks = self.blocks
+        expected, inside = self.expected(which, blocks.order[which][:, None] + offsets)
+        if no_code:
+            expected = np.column_stack([expected, np.full(len(which), self.levels[self._gamma].mean())])
+            inside = np.column_stack([inside, np.ones(len(which), np.bool_)])
+        place, brightness = blocks.place[which], blocks.brightness[which]
+        middle, usual = place.mean(axis=0), float(np.median(brightness))
+        shape = Factor.shape(place, brightness, middle, usual)
+        remains = blocks.contrast[which][:, None] - expected
+        likelihood, terms = fit_levels(remains, inside, shape, blocks.variance[which], self._gain)
+        return likelihood, Factor(middle, usual, terms)
+
+    def read(self, which: Integers) -> PartEvidence:
+        """Return what the blocks (n,) of a part say of its offsets."""
+        offsets = self.offsets(which)
+        if len(offsets) == 0:
+            return PartEvidence(0, np.zeros(0), 0.0, Factor(np.zeros(2), 0.0, np.zeros((4, 0))))
+        likelihood, factor = self.fit(which, offsets, no_code=True)
+        return PartEvidence(int(offsets[0]), likelihood[:-1], float(likelihood[-1]), factor)
+
+    def offsets(self, which: Integers) -> Integers:
+        """Return the offsets at which the pattern has the orders of these blocks, but for some strays."""
+        if len(which) == 0:
+            return np.zeros(0, np.int64)
+        low, high = np.quantile(self.blocks.order[which], [_STRAYS, 1 - _STRAYS], method="nearest")
+        return np.arange(-low, self.cycles - high)
+
+    def read_all(self, parts: Integers) -> list[PartEvidence]:
+        """Return what the blocks of each part (n,) say."""
+        sort = np.argsort(self.blocks.root, kind="stable")
+        ends = (np.searchsorted(self.blocks.root[sort], parts, side) for side in ("left", "right"))
+        return [self.read(sort[first:last]) for first, last in zip(*ends, strict=True)]
+
+    def learn(self) -> bool:
+        """Take the response and the usual factor from the frame's largest parts, and say if they show the code."""
+        roots, counts = np.unique(self.blocks.root, return_counts=True)
+        largest = [np.flatnonzero(self.blocks.root == root) for root in roots[np.argsort(counts)[-_TELLING:]]]
+        largest = [some for some in largest if len(self.offsets(some))]
+        found = []
+        for gamma in range(len(GAMMAS)) if largest else ():
+            self._gamma, self._gain = gamma, None
+            read = [self.read(some[:: -(-3 * len(some) // _MOST_BLOCKS)]) for some in largest]
+            likelihood = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) for part in read)
+            gains = [part.factor.terms[0, part.likelihood.argmax()] for part in read]
+            found.append((likelihood, likelihood - sum(part.no_code for part in read), float(np.median(gains))))
+        if not found:
+            return False
+        self._gamma = max(range(len(found)), key=lambda gamma: found[gamma][0])
+        _, more, self._gain = found[self._gamma]
+        return more > 0
+
+    def again(self, other: "CodeReader") -> "CodeReader":
+        """Return the reader of other blocks of the frame with what was learnt of it."""
+        other._gamma, other._gain = self._gamma, self._gain
+        return other
+
+
+def fit_levels(
+    remains: FloatArray,
+    inside: npt.NDArray[np.bool_],
+    terms: FloatArray,
+    variance: FloatArray,
+    gain: float | None,
+) -> tuple[FloatArray, FloatArray]:
+    """Fit a part's factor to what the code leaves of its blocks' contrasts, at each offset.
+
+    Parameters
+    ----------
+    remains : (n, K) float
+        Natural logarithm.
+    inside : (n, K) bool
+        Whether the code has such a cycle.
+    terms : (n, 4) float
+        What the factor is made of.
+    variance : (n,) float
+        Of the contrasts, by noise.
+    gain : float, optional
+        The usual factor in the frame.
+
+    Returns
+    -------
+    (K,) float64
+        Logarithm of the likelihood.
+    (4, K) float64
+        How much there is of each term.
+    """
+    usual = np.median(remains, axis=0) if gain is None else gain
+    prior = np.diag(np.array([_ANY_GAIN if gain is None else _GAIN, _SLOPE, _SLOPE, _AMBIENT]) ** -2.0)
+    departs = remains - usual
+    pairs = (terms[:, :, None] * terms[:, None]).reshape(len(terms), 16)
+    noise = variance[:, None] + _FITTED**2
+    # From the median on: what shows something else must not pull at the start.
+    fit = np.zeros((4, remains.shape[1]))
+    fit[0] = np.median(departs, axis=0)
+    normal = np.broadcast_to(prior, (remains.shape[1], 4, 4))
+    for _ in range(_ROUNDS):
+        squares = (departs - terms @ fit) ** 2
+        far = noise + _OTHER_SIGMA**2
+        with np.errstate(over="ignore"):
+            odds = _OTHER / (1 - _OTHER) * np.sqrt(noise / far) * np.exp(0.5 * squares * (1 / noise - 1 / far))
+        weights = _INDEPENDENT * inside / noise / (1 + odds)
+        normal = (weights.T @ pairs).reshape(-1, 4, 4) + prior
+        fit = np.linalg.solve(normal, ((weights * departs).T @ terms)[..., None])[..., 0].T
+    squares = (departs - terms @ fit) ** 2
+    shown = []
+    for spread in SPREADS:
+        near, far = variance[:, None] + spread**2, variance[:, None] + _OTHER_SIGMA**2
+        other = _OTHER * np.exp(-0.5 * squares / far) / np.sqrt(far)
+        likelihood = np.log((1 - _OTHER) * np.exp(-0.5 * squares / near) / np.sqrt(near) + other)
+        shown.append(np.where(inside, likelihood, np.log(_OTHER / np.sqrt(far))).sum(axis=0))
+    likelihood = _INDEPENDENT * np.array(shown)
+    cost = np.einsum("ik,ij,jk->k", fit, prior, fit) + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(prior)[1]
+    top = likelihood.max(axis=0)
+    together = top + np.log(np.exp(likelihood - top).mean(axis=0))
+    fit[0] += usual
+    return np.asarray(together - 0.5 * cost), fit
+
+
+def _log_sum(logarithms: FloatArray) -> float:
+    top = float(logarithms.max())
+    return top + float(np.log(np.exp(logarithms - top).sum()))
