@@ -83,6 +83,12 @@ class ContrastCode:
         """After how many projector px along the stripe the code is the same again; 1 where it does not change."""
         return 1.0 if self.cell_px is None else self.cell_px * self.contrasts.shape[1]
 
+    @property
+    def places_px(self) -> FloatArray:
+        """(places,) px along the stripe of the places at which the code is tabled, evenly over `repeats_px`."""
+        places = 1 if self.cell_px is None else _PLACES * self.contrasts.shape[1]
+        return np.asarray((np.arange(places) + 0.5) / places * self.repeats_px)
+
     def modulation(self, cycles: npt.ArrayLike, along_px: npt.ArrayLike = 0.0) -> FloatArray:
         """Return the pattern's modulation as a fraction of full scale.
 
@@ -114,9 +120,7 @@ class ContrastCode:
         """(gammas, 2, CYCLES, places): what of a cycle is modulation and background, as it is read, place by place."""
         within = np.linspace(-0.5, 0.5, 33)  # cycles
         weight = (1 - (2 * within) ** 2) ** 2
-        places = 1 if self.cell_px is None else _PLACES * self.contrasts.shape[1]
-        along = (np.arange(places) + 0.5) / places * self.repeats_px
-        projected = self.modulation(np.arange(CYCLES)[:, None, None] + within, along[:, None])
+        projected = self.modulation(np.arange(CYCLES)[:, None, None] + within, self.places_px[:, None])
         # What of the light's own cycle is background and modulation, for every modulation of the codes.
         modulations = np.linspace(projected.min(), projected.max(), 65)
         wave = np.cos(2 * np.pi * np.arange(64) / 64)

@@ -1,4 +1,11 @@
-"""What a coded pattern's changing contrast does to the phase, and what undoes it (`docs/coded_pattern.md`)."""
+"""What a coded pattern's changing contrast does to the phase, and what undoes it (`docs/coded_pattern.md`).
+
+Response and contrast: what the response adds to the phase, in its third harmonic, goes with the contrast. Blur weakens
+the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of the phase: by
+(2 pi s)^2 / (2 pi) of its logarithm's slope, for a Gaussian of s cycles. And what the balance's window passes of the
+fringe where the contrast changes within it turns the colours, and the phase with them. How much of each there is, a
+frame's phases tell: a smooth surface hardly bends within a cycle.
+"""
 
 from functools import cache
 
@@ -6,125 +13,112 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.contrast_code import CYCLES, ContrastCode
-from pipeline.models import FloatArray
-from tikernels.order_evidence.modulation_correction import SLOPE_REACH, TABLED
+from pipeline.orders.stripe_columns import StripeColumns
+from tikernels.order_evidence.modulation_correction import NODE_PX, TABLED, CodeRipples
 from tikernels.phase.balance_window import SIGMA_ACROSS
 
 # Where the phase bends by more (rad) within a cycle, the surface does.
 _MAX_BEND = 0.3
-# How much of the ripples is usual, as a standard deviation: rad for blur, and shares of the others.
-_USUAL_SHARES = np.array([0.03, 0.3, 0.3])
+# How much of the ripples is usual, as a standard deviation: shares of what the contrast makes of the response and of
+# what the window passes, and rad for blur.
+_USUAL_SHARES = np.array([0.3, 0.03, 0.3])
+# The modulation's slope is taken over so many cycles to either side: blur rounds the tips of the code off.
+_SLOPE_REACH = 0.2
 # The balance's window is computed to this many cycles on either side.
 _WINDOWS = 4
+# Of the frame's pixels every eighth column tells enough, and every fourth row, another one from column to column.
+_EVERY_COLUMN, _EVERY_ROW = 8, 4
 
 
 @cache
-def code_deviations(code: ContrastCode) -> FloatArray:
-    """Return how the code's contrast deviates from the usual one.
-
-    Returns
-    -------
-    (TABLED (CYCLES - 1) + 1,) float64
-        As a fraction of the usual one, TABLED a cycle from the first cycle's middle on.
-    """
-    modulation = code.modulation(np.arange(TABLED * (CYCLES - 1) + 1) / TABLED)
-    return np.asarray(modulation / (1 - modulation) / code.usual - 1)
-
-
-def modulation_corrections(deviations: FloatArray, tables: npt.NDArray[np.floating]) -> FloatArray:
-    """Return what the response's correction lacks where the contrast is not the usual one.
-
-    Parameters
-    ----------
-    deviations : (N,) float64
-        Of the contrast from the usual one, as a fraction of it, TABLED a cycle from the middle of a cycle on.
-    tables : (2, bins + 1)
-        rad over a cycle from -pi on: what of the correction goes with the contrast, and with its square.
-
-    Returns
-    -------
-    (N,) float64
-        rad.
-    """
-    edges = np.linspace(-0.5, 0.5, tables.shape[1])
-    around = [np.interp(np.arange(TABLED) / TABLED, edges, row, period=1) for row in tables]
-    linear, square = (np.resize(row, len(deviations)) for row in around)
-    return np.asarray(deviations * (linear + (2 + deviations) * square))
-
-
-@cache
-def code_ripples(code: ContrastCode) -> FloatArray:
-    """Return the shapes of what the code may leave in the phase.
-
-    Blur weakens the fringe's upper sideband more than its lower one, which turns a change of the modulation into one of
-    the phase: by (2 pi s)^2 / (2 pi) of its logarithm's slope, for a Gaussian of s cycles. And what the balance's
-    window passes of the fringe where the contrast changes within it turns the colours, and the phase with them.
-
-    Returns
-    -------
-    (2, TABLED (CYCLES - 1) + 1) float64
-        The slope, a cycle, and what the window passes, as a fraction; TABLED a cycle from the first cycle's middle on.
-    """
-    inside = np.arange(TABLED * (CYCLES - 1) + 1) / TABLED
-    low, here, high = (code.modulation(inside + reach) for reach in (-SLOPE_REACH, 0, SLOPE_REACH))
-    slopes = (high - low) / (2 * SLOPE_REACH * here)
-    modulation = code.modulation(np.arange(-_WINDOWS * TABLED, len(inside) + _WINDOWS * TABLED) / TABLED)
-    window = np.arange(-_WINDOWS * TABLED, _WINDOWS * TABLED + 1) / TABLED
+def code_ripples(code: ContrastCode) -> npt.NDArray[np.float32]:
+    """Return the table of `CodeRipples`, (N, places, 3)."""
+    cycles = np.arange(TABLED * (CYCLES - 1) + 1)[:, None] / TABLED
+    along = code.places_px
+    low, here, high = (code.modulation(cycles + reach, along) for reach in (-_SLOPE_REACH, 0, _SLOPE_REACH))
+    deviations = here / (1 - here) / code.usual - 1
+    slopes = (high - low) / (2 * _SLOPE_REACH * here)
+    # The window is wider along the stripe than a repeat of the code.
+    reach = _WINDOWS * TABLED
+    around = code.modulation(np.arange(-reach, len(cycles) + reach)[:, None] / TABLED, along)
+    window = np.arange(-reach, reach + 1) / TABLED
     weight = np.exp(-0.5 * (window / SIGMA_ACROSS) ** 2)
-    passed = np.convolve(modulation / (1 - modulation), weight / weight.sum() * np.sin(2 * np.pi * window), "valid")
-    return np.stack([slopes, passed])
+    contrast = (around / (1 - around)).mean(axis=1)
+    passed = np.convolve(contrast, weight / weight.sum() * np.sin(2 * np.pi * window), "valid")
+    shapes = (deviations, slopes, np.broadcast_to(passed[:, None], slopes.shape))
+    return np.ascontiguousarray(np.stack(shapes, axis=-1), np.float32)
 
 
-def ripple_left(
+def measure_ripples(
+    raw: npt.NDArray[np.float32],
     unwrapped: npt.NDArray[np.float32],
     region: npt.NDArray[np.int32],
-    absolute: npt.NDArray[np.bool_],
-    corrections: FloatArray,
+    known: npt.NDArray[np.bool_],
+    *,
+    within: npt.NDArray[np.float32],
     period_px: float,
     code: ContrastCode,
-) -> FloatArray:
-    """Return what is left in a frame's phase of the code's ripples, by how the phase bends within cycles.
+    columns: StripeColumns | None,
+) -> CodeRipples:
+    """Return what a frame shows of the code's ripples, by how its phase bends within cycles.
 
     Parameters
     ----------
-    unwrapped : (H, n) float32
-        rad, absolute; columns of the image.
-    region : (H, n) int32
+    raw : (H, W) float32
+        rad, the phase before it is smoothed.
+    unwrapped : (H, W) float32
+        rad, absolute.
+    region : (H, W) int32
         Number of each pixel's region; 0 outside.
-    absolute : (regions + 1,) bool
+    known : (regions + 1,) bool
         Whether a region's orders are absolute.
-    corrections : (N,) float64
-        rad to be added for the response, from `modulation_corrections`; the frame may show more or less of them.
+    within : (2, bins + 1) float32
+        See `CodeRipples`.
     period_px : float
         Rows a cycle.
     code : ContrastCode
         The pattern's.
-
-    Returns
-    -------
-    (N,) float64
-        rad; 0 where nothing tells.
+    columns : StripeColumns, optional
+        Where places look; a code that changes along the stripe needs them.
     """
-    ripples = np.vstack([code_ripples(code), corrections])
+    table = code_ripples(code)
+    nodes = np.zeros((raw.shape[0] // NODE_PX + 2, raw.shape[1] // NODE_PX + 2, 4), np.float32)
+    if code.cell_px is not None and columns is not None:
+        nodes = columns.nodes / np.float32(code.repeats_px)
+    nothing = CodeRipples(table, within, np.zeros(3, np.float32), nodes)
     half = max(1, round(period_px / 2))
     middle, above, below = region[half:-half], region[: -2 * half], region[2 * half :]
-    inside = (middle > 0) & (middle == above) & (middle == below) & absolute[middle]
-    # Every fourth row tells enough: another one from column to column, so that all phases are seen.
-    inside &= np.add.outer(np.arange(inside.shape[0]), np.arange(inside.shape[1])) % 4 == 0
-    if not inside.any():
-        return np.zeros(ripples.shape[1])
-    rows, columns = np.nonzero(inside)
-    phases = [unwrapped[rows + offset, columns].astype(np.float64) for offset in (0, half, 2 * half)]
-    last = ripples.shape[1] - 1
-    places = [np.clip(np.rint(phase * (TABLED / (2 * np.pi))), 0, last).astype(int) for phase in phases]
-    phases = [phase + corrections[place] for phase, place in zip(phases, places, strict=True)]
-    # A smooth surface hardly bends within a cycle; what it bends has nothing to do with the code.
-    bend = phases[0] - 2 * phases[1] + phases[2]
-    smooth = np.abs(bend) < _MAX_BEND
+    inside = (middle > 0) & (middle == above) & (middle == below) & known[middle]
+    rows, places = np.indices(inside.shape, sparse=True)
+    inside &= (rows + places // _EVERY_COLUMN) % _EVERY_ROW == 0
+    inside &= places % _EVERY_COLUMN == 0
+    rows, places = np.nonzero(inside)
+    if len(rows) == 0:
+        return nothing
+    seen, shapes = [], []
+    for offset in (0, half, 2 * half):
+        here = rows + offset, places
+        smooth = unwrapped[here].astype(np.float64)
+        # The raw phase, in the smoothed one's cycle.
+        seen.append(smooth + np.remainder(raw[here] - smooth + np.pi, 2 * np.pi) - np.pi)
+        cycles = smooth / (2 * np.pi)
+        along = np.zeros(len(cycles))
+        if code.cell_px is not None and columns is not None:
+            along = columns.at(np.column_stack(here), cycles[:, None])[:, 0] / code.repeats_px
+        place = np.floor((along - np.floor(along)) * table.shape[1]).astype(int)
+        ripples = table[np.clip(np.rint(cycles * TABLED), 0, len(table) - 1).astype(int), place].T
+        edges = np.linspace(-0.5, 0.5, within.shape[1])
+        linear, square = (np.interp(cycles, edges, row, period=1) for row in within)
+        shapes.append(np.stack([ripples[0] * (linear + (2 + ripples[0]) * square), *ripples[1:]]))
+    bend = seen[0] - 2 * seen[1] + seen[2]
+    expected = shapes[0] - 2 * shapes[1] + shapes[2]
+    # What the response's correction lacks is known, but for a share; a smooth surface does not bend, and what it bends
+    # has nothing to do with the code.
+    left = bend + expected[0]
+    smooth = np.abs(left) < _MAX_BEND
     if not smooth.any():
-        return np.zeros(ripples.shape[1])
-    first, here, second = (ripples[:, place[smooth]] for place in places)
-    expected = first - 2 * here + second
-    doubt = np.mean(bend[smooth] ** 2) / _USUAL_SHARES**2
-    shares = np.linalg.solve(expected @ expected.T + np.diag(doubt + 1e-12), expected @ bend[smooth])
-    return np.asarray(shares @ ripples)
+        return nothing
+    left, expected = left[smooth], expected[:, smooth]
+    doubt = np.mean(left**2) / _USUAL_SHARES**2
+    shares = np.linalg.solve(expected @ expected.T + np.diag(doubt + 1e-12), expected @ left)
+    return nothing._replace(shares=(np.array([1.0, 0, 0]) - shares).astype(np.float32))

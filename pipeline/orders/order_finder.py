@@ -18,7 +18,7 @@ from pipeline.decoding.frame import CameraRays, FrameMemory, RegionOrders
 from pipeline.errors import CalibrationError
 from pipeline.orders.carried_orders import MAX_CARRIED_ERROR, CarriedOrders, choose_motion, count_votes, split_by_votes
 from pipeline.orders.coded_orders import CodedOrders, find_absolute_orders
-from pipeline.orders.modulation import code_deviations, modulation_corrections, ripple_left
+from pipeline.orders.modulation import measure_ripples
 from pipeline.orders.posterior import MAX_ABSOLUTE_ERROR, NOTHING_KNOWN, AbsoluteOrders, OrderRange
 from pipeline.orders.stripe_columns import StripeColumns
 from tikernels import runtime
@@ -33,12 +33,8 @@ from tikernels.unwrapping.patches import MIN_REGION_PX, Patches, PatchGraph, Reg
 
 # Where more of the surface than this does not fit into the depth range, the range is not believed.
 _MAX_OUT_OF_RANGE = 0.02
-# With a code, the share of pixels without an absolute order from which the user is told, and the smallest correction
-# (rad) that is worth a pass over the image.
+# With a code, the share of pixels without an absolute order from which the user is told.
 _MAX_LOST = 0.02
-_MIN_CORRECTION = 1e-3
-# Every eighth column tells how far blur shifts the phase.
-_EVERY_COLUMN = 8
 # Where a code that is not stated places more than this share of the pixels, the frame shows it.
 _MIN_CODED = 0.5
 # A part that is a smaller share of the frame, and whose likeliest order is wrong with a higher probability, may have
@@ -249,39 +245,45 @@ class OrderFinder:
         orders = with_frame_before(absolute, carried, None if memory is None else memory.orders)
         return Placement(roots, orders, carried, found is not None, left_out, warning)
 
-    def refine(self, seen: SeenPhase, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers) -> Cause | None:
-        """With a code, correct the phases by the modulation that their cycles have.
+    def refine(
+        self, seen: SeenPhase, raw: F32, regions: RegionTable, orders: RegionOrders, out: SurfaceBuffers
+    ) -> tuple[bool, Cause | None]:
+        """With a code, correct the phases by the modulation that their places have.
 
         Parameters
         ----------
         seen : SeenPhase
-            The frame; its smoothed phase is corrected.
+            The frame.
+        raw : (H, W) float32
+            rad, the phase before it was smoothed, which is corrected.
         regions, orders
             Its regions, written to `out`, and what is known of them.
         out : SurfaceBuffers
-            What is corrected, too.
+            The frame's.
 
         Returns
         -------
-        str or None
+        bool
+            Whether anything was corrected.
+        Cause or None
             What the user should know.
         """
         if self.code is None:
-            return None
-        known = orders.known
-        # The response's correction is for the pattern's mean contrast.
-        deviations = code_deviations(self.code)
-        columns = (slice(None), slice(None, None, _EVERY_COLUMN))
-        sampled = runtime.to_host(out.unwrapped)[columns], runtime.to_host(out.region)[columns]
-        corrections = modulation_corrections(deviations, modulation_tables(seen.correction))
-        corrections -= ripple_left(*sampled, known, corrections, seen.period_px, self.code)
-        if np.abs(corrections).max() > _MIN_CORRECTION and known.any():
-            correct_by_modulation(out.region, known, corrections, out=(seen.phase, out.unwrapped))
+            return False, None
+        known, corrected = orders.known, False
+        if known.any():
+            arrays = (runtime.to_host(array) for array in (raw, out.unwrapped, out.region))
+            within, columns = modulation_tables(seen.correction), self._columns
+            ripples = measure_ripples(
+                *arrays, known, within=within, period_px=seen.period_px, code=self.code, columns=columns
+            )
+            correct_by_modulation(out.region, out.unwrapped, known, ripples, out=raw)
+            corrected = True
         lost = float(regions.pixels[~known[1:]].sum() / max(regions.pixels.sum(), 1))
         if lost > _MAX_LOST:
             text = f"{lost:.0%} of the pixels show too little of the code, or contradict it: their order is a guess"
-            return _code_lost("orders guessed", text, seen)
-        return None
+            return corrected, _code_lost("orders guessed", text, seen)
+        return corrected, None
 
     def shows_a_code(self, seen: SeenPhase, patches: Patches) -> bool:
         """Whether a frame shows a code that neither settings nor calibration state."""
