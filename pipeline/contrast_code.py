@@ -7,7 +7,7 @@ every order that it may have, so only windows at the same columns have to differ
 """
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -131,6 +131,7 @@ class ContrastCode:
             seen.append([np.interp(projected, modulations, share) @ (weight / weight.sum()) for share in shares])
         return np.array(seen)
 
+    @lru_cache(maxsize=4)
     def levels(self, width_px: float = 0.0) -> npt.NDArray[np.float64]:
         """Return the logarithm of each cycle's contrast, as `measure_contrast` reads it, under each of GAMMAS.
 

@@ -15,7 +15,7 @@ from pipeline.contrast_code import CYCLES, GAMMAS, ContrastCode
 from pipeline.models import FloatArray
 from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
-from pipeline.orders.stripe_columns import StripeColumns
+from pipeline.orders.stripe_columns import StripeColumns, column_at
 
 # What a block's contrast deviates by beside the camera's noise (natural logarithm), and the one that is fitted with.
 SPREADS = np.array([0.006, 0.012, 0.024, 0.048])
@@ -99,30 +99,31 @@ class CodeReader:
     def __init__(self, blocks: Blocks, code: ContrastCode, columns: StripeColumns | None) -> None:
         self.blocks = blocks
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
-        self.places = np.zeros((len(blocks.order), 1), np.int32)
-        width_px = 0.0
+        self._code, self._gamma, self._gain = code, GAMMAS.index(2.0), None
+        #: (N, 4) where each block looks along the stripe: a polynomial of its order, in repeats of the code.
+        self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
         if code.cell_px is not None and columns is not None:
-            at = columns.at(blocks.place, np.arange(self.cycles)[None])
-            width_px = columns.block_px
-            share = np.nan_to_num(at / code.repeats_px)
-            count = code.levels().shape[-1]
-            self.places = np.floor((share - np.floor(share)) * count).astype(np.int32)
+            self.columns, width_px = columns.terms(blocks.place) / np.float32(code.repeats_px), columns.block_px
         #: (gammas, cycles, places)
         self.levels = code.levels(width_px)[:, : self.cycles]
-        self._gamma, self._gain = GAMMAS.index(2.0), None
 
     @property
     def levels_now(self) -> FloatArray:
         """(cycles, places): the code's levels under the frame's response."""
         return np.asarray(self.levels[self._gamma])
 
-    def expected(self, which: Integers, orders: Integers) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
-        """Return (n, ...) the code's levels where blocks (n,) have orders (n, ...), and whether the code has those."""
+    def expected(
+        self, which: Integers, orders: Integers, shift_px: FloatArray | float = 0.0
+    ) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+        """Return (n, ...) the code's levels where blocks (n,) have orders (n, ...), and whether the code has those.
+
+        As if the code lay so many px further along the stripe.
+        """
         inside = (orders >= 0) & (orders < self.cycles)
-        orders = np.clip(orders, 0, self.cycles - 1)
-        rows = which.reshape(-1, *(1,) * (orders.ndim - 1))
-        places = self.places[rows, orders] if self.places.shape[1] > 1 else 0
-        return self.levels[self._gamma][orders, places], inside
+        orders, levels = np.clip(orders, 0, self.cycles - 1), self.levels[self._gamma]
+        along = column_at(self.columns[which], orders) + shift_px / self._code.repeats_px
+        places = np.floor(np.remainder(along, 1) * levels.shape[1]).astype(int) % levels.shape[1]
+        return levels[orders, places], inside
 
     def fit(self, which: Integers, offsets: Integers, *, no_code: bool = False) -> tuple[FloatArray, Factor]:
         """Fit the factor of a part with these blocks (n,) at every offset (K,).

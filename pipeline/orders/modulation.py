@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.contrast_code import CYCLES, ContrastCode
-from pipeline.orders.stripe_columns import StripeColumns
+from pipeline.orders.stripe_columns import StripeColumns, column_at
 from tikernels.order_evidence.modulation_correction import NODE_PX, TABLED, CodeRipples
 from tikernels.phase.balance_window import SIGMA_ACROSS
 
@@ -104,8 +104,8 @@ def measure_ripples(
         cycles = smooth / (2 * np.pi)
         along = np.zeros(len(cycles))
         if code.cell_px is not None and columns is not None:
-            along = columns.at(np.column_stack(here), cycles[:, None])[:, 0] / code.repeats_px
-        place = np.floor((along - np.floor(along)) * table.shape[1]).astype(int)
+            along = column_at(columns.terms(np.column_stack(here)), cycles) / code.repeats_px
+        place = np.floor(np.remainder(along, 1) * table.shape[1]).astype(int) % table.shape[1]
         ripples = table[np.clip(np.rint(cycles * TABLED), 0, len(table) - 1).astype(int), place].T
         edges = np.linspace(-0.5, 0.5, within.shape[1])
         linear, square = (np.interp(cycles, edges, row, period=1) for row in within)

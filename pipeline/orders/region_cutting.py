@@ -113,7 +113,7 @@ def _evidence(
     shares = held[0], held[1], _COUNTS * held[2]
     code = reader.levels_now
     return weigh_offsets(
-        shares, blocks.order[own], level, sigma, reader.places[own], code,
+        shares, blocks.order[own], level, sigma, reader.columns[own], code,
         range(int(offsets[0]), int(offsets[-1]) + 1), patches, _MAX_DEVIATION,
     )  # fmt: skip
 

@@ -60,8 +60,8 @@ class StripeColumns:
         #: (rows, columns, 4) float32: terms of a polynomial of the order, at nodes.
         self.nodes = np.where(counts.sum(axis=-1)[..., None] > _DEGREE, fitted * scale, np.nan).astype(np.float32)
 
-    def at(self, place: FloatArray, orders: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
-        """Return the columns, px, at places (N, 2) (row, column; px) and orders (N, n); NaN where there is none."""
+    def terms(self, place: FloatArray) -> npt.NDArray[np.float32]:
+        """Return the polynomials' terms (N, 4) at places (N, 2) (row, column; px); NaN where no order has a column."""
         last = np.array(self.nodes.shape[:2]) - 2
         node = np.clip((place / NODE_PX).astype(int), 0, last)
         down, right = (place / NODE_PX - node).astype(np.float32).T[..., None]
@@ -69,9 +69,17 @@ class StripeColumns:
             self.nodes[row, node[:, 1]] * (1 - right) + self.nodes[row, node[:, 1] + 1] * right
             for row in (node[:, 0], node[:, 0] + 1)
         )
-        terms = (upper + down * (lower - upper))[:, :, None]
-        order = orders.astype(np.float32)
-        return np.asarray(terms[:, 0] + order * (terms[:, 1] + order * (terms[:, 2] + order * terms[:, 3])))
+        return np.asarray(upper + down * (lower - upper))
+
+
+def column_at(terms: npt.NDArray[np.float32], orders: npt.NDArray[np.number]) -> npt.NDArray[np.float32]:
+    """Return the columns, px, that (N, 4) terms give at orders (N, ...)."""
+    order = np.asarray(orders, np.float32)
+    first, *others = (terms[:, k].reshape(-1, *(1,) * (order.ndim - 1)) for k in (3, 2, 1, 0))
+    columns = first
+    for term in others:
+        columns = columns * order + term
+    return columns
 
 
 def _extended(rays: FloatArray) -> FloatArray:

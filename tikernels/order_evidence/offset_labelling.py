@@ -43,7 +43,7 @@ def weigh_offsets_kernel(
     order: I32Array1,  # (N,) of each block
     level: F32Array1,  # (N,) logarithm of its contrast
     sigma: F32Array1,  # (N,) its standard deviation
-    places: I32Array2,  # (N, cycles or 1) where the code is read, at each cycle that it may be
+    columns: F32Array2,  # (N, 4) where it looks along the stripe: a polynomial of its cycle, in repeats of the code
     code: F32Array2,  # (cycles, places) the code's levels
     first_offset: i32,
     most: f32,  # what a block may deviate by, in variances
@@ -57,7 +57,10 @@ def weigh_offsets_kernel(
             for k in ti.static(range(LANES)):
                 cycle = order[n] + first_offset + group * LANES + k
                 if cycle >= 0 and cycle < code.shape[0]:
-                    departs = (level[n] - code[cycle, places[n, ti.min(cycle, places.shape[1] - 1)]]) / sigma[n]
+                    along = columns[n, 2] + cycle * columns[n, 3]
+                    along = columns[n, 0] + cycle * (columns[n, 1] + cycle * along)
+                    place = ti.min(ti.cast((along - ti.floor(along)) * code.shape[1], ti.i32), code.shape[1] - 1)
+                    departs = (level[n] - code[cycle, place]) / sigma[n]
                     cost[k] = ti.min(departs * departs, most)
             add_alone(out_evidence[patch[m], group], share[m] * cost)
 
@@ -134,7 +137,7 @@ def weigh_offsets(
     order: npt.NDArray[np.integer],
     level: npt.NDArray[np.floating],
     sigma: npt.NDArray[np.floating],
-    places: npt.NDArray[np.int32],
+    columns: npt.NDArray[np.float32],
     code: npt.NDArray[np.floating],
     offsets: range,
     count: int,
@@ -152,8 +155,8 @@ def weigh_offsets(
         The logarithm of its contrast.
     sigma : (N,) float
         Its standard deviation.
-    places : (N, cycles) or (N, 1) int32
-        Where the code is read in it, at each cycle that it may be.
+    columns : (N, 4) float32
+        Where it looks along the stripe: terms of a polynomial of its cycle, in repeats of the code.
     code : (cycles, places) float
         The code's levels.
     offsets : range
@@ -171,7 +174,7 @@ def weigh_offsets(
     evidence = np.zeros((count, _groups(len(offsets)), LANES), np.float32)
     block, patch = (np.ascontiguousarray(numbers, np.int32) for numbers in held[:2])
     seen = (np.ascontiguousarray(order, np.int32), level.astype(np.float32), sigma.astype(np.float32))
-    expected = np.ascontiguousarray(places, np.int32), np.ascontiguousarray(code, np.float32)
+    expected = np.ascontiguousarray(columns, np.float32), np.ascontiguousarray(code, np.float32)
     weigh_offsets_kernel(block, patch, held[2].astype(np.float32), *seen, *expected, offsets.start, most, evidence)
     return evidence.reshape(count, -1)[:, : len(offsets)]
 
