@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from pipeline.contrast_code import CYCLES, GAMMAS, ContrastCode
+from pipeline.contrast_code import CYCLES, GAMMAS, WORD_CELLS, ContrastCode
 from pipeline.models import FloatArray
 from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
@@ -31,6 +31,13 @@ _SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.1, 0.08, 0.5
 _MOST_BLOCKS, _ROUNDS = 300, 3
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no code.
 _STRAYS, _NO_CODE = 0.05, 0.1
+# Shifts of half a cell either way that are tried, which share of a cell is too far to be believed, and by how much
+# likelier one far off must be than no code at all.
+_SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 20.0
+# Where much is tried of the largest parts, one in so many of their blocks is looked at.
+_LEARNT = 3
+# Levels that stand for all of a code's.
+_LEVELS = 8
 # So many of the largest parts tell what all parts of a frame have in common.
 _TELLING = 3
 
@@ -99,7 +106,7 @@ class CodeReader:
     def __init__(self, blocks: Blocks, code: ContrastCode, columns: StripeColumns | None) -> None:
         self.blocks = blocks
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
-        self._code, self._gamma, self._gain = code, GAMMAS.index(2.0), None
+        self._code, self._gamma, self._gain, self._shift_px = code, GAMMAS.index(2.0), None, 0.0
         #: (N, 4) where each block looks along the stripe: a polynomial of its order, in repeats of the code.
         self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
         if code.cell_px is not None and columns is not None:
@@ -125,13 +132,17 @@ class CodeReader:
         places = np.floor(np.remainder(along, 1) * levels.shape[1]).astype(int) % levels.shape[1]
         return levels[orders, places], inside
 
-    def fit(self, which: Integers, offsets: Integers, *, no_code: bool = False) -> tuple[FloatArray, Factor]:
+    def fit(
+        self, which: Integers, offsets: Integers, *, shifts_px: FloatArray | float = 0.0, no_code: bool = False
+    ) -> tuple[FloatArray, Factor]:
         """Fit the factor of a part with these blocks (n,) at every offset (K,).
 
         Parameters
         ----------
         which, offsets
             At most a few hundred blocks are looked at.
+        shifts_px : (K,) float
+            By how many px the code lies further along the stripe; one for each offset.
         no_code : bool
             Fit it as well as if all blocks had the same contrast, in a last column.
 
@@ -144,15 +155,22 @@ class CodeReader:
         """
         which = which[:: -(-len(which) // _MOST_BLOCKS)]
         blocks = self.blocks
-        expected, inside = self.expected(which, blocks.order[which][:, None] + offsets)
+        expected, inside = self.expected(which, blocks.order[which][:, None] + offsets, shifts_px)
         if no_code:
             expected = np.column_stack([expected, np.full(len(which), self.levels[self._gamma].mean())])
             inside = np.column_stack([inside, np.ones(len(which), np.bool_)])
         place, brightness = blocks.place[which], blocks.brightness[which]
         middle, usual = place.mean(axis=0), float(np.median(brightness))
         shape = Factor.shape(place, brightness, middle, usual)
-        remains = blocks.contrast[which][:, None] - expected
-        likelihood, terms = fit_levels(remains, inside, shape, blocks.variance[which], self._gain)
+        remains, variance = blocks.contrast[which][:, None] - expected, blocks.variance[which]
+        likelihood, terms = fit_levels(remains, inside, shape, variance, self._gain)
+        if no_code and self._code.cell_px is not None:
+            # Or as if every block had a symbol of its own, which no offset of the code has there.
+            levels = self.levels[self._gamma, ::3, ::5]
+            any_of = np.quantile(levels - levels.mean(), (np.arange(_LEVELS) + 0.5) / _LEVELS)
+            departs = remains[:, -1] - shape @ terms[:, -1]
+            at_random = np.log(densities(departs[:, None] - any_of, variance).mean(axis=2)).sum(axis=1)
+            likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(_INDEPENDENT * at_random))
         return likelihood, Factor(middle, usual, terms)
 
     def read(self, which: Integers) -> PartEvidence:
@@ -178,13 +196,11 @@ class CodeReader:
 
     def learn(self) -> bool:
         """Take the response and the usual factor from the frame's largest parts, and say if they show the code."""
-        roots, counts = np.unique(self.blocks.root, return_counts=True)
-        largest = [np.flatnonzero(self.blocks.root == root) for root in roots[np.argsort(counts)[-_TELLING:]]]
-        largest = [some for some in largest if len(self.offsets(some))]
+        largest = self._largest()
         found = []
         for gamma in range(len(GAMMAS)) if largest else ():
             self._gamma, self._gain = gamma, None
-            read = [self.read(some[:: -(-3 * len(some) // _MOST_BLOCKS)]) for some in largest]
+            read = [self.read(some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]) for some in largest]
             likelihood = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) for part in read)
             gains = [part.factor.terms[0, part.likelihood.argmax()] for part in read]
             found.append((likelihood, likelihood - sum(part.no_code for part in read), float(np.median(gains))))
@@ -194,9 +210,51 @@ class CodeReader:
         _, more, self._gain = found[self._gamma]
         return more > 0
 
+    def _largest(self) -> list[Integers]:
+        """Return the blocks of the largest parts."""
+        roots, counts = np.unique(self.blocks.root, return_counts=True)
+        largest = [np.flatnonzero(self.blocks.root == root) for root in roots[np.argsort(counts)[-_TELLING:]]]
+        return [some for some in largest if len(self.offsets(some))]
+
+    def shift_near(self) -> float:
+        """Return by how many px the code lies further along the stripe, at most half a cell, by the largest parts."""
+        if self._code.cell_px is None:
+            return 0.0
+        shifts = np.linspace(-0.5, 0.5, _SHIFTS) * self._code.cell_px
+        total = np.zeros(_SHIFTS)
+        for some in self._largest():
+            read = self.read(some)
+            best = np.full(_SHIFTS, read.first + read.likelihood.argmax())
+            total += self.fit(some, best, shifts_px=shifts)[0]
+        return _peak(shifts, total)
+
+    def is_far(self, shift_px: float) -> bool:
+        """Whether the code lies too far off to be read there."""
+        return self._code.cell_px is not None and abs(shift_px) > _MOST_SHIFT * self._code.cell_px
+
+    def shift_anywhere(self) -> float | None:
+        """Return the shift over half a repeat of the code either way, whatever the offsets; None: nothing tells."""
+        if self._code.cell_px is None:
+            return None
+        shifts = np.arange(-0.5, 0.5, 0.25 / WORD_CELLS) * self._code.repeats_px
+        total = np.zeros(len(shifts))
+        for some in self._largest():
+            offsets, few = self.offsets(some), some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]
+            grid = [axis.ravel() for axis in np.meshgrid(offsets, shifts, indexing="ij")]
+            likelihood, _ = self.fit(few, grid[0], shifts_px=grid[1], no_code=True)
+            by_offset = likelihood[:-1].reshape(len(offsets), -1)
+            total += np.logaddexp.reduce(by_offset, axis=0) - np.log(len(offsets)) - likelihood[-1]
+        return _peak(shifts, total) if total.max(initial=0.0) > _SURE_SHIFT else None
+
+    def shift(self, shift_px: float) -> None:
+        """Read the code so many px further along the stripe."""
+        self._shift_px = shift_px
+        self.columns[:, 0] += shift_px / self._code.repeats_px
+
     def again(self, other: "CodeReader") -> "CodeReader":
         """Return the reader of other blocks of the frame with what was learnt of it."""
         other._gamma, other._gain = self._gamma, self._gain
+        other.shift(self._shift_px)
         return other
 
 
@@ -246,19 +304,42 @@ def fit_levels(
         weights = _INDEPENDENT * inside / noise / (1 + odds)
         normal = (weights.T @ pairs).reshape(-1, 4, 4) + prior
         fit = np.linalg.solve(normal, ((weights * departs).T @ terms)[..., None])[..., 0].T
-    squares = (departs - terms @ fit) ** 2
-    shown = []
-    for spread in SPREADS:
-        near, far = variance[:, None] + spread**2, variance[:, None] + _OTHER_SIGMA**2
-        other = _OTHER * np.exp(-0.5 * squares / far) / np.sqrt(far)
-        likelihood = np.log((1 - _OTHER) * np.exp(-0.5 * squares / near) / np.sqrt(near) + other)
-        shown.append(np.where(inside, likelihood, np.log(_OTHER / np.sqrt(far))).sum(axis=0))
-    likelihood = _INDEPENDENT * np.array(shown)
+    far = np.log(_OTHER / np.sqrt(variance + _OTHER_SIGMA**2))[:, None]
+    shown = np.where(inside, np.log(densities(departs - terms @ fit, variance)), far).sum(axis=1)
     cost = np.einsum("ik,ij,jk->k", fit, prior, fit) + np.linalg.slogdet(normal)[1] - np.linalg.slogdet(prior)[1]
-    top = likelihood.max(axis=0)
-    together = top + np.log(np.exp(likelihood - top).mean(axis=0))
     fit[0] += usual
-    return np.asarray(together - 0.5 * cost), fit
+    return np.asarray(_mean_of(_INDEPENDENT * shown) - 0.5 * cost), fit
+
+
+def densities(departs: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return (spreads, n, K) how usual it is, under each spread, that blocks deviate from the code by so much.
+
+    Parameters
+    ----------
+    departs : (n, K) float
+        Natural logarithm.
+    variance : (n,) float
+        Of the contrasts, by noise.
+    """
+    squares, far = departs**2, variance[:, None] + _OTHER_SIGMA**2
+    near = variance[:, None] + SPREADS[:, None, None] ** 2
+    other = _OTHER * np.exp(-0.5 * squares / far) / np.sqrt(far)
+    return np.asarray((1 - _OTHER) * np.exp(-0.5 * squares / near) / np.sqrt(near) + other)
+
+
+def _mean_of(logarithms: FloatArray) -> FloatArray:
+    """Return the logarithm of the mean over the first axis."""
+    top = logarithms.max(axis=0)
+    return np.asarray(top + np.log(np.exp(logarithms - top).mean(axis=0)))
+
+
+def _peak(places: FloatArray, values: FloatArray) -> float:
+    """Return where values are largest, by a parabola through the largest and those beside it."""
+    k = min(max(int(values.argmax()), 1), len(values) - 2)
+    low, here, high = values[k - 1 : k + 2]
+    bend = low - 2 * here + high
+    step = 0.0 if bend >= 0 else min(max(0.5 * (low - high) / bend, -1.0), 1.0)
+    return float(places[k] + step * (places[1] - places[0]))
 
 
 def _log_sum(logarithms: FloatArray) -> float:

@@ -41,7 +41,9 @@ class CodedOrders:
     absolute: AbsoluteOrders  # the parts that are large enough, and their posteriors
     shifts: Integers  # (P,) whole cycles to add to the patches' orders so that they are their part's
     torn: npt.NDArray[np.bool_]  # (P,) patches that may belong to either of two parts
-    readable: bool  # whether the frame shows the code at all
+    readable: bool  # whether the frame shows the code where it is expected
+    #: By how many projector px it lies further along the stripe than the calibration says; None: nobody knows.
+    shift_px: float | None
 
 
 def find_absolute_orders(
@@ -81,10 +83,13 @@ def find_absolute_orders(
         return CodeReader(read_blocks(sums, graph, width, rising, noise), code, columns)
 
     reader = reader_of(graph)
-    shown = reader.learn()
-    roots, main = graph.root.copy(), np.full(len(graph.root), -1)
-    if shown:
-        roots, main = cut_regions(reader, graph, order_range)
+    readable = reader.learn()
+    shift_px = reader.shift_near() if readable else 0.0
+    if not readable or reader.is_far(shift_px):
+        elsewhere = reader.shift_anywhere()
+        return _unread(graph, order_range if elsewhere is None else None, elsewhere)
+    reader.shift(shift_px)
+    roots, main = cut_regions(reader, graph, order_range)
     parts, posteriors = _placed(reader.again(reader_of(graph._replace(root=roots))), graph, width, roots, main)
     if (main >= 0).any():
         roots = _rejoined(roots, main, graph, parts, posteriors)
@@ -93,7 +98,7 @@ def find_absolute_orders(
     lacks, errors = np.zeros(len(roots), np.int64), np.ones(len(roots))
     for part, posterior in zip(parts, posteriors, strict=True):
         lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
-    settled = settle_borders(reader, graph, roots, lacks[roots], errors[roots]) if shown else SettledBorders.none(roots)
+    settled = settle_borders(reader, graph, roots, lacks[roots], errors[roots])
     if (settled.roots != roots).any():
         standing = _standing(settled.roots, graph)
         roots, main = standing[settled.roots], np.where(main >= 0, standing[main], -1)
@@ -109,7 +114,19 @@ def find_absolute_orders(
             within.narrow(posterior) if posterior is not NOTHING_KNOWN else within.alone()
             for within, posterior in zip(ranges, posteriors, strict=True)
         ]
-    return CodedOrders(roots, AbsoluteOrders(parts, tuple(posteriors)), settled.shifts, settled.torn, shown)
+    absolute = AbsoluteOrders(parts, tuple(posteriors))
+    return CodedOrders(roots, absolute, settled.shifts, settled.torn, readable=True, shift_px=shift_px)
+
+
+def _unread(graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: float | None) -> CodedOrders:
+    """Return what is known of regions whose code cannot be read: what the range leaves possible."""
+    pixels = np.bincount(graph.root, graph.pixels, len(graph.root))
+    parts = np.flatnonzero(pixels >= MIN_REGION_PX)
+    posteriors = (NOTHING_KNOWN,) * len(parts)
+    if order_range is not None:
+        posteriors = tuple(within.alone() for within in order_range.by_part(graph.root, parts, graph.pixels))
+    settled, absolute = SettledBorders.none(graph.root), AbsoluteOrders(parts, posteriors)
+    return CodedOrders(graph.root, absolute, settled.shifts, settled.torn, readable=False, shift_px=elsewhere_px)
 
 
 def _placed(

@@ -215,10 +215,10 @@ class OrderFinder:
             found = self._find_absolute(seen, patches, graph, self._order_range(seen, graph, rays), rays)
             absolute, roots = found.absolute, found.roots
             patches.shift_orders(found.shifts)
-            warning, left_out = (
-                None if found.readable else _code_lost("code not seen", _CODE_NOT_SEEN, seen),
-                found.torn,
-            )
+            left_out = found.torn
+            if not found.readable:
+                moved = found.shift_px is not None
+                warning = _moved(found.shift_px) if moved else _code_lost("code not seen", _CODE_NOT_SEEN, seen)
         if memory is not None:
             change = memory.orders.change
             votes = vote_orders(seen.phase, patches, memory.surface.unwrapped, memory.surface.region, change)
@@ -344,6 +344,12 @@ class OrderFinder:
             ends = np.sort([self._geometry.pattern_cycles(z * directions) for z in self._depth_range_mm], axis=0)
             least, most = np.maximum(least, ends[0]), np.minimum(most, ends[1])
         return OrderRange(least - here, most - here, self._depth_range_mm is not None)
+
+
+def _moved(shift_px: float) -> Cause:
+    """Return that the code lies elsewhere than the calibration says."""
+    words = f"the pattern lies {abs(shift_px):.1f} projector px along the stripe from where the calibration says"
+    return Cause("rig moved", f"{words}: camera or projector have moved since, calibrate geometry again")
 
 
 def _code_lost(key: str, text: str, seen: SeenPhase) -> Cause:
