@@ -8,6 +8,7 @@ the edges of a surface does. The spread is not known, and integrated over. `docs
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -16,6 +17,8 @@ from pipeline.models import FloatArray
 from pipeline.orders.code_blocks import Blocks
 from pipeline.orders.posterior import NOTHING_KNOWN, Integers, Posterior
 from pipeline.orders.stripe_columns import StripeColumns, column_at
+from tikernels.order_evidence.contrast_reading import BLOCK_WIDTH
+from tikernels.unwrapping.tables import CELL_HEIGHT
 
 # What a block's contrast deviates by beside the camera's noise (natural logarithm), and the one that is fitted with.
 SPREADS = np.array([0.006, 0.012, 0.024, 0.048])
@@ -26,7 +29,7 @@ _OTHER, _OTHER_SIGMA = 0.15, 0.2
 _INDEPENDENT = 0.6
 # Standard deviations of a part's factor: of its slopes (a px), of ambient light's share, and of its middle, about the
 # frame's once that is known.
-_SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.1, 0.08, 0.5
+_SLOPE, _AMBIENT, _GAIN, _ANY_GAIN = 5e-4, 0.25, 0.08, 0.5
 # A part's blocks that are looked at, and the rounds in which a fit finds out which of them show something else.
 _MOST_BLOCKS, _ROUNDS = 300, 3
 # Of a part's blocks, those whose orders may lie outside the pattern at either end; and how probably a part shows no code.
@@ -36,6 +39,12 @@ _STRAYS, _NO_CODE = 0.05, 0.1
 _SHIFTS, _MOST_SHIFT, _SURE_SHIFT = 13, 0.25, 20.0
 # Where much is tried of the largest parts, one in so many of their blocks is looked at.
 _LEARNT = 3
+# By how much likelier than no code, or another one, a frame's largest parts must be (natural logarithm), and how much
+# that may count for other parts: where the rig has been turned a part of the picture may lie elsewhere.
+_SHOWN, _MOST_TRUST = 5.0, 12.0
+# A factor changes from surface to surface of a part: what is left of it is taken from so many blocks and rows of patches
+# around each, and at most so much of each. So it is where larger parts than this are not decided by that much.
+_AROUND, _MOST_LOCAL, _FLATTENED, _DECIDED = (17, 5), 0.2, 100, 30.0
 # Levels that stand for all of a code's.
 _LEVELS = 8
 # So many of the largest parts tell what all parts of a frame have in common.
@@ -69,6 +78,11 @@ class PartEvidence:
     likelihood: FloatArray  # (n,) logarithm, of that offset and those that follow
     no_code: float  # logarithm, if the part does not show the code
     factor: Factor  # at each offset
+
+    @property
+    def best(self) -> int:
+        """The likeliest offset; 0 where nothing is known."""
+        return self.first + int(self.likelihood.argmax()) if len(self.likelihood) else 0
 
     def posterior(self, prior: FloatArray | float, luck: float) -> Posterior:
         """Return how probable each offset is.
@@ -107,6 +121,8 @@ class CodeReader:
         self.blocks = blocks
         self.cycles = CYCLES if columns is None else min(CYCLES, int(columns.cycles) + 1)
         self._code, self._gamma, self._gain, self._shift_px = code, GAMMAS.index(2.0), None, 0.0
+        # Logarithm by how much likelier the code lies where it is expected than anywhere else.
+        self._trust = 0.0
         #: (N, 4) where each block looks along the stripe: a polynomial of its order, in repeats of the code.
         self.columns, width_px = np.zeros((len(blocks.order), 4), np.float32), 0.0
         if code.cell_px is not None and columns is not None:
@@ -133,7 +149,13 @@ class CodeReader:
         return levels[orders, places], inside
 
     def fit(
-        self, which: Integers, offsets: Integers, *, shifts_px: FloatArray | float = 0.0, no_code: bool = False
+        self,
+        which: Integers,
+        offsets: Integers,
+        *,
+        shifts_px: FloatArray | float = 0.0,
+        contrast: FloatArray | None = None,
+        no_code: bool = False,
     ) -> tuple[FloatArray, Factor]:
         """Fit the factor of a part with these blocks (n,) at every offset (K,).
 
@@ -143,6 +165,8 @@ class CodeReader:
             At most a few hundred blocks are looked at.
         shifts_px : (K,) float
             By how many px the code lies further along the stripe; one for each offset.
+        contrast : (n,) float, optional
+            The blocks' contrasts, if not as they were seen.
         no_code : bool
             Fit it as well as if all blocks had the same contrast, in a last column.
 
@@ -153,8 +177,10 @@ class CodeReader:
         Factor
             At each offset.
         """
-        which = which[:: -(-len(which) // _MOST_BLOCKS)]
         blocks = self.blocks
+        contrast = blocks.contrast[which] if contrast is None else contrast
+        step = -(-len(which) // _MOST_BLOCKS)
+        which, contrast = which[::step], contrast[::step]
         expected, inside = self.expected(which, blocks.order[which][:, None] + offsets, shifts_px)
         if no_code:
             expected = np.column_stack([expected, np.full(len(which), self.levels[self._gamma].mean())])
@@ -162,7 +188,7 @@ class CodeReader:
         place, brightness = blocks.place[which], blocks.brightness[which]
         middle, usual = place.mean(axis=0), float(np.median(brightness))
         shape = Factor.shape(place, brightness, middle, usual)
-        remains, variance = blocks.contrast[which][:, None] - expected, blocks.variance[which]
+        remains, variance = contrast[:, None] - expected, blocks.variance[which]
         likelihood, terms = fit_levels(remains, inside, shape, variance, self._gain)
         if no_code and self._code.cell_px is not None:
             # Or as if every block had a symbol of its own, which no offset of the code has there.
@@ -170,7 +196,7 @@ class CodeReader:
             any_of = np.quantile(levels - levels.mean(), (np.arange(_LEVELS) + 0.5) / _LEVELS)
             departs = remains[:, -1] - shape @ terms[:, -1]
             at_random = np.log(densities(departs[:, None] - any_of, variance).mean(axis=2)).sum(axis=1)
-            likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(_INDEPENDENT * at_random))
+            likelihood[-1] = np.logaddexp(likelihood[-1], _mean_of(_INDEPENDENT * at_random) - self._trust)
         return likelihood, Factor(middle, usual, terms)
 
     def read(self, which: Integers) -> PartEvidence:
@@ -179,7 +205,28 @@ class CodeReader:
         if len(offsets) == 0:
             return PartEvidence(0, np.zeros(0), 0.0, Factor(np.zeros(2), 0.0, np.zeros((4, 0))))
         likelihood, factor = self.fit(which, offsets, no_code=True)
+        if len(which) > _FLATTENED and np.partition(likelihood, -2)[-2] > likelihood.max() - _DECIDED:
+            flat = self.flattened(which, int(offsets[likelihood[:-1].argmax()]))
+            likelihood, factor = self.fit(which, offsets, contrast=flat, no_code=True)
         return PartEvidence(int(offsets[0]), likelihood[:-1], float(likelihood[-1]), factor)
+
+    def flattened(self, which: Integers, offset: int) -> FloatArray:
+        """Return the contrasts (n,) of a part's blocks as if its factor were the same all over.
+
+        What the blocks around each of them are off the code at this offset is taken off, too.
+        """
+        blocks = self.blocks
+        _, factor = self.fit(which, np.array([offset]))
+        usual = float(factor.terms[0, 0])
+        flat = blocks.contrast[which] - factor.at(blocks.place[which], blocks.brightness[which])[:, 0] + usual
+        departs = flat - usual - self.expected(which, blocks.order[which] + offset)[0]
+        departs = np.clip(departs, -_MOST_LOCAL, _MOST_LOCAL)
+        row, column = (blocks.place[which] / (CELL_HEIGHT, BLOCK_WIDTH)).astype(int).T
+        sums = np.zeros((2, np.ptp(row) + 1, np.ptp(column) + 1), np.float32)
+        row, column = row - row.min(), column - column.min()
+        np.add.at(sums, (slice(None), row, column), np.stack([departs, np.ones(len(departs))]))
+        total, count = (cv2.blur(plane, _AROUND, borderType=cv2.BORDER_CONSTANT) for plane in sums)
+        return np.asarray(flat - (total / np.maximum(count, 1e-6))[row, column])
 
     def offsets(self, which: Integers) -> Integers:
         """Return the offsets at which the pattern has the orders of these blocks, but for some strays."""
@@ -197,18 +244,19 @@ class CodeReader:
     def learn(self) -> bool:
         """Take the response and the usual factor from the frame's largest parts, and say if they show the code."""
         largest = self._largest()
-        found = []
-        for gamma in range(len(GAMMAS)) if largest else ():
-            self._gamma, self._gain = gamma, None
-            read = [self.read(some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)]) for some in largest]
-            likelihood = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) for part in read)
-            gains = [part.factor.terms[0, part.likelihood.argmax()] for part in read]
-            found.append((likelihood, likelihood - sum(part.no_code for part in read), float(np.median(gains))))
-        if not found:
+        if not largest:
             return False
-        self._gamma = max(range(len(found)), key=lambda gamma: found[gamma][0])
-        _, more, self._gain = found[self._gamma]
-        return more > 0
+        few = [some[:: -(-_LEARNT * len(some) // _MOST_BLOCKS)] for some in largest]
+        fits = []
+        for self._gamma in range(len(GAMMAS)):
+            read = [self.read(some) for some in few]
+            fits.append(sum(_log_sum(part.likelihood) for part in read))
+        self._gamma = int(np.argmax(fits))
+        read = [self.read(some) for some in largest]
+        more = sum(_log_sum(part.likelihood) - np.log(len(part.likelihood)) - part.no_code for part in read)
+        self._gain = float(np.median([part.factor.terms[0, part.likelihood.argmax()] for part in read]))
+        self._trust = min(max(more, 0.0), _MOST_TRUST)
+        return bool(more > _SHOWN)
 
     def _largest(self) -> list[Integers]:
         """Return the blocks of the largest parts."""
@@ -253,7 +301,7 @@ class CodeReader:
 
     def again(self, other: "CodeReader") -> "CodeReader":
         """Return the reader of other blocks of the frame with what was learnt of it."""
-        other._gamma, other._gain = self._gamma, self._gain
+        other._gamma, other._gain, other._trust = self._gamma, self._gain, self._trust
         other.shift(self._shift_px)
         return other
 

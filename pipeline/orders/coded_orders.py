@@ -14,7 +14,7 @@ import numpy.typing as npt
 from pipeline.contrast_code import ContrastCode
 from pipeline.orders.border_settling import SettledBorders, settle_borders
 from pipeline.orders.code_blocks import read_blocks
-from pipeline.orders.code_evidence import CodeReader
+from pipeline.orders.code_evidence import CodeReader, PartEvidence
 from pipeline.orders.nearness import log_nearness, nearness
 from pipeline.orders.posterior import (
     MAX_ABSOLUTE_ERROR,
@@ -90,11 +90,12 @@ def find_absolute_orders(
         return _unread(graph, order_range if elsewhere is None else None, elsewhere)
     reader.shift(shift_px)
     roots, main = cut_regions(reader, graph, order_range)
-    parts, posteriors = _placed(reader.again(reader_of(graph._replace(root=roots))), graph, width, roots, main)
+    reader = reader.again(reader_of(graph._replace(root=roots)))
+    parts, read, posteriors = _placed(reader, graph, width, roots, main)
     if (main >= 0).any():
-        roots = _rejoined(roots, main, graph, parts, posteriors)
+        roots = _rejoined(roots, main, graph, dict(zip(parts.tolist(), read, strict=True)), posteriors)
         reader = reader.again(reader_of(graph._replace(root=roots)))
-        parts, posteriors = _placed(reader, graph, width, roots, main)
+        parts, read, posteriors = _placed(reader, graph, width, roots, main)
     lacks, errors = np.zeros(len(roots), np.int64), np.ones(len(roots))
     for part, posterior in zip(parts, posteriors, strict=True):
         lacks[part], errors[part] = posterior.best, posterior.error(posterior.best)
@@ -107,7 +108,7 @@ def find_absolute_orders(
             least, most = order_range.least - settled.shifts, order_range.most - settled.shifts
             order_range = replace(order_range, least=least, most=most)
         reader = reader.again(reader_of(graph._replace(root=roots)))
-        parts, posteriors = _placed(reader, graph, width, roots, main)
+        parts, read, posteriors = _placed(reader, graph, width, roots, main)
     if order_range is not None:
         ranges = order_range.by_part(roots, parts, graph.pixels)
         posteriors = [
@@ -131,8 +132,8 @@ def _unread(graph: PatchGraph, order_range: OrderRange | None, elsewhere_px: flo
 
 def _placed(
     reader: CodeReader, graph: PatchGraph, width: int, roots: npt.NDArray[np.int32], main: Integers
-) -> tuple[Integers, list[Posterior]]:
-    """Return the parts that are large enough, and how probable each of their offsets is.
+) -> tuple[Integers, list[PartEvidence], list[Posterior]]:
+    """Return the parts that are large enough, what their blocks say, and how probable each of their offsets is.
 
     A piece that was cut off hangs together with its region: that, too, is known of its offset.
     """
@@ -158,7 +159,7 @@ def _placed(
         if region is not None and origin[k] != part:
             certain = 1 - region.error(region.best)
             posteriors[k] = posteriors[k].beside(region.best, _SAME_SURFACE * certain)
-    return parts, posteriors
+    return parts, read, posteriors
 
 
 def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np.int32]:
@@ -171,14 +172,18 @@ def _standing(roots: npt.NDArray[np.int32], graph: PatchGraph) -> npt.NDArray[np
 
 
 def _rejoined(
-    roots: npt.NDArray[np.int32], main: Integers, graph: PatchGraph, parts: Integers, posteriors: list[Posterior]
+    roots: npt.NDArray[np.int32],
+    main: Integers,
+    graph: PatchGraph,
+    read: dict[int, PartEvidence],
+    posteriors: list[Posterior],
 ) -> npt.NDArray[np.int32]:
-    """Return the roots with those pieces put back that have their region's offset."""
+    """Return the roots with those pieces put back that have their region's offset, by their own blocks or by all."""
     origin = main[graph.root]
-    offset = {int(part): posterior for part, posterior in zip(parts, posteriors, strict=True)}
+    offset = dict(zip(read, posteriors, strict=True))
     back = np.zeros(len(roots), np.bool_)
     for part, posterior in offset.items():
         region = offset.get(int(origin[part]))
-        if region is not None and posterior.error(region.best) <= 1 - _REJOINS:
+        if region is not None and (read[part].best == region.best or posterior.error(region.best) <= 1 - _REJOINS):
             back |= roots == part
     return np.where(back, origin, roots).astype(np.int32)

@@ -4,8 +4,6 @@ What blocks show beside the code is taken from the region as if it were one part
 labelled with the offsets that their blocks name, all at once (`tikernels.order_evidence.offset_labelling`).
 """
 
-from dataclasses import replace
-
 import numpy as np
 import numpy.typing as npt
 
@@ -104,16 +102,16 @@ def _evidence(
     patches: int,
 ) -> npt.NDArray[np.float32]:
     """Return (patches, offsets) by how much a region's blocks contradict each offset, in variances."""
-    likelihood, factors = reader.fit(own, offsets)
-    best = int(likelihood.argmax())
-    factor, blocks = replace(factors, terms=factors.terms[:, best]), reader.blocks
-    level = blocks.contrast[own] - factor.at(blocks.place[own], blocks.brightness[own])
-    departs = level - reader.expected(own, blocks.order[own] + offsets[best])[0]
-    sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs)) ** 2)
+    likelihood, _ = reader.fit(own, offsets)
+    best, blocks = int(offsets[likelihood.argmax()]), reader.blocks
+    level = reader.flattened(own, best)
+    departs = level - reader.expected(own, blocks.order[own] + best)[0]
+    usual = np.median(departs)
+    sigma = np.sqrt(blocks.variance[own] + max(_MIN_SIGMA, robust_sigma(departs - usual)) ** 2)
     shares = held[0], held[1], _COUNTS * held[2]
     code = reader.levels_now
     return weigh_offsets(
-        shares, blocks.order[own], level, sigma, reader.columns[own], code,
+        shares, blocks.order[own], level - usual, sigma, reader.columns[own], code,
         range(int(offsets[0]), int(offsets[-1]) + 1), patches, _MAX_DEVIATION,
     )  # fmt: skip
 
