@@ -1,6 +1,7 @@
 """What is to be decoded and how: all that a process needs in order to do some of it, the same everywhere."""
 
 import hashlib
+import os
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -32,6 +33,8 @@ from tikernels.raw.pixel_format import PixelFormat
 CHAIN_FRAMES = 64
 # Frames, evenly spaced, that are asked for the light before it counts as unknown, and which side is in front.
 _MOST_ASKED, _ASKED_FOR_SIDE = 64, 16
+# The digest of a file that cannot be read, or may be another one by now.
+_UNKNOWN = bytes(16)
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,7 @@ class Job:
     arch: str
     listed: tuple[str, ...] | None = None  # names of a folder's pictures; None: all that are there
     digests: tuple[bytes, ...] = ()  # of each frame's file, or of the one that holds all
+    stamps: tuple[tuple[int, ...], ...] = ()  # of the same files, before they were read; (): they are not watched
 
     def open(self) -> Source:
         """Open the footage.
@@ -130,12 +134,24 @@ class Job:
 
         All of it is read. The light is the footage's word where nobody knows better.
         """
+        files = source.files()
         return replace(
             self,
             settings=with_transfer_of(source, self.settings, self.calibration)[0],
             listed=tuple(source.names) if isinstance(source, ImageFolder) else None,
-            digests=tuple(map(_digest, source.files())),
+            stamps=tuple(map(_stamp, files)),
+            digests=tuple(map(_digest, files)),
         )
+
+    def pins(self, number: int, files: Sequence[Path]) -> bool:
+        """Return whether a frame's file, of the footage's files, is surely the one that was pinned."""
+        place = min(number, len(files) - 1)
+        return not self.stamps or _stamp(files[place]) == self.stamps[place]
+
+    def without(self, number: int) -> "Job":
+        """Return the same for footage of which it is not known what a frame is: what leans on it is decoded again."""
+        place = min(number, len(self.digests) - 1)
+        return replace(self, digests=(*self.digests[:place], _UNKNOWN, *self.digests[place + 1 :]))
 
     def made_of(self, number: int) -> str:
         """Return a digest of what a frame is decoded from: its file, and those before it in its chain."""
@@ -312,4 +328,14 @@ def _fingerprint(source: Source) -> str | None:
 
 def _digest(path: Path) -> bytes:
     """Return a digest of a file, of 16 bytes; of one that cannot be read, whose frame is bad, zeros."""
-    return bytes.fromhex(file_digest(path) or "00" * 16)[:16]
+    digest = file_digest(path)
+    return _UNKNOWN if digest is None else bytes.fromhex(digest)[:16]
+
+
+def _stamp(path: Path) -> tuple[int, ...]:
+    """Return what changes when a file does, even where its time is set back; nothing of one that is not there."""
+    try:
+        about = os.stat(path)
+    except OSError:
+        return ()
+    return about.st_size, about.st_mtime_ns, about.st_ctime_ns
