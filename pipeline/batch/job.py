@@ -1,6 +1,7 @@
 """What is to be decoded and how: all that a process needs in order to do some of it, the same everywhere."""
 
 import hashlib
+import math
 import os
 import warnings
 from collections.abc import Iterator, Sequence
@@ -19,6 +20,7 @@ from pipeline.errors import DecodeWarning, FootageError, SettingsError
 from pipeline.footage.image_folder import ImageFolder
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import Source, StoredAs, StoredFrame
+from pipeline.limits import BYTES_A_PIXEL, max_pixels
 from pipeline.models import ImageArray
 from pipeline.output.folder import file_digest
 from pipeline.output.store import ResultStore, camera_attribute, frame_bytes, result_attributes
@@ -135,12 +137,13 @@ class Job:
         All of it is read. The light is the footage's word where nobody knows better.
         """
         files = source.files()
+        most_bytes = BYTES_A_PIXEL * max_pixels() if len(files) > 1 else math.inf  # a longer picture is bad
         return replace(
             self,
             settings=with_transfer_of(source, self.settings, self.calibration)[0],
             listed=tuple(source.names) if isinstance(source, ImageFolder) else None,
             stamps=tuple(map(_stamp, files)),
-            digests=tuple(map(_digest, files)),
+            digests=tuple(_digest(file, most_bytes) for file in files),
         )
 
     def pins(self, number: int, files: Sequence[Path]) -> bool:
@@ -326,9 +329,9 @@ def _fingerprint(source: Source) -> str | None:
     return None
 
 
-def _digest(path: Path) -> bytes:
+def _digest(path: Path, most_bytes: float) -> bytes:
     """Return a digest of a file, of 16 bytes; of one that cannot be read, whose frame is bad, zeros."""
-    digest = file_digest(path)
+    digest = file_digest(path, most_bytes)
     return _UNKNOWN if digest is None else bytes.fromhex(digest)[:16]
 
 
