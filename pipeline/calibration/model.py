@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
+from hardware.protocols import SensorPart
 from pipeline.causes import Cause
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
@@ -283,6 +284,7 @@ class Calibration(Model):
     wavelengths_nm: Matrix3 | None = None  # where camera channel i (row) sees primary j
     color_shift_px: ColorShift | None = None
     depth_range_mm: tuple[Positive, Positive] | None = None
+    sensor: SensorPart | None = None  # the part of the camera's that its frames are; None: not known
     capture: CameraState | None = None
     uncertainty: Uncertainty | None = None
     scale_proof: ScaleProof | None = None  # None: all lengths are as wrong as the squares' side
@@ -352,7 +354,11 @@ class Calibration(Model):
         # The lens stays: its distortion counts from the axis, which moves in the image.
         matrix = self.camera.matrix - [[0, 0, x], [0, 0, y], [0, 0, 0]]
         camera = self.camera.model_copy(update={"size_px": size_px, "matrix": matrix})
-        return self.model_copy(update={"camera": camera})
+        sensor = self.sensor
+        if sensor is not None:
+            (left, above), (across, down) = sensor.offset_px, sensor.binning
+            sensor = sensor.model_copy(update={"offset_px": (left + across * x, above + down * y)})
+        return self.model_copy(update={"camera": camera, "sensor": sensor})
 
     def binned(self, across: int, down: int) -> "Calibration":
         """Return the calibration of the same rig whose camera joins so many columns and rows to one.
@@ -373,8 +379,50 @@ class Calibration(Model):
         uncertainty = self.uncertainty
         if uncertainty is not None:  # without what is in px of the whole frame
             uncertainty = uncertainty.model_copy(update={"camera": None, "reprojection_px": None})
-        update = {"camera": Lens.model_validate(lens), "color_shift_px": shift, "uncertainty": uncertainty}
-        return self.model_copy(update=update)
+        sensor = self.sensor
+        if sensor is not None:
+            sensor = sensor.model_copy(update={"binning": (across * sensor.binning[0], down * sensor.binning[1])})
+        changed = {"color_shift_px": shift, "uncertainty": uncertainty, "sensor": sensor}
+        return self.model_copy(update={"camera": Lens.model_validate(lens), **changed})
+
+    def as_read_out(self, size_px: tuple[int, int], sensor: SensorPart | None, what: str = "frame") -> "Calibration":
+        """Return the calibration of the same rig for frames of its camera, which may be cropped or binned since.
+
+        Parameters
+        ----------
+        size_px : (width, height)
+            The frames'.
+        sensor : SensorPart, optional
+            The part of the sensor that they are. Where it or the calibration's is not known, only sizes are compared.
+        what : str
+            What messages call them.
+
+        Raises
+        ------
+        CalibrationError
+            They are of another size or sensor, or show what was not calibrated.
+        """
+        lens, before = self.camera, self.sensor
+        if lens is None:
+            return self
+        if sensor is None or before is None:
+            self.geometry().check_frame(size_px, what)
+            return self
+        if (size_px, sensor) == (lens.size_px, before):
+            return self
+        key, cause = "another sensor", "calibrate that camera"
+        if sensor.sensor_px == before.sensor_px:
+            first = np.subtract(sensor.offset_px, before.offset_px) / before.binning
+            factor = np.divide(sensor.binning, before.binning)
+            whole = not (first % 1).any() and not (factor % 1).any()
+            if whole and (first >= 0).all() and (first + factor * size_px <= lens.size_px).all():
+                width, height = (int(side) for side in factor * size_px)
+                return self.cropped(int(first[0]), int(first[1]), (width, height)).binned(*map(int, factor))
+            key, cause = "not calibrated", "set it as at calibration, or calibrate all of the sensor without binning"
+        here, there = (
+            "{}x{} on a sensor of {}".format(*size, part) for size, part in ((size_px, sensor), (lens.size_px, before))
+        )
+        raise CalibrationError(Cause(key, f"{what} is {here}, but the calibration is for {there}: {cause}"))
 
     @classmethod
     def read(cls, path: str | Path) -> "Calibration":

@@ -59,7 +59,7 @@ class CapturedFrames(Mapping[str, ImageArray]):
     """
 
     def __init__(self, source: Source, numbers: dict[str, int]) -> None:
-        self._source, self.numbers = source, numbers
+        self._source, self.numbers, self.sensor = source, numbers, source.sensor
 
     def __getitem__(self, name: str) -> ImageArray:
         """Read one capture, (H, W, 3) RGB.
@@ -80,7 +80,11 @@ class CapturedFrames(Mapping[str, ImageArray]):
         return len(self.numbers)
 
 
-def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Mapping[str, ImageArray]]]:
+#: Captures by their names.
+Captures = CapturedFolder | CapturedFrames
+
+
+def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Captures]]:
     """Find the captures of a sequence, under its names or in order of time.
 
     Parameters
@@ -113,14 +117,14 @@ def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Map
     found = match_pictures(source, sequence)
     if len(found) == 1:
         return [(place.name, found[0])]
-    named: list[tuple[str, Mapping[str, ImageArray]]] = []
+    named: list[tuple[str, Captures]] = []
     for number, captures in enumerate(found, start=1):
         first, last = min(captures.numbers.values()), max(captures.numbers.values())
         named.append((f"pose {number} of {place.name} (frames {first} to {last})", captures))
     return named
 
 
-def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Mapping[str, ImageArray]]]:
+def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Captures]]:
     """Yield the captures of every pose with its name; see `find_captures`.
 
     Parameters

@@ -10,6 +10,7 @@ from typing import cast
 
 import cv2
 
+from hardware.protocols import SensorPart
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import stored_planes
 from pipeline.footage.heic_file import is_heic, read_heic
@@ -71,6 +72,7 @@ class ImageFolder:
         self, name: str, folder: Path, names: Sequence[str], says: StoredAs, stack: "_Stack | None" = None
     ) -> None:
         self.name = name
+        self.sensor: SensorPart | None = None
         self._folder = folder
         self.names = names
         self._says = says

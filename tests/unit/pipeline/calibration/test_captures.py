@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from hardware.protocols import SensorPart
 from pipeline.calibration.captures import (
     CapturedFolder,
     PictureSequence,
@@ -67,6 +68,21 @@ def test_captures_may_be_tiff_and_each_is_read_when_asked_for(tmp_path):
 def test_a_missing_capture_is_named(tmp_path):
     with pytest.raises(CalibrationError, match=r"lacks the capture 00-black\.png and 1 more"):
         CapturedFolder(tmp_path, SEQUENCE.names)
+
+
+def test_captures_are_of_the_part_of_the_sensor_that_their_session_says(tmp_path):
+    part = SensorPart(sensor_px=(99, 80), offset_px=(4, 7), binning=(2, 1))
+    pose = tmp_path / "poses" / "pose-01"
+    pose.mkdir(parents=True)
+    assert CapturedFolder(pose, ()).sensor is None
+    session = tmp_path / "session.json"
+    for said, found in (({}, None), ({"part of the sensor": part.model_dump()}, part)):
+        session.write_text(json.dumps(said))
+        assert CapturedFolder(pose, ()).sensor == CapturedFolder(pose.parent, ()).sensor == found
+    for text in ("[", "[]", '{"part of the sensor": 1}'):
+        session.write_text(text)
+        with pytest.raises(CalibrationError, match=r"session\.json"):
+            CapturedFolder(pose, ())
 
 
 def test_captures_of_two_cameras_do_not_mix(tmp_path):
