@@ -335,16 +335,15 @@ def measure_poses(
     poses: list[BoardPose] = []
     refused: list[str] = []
     camera_px = None
-    parts: list[SensorPart | None] = []
+    parts: set[SensorPart | None] = set()
     for name, captures in find_poses(place, sequence):
         height, width = captures[sequence.names[0]].shape[:2]
         if camera_px is not None and camera_px != (width, height):
             raise CalibrationError(f"{name} is {width}x{height}, the poses before are {camera_px[0]}x{camera_px[1]}")
         camera_px = (width, height)
-        other = next((part for part in parts if part not in (None, captures.sensor)), captures.sensor)
-        if captures.sensor not in (None, other):
-            raise CalibrationError(f"{name} is of a sensor of {captures.sensor}, the poses before of {other}")
-        parts.append(captures.sensor)
+        parts.add(captures.sensor)
+        if len(parts - {None}) > 1:
+            raise CalibrationError(f"{name} shows another part of the sensor than the poses before: leave it out")
         try:
             # Read once and in order, as videos are read fastest.
             poses.append(measure_pose(name, dict(captures), board, projector_size_px, white_level))
@@ -353,4 +352,4 @@ def measure_poses(
     if camera_px is None or len(poses) < least:
         reason = refused[0] if refused else f"{place} holds {len(poses)}"
         raise CalibrationError(f"{len(poses)} usable poses, at least {least} are needed: {reason}")
-    return MeasuredPoses(poses, tuple(refused), camera_px, parts[0] if None not in parts else None)
+    return MeasuredPoses(poses, tuple(refused), camera_px, parts.pop() if len(parts) == 1 else None)

@@ -9,13 +9,13 @@ from typing import Annotated, Any, Literal
 import cv2
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, BeforeValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from hardware.protocols import SensorPart
+from pipeline.calibration.lens import Lens
 from pipeline.causes import Cause
-from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
+from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.files import write_atomically
-from pipeline.limits import check_size
 from pipeline.models import (
     LARGEST,
     ArrayOf,
@@ -35,27 +35,6 @@ from tikernels.depth.triangulation import ProjectorGeometry
 Vector9 = Annotated[FloatArray, ArrayOf((9,))]
 Shift = Annotated[FloatArray, ArrayOf((3, 2))]
 Response = Annotated[FloatArray, ArrayOf((3, 256))]
-# Lengths of OpenCV's lists: radial and tangential, k3, the rational model, thin prisms, a tilted sensor.
-_COEFFICIENTS = (4, 5, 8, 12, 14)
-
-
-def _padded(value: Any) -> Any:
-    if isinstance(value, list | tuple) or (isinstance(value, np.ndarray) and value.ndim == 1):
-        if len(value) not in _COEFFICIENTS:
-            raise ValueError(f"must have 4, 5, 8, 12 or 14 numbers, in OpenCV's order, got {len(value)}")
-        return [*value, *[0.0] * (14 - len(value))]
-    return value
-
-
-def _shortest(coefficients: FloatArray) -> FloatArray:
-    return coefficients if coefficients[5:].any() else coefficients[:5]
-
-
-#: 5 or 14 numbers, whatever the file's list is. Long lenses see a tenth of their distance to either side, the sixth
-# power of which k3 counts with.
-Distortion = Annotated[FloatArray, ArrayOf((14,), 1e4), BeforeValidator(_padded), AfterValidator(_shortest)]
-
-
 #: Crosstalk worse than this cannot be undone: noise grows by it.
 MAX_CONDITION = 100.0
 #: What is taken where nobody has named a projector or a pattern: width and height in px, and px per cycle: 44 cycles
@@ -66,81 +45,6 @@ DEFAULT_PERIOD_PX = 768 / 44
 #: What proves the scale of a geometry, in addition to the side of the board's squares.
 ScaleProof = Literal["baseline", "second board"]
 _GEOMETRY = ("camera", "projector", "rotation", "translation_mm", "pattern")
-# No picture format that is read has longer sides.
-_Side = Annotated[int, Field(gt=0, lt=2**20)]
-
-
-class Lens(Model):
-    """A pinhole with distortion, for the camera as for the projector (OpenCV's model)."""
-
-    size_px: tuple[_Side, _Side]  # width, height
-    matrix: Matrix3  # px
-    distortion: Distortion = Field(default_factory=lambda: np.zeros(5))  # OpenCV's order: k1 k2 p1 p2 k3 [...]
-
-    @model_validator(mode="after")
-    def _check(self) -> "Lens":
-        try:
-            check_size("the lens", *self.size_px)
-        except FootageError as error:
-            raise ValueError(str(error)) from None
-        m = self.matrix
-        if m[0, 0] <= 0 or m[1, 1] <= 0 or np.any(m[[0, 1, 2, 2], [1, 0, 0, 1]] != 0) or m[2, 2] != 1:
-            raise ValueError("matrix must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths")
-        return self
-
-    def rays(self, shift_px: npt.NDArray[np.float64] | None = None) -> npt.NDArray[np.float32]:
-        """Return where every pixel looks, lens distortion taken out.
-
-        Parameters
-        ----------
-        shift_px : (2,), optional
-            Lateral colour: x, y by which a channel lands off its place.
-
-        Returns
-        -------
-        (H, W, 2) float32
-            x and y of each ray at unit depth.
-
-        Raises
-        ------
-        CalibrationError
-            A ray has no direction, so the lens is none.
-        """
-        width, height = self.size_px
-        rays = np.empty((height, width, 2), np.float32)
-        row = np.column_stack([np.arange(width, dtype=np.float64), np.zeros(width)])
-        for y in range(height):  # so that nothing but the rays is as large as the picture
-            row[:, 1] = y
-            rays[y] = self.rays_through(row if shift_px is None else row - shift_px)
-        return rays
-
-    def rays_through(self, places_px: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Return where places in the picture look, lens distortion taken out.
-
-        Parameters
-        ----------
-        places_px : (N, 2)
-            x, y, px.
-
-        Returns
-        -------
-        (N, 2) float64
-            x and y of each ray at unit depth.
-
-        Raises
-        ------
-        CalibrationError
-            A ray has no direction, so the lens is none.
-        """
-        straight_px = places_px
-        if self.distortion.any():
-            # OpenCV 4 and 5 take the end of this function's iteration alike, and that of undistortPoints differently.
-            end = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
-            straight_px = cv2.undistortImagePoints(places_px[:, None], self.matrix, self.distortion, None, end)[:, 0]
-        rays = (straight_px - self.matrix[:2, 2]) * (1 / self.matrix[[0, 1], [0, 1]])
-        if not np.abs(rays).max() < LARGEST:
-            raise CalibrationError("no lens bends light like this one: its matrix or distortion is wrong, recalibrate")
-        return np.asarray(rays, np.float64)
 
 
 class Pattern(Model):

@@ -18,7 +18,8 @@ import numpy as np
 from hardware.protocols import SensorPart
 from pipeline.calibration.board_poses import MIN_POSES, BoardPose
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
-from pipeline.calibration.model import Calibration, ColorShift, Lens, Pattern, ScaleProof, Uncertainty
+from pipeline.calibration.lens import Lens
+from pipeline.calibration.model import Calibration, ColorShift, Pattern, ScaleProof, Uncertainty
 from pipeline.calibration.verdict import GeometryVerdict, corners_off, depth_bias_mm, judge_geometry, pose_causes
 from pipeline.causes import Cause
 from pipeline.errors import CalibrationError

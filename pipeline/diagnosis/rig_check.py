@@ -283,7 +283,7 @@ def check_epipolar(
 
     def measure(as_if: Geometry) -> Measure:
         error = epipolar_error_px(as_if, np.argwhere(known)[:, ::-1].astype(np.float64), seen.position_px[known])
-        return Measure("epipolar error", float(np.median(np.abs(error))), predicted, "px")
+        return Measure("epipolar error", float(np.nanmedian(np.abs(error))), predicted, "px")
 
     found = measure(geometry)
     if not found.fine and measure(_swapped(geometry)).fine:
@@ -299,7 +299,7 @@ def _swapped(geometry: Geometry) -> Geometry:
 
 
 def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: FloatArray) -> FloatArray:
-    """Return the distances of projector pixels from the epipolar lines of camera pixels, (N,) projector px.
+    """Return the distances of projector pixels from the epipolar lines of camera pixels, (N,) px; NaN: no ray.
 
     Parameters
     ----------

@@ -116,6 +116,43 @@ def test_a_distorted_ray_comes_back_to_its_pixel(distortion):
     np.testing.assert_allclose(pixels[:, 0], np.stack([x.ravel(), y.ravel()], axis=1), atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    "distortion",
+    [
+        (-1.6, 0.0, 0.0, 0.0),
+        (-2.2, 0.8, 0.0, 0.0, 0.0),
+        (-0.1, 0.0, 0.0, 0.0, -60.0),
+        (-1.8, 0.0, 0.0, 0.0, 0.0, 0.3, 0.0, 0.0),
+        (-2.0, *[0.0] * 11),
+        (-1.8, 0.0, 0.0, 0.0, 0.0, 0.3, *[0.0] * 8),
+        (3.0, 0.0, 0.0, 0.0, 0.0),
+    ],
+)
+def test_a_lens_that_folds_has_no_rays_beyond(distortion):
+    """All others are those of the exact radial function before its first turn."""
+    lens = simulated_rig((128, 96), camera_distortion=distortion).camera
+    k1, k2, _, _, k3, k4, *_ = np.append(distortion, np.zeros(2))
+    radius = np.linspace(0, 3, 300001)
+    bent = radius * (1 + radius**2 * (k1 + radius**2 * (k2 + radius**2 * k3))) / (1 + k4 * radius**2)
+    turn = np.flatnonzero(np.append(np.diff(bent) <= 0, True))[0]
+    y, x = np.mgrid[:96, :128]
+    place = (np.stack([x, y], axis=-1) - lens.matrix[:2, 2]) / lens.matrix[[0, 1], [0, 1]]
+    there = np.hypot(*place.T).T
+    expected = np.interp(there, bent[: turn + 1], radius[: turn + 1], right=np.nan)
+    found = np.hypot(*lens.rays().T).T
+    blind = np.isnan(expected)
+    assert blind.mean() == 0 if distortion[0] > 0 else 0.005 < blind.mean() < 0.3
+    assert np.isnan(found[blind]).all()
+    # At the fold itself a step of the picture is no step of the ray, and which pixel is the last is a matter of digits.
+    assert not np.isnan(found[there < 0.999 * bent[turn]]).any()
+    assert np.nanmax(np.abs(found - expected)) < 1e-4
+
+
+def test_a_lens_that_folds_everywhere_is_refused():
+    with pytest.raises(CalibrationError, match="no lens bends light like this one: its distortion"):
+        simulated_rig((64, 48), camera_distortion=(-1e4, 0, 0, 0, 0)).camera.rays()
+
+
 def test_coefficients_that_are_zero_change_nothing():
     """Files of 4, 8 and 14 numbers hold the lens, and the digest, of the same five."""
     short = simulated_rig(camera_distortion=(-0.2, 0.05, 1e-3, -1e-3))
