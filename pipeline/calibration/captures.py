@@ -15,7 +15,8 @@ from pydantic import RootModel
 from hardware.protocols import SensorPart
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
-from pipeline.footage.image_file import read_image
+from pipeline.footage.image_file import read_turned
+from pipeline.footage.picture_tags import other_orientation
 from pipeline.models import ImageArray, Model, build, read_file
 from tikernels.raw.linearization import WHITE_LEVELS
 
@@ -120,8 +121,8 @@ def _sensor_of(folder: Path) -> SensorPart | None:
 class CapturedFolder(Mapping[str, ImageArray]):
     """The captures in a folder by their names, each read on demand."""
 
-    def __init__(self, folder: Path, names: tuple[str, ...]) -> None:
-        """Look for the files.
+    def __init__(self, folder: Path, names: tuple[str, ...], orientations: list[int] | None = None) -> None:
+        """Look for the files; `orientations` are those of the same camera's captures in other folders, added to here.
 
         Raises
         ------
@@ -138,6 +139,7 @@ class CapturedFolder(Mapping[str, ImageArray]):
             )
         self._paths = {name: found[name] for name in names}
         self.sensor = _sensor_of(folder)
+        self._orientations: list[int] = [] if orientations is None else orientations
         self._shape: tuple[tuple[int, ...], str] | None = None
 
     def __getitem__(self, name: str) -> ImageArray:
@@ -146,11 +148,14 @@ class CapturedFolder(Mapping[str, ImageArray]):
         Raises
         ------
         CalibrationError
-            It has another size or type than the one before.
+            It has another size, type or orientation than the one before.
         FootageError
             It cannot be read.
         """
-        image = read_image(self._paths[name])
+        image, orientation = read_turned(self._paths[name])
+        self._orientations.append(orientation)
+        if (turned_otherwise := other_orientation(orientation, self._orientations[0])) is not None:
+            raise CalibrationError(f"{self._paths[name]}: {turned_otherwise}")
         shape = (image.shape, image.dtype.name)
         if self._shape is not None and shape != self._shape:
             raise CalibrationError(

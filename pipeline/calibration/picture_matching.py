@@ -84,7 +84,9 @@ class CapturedFrames(Mapping[str, ImageArray]):
 Captures = CapturedFolder | CapturedFrames
 
 
-def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Captures]]:
+def find_captures(
+    place: Path, sequence: PictureSequence, orientations: list[int] | None = None
+) -> list[tuple[str, Captures]]:
     """Find the captures of a sequence, under its names or in order of time.
 
     Parameters
@@ -93,6 +95,8 @@ def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Cap
         A folder of pictures, a recording, a folder with one, or a video.
     sequence : PictureSequence
         What was projected.
+    orientations : list of int, optional
+        See `CapturedFolder`.
 
     Returns
     -------
@@ -107,7 +111,7 @@ def find_captures(place: Path, sequence: PictureSequence) -> list[tuple[str, Cap
         It cannot be read.
     """
     if place.is_dir() and captured_files(place).keys() & set(sequence.names):
-        return [(place.name, CapturedFolder(place, sequence.names))]
+        return [(place.name, CapturedFolder(place, sequence.names, orientations))]
     try:
         source = open_source(place / _RECORDING if (place / _RECORDING).is_dir() else place)
     except FootageError as error:
@@ -139,8 +143,9 @@ def find_poses(place: Path, sequence: PictureSequence) -> Iterator[tuple[str, Ca
         # A name that begins with a dot is a pose that is not complete.
         there = [entry for entry in place.iterdir() if not entry.name.startswith(".")]
         entries = [entry for entry in there if entry.is_dir() or entry.suffix.lower() in _VIDEOS]
+    orientations: list[int] = []
     for entry in sorted(entries, key=lambda entry: natural_key(entry.name)) or [place]:
-        yield from find_captures(entry, sequence)
+        yield from find_captures(entry, sequence, orientations)
 
 
 def match_pictures(source: Source, sequence: PictureSequence) -> list[CapturedFrames]:
@@ -162,7 +167,7 @@ def match_pictures(source: Source, sequence: PictureSequence) -> list[CapturedFr
             reason = reason or str(error)
     if not best:
         damaged = len(source) - len(numbers)
-        frames = f"{len(numbers)} frames" + (f", {damaged} more are damaged" if damaged else "")
+        frames = f"{len(numbers)} frames" + (f", {damaged} more cannot be used: {changes.bad}" if damaged else "")
         raise CalibrationError(f"{source.name} ({frames}): {reason}")
     return [_named(source, sequence, group) for group in best]
 

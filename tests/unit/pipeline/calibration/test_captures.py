@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from hardware.protocols import SensorPart
 from pipeline.calibration.captures import (
@@ -83,6 +84,23 @@ def test_captures_are_of_the_part_of_the_sensor_that_their_session_says(tmp_path
         session.write_text(text)
         with pytest.raises(CalibrationError, match=r"session\.json"):
             CapturedFolder(pose, ())
+
+
+def test_captures_that_are_turned_otherwise_are_named(tmp_path):
+    """Within a pose and between poses: turned by 180 degrees, which their size does not show."""
+    orientations = []
+    for pose, second in (("a", 1), ("b", 3)):
+        (tmp_path / pose).mkdir()
+        for name, orientation in (("00-black", 1), ("01-red", second)):
+            tags = Image.Exif()
+            tags[274] = orientation
+            Image.new("RGB", (6, 4)).save(tmp_path / pose / f"{name}.png", exif=tags)
+        captures = CapturedFolder(tmp_path / pose, SEQUENCE.names, orientations)
+        assert captures["00-black"].shape == (4, 6, 3)
+    with pytest.raises(CalibrationError, match=r"01-red\.png: its Exif orientation is 3, the first has 1"):
+        captures["01-red"]
+    with pytest.raises(CalibrationError, match=r"00-black\.png: its Exif orientation is 1, the first has 3"):
+        CapturedFolder(tmp_path / "a", SEQUENCE.names, [3])["00-black"]
 
 
 def test_captures_of_two_cameras_do_not_mix(tmp_path):
