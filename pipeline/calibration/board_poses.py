@@ -298,7 +298,7 @@ class MeasuredPoses:
     poses: list[BoardPose]
     refused: tuple[str, ...]  # why others could not, a sentence each
     camera_size_px: tuple[int, int]
-    sensor: SensorPart | None  # the part of the camera's that all captures are; None: it is not known of one
+    sensor: SensorPart | None = None  # the part of the camera's that all captures are; None: not known of all
 
 
 def measure_poses(
