@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Annotated, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
 
 from hardware.pulses import PulseTrain, TriggerLimits
 
@@ -88,6 +89,23 @@ class FrameFormat:
     bayer: Literal["rggb", "bggr", "grbg", "gbrg"] | None = None  # the first two pixels of the first two rows
 
 
+_Count = Annotated[int, Field(ge=1, lt=2**20)]
+_Offset = Annotated[int, Field(ge=0, lt=2**20)]
+
+
+class SensorPart(BaseModel):
+    """The part of its sensor that a camera reads out; with its size, which is that of the frames."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    sensor_px: tuple[_Count, _Count]  # width and height of the sensor
+    offset_px: tuple[_Offset, _Offset]  # first column and row that are read out, of the sensor
+    binning: tuple[_Count, _Count]  # columns and rows of the sensor that make one of the frame
+
+    def __str__(self) -> str:
+        return "{}x{} from {},{}, binned {}x{}".format(*self.sensor_px, *self.offset_px, *self.binning)
+
+
 @dataclass(frozen=True)
 class CameraLimits:
     """What a camera can do as it is set up."""
@@ -97,6 +115,7 @@ class CameraLimits:
     exposure_s: tuple[float, float]  # shortest and longest
     min_period_s: float  # of frames at the present exposure, readout included
     triggered: bool  # False: it takes frames when told to by software, some time later
+    sensor: SensorPart | None = None  # None: the camera does not say
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from pipeline.decoding.doubts import (
     CODE_SHOWN,
     Changed,
     few_pixels_doubt,
+    folded_lens_doubt,
     fringe_doubt,
     light_doubts,
     over_exposure_doubt,
@@ -37,7 +38,7 @@ from pipeline.settings import DecodeSettings
 from tikernels import runtime
 from tikernels.arrays import LevelsImage
 from tikernels.depth.point_uncertainty import point_sigma
-from tikernels.depth.triangulation import triangulate
+from tikernels.depth.triangulation import leave_out_blind, triangulate
 from tikernels.phase.camera_blur import undo_camera_blur
 from tikernels.phase.crosstalk import Crosstalk
 from tikernels.phase.field_motion import MOTION_TURNS, FieldMotion, doubt_motion, hold_still, measure_motion
@@ -186,9 +187,10 @@ class Decoder:
                     if self._setup.rays is None:
                         sign, clear = self._find_front(measured.surface, self._work(frame, period_px))
                         measured = replace(measured, range_sign=sign, front_is_clear=clear)
-            if frame.repeated is not None:
-                found = (*measured.light_doubts, repeated_chroma_doubt(frame.repeated))
-                measured = replace(measured, light_doubts=found)
+            found = [] if frame.repeated is None else [repeated_chroma_doubt(frame.repeated)]
+            if self._setup.rays is not None and self._setup.rays.n_blind:
+                found.append(folded_lens_doubt(self._setup.rays.n_blind, frame.shape))
+            measured = replace(measured, light_doubts=(*measured.light_doubts, *found))
             for doubt in measured.doubts:
                 warnings.warn(doubt, DecodeWarning, stacklevel=2)
             result = DecodedFrame(period_px, levels.noise, measured.doubts, measured, self._setup)
@@ -262,6 +264,8 @@ class Decoder:
         if motion is not None:
             doubt_motion(motion, phases.precision, out=phases.misfit)
         undo_camera_blur(work.fitted_phase, work.brightness, phases.precision, out=(work.raw_phase, phases.misfit))
+        if rays is not None and rays.n_blind:
+            leave_out_blind(rays.rays, out=work.raw_phase)
         # Its neighbours: smoothing, patches joined to regions, and the whole cycles of each.
         measure_rates(work.raw_phase, phases.modulation, out=rates)
         work.smoother.along(work.raw_phase, phases.precision, rates, out=work.phase)

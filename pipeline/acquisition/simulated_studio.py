@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from hardware.protocols import SensorPart
 from pipeline.acquisition.simulated_camera import CameraFaults, SimulatedCamera
 from pipeline.acquisition.studio import FRAMES, Guidance
 from pipeline.calibration import Calibration
@@ -137,6 +138,11 @@ class SimulatedStudio:
     def exposures_s(self) -> tuple[float, float]:
         """Shortest and longest exposure; see `Studio`."""
         return _SHORTEST_S, FRAME_S
+
+    @property
+    def sensor(self) -> SensorPart | None:
+        """The part of the sensor; see `Studio`."""
+        return None
 
     @property
     def is_mosaic(self) -> bool:

@@ -121,8 +121,7 @@ class Job:
             It cannot be read, or the calibration or the region of interest does not fit it.
         """
         source = open_source(self.footage, listed=self.listed, **vars(self.says))
-        if self.calibration is not None and self.calibration.has_geometry:
-            self.calibration.geometry().check_frame(source.size_px, source.name)
+        self._calibration_of(source)
         if self.crop is not None:
             self.crop.check(source.size_px, source.format)
         return source
@@ -134,12 +133,14 @@ class Job:
     def pinned(self, source: Source) -> "Job":
         """Return the same for the footage as it is now: which pictures, what they hold, and how light is encoded.
 
-        All of it is read. The light is the footage's word where nobody knows better.
+        All of it is read. The light is the footage's word where nobody knows better; the calibration is that of the
+        part of the sensor that frames are.
         """
         files = source.files()
         most_bytes = BYTES_A_PIXEL * max_pixels() if len(files) > 1 else math.inf  # a longer picture is bad
         return replace(
             self,
+            calibration=self._calibration_of(source),
             settings=with_transfer_of(source, self.settings, self.calibration)[0],
             listed=tuple(source.names) if isinstance(source, ImageFolder) else None,
             stamps=tuple(map(_stamp, files)),
@@ -213,6 +214,12 @@ class Job:
     def decoder(self) -> Decoder:
         """Return a decoder of such frames."""
         return Decoder(self.settings, self._calibration_of_part(), arch=self.arch)
+
+    def _calibration_of(self, source: Source) -> Calibration | None:
+        """Return the calibration of the footage's whole frames; see `Calibration.as_read_out`."""
+        if self.calibration is None:
+            return None
+        return self.calibration.as_read_out(source.size_px, source.sensor, source.name)
 
     def _calibration_of_part(self) -> Calibration | None:
         """Return the calibration of what is decoded of a frame."""

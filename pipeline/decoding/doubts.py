@@ -146,6 +146,16 @@ def repeated_chroma_doubt(repeated: RepeatedChroma) -> Cause:
     return Cause("repeated-chroma", words)
 
 
+def folded_lens_doubt(n_blind: int, shape: tuple[int, int]) -> Cause:
+    """Say how many pixels of a frame have no ray."""
+    share = n_blind / (shape[0] * shape[1])
+    words = (
+        f"{n_blind} pixels ({share:.1%}) are left out, for which the calibration has no ray: its lens folds before it "
+        "reaches them; calibrate with the board in the picture's corners, too"
+    )
+    return Cause("folded-lens", words)
+
+
 def finest_fringe(light: LevelsImage) -> float | None:
     """Return the period of a fringe too short to be decoded, px, stripes along the rows; None: there is none."""
     image = runtime.to_host(light)

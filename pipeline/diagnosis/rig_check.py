@@ -283,7 +283,7 @@ def check_epipolar(
 
     def measure(as_if: Geometry) -> Measure:
         error = epipolar_error_px(as_if, np.argwhere(known)[:, ::-1].astype(np.float64), seen.position_px[known])
-        return Measure("epipolar error", float(np.median(np.abs(error))), predicted, "px")
+        return Measure("epipolar error", float(np.nanmedian(np.abs(error))), predicted, "px")
 
     found = measure(geometry)
     if not found.fine and measure(_swapped(geometry)).fine:
@@ -299,7 +299,7 @@ def _swapped(geometry: Geometry) -> Geometry:
 
 
 def epipolar_error_px(geometry: Geometry, camera_px: FloatArray, projector_px: FloatArray) -> FloatArray:
-    """Return the distances of projector pixels from the epipolar lines of camera pixels, (N,) projector px.
+    """Return the distances of projector pixels from the epipolar lines of camera pixels, (N,) px; NaN: no ray.
 
     Parameters
     ----------
@@ -379,7 +379,10 @@ def holds_captures(folder: Path) -> bool:
 def check_captures(folder: Path, calibration: Calibration, settings: DecodeSettings) -> CheckResult:
     """Measure the epipolar error from captures of anything that holds still; see `check_epipolar`."""
     names = multishot_sequence(calibration.geometry().projector.size_px).names
-    return check_epipolar(CapturedFolder(folder, names), calibration, str(folder), settings.white_level)
+    captures = CapturedFolder(folder, names)
+    height, width = captures[names[0]].shape[:2]
+    known = calibration.as_read_out((width, height), captures.sensor, str(folder))
+    return check_epipolar(captures, known, str(folder), settings.white_level)
 
 
 @dataclass(frozen=True)
@@ -442,11 +445,11 @@ def check_picture(
     ((image, frame),) = reader.frames()
     if not frame.mask.any():
         return None
-    surface = None if shape is None else check_surface(frame, calibration, shape, radius_mm)
-    shift = calibration.color_shift_px
+    surface = None if shape is None else check_surface(frame, reader.calibration, shape, radius_mm)
+    shift = reader.calibration.color_shift_px
     light = image if shift is None else runtime.to_host(align_channels(image, shift.camera))
     white = settings.white_level or WHITE_LEVELS[image.dtype.name]
-    known = KnownLight.of(settings, calibration, reader.code)
+    known = KnownLight.of(settings, reader.calibration, reader.code)
     found = diagnose(light, white, frame.unwrapped_phase, frame.mask, known, reader.transfer, frame.absolute)
     return PictureCheck(surface, found, calibration, reader.transfer, light, white, frame)
 
@@ -474,7 +477,7 @@ def check_sequence(
         light.append(runtime.to_host(linearize(image, reader.transfer, settings.white_level)))
         phases.append(frame.unwrapped_phase)
         masks.append(frame.mask)
-    place = calibration.geometry() if calibration.has_geometry else None
+    place = reader.calibration.geometry() if calibration.has_geometry else None
     return len(source), diagnose_sequence(light, 1.0, phases, masks, place, calibration.crosstalk_matrix)
 
 
@@ -482,8 +485,7 @@ class _Reader:
     """Reads frames and decodes them; what the settings leave open, the calibration says."""
 
     def __init__(self, source: Source, calibration: Calibration, settings: DecodeSettings, arch: str) -> None:
-        if calibration.has_geometry:
-            calibration.geometry().check_frame(source.size_px, source.name)
+        self.calibration = calibration = calibration.as_read_out(source.size_px, source.sensor, source.name)
         if calibration.pattern is not None and "stripes" not in settings.model_fields_set:
             settings = settings.model_copy(update={"stripes": calibration.pattern.stripes})
         at_calibration = None if calibration.capture is None else calibration.capture.transfer

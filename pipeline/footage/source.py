@@ -7,6 +7,7 @@ from typing import Protocol, cast
 
 import numpy as np
 
+from hardware.protocols import SensorPart
 from pipeline.errors import FootageError
 from pipeline.footage.picture_tags import upright
 from pipeline.models import ImageArray
@@ -59,6 +60,10 @@ class Source(Protocol):
     @property
     def transfer_because(self) -> str:
         """What tells the transfer, or that nothing does."""
+
+    @property
+    def sensor(self) -> SensorPart | None:
+        """The part of the camera's sensor that frames are; None: the footage does not say."""
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from queue import SimpleQueue
 
 import numpy as np
 
+from hardware.protocols import SensorPart
 from pipeline.errors import OutputError
 from pipeline.files import explain, sync
 from pipeline.footage.zarr_recording import RecordingTags
@@ -54,6 +55,8 @@ class Recorder:
         How light is encoded, if that is known.
     rate_hz : int or Fraction
         Frames a second, up to 500: for players; frames are known by their numbers.
+    sensor : SensorPart, optional
+        The part of the camera's sensor that frames are, where it is known.
 
     Raises
     ------
@@ -70,6 +73,7 @@ class Recorder:
         *,
         transfer: str | None = None,
         rate_hz: int | Fraction = 30,
+        sensor: SensorPart | None = None,
     ) -> None:
         self._path = Path(path)
         if (format.layout, format.channels, format.shift) not in (("rgb", "rgb", 0), ("bayer", "rgb", 0)):
@@ -86,7 +90,7 @@ class Recorder:
                 f"verify {self._path.parent} finishes it; or choose another name"
             )
         self._tags = RecordingTags(
-            Fraction(rate_hz), transfer, format.bayer if format.layout == "bayer" else None, format.bits
+            Fraction(rate_hz), transfer, format.bayer if format.layout == "bayer" else None, format.bits, sensor
         )
         self._shape: tuple[int, ...] = ()
         self._threads: WritingThreads | None = None

@@ -9,6 +9,7 @@ from support.flat_studio import FlatStudio
 from support.posed_boards import PATTERN
 
 from hardware.errors import CameraError
+from hardware.protocols import SensorPart
 from pipeline.acquisition.guided_capture import LIGHT, POSES, GuidedCapture
 from pipeline.acquisition.simulated_camera import WEBCAM
 from pipeline.acquisition.simulated_studio import SimulatedStudio, StudioFaults
@@ -169,6 +170,17 @@ def test_captures_of_another_camera_are_not_mixed(tmp_path):
     (tmp_path / "captures" / "session.json").write_text("[")
     with pytest.raises(OutputError, match=r"session\.json cannot be read"):
         capture_of(FlatStudio(), tmp_path / "captures")
+
+
+def test_captures_of_another_part_of_the_sensor_are_not_mixed(tmp_path):
+    """Of the same size, which pictures do not show."""
+    studio = FlatStudio()
+    studio.sensor = SensorPart(sensor_px=(99, 80), offset_px=(4, 0), binning=(1, 1))
+    capture_of(studio, tmp_path)[0].check_rig()
+    assert CapturedFolder(tmp_path / POSES, ()).sensor == studio.sensor
+    studio.sensor = studio.sensor.model_copy(update={"offset_px": (8, 0)})
+    with pytest.raises(OutputError, match="holds captures with another part of the sensor"):
+        capture_of(studio, tmp_path)[0].check_rig()
 
 
 @pytest.mark.parametrize(

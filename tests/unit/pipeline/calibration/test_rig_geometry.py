@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from support.posed_boards import CAMERA_PX, PATTERN, PROJECTOR_PX, exact_poses, rig
 
+from hardware.protocols import SensorPart
 from pipeline.calibration.board import Board
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
 from pipeline.calibration.rig_geometry import SecondBoard, board_scale, solve_geometry
@@ -75,8 +76,10 @@ def test_a_true_side_is_proven_with_either():
 
 
 def test_an_earlier_proof_does_not_outlive_its_geometry():
-    base = rig().model_copy(update={"scale_proof": "baseline"})
-    assert solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN, base).calibration.scale_proof is None
+    part = SensorPart(sensor_px=(2000, 1500), offset_px=(1, 2), binning=(1, 1))
+    base = rig().model_copy(update={"scale_proof": "baseline", "sensor": part})
+    found = solve_geometry(exact_poses(), CAMERA_PX, PROJECTOR_PX, PATTERN, base).calibration
+    assert found.scale_proof is None and found.sensor is None
 
 
 def test_the_ratios_deviation_is_honest():
