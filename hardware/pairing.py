@@ -25,10 +25,10 @@ _ARRIVAL_TOLERANCE = 0.5
 # At least three missed pulses, two pulses apart or more, all as far apart: a camera that is still busy when they come.
 # A cable that is out misses every pulse.
 _REGULAR_MISSES, _CLOSEST_MISSES = 3, 2
-# What to look at, the likeliest first.
-_TRIGGER = "check the camera's trigger cable"
-_LINE = f"{_TRIGGER}, and that its trigger line is the one in use"
-_NOISE = "check the shields of the camera's cables"
+# What to look at; of two that a burst does not tell apart, what does.
+_TRIGGER = "the camera's trigger cable lost it, or the camera was not ready, which a longer period cures"
+_LINE = "check the camera's trigger cable, and that its trigger line is the one in use"
+_NOISE = "no pulse made it: there is noise on the trigger cable, or the camera runs free, which goes on with it out"
 _SOFTWARE = "the camera or this machine is too slow; make the period longer"
 _DATA = "check the camera's data cable and its bandwidth"
 _BUSY = "let nothing else keep this machine busy, or make the period longer"
@@ -38,7 +38,7 @@ _TWICE = "the camera or its driver delivers frames twice; switch it off and on"
 _SET_BACK = "do not set or synchronise it, or restart the camera, during a capture"
 # Ticks of cameras' clocks of 32 bits, s.
 _TICKS_S = (1e-6, 1e-7, 1e-8, 8e-9, 1e-9)
-_IGNORED = "make the period longer, or check the shields of the camera's cables"
+_IGNORED = "the period is too short, which a longer one cures, or noise on the trigger cable came between pulses"
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def _count_faults(seen: Evidence) -> list[Fault]:
     if n == 0:
         look = _DATA if seen.by_software else _LINE
         return [Fault("no frame", f"no frame came: {look}", seen.first_pulse)]
-    look = _SOFTWARE if seen.by_software else f"{_TRIGGER}, then its data cable"
+    look = _SOFTWARE if seen.by_software else f"{_TRIGGER}; or its data cable did"
     return [Fault("frames missing", f"{n} frames to {seen.count} pulses: {look}", _first_gap(seen))]
 
 
@@ -297,8 +297,10 @@ def _time_faults(seen: Evidence) -> list[Fault]:
             key, look = ("clock wrapped", _WRAPPED) if wrapped else ("clock set back", _SET_BACK)
             return [Fault(key, f"the camera's clock went back by {back_s:.2f} s: {look}", pulse)]
         if step is not None and abs(step - 1) > seen.tolerance:
-            key, likely = ("frame late", _TRIGGER) if step > 1 else ("frame early", _NOISE)
-            look = _SOFTWARE if seen.by_software else likely
+            key = "frame late" if step > 1 else "frame early"
+            # Where pulses were lost, the next frame is whole periods later.
+            lost = round(step) > 1 and abs(step - round(step)) <= seen.tolerance
+            look = _SOFTWARE if seen.by_software else _TRIGGER if lost else _NOISE
             return [Fault(key, f"its frame is {step:.2f} periods after the one before: {look}", pulse)]
     return _arrival_faults(seen, steps) or _start_faults(seen, steps)
 

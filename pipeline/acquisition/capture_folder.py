@@ -20,7 +20,7 @@ from hardware.protocols import FrameFormat
 from hardware.rig import Burst, Rejected, Rig
 from pipeline.acquisition.live import LiveDecoder
 from pipeline.calibration import Calibration
-from pipeline.errors import CalibrationError, OutputError, SettingsError
+from pipeline.errors import OutputError, SettingsError
 from pipeline.files import LEFTOVER, explain, write_atomically
 from pipeline.footage.zarr_recording import MOST_FRAMES_A_SECOND
 from pipeline.limits import read_plain
@@ -133,12 +133,8 @@ class CaptureFolder:
         self._note: str | None = None
         limits = rig.camera.limits
         format = pixel_format(limits.format)
-        if calibration is not None and calibration.camera is not None and calibration.camera.size_px != limits.size_px:
-            here, there = ("{}x{}".format(*size_px) for size_px in (limits.size_px, calibration.camera.size_px))
-            raise CalibrationError(
-                f"the camera's frames are {here} but the calibration is for {there}: set camera.size_px, calibrate "
-                "anew, or leave calibration away"
-            )
+        if calibration is not None and calibration.has_geometry:
+            calibration.geometry().check_frame(limits.size_px, "camera.size_px")
         (shape,) = format.plane_shapes(*limits.size_px[::-1])
         n_kept = max(self._frames_a_burst, round((plan.keep_last_s or 0.0) / self._period_s))
         _check_memory(n_kept * int(np.prod(shape)) * np.dtype(format.dtype).itemsize)

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from pipeline.causes import Cause
+from pipeline.causes import Cause, Key
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.files import write_atomically
 from pipeline.limits import check_size
@@ -233,15 +233,15 @@ class Geometry:
         smaller, larger = np.divide(there, here), np.divide(here, there)
         factors = "{:.0f}x{:.0f}".format(*np.maximum(smaller, larger))
         convert = "convert the calibration: colorphase calibrate import"
-        causes = (
+        causes: tuple[tuple[Key, bool, str], ...] = (
             ("on its side", here == there[::-1], "turn it as the camera stood at calibration"),
             ("swapped", here == self.projector.size_px, "that is the projector's size: if the two are swapped in the "
              "calibration, calibrate geometry again"),
-            ("binned", (smaller % 1 == 0).all(), f"its sides are {factors} times smaller: if the camera bins, "
+            ("binned", bool((smaller % 1 == 0).all()), f"its sides are {factors} times smaller: if the camera bins, "
              f"{convert} --binning {factors}; if it shows a part of its sensor, --region"),
-            ("calibrated binned", (larger % 1 == 0).all(), f"its sides are {factors} times larger: set the binning and "
-             "resolution of the calibration"),
-            ("cropped", (smaller >= 1).all(), f"if the camera shows a part of its sensor, {convert} --region; a "
+            ("calibrated binned", bool((larger % 1 == 0).all()), f"its sides are {factors} times larger: set the "
+             "binning and resolution of the calibration"),
+            ("cropped", bool((smaller >= 1).all()), f"if the camera shows a part of its sensor, {convert} --region; a "
              "picture that was cut or scaled afterwards is of no use: cut by --roi"),
             ("another camera", True, "set the camera's resolution as at calibration, or calibrate it as it is now"),
         )  # fmt: skip

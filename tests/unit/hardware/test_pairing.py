@@ -63,7 +63,7 @@ def test_a_whole_burst_is_beyond_doubt(wired):
 def test_the_missing_exposure_names_the_pulse_and_the_cable():
     frames = [frame_of(number) for number in (0, 1, 3, 4)]
     strobes = [Strobe(number, number * PERIOD_S + 1e-3) for number in (0, 1, 3, 4)]
-    assert said(evidence(frames, strobes))[0] == "pulse 2: 4 exposures to 5 pulses: check the camera's trigger cable"
+    assert said(evidence(frames, strobes))[0] .startswith("pulse 2: 4 exposures to 5 pulses: the camera's trigger cable lost it")
 
 
 def test_an_exposure_whose_frame_is_missing_is_the_data_cables():
@@ -74,7 +74,7 @@ def test_an_exposure_whose_frame_is_missing_is_the_data_cables():
 def test_an_exposure_between_two_pulses_was_made_by_something_else():
     strobes = [Strobe(number, number * PERIOD_S + 1e-3 + 0.4 * PERIOD_S * (number == 3)) for number in range(COUNT)]
     (fault,) = said(evidence(strobes=strobes))
-    assert fault.startswith("pulse 3: its exposure is off by 0.40 periods: check the shields")
+    assert fault.startswith("pulse 3: its exposure is off by 0.40 periods: no pulse made it")
 
 
 def test_a_frame_by_another_clock_than_its_neighbours_is_named():
@@ -159,13 +159,13 @@ def test_a_single_exposure_that_comes_later_than_in_bursts_before():
     seen = replace(seen, ended=TriggerStatus(False, 1, 1, boot=1))
     assert said(seen) == []
     (fault,) = said(replace(seen, strobe_delay_s=1e-3))
-    assert fault.startswith("pulse 0: its exposure is off by 0.40 periods: check the shields")
+    assert fault.startswith("pulse 0: its exposure is off by 0.40 periods: no pulse made it")
 
 
 def test_triggers_that_the_camera_ignored():
     frames = [frame_of(number, triggers=1 + number + 2 * (number > 2)) for number in range(COUNT)]
     (fault,) = said(evidence(frames))
-    assert fault.startswith("pulse 3: the camera ignored 2 triggers before it: make the period longer, or check the")
+    assert fault.startswith("pulse 3: the camera ignored 2 triggers before it: the period is too short")
 
 
 @pytest.mark.parametrize("strobes", [True, False])

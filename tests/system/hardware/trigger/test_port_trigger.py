@@ -82,7 +82,7 @@ def test_where_nothing_answers_all_that_was_tried_is_told(driver, module, monkey
     monkeypatch.setattr(module, "BAUDS", (19200, 38400))
     with DG645Emulator() as device:
         device.silent = True
-        with pytest.raises(TriggerError, match=r"nothing answers at 19200, 38400 baud: is the instrument on"):
+        with pytest.raises(TriggerError, match=r"nothing answers at 19200, 38400 baud: check the instrument"):
             open_trigger(TriggerSettings(driver=driver, port=device.url))
         device.silent = False
         serial.Serial(device.url, exclusive=True).close()  # nothing holds it
