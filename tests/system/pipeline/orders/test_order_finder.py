@@ -46,7 +46,7 @@ def test_a_pattern_far_beside_the_view_is_refused():
     rig = simulated_rig()
     far = rig.model_copy(update={"translation_mm": np.array([0.0, 1e8, 0.0])}).geometry()
     OrderFinder(None, rig.geometry(), (500.0, 1500.0))
-    with pytest.raises(CalibrationError, match="^at 1000 mm the camera looks far past .* correct depth_range_mm, or calibrate"):
+    with pytest.raises(CalibrationError, match=r"^at 1000 mm the camera looks far past the pattern"):
         OrderFinder(None, far, (500.0, 1500.0))
 
 
