@@ -171,7 +171,7 @@ def test_what_the_trigger_source_says_comes_before_the_pulses_that_it_did_not_ma
         (Faulty(lost_trigger=one), "pulse 2: 5 frames to 6 pulses: the camera's trigger cable"),
         (
             Faulty(lost_frame=one),
-            "pulse 2: 5 frames to 6 pulses: the camera's trigger cable lost it, or .* its data cable",
+            "pulse 2: 5 frames to 6 pulses: the camera's trigger cable lost it, or the camera was",
         ),
         (Faulty(noise=one), "7 frames to 6 pulses: no pulse made it"),
         (Faulty(late_noise=one), "pulse 3: its frame is 0.80 periods after the one before: no pulse made it"),
@@ -186,7 +186,7 @@ def test_without_strobes_the_cameras_clock_tells(fault, message):
 
 def test_without_clocks_their_count_tells():
     for fault, message in (
-        (Faulty(lost_trigger=one), "5 frames to 6 pulses: the camera's trigger cable lost it, or .* its data cable"),
+        (Faulty(lost_trigger=one), "5 frames to 6 pulses: the camera's trigger cable lost it, or the camera was"),
         (Faulty(noise=one), "7 frames to 6 pulses: no pulse made it"),
     ):
         bench = Bench(settings(strobe=False, alternating=False), [fault], clocks=False)

@@ -232,7 +232,7 @@ def test_a_busy_line_costs_no_burst(strobe, clock, slow_s, monkeypatch):
         (Faults(strobe_out=True), False, "0 exposures were counted for 6 frames: check the strobe cable"),
         (Faults(lost_strobe=(2,)), False, "pulse 2: 5 exposures were counted for 6 frames: check the strobe cable"),
         (Faults(lost_trigger=(1, 3, 5)), True, "pulse 1: the camera misses pulses regularly (3 exposures to 6)"),
-        (Faults(lost_trigger=(2,), noise=((2, 0.5),)), False, "pulse 2: its exposure is off by 0.50 periods: check"),
+        (Faults(lost_trigger=(2,), noise=((2, 0.5),)), False, "pulse 2: its exposure is off by 0.50 periods: no"),
         (Faults(lost_frame=(5,)), True, "pulse 5: only 5 frames of 6 exposures arrived: check the camera's data"),
     ],
 )

@@ -9,7 +9,7 @@ from typing import get_args
 import cv2
 import numpy as np
 import pytest
-from support.posed_boards import CAMERA_PX, PATTERN, PROJECTOR_PX, exact_poses
+from support.posed_boards import CAMERA_PX, PATTERN, PROJECTOR_PX, exact_poses, scaled
 
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration.rig_geometry import solve_geometry
@@ -93,9 +93,10 @@ def solved(poses):
     return said(lambda: solve_geometry(poses, CAMERA_PX, PROJECTOR_PX, PATTERN, baseline_mm=180.0))
 
 
-def larger(poses, factor=1.25):
-    """Return poses of a board whose squares are said to be this many times as large as they are."""
-    return [replace(pose, corners_mm=factor * pose.corners_mm) for pose in poses]
+@cache
+def poses(factor=1.0, **bent):
+    """Return poses of a board whose squares are said to be so many times as large as they are."""
+    return scaled(exact_poses(**bent), factor)
 
 
 def warped(poses, corner_px):
@@ -194,12 +195,15 @@ CAUSES = {
     "past the pattern": (lambda: view((0.0, 1e8, 0.0)), lambda: view((0.0, 180.0, 0.0))),
     "other shape": (lambda: shape("bust"), lambda: shape("plane")),
     "warped picture": (
-        lambda: solved(warped(exact_poses(), 50)) & solved(warped(larger(exact_poses()), 30)),
-        lambda: solved(exact_poses(bow_mm=2.0)),
+        lambda: solved(warped(poses(), 50)) & solved(warped(poses(1.25), 30)),
+        lambda: solved(poses(bow_mm=2.0)),
     ),
-    "corners off": (lambda: solved(exact_poses(bow_mm=2.0)), lambda: solved(larger(exact_poses()))),
-    "other squares": (lambda: solved(larger(exact_poses())), lambda: solved(warped(larger(exact_poses()), 30))),
-    "poses do not fit": (lambda: solved(warped(exact_poses(), 300)), lambda: solved(exact_poses())),
+    "corners off": (lambda: solved(poses(bow_mm=2.0)), lambda: solved(poses(1.25))),
+    "other squares": (
+        lambda: solved(poses(1.25)),
+        lambda: solved(warped(poses(1.25), 30)),
+    ),
+    "poses do not fit": (lambda: solved(warped(poses(), 300)), lambda: solved(poses())),
 }
 
 

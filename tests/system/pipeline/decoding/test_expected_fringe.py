@@ -97,17 +97,6 @@ def test_why_the_phase_runs_the_other_way_is_looked_for(cpu, known, spoilt, caus
     assert Decoder(calibration=calibration, arch="cpu").decode(image).mask.mean() > 0.9
 
 
-def test_where_nothing_shows_it_both_are_named(cpu):
-    found, _ = causes(rig(), simulate_frame(rig()).image[::-1])
-    assert found == {"reversed"}
-
-
-def test_a_frame_that_neither_change_fits_is_blamed_on_neither(cpu):
-    """Its pattern has no code, and the calibration's has one."""
-    found, _ = causes(rig(code="contrast"), simulate_frame(rig()).image[::-1])
-    assert found == {"reversed for another reason"}
-
-
 def test_another_pattern_than_the_calibrated_one_has_no_depth(cpu):
     found, frame = causes(rig(), simulate_frame(rig(period_px=6 * PERIOD_PX)).image)
     assert found == {"impossible period"}

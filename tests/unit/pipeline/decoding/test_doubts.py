@@ -70,13 +70,6 @@ def test_noise_is_no_fine_fringe(cpu):
     assert fringe_doubt(LinearFrame(noise, 255.0), "horizontal", 253.0).key == "no fringe"
 
 
-def test_where_there_are_none_the_projector_is_looked_at(cpu):
-    """Or the exposure, where that is wrong."""
-    for level, key in ((120, "no fringe"), (255, "over-exposed"), (10, "under-exposed")):
-        plain = LinearFrame(np.full((96, 96, 3), level, np.uint8), 255.0)
-        assert fringe_doubt(plain, "horizontal", 253.0).key == key
-
-
 @pytest.mark.parametrize(
     "contrast, mismatch, misfit, fast, known, said",
     [
