@@ -208,15 +208,16 @@ def light_doubts(
     if constant_known and mismatch > MAX_MISMATCH:
         doubts["other crosstalk"] = (
             f"the colours' fringes differ by {mismatch:.0%} from what the crosstalk matrix makes of them, and phases "
-            f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase calibrate check says what is wrong"
+            f"may be off by as much, {_in_depth(mismatch, mm_per_rad)}: colorphase inspect looks at the file, "
+            "calibrate check at the rig"
         )
     elif odd is not None:
         excluded = "it is not the crosstalk; " if constant_known else ""
         doubts["odd colours"] = (
             f"no matrix explains the colours of {odd.share:.0%} of the surface, {odd.color} above all, where phases "
             f"may be off by some {_in_depth(odd.phase_rad, mm_per_rad)}. The frame does not tell why: {excluded}other "
-            "light, paint that fluoresces, light that scatters, too fine a print and another response than the "
-            "calibrated one (which colorphase calibrate check would show) look like this"
+            "light, paint that fluoresces, light that scatters, colours of a lower resolution, too fine a print "
+            "and another response than the calibrated one (which colorphase calibrate check would show) look like this"
         )
     if too_fast > _MAX_TOO_FAST:
         doubts["too fast"] = (

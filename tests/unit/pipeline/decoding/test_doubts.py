@@ -105,5 +105,5 @@ def test_what_it_costs_is_said_in_mm(cpu):
         light_doubts(0.4, mismatch, odd, 0.0, lambda: 7.0, constant_known=True)[0]
         for mismatch, odd in ((0.3, None), (0.0, NoModelFits(0.03, 1.0, "red")))
     ]
-    assert "phases may be off by as much, 0.30 rad (2.1 mm): colorphase calibrate check" in said[0]
+    assert "phases may be off by as much, 0.30 rad (2.1 mm): colorphase inspect" in said[0]
     assert "may be off by some 0.06 rad (0.42 mm). The frame does not tell why: it is not the cross" in said[1]
