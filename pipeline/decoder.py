@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from pipeline.calibration import Calibration
-from pipeline.causes import Cause
+from pipeline.causes import Cause, Key
 from pipeline.decoding.buffers import BufferPool, PhaseBuffers, SurfaceBuffers, clear_buffers
 from pipeline.decoding.doubts import (
     CODE_SHOWN,
@@ -301,6 +301,8 @@ class Decoder:
         fast = 0.0 if motion is None else motion.too_fast
         doubt = np.hypot(mismatch, 0.0 if odd is None else odd.phase_rad) if found is None else found.constant_sigma
         light = (model.contrast, mismatch, odd, fast, lambda: self._mm_per_rad(surface))
+        order_doubt = placement.warning or lost
+        code_lost = order_doubt is not None and order_doubt.key in {"code too weak", "orders guessed"}
         return Measured(
             phases,
             surface,
@@ -313,8 +315,8 @@ class Decoder:
             constant_sigma=float(np.hypot(path.constant_sigma, doubt)),
             mismatch=mismatch,
             contrast_doubt=path.contrast_doubt,
-            order_doubt=placement.warning or lost,
-            light_doubts=light_doubts(*light, constant_known=path.constant_known),
+            order_doubt=order_doubt,
+            light_doubts=light_doubts(*light, constant_known=path.constant_known, code_lost=code_lost),
         )
 
     def _kept_light(
@@ -357,7 +359,7 @@ class Decoder:
         period_px: float,
     ) -> Measured:
         """Return what was measured with the doubts of its exposure, or nothing where the rig cannot show it."""
-        few = few_pixels_doubt(frame, levels, measured.n_measured)
+        few = few_pixels_doubt(frame, levels, float(self._work(frame, period_px).model.contrast), measured.n_measured)
         if few is not None:  # of which little else can be said
             orders = measured.order_doubt if measured.n_measured else None
             return replace(measured, order_doubt=orders, light_doubts=(few,))
@@ -366,24 +368,26 @@ class Decoder:
             measured = replace(measured, light_doubts=(over, *measured.light_doubts))
         if self._expected is not None:
             rate = float(runtime.to_host(self._work(frame, period_px).rates)[-1, RATE_ACROSS])  # synchronises
+            seen_px = statistics.period_px or period_px
             if self._expected.is_reversed(rate):
                 contradiction: Cause | None = reversed_doubt(self._decode_changed(frame, levels, period_px, measured))
             else:
-                contradiction = self._expected.contradiction(rate)
+                contradiction = self._expected.contradiction(rate, seen_px)
             if contradiction is not None:
                 clear_buffers(measured.phases, measured.surface)
                 return Measured(measured.phases, measured.surface, order_doubt=contradiction)
-            surprise = self._expected.surprise(rate)
+            surprise = self._expected.surprise(rate, seen_px)
             if surprise is not None:
                 measured = replace(measured, light_doubts=(surprise, *measured.light_doubts))
         return measured
 
     def _decode_changed(
         self, frame: LinearFrame, levels: FrameLevels, period_px: float, measured: Measured
-    ) -> dict[str, Changed]:
+    ) -> dict[Key, Changed]:
         """Decode a frame turned over, and with red and blue exchanged, into the same buffers."""
-        image, changed = runtime.to_host(frame.image), dict[str, Changed]()
-        for key, other in (("turned over", image[::-1, ::-1]), ("colours swapped", image[..., ::-1])):
+        image, changed = runtime.to_host(frame.image), dict[Key, Changed]()
+        others: dict[Key, LevelsImage] = {"turned over": image[::-1, ::-1], "colours swapped": image[..., ::-1]}
+        for key, other in others.items():
             again = LinearFrame(runtime.to_device(np.ascontiguousarray(other)), frame.white, shared=False)
             found = self._measure(again, levels, period_px, None, measured.phases, measured.surface)
             known = found.orders.known[runtime.to_host(found.surface.region)].sum() / max(1, found.n_measured)

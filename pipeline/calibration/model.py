@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from hardware.protocols import SensorPart
 from pipeline.calibration.lens import Lens
-from pipeline.causes import Cause
+from pipeline.causes import Cause, Key
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.files import write_atomically
 from pipeline.models import (
@@ -138,15 +138,15 @@ class Geometry:
         smaller, larger = np.divide(there, here), np.divide(here, there)
         factors = "{:.0f}x{:.0f}".format(*np.maximum(smaller, larger))
         convert = "convert the calibration: colorphase calibrate import"
-        causes = (
+        causes: tuple[tuple[Key, bool, str], ...] = (
             ("on its side", here == there[::-1], "turn it as the camera stood at calibration"),
             ("swapped", here == self.projector.size_px, "that is the projector's size: if the two are swapped in the "
              "calibration, calibrate geometry again"),
-            ("binned", (smaller % 1 == 0).all(), f"its sides are {factors} times smaller: if the camera bins, "
+            ("binned", bool((smaller % 1 == 0).all()), f"its sides are {factors} times smaller: if the camera bins, "
              f"{convert} --binning {factors}; if it shows a part of its sensor, --region"),
-            ("calibrated binned", (larger % 1 == 0).all(), f"its sides are {factors} times larger: set the binning and "
-             "resolution of the calibration"),
-            ("cropped", (smaller >= 1).all(), f"if the camera shows a part of its sensor, {convert} --region; a "
+            ("calibrated binned", bool((larger % 1 == 0).all()), f"its sides are {factors} times larger: set the "
+             "binning and resolution of the calibration"),
+            ("cropped", bool((smaller >= 1).all()), f"if the camera shows a part of its sensor, {convert} --region; a "
              "picture that was cut or scaled afterwards is of no use: cut by --roi"),
             ("another camera", True, "set the camera's resolution as at calibration, or calibrate it as it is now"),
         )  # fmt: skip
@@ -314,7 +314,8 @@ class Calibration(Model):
             return self
         if (size_px, sensor) == (lens.size_px, before):
             return self
-        key, cause = "another sensor", "calibrate that camera"
+        key: Key = "another sensor"
+        cause = "calibrate that camera"
         if sensor.sensor_px == before.sensor_px:
             first = np.subtract(sensor.offset_px, before.offset_px) / before.binning
             factor = np.divide(sensor.binning, before.binning)

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from pipeline.calibration.captures import CapturedFolder, captured_files
 from pipeline.calibration.model import Calibration, Geometry
 from pipeline.calibration.multishot import WHITE, decode_multishot, multishot_sequence
+from pipeline.causes import Cause
 from pipeline.decoder import Decoder
 from pipeline.decoding.frame import DecodedFrame
 from pipeline.decoding.self_calibration import estimate_light
@@ -147,9 +148,8 @@ def check_surface(
     best = fits[0]
     coarse, distance = float(np.sqrt(np.mean(best.coarse**2))), float(np.linalg.norm(best.position))
     if coarse > _OTHER_SHAPE * distance:
-        raise CalibrationError(
-            f"the surface is {coarse:.1f} mm from the nearest {shape}: show one alone; if it is one, calibrate again"
-        )
+        off = f"the surface is {coarse:.1f} mm from the nearest {shape}, more than a rig gets out of adjustment"
+        raise CalibrationError(Cause("other shape", f"{off}: show a {shape} alone"))
     bias = _predicted_bias(calibration)
     noise = float(np.sqrt(np.mean(best.sigma**2)))
     name = "flatness" if shape == "plane" else "sphericity"
@@ -287,9 +287,8 @@ def check_epipolar(
 
     found = measure(geometry)
     if not found.fine and measure(_swapped(geometry)).fine:
-        raise CalibrationError(
-            f"{where} fit the calibration with camera and projector swapped in it: calibrate geometry again"
-        )
+        words = f"{where} fit the calibration with camera and projector swapped in it: calibrate geometry again"
+        raise CalibrationError(Cause("swapped", words))
     return CheckResult((found,), None, None, BLIND_SPOTS["epipolar"])
 
 

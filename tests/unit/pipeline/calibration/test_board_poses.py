@@ -77,9 +77,9 @@ def test_corners_of_one_pose(board, of_charuco, of_chessboard):
     ("options", "message"),
     [
         ({"mirror": True}, "mirrored"),
-        ({"place": (400.0, 0.0, 900.0)}, "9x6 charuco is seen|hardly a pixel|hardly brighter"),
+        ({"place": (400.0, 0.0, 900.0)}, "9x6 charuco is seen|px see the fringes|hardly brighter"),
         ({"hide": (slice(None), slice(100, None))}, "corners are seen|9x6 charuco is seen"),
-        ({"blur_px": 9.0}, "washed out"),
+        ({"blur_px": 9.0}, "of white's light: focus"),
     ],
 )
 def test_refused_captures(options, message):

@@ -175,27 +175,6 @@ def test_a_point_on_the_projectors_axis_has_the_phase_of_its_middle(stripes):
     assert cycles == pytest.approx(rig.projector.matrix[axis, 2] / 16)
 
 
-@pytest.mark.parametrize(
-    ("size_px", "key"),
-    [
-        ((24, 32), "on its side"),
-        ((1024, 768), "swapped"),
-        ((16, 12), "binned"),
-        ((32, 12), "binned"),
-        ((128, 96), "calibrated binned"),
-        ((20, 24), "cropped"),
-        ((40, 30), "another camera"),
-        ((40, 20), "another camera"),
-    ],
-)
-def test_a_frame_of_another_size_is_refused_by_what_its_size_can_be(size_px, key):
-    geometry = simulated_rig((32, 24)).geometry()
-    geometry.check_frame((32, 24))
-    with pytest.raises(CalibrationError, match="a.png is {}x{} but the calibration is for 32x24".format(*size_px)) as e:
-        geometry.check_frame(size_px, "a.png")
-    assert e.value.args[0].key == key
-
-
 def test_a_binned_pixel_looks_where_the_middle_of_its_pixels_did():
     rig = simulated_rig((64, 48), camera_distortion=(-0.2, 0.05, 1e-3, -1e-3, 0.0))
     binned = rig.binned(2, 3)
