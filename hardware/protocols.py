@@ -2,11 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Literal, Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
 
 from hardware.pulses import PulseTrain, TriggerLimits
 
@@ -89,21 +88,13 @@ class FrameFormat:
     bayer: Literal["rggb", "bggr", "grbg", "gbrg"] | None = None  # the first two pixels of the first two rows
 
 
-_Count = Annotated[int, Field(ge=1, lt=2**20)]
-_Offset = Annotated[int, Field(ge=0, lt=2**20)]
-
-
-class SensorPart(BaseModel):
+@dataclass(frozen=True)
+class SensorPart:
     """The part of its sensor that a camera reads out; with its size, which is that of the frames."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    sensor_px: tuple[_Count, _Count]  # width and height of the sensor
-    offset_px: tuple[_Offset, _Offset]  # first column and row that are read out, of the sensor
-    binning: tuple[_Count, _Count]  # columns and rows of the sensor that make one of the frame
-
-    def __str__(self) -> str:
-        return "{}x{} from {},{}, binned {}x{}".format(*self.sensor_px, *self.offset_px, *self.binning)
+    sensor_px: tuple[int, int]  # width and height of the sensor
+    offset_px: tuple[int, int]  # first column and row that are read out, of the sensor
+    binning: tuple[int, int]  # columns and rows of the sensor that make one of the frame
 
 
 @dataclass(frozen=True)

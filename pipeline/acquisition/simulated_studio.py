@@ -13,13 +13,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from hardware.protocols import SensorPart
 from pipeline.acquisition.simulated_camera import CameraFaults, SimulatedCamera
 from pipeline.acquisition.studio import FRAMES, Guidance
 from pipeline.calibration import Calibration
 from pipeline.calibration.board import Board
 from pipeline.calibration.simulated_board import BoardView, CaptureLight
-from pipeline.models import FloatArray, ImageArray
+from pipeline.models import FloatArray, ImageArray, SensorPart
 from pipeline.simulation import TYPICAL_CROSSTALK, simulated_truth
 
 #: The camera's frames.

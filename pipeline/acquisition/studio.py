@@ -13,12 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from hardware.display import Display
-from hardware.protocols import Camera, SensorPart, Trigger
+from hardware.protocols import Camera, Trigger
 from hardware.rig import Rig
 from hardware.settings import RigSettings
 from pipeline.acquisition.capture_folder import pixel_format
 from pipeline.files import write_atomically
-from pipeline.models import FloatArray, ImageArray
+from pipeline.models import FloatArray, ImageArray, SensorPart
 from tikernels import runtime
 from tikernels.raw.development import develop
 from tikernels.raw.linearization import WHITE_LEVELS
@@ -157,7 +157,7 @@ class RigStudio:
     @property
     def sensor(self) -> SensorPart | None:
         """The part of the camera's sensor that frames are; see `Studio`."""
-        return self._rig.camera.limits.sensor
+        return SensorPart.of(self._rig.camera.limits)
 
     def set_camera(self, exposure_s: float, gain_db: float) -> float:
         """Set exposure and gain; see `Studio`.

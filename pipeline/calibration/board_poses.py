@@ -17,12 +17,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from hardware.protocols import SensorPart
 from pipeline.calibration.board import Board
 from pipeline.calibration.multishot import ProjectorMap, decode_multishot, fringe_groups, multishot_sequence
 from pipeline.calibration.picture_matching import find_poses
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray, ImageArray
+from pipeline.models import FloatArray, ImageArray, SensorPart
 from pipeline.robust import robust_sigma
 
 # Within this part of a square's side about a corner there are its edges, and no others.

@@ -12,12 +12,11 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import RootModel
 
-from hardware.protocols import SensorPart
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.files import explain
 from pipeline.footage.image_file import read_turned
 from pipeline.footage.picture_tags import other_orientation
-from pipeline.models import ImageArray, Model, build, read_file
+from pipeline.models import ImageArray, Model, SensorPart, build, read_file
 from tikernels.raw.linearization import WHITE_LEVELS
 
 #: What a sequence is called in its folder.

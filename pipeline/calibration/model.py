@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import Field, model_validator
 
-from hardware.protocols import SensorPart
 from pipeline.calibration.lens import Lens
 from pipeline.causes import Cause, Key
 from pipeline.errors import CalibrationError, OutputError, SettingsError
@@ -25,6 +24,7 @@ from pipeline.models import (
     Model,
     NonNegative,
     Positive,
+    SensorPart,
     Vector3,
     build,
     read_file,

@@ -15,7 +15,6 @@ from typing import NamedTuple, NoReturn
 import cv2
 import numpy as np
 
-from hardware.protocols import SensorPart
 from pipeline.calibration.board_poses import MIN_POSES, BoardPose
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
 from pipeline.calibration.lens import Lens
@@ -23,7 +22,7 @@ from pipeline.calibration.model import Calibration, ColorShift, Pattern, ScalePr
 from pipeline.calibration.verdict import GeometryVerdict, corners_off, depth_bias_mm, judge_geometry, pose_causes
 from pipeline.causes import Cause
 from pipeline.errors import CalibrationError
-from pipeline.models import FloatArray
+from pipeline.models import FloatArray, SensorPart
 
 # A measured baseline that differs from the user's by a greater part shows a wrong square size: by hand, from lens to
 # lens, it is known to some millimetres in two hundred.

@@ -10,7 +10,6 @@ from typing import cast
 
 import cv2
 
-from hardware.protocols import SensorPart
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import stored_planes
 from pipeline.footage.heic_file import is_heic, read_heic
@@ -29,7 +28,7 @@ from pipeline.footage.picture_tags import (
 from pipeline.footage.source import GREY, BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.tiff_file import TIFF_MARKS, Tag, read_directory, select_page
 from pipeline.limits import open_plain
-from pipeline.models import ImageArray
+from pipeline.models import ImageArray, SensorPart
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
 

@@ -7,10 +7,9 @@ from typing import Protocol, cast
 
 import numpy as np
 
-from hardware.protocols import SensorPart
 from pipeline.errors import FootageError
 from pipeline.footage.picture_tags import upright
-from pipeline.models import ImageArray
+from pipeline.models import ImageArray, SensorPart
 from tikernels.raw.pixel_format import SITES, Bayer, Matrix, PixelFormat, Siting
 
 #: Why grey footage cannot be decoded.

@@ -9,13 +9,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, Literal
 
-from hardware.protocols import SensorPart
 from pipeline.errors import FootageError
 from pipeline.footage.ffmpeg_frames import caught_messages, orientation_of, stored_planes, transfer_of, views_of
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame, other_than_first, turned
 from pipeline.footage.zarr_recording import RecordingTags, rate_of
 from pipeline.limits import check_size, ffmpeg_limits
-from pipeline.models import build
+from pipeline.models import SensorPart, build
 from tikernels.raw.pixel_format import PixelFormat
 
 # A file counts as unreadable when its first frames are damaged, this many of them: ten seconds of most footage.

@@ -9,11 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from hardware.protocols import SensorPart
 from pipeline.errors import DamageError, FootageError
 from pipeline.footage.source import BadFrame, Frames, StoredAs, StoredFrame
 from pipeline.limits import check_missing, check_size, read_plain, read_text
-from pipeline.models import build
+from pipeline.models import SensorPart, build
 from pipeline.zarr_chunks import chunk_bytes, chunk_key, decode_chunk
 from tikernels.errors import ShapeError
 from tikernels.raw.linearization import TRANSFERS

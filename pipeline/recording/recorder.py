@@ -15,12 +15,11 @@ from queue import SimpleQueue
 
 import numpy as np
 
-from hardware.protocols import SensorPart
 from pipeline.errors import OutputError
 from pipeline.files import explain, sync
 from pipeline.footage.zarr_recording import RecordingTags
 from pipeline.locking import locked
-from pipeline.models import ImageArray
+from pipeline.models import ImageArray, SensorPart
 from pipeline.recording.zarr_writer import MOST_THREADS, PART, ZarrWriter
 from tikernels.errors import ShapeError
 from tikernels.raw.pixel_format import PixelFormat

@@ -11,13 +11,12 @@ import numpy as np
 import pytest
 from support.posed_boards import CAMERA_PX, PATTERN, PROJECTOR_PX, exact_poses, scaled
 
-from hardware.protocols import SensorPart
 from pipeline import Decoder, DecodeSettings
 from pipeline.calibration.rig_geometry import solve_geometry
 from pipeline.causes import Cause, Key
 from pipeline.decoding.light_path import LightPath
 from pipeline.diagnosis.rig_check import check_surface
-from pipeline.models import CameraState
+from pipeline.models import CameraState, SensorPart
 from pipeline.orders.order_finder import OrderFinder
 from pipeline.simulation import TYPICAL_CROSSTALK, SimulationSettings, simulate_frame, simulated_rig
 

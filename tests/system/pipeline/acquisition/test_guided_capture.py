@@ -9,7 +9,6 @@ from support.flat_studio import FlatStudio
 from support.posed_boards import PATTERN
 
 from hardware.errors import CameraError
-from hardware.protocols import SensorPart
 from pipeline.acquisition.guided_capture import LIGHT, POSES, GuidedCapture
 from pipeline.acquisition.simulated_camera import WEBCAM
 from pipeline.acquisition.simulated_studio import SimulatedStudio, StudioFaults
@@ -18,6 +17,7 @@ from pipeline.calibration.captures import CapturedFolder
 from pipeline.calibration.pose_guide import PoseGuide
 from pipeline.calibration.radiometry import measure_radiometry, radiometry_sequence
 from pipeline.errors import CalibrationError, OutputError
+from pipeline.models import SensorPart
 from pipeline.simulation import simulated_rig
 
 NAMES = radiometry_sequence(FlatStudio.projector_px).names

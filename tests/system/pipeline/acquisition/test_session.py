@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from support.faulty_rigs import FRAMES, Bench, Faulty, number_in, settings
 
+from hardware import protocols
 from hardware.errors import BurstError, CameraError, RigError
-from hardware.protocols import SensorPart
 from pipeline.acquisition import session
 from pipeline.acquisition.capture_folder import CapturePlan
 from pipeline.acquisition.session import Stopping, capture_bursts
 from pipeline.calibration import Calibration
 from pipeline.errors import CalibrationError, OutputError, SettingsError
 from pipeline.footage.opening import open_source
+from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
 from pipeline.settings import DecodeSettings
 from pipeline.simulation import simulated_rig
@@ -193,7 +194,7 @@ def test_a_capture_knows_the_part_of_the_sensor_and_so_does_its_calibration(tmp_
 
     def open_and_say():
         trigger, camera = opened()
-        camera.limits = replace(camera.limits, sensor=part)
+        camera.limits = replace(camera.limits, sensor=protocols.SensorPart(**part.model_dump()))
         return trigger, camera
 
     bench.open = open_and_say

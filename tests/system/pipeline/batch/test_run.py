@@ -16,7 +16,6 @@ import zarr
 from support.missing import import_but_fail_in_ci
 from support.recorded_footage import contents, record
 
-from hardware.protocols import SensorPart
 from pipeline import Decoder, DecodeSettings
 from pipeline.batch import job as jobs
 from pipeline.batch.job import Crop, Job
@@ -25,6 +24,7 @@ from pipeline.decoding.frame import FIELDS
 from pipeline.decoding.front_side import RimVotes
 from pipeline.errors import CalibrationError, FootageError, OutputError, SettingsError
 from pipeline.footage.source import StoredAs
+from pipeline.models import SensorPart
 from pipeline.output.range_image import write_png
 from pipeline.output.store import chosen_fields
 from pipeline.output.stored_result import StoredResult

@@ -10,7 +10,6 @@ import pytest
 from support.posed_boards import CAMERA_PX, exact_poses
 from support.slide_shows import film
 
-from hardware.protocols import SensorPart
 from pipeline.acquisition import practice_set
 from pipeline.acquisition.practice_set import practice_rig
 from pipeline.calibration import Calibration
@@ -22,6 +21,7 @@ from pipeline.cli.main import command_line
 from pipeline.cli.project import BoardOptions
 from pipeline.errors import SettingsError
 from pipeline.footage.image_file import read_image
+from pipeline.models import SensorPart
 from pipeline.output.range_image import write_png
 from pipeline.recording.recorder import Recorder
 from pipeline.simulation import SimulationSettings, simulate_frame, simulated_rig

@@ -7,13 +7,13 @@ from support.board_rig import MovedCaptures
 from support.posed_boards import CHARUCO, CHESSBOARD, PROJECTOR_PX, captured, rig
 from support.slide_shows import film
 
-from hardware.protocols import SensorPart
 from pipeline.calibration import board_poses
 from pipeline.calibration.board import Board
 from pipeline.calibration.board_poses import PictureEvidence, edge_blur_px, measure_pose, measure_poses
 from pipeline.calibration.captures import CapturedFolder
 from pipeline.calibration.multishot import multishot_sequence
 from pipeline.errors import CalibrationError, FootageError
+from pipeline.models import SensorPart
 from pipeline.output.range_image import write_png
 from pipeline.recording.recorder import Recorder
 from tikernels.raw.pixel_format import PixelFormat

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hardware.protocols import SensorPart
 from pipeline.calibration.captures import (
     CapturedFolder,
     PictureSequence,
@@ -17,6 +16,7 @@ from pipeline.calibration.captures import (
 )
 from pipeline.errors import CalibrationError, OutputError
 from pipeline.footage.image_file import read_image
+from pipeline.models import SensorPart
 
 SEQUENCE = PictureSequence(kind="radiometry", size_px=(6, 4), names=("00-black", "01-red"))
 

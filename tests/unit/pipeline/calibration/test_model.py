@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import pytest
 
-from hardware.protocols import SensorPart
 from pipeline import Calibration
 from pipeline.calibration import ColorShift, Pattern
 from pipeline.calibration.model import choose_pattern
 from pipeline.errors import CalibrationError, SettingsError
+from pipeline.models import SensorPart
 from pipeline.simulation import simulated_rig
 
 LENS = simulated_rig().model_dump(mode="json")["camera"]

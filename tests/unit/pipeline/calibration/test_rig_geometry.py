@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from support.posed_boards import CAMERA_PX, PATTERN, PROJECTOR_PX, exact_poses, rig, scaled
 
-from hardware.protocols import SensorPart
 from pipeline.calibration.board import Board
 from pipeline.calibration.bundle_adjustment import BundleAdjustment
 from pipeline.calibration.rig_geometry import SecondBoard, board_scale, solve_geometry
 from pipeline.errors import CalibrationError
+from pipeline.models import SensorPart
 
 SECOND = Board(kind="chessboard", squares=(10, 7), square_mm=20.0)
 

@@ -8,10 +8,10 @@ import pytest
 from support.numbered_frames import RGB8, frame_of, record, rgb
 from support.video_files import flip, packets
 
-from hardware.protocols import SensorPart
 from pipeline.errors import FootageError, OutputError
 from pipeline.footage.opening import frame_times, open_source
 from pipeline.footage.source import BadFrame, StoredFrame
+from pipeline.models import SensorPart
 from pipeline.recording.recorder import Recorder
 from pipeline.recording.video_export import export_video
 from tikernels.raw.pixel_format import FLOAT_BITS, PixelFormat
